@@ -1,0 +1,5 @@
+"""`python -m tso_cli`."""
+
+from .cli import main
+
+main()

@@ -1,0 +1,83 @@
+"""The command line: subcommands loaded when called, and the one place where errors become messages and exit codes."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from importlib import import_module
+from typing import Any
+
+import click
+
+from . import __version__
+from .errors import TsoError
+
+# name -> (module in tso_cli.commands, one line of help). The help stands here so that `tso --help` imports no command.
+COMMANDS = {
+    "refine": ("refine", "Make a cloud agree with a mask."),
+    "eval": ("evaluate", "Judge clouds against ground truth: Chamfer, F-score, EMD, IoU."),
+    "train": ("train", "Train the network that predicts a cloud from a photo."),
+    "render": ("render", "Render meshes to images, masks, cameras and ground truth."),
+    "study": ("study", "Ask a question of the method, on many shapes, and keep the answer."),
+}
+
+
+class LazyGroup(click.Group):
+    """A group whose commands are imported when they run: torch alone costs over a second."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = import_module(f".commands.{COMMANDS[cmd_name][0]}", __package__).command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="tso")
+def tso() -> None:
+    """Make a 3D point cloud agree with a picture.
+
+    `tso COMMAND --help` explains a command.
+    """
+
+
+def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    print(f"tso: warning: {message}", file=sys.stderr)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit: 0 done, 1 the work failed, 2 unusable input, 3 a gate that was asked for is not met."""
+    warnings.showwarning = _print_warning
+    warnings.simplefilter("always", UserWarning)
+    try:
+        code = tso.main(arguments, prog_name="tso", standalone_mode=False)
+    except TsoError as error:
+        code = _fail(str(error), error.exit_code)
+    except click.UsageError as error:
+        hint = f" (see `{error.ctx.command_path} --help`)" if error.ctx else ""
+        code = _fail(f"{error.format_message()}{hint}", 2)
+    except click.ClickException as error:
+        code = _fail(error.format_message(), error.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        code = _fail("interrupted", 130)
+    except BrokenPipeError:
+        # The reader went away (`tso eval ... | head`); python would complain once more while closing stdout.
+        sys.stdout = None  # type: ignore[assignment]
+        code = 0
+    except MemoryError:
+        code = _fail("out of memory", 1)
+    except OSError as error:
+        code = _fail(f"{error.filename or 'a file'}: {error.strerror or error}", 1)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail(message: str, code: int) -> int:
+    print(f"tso: error: {' '.join(message.split())}", file=sys.stderr)
+    return code

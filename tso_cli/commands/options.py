@@ -1,0 +1,67 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+class FilePath(click.Path):
+    """A path as :class:`pathlib.Path`. Whether it can be read is the reader's to say, in one voice for every file."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+
+overwrite = click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
+seed = click.option("--seed", type=int, default=0, show_default=True, help="Seed of everything random.")
+as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
+device = click.option("--device", default="cpu", show_default=True, help="cpu, cuda, cuda:1, mps or auto.")
+
+
+def echo_json(document: Any) -> None:
+    """Print exactly one JSON document; numbers that are not finite become null."""
+    click.echo(json.dumps(_plain(document), indent=2, allow_nan=False))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "item"):  # numpy scalars
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def log(message: str) -> None:
+    """One line on stderr."""
+    click.echo(message, err=True)
+
+
+class ProgressBar:
+    """A bar on stderr while it is a terminal, else a line about every tenth of the work."""
+
+    def __init__(self, label: str) -> None:
+        self.label = label
+        self._terminal = sys.stderr.isatty()
+        self._shown = -1
+
+    def __call__(self, done: int, total: int, note: str = "") -> None:
+        """Show ``done`` of ``total``."""
+        mark = done * (40 if self._terminal else 10) // max(total, 1)
+        if mark == self._shown and done != total:
+            return
+        self._shown = mark
+        if self._terminal:
+            bar = "#" * mark + "." * (40 - mark)
+            click.echo(f"\r{self.label} [{bar}] {done}/{total} {note}\x1b[K", err=True, nl=done == total)
+        else:
+            log(f"{self.label} {done}/{total} {note}".rstrip())

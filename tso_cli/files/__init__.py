@@ -1,0 +1,1 @@
+"""Readers and writers: files on disk <-> objects in memory."""

@@ -1,0 +1,197 @@
+"""Point clouds: PLY (text and binary), .npy and tables of numbers in; PLY out."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError, TsoError
+from .arrays import read_array
+from .output import atomic_output, check_output
+from .ply import PlyFile
+from .reading import read_bytes
+from .text import TextTable
+
+Points = NDArray[np.float64]
+SUFFIXES = (".ply", ".npy", ".xyz", ".txt")
+_LARGEST = 1e100  # beyond it squares of coordinates overflow
+_WHAT = "a point cloud"
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """A cloud as read from a file.
+
+    Parameters
+    ----------
+    points : [N, 3] float64, in the file's order and units.
+    path : where it came from.
+    precision : "float32" or "float64", the type to write coordinates with.
+    ply : what is needed to write the same PLY file with other coordinates.
+    """
+
+    points: Points
+    path: Path
+    precision: str = "float64"
+    ply: PlyFile | None = field(default=None, repr=False)
+
+
+def read_cloud(path: str | Path) -> PointCloud:
+    """Read a point cloud; of a mesh in PLY, its vertices.
+
+    The suffix decides: .ply; .npy with an array [N, 3]; .xyz and .txt with three numbers or more a line, of which the first
+    three count, and comment lines that start with #.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is damaged, or does not hold at least two different, finite points.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES and not path.is_dir():
+        raise InputError(f"{path}: the suffix {suffix!a} is not that of a point cloud, expected {', '.join(SUFFIXES)}")
+    data = read_bytes(path, _WHAT)
+    try:
+        if suffix == ".ply":
+            ply = PlyFile(data, path)
+            cloud = PointCloud(ply.read(), path, "float32" if set(ply.kinds) == {"f4"} else "float64", ply)
+        elif suffix == ".npy":
+            cloud = _from_array(data, path)
+        else:
+            cloud = _from_text(data, path)
+    except MemoryError:
+        raise InputError(f"{path}: does not fit into memory") from None
+    _check(cloud.points, path)
+    return cloud
+
+
+def write_cloud(
+    path: str | Path,
+    points: Points,
+    like: PointCloud | None = None,
+    colours: NDArray[np.uint8] | None = None,
+    overwrite: bool = False,
+    dtype: str | None = None,
+) -> None:
+    """Write a .ply file.
+
+    Parameters
+    ----------
+    points : [N, 3].
+    like : the cloud that ``points`` are the moved points of. If it came from a PLY file, only the coordinates change: form,
+        order, precision, colours, faces and every other attribute stay as they are, byte for byte. Normals stay too, with a
+        warning that they are those of the old points.
+    colours : [N, 3] uint8 red, green, blue; not together with ``like``.
+    dtype : "float32" or "float64", without a ``like`` from PLY. By default the precision of ``like``; without it float32
+        where that moves no point by over a millionth of the cloud's extent.
+
+    Raises
+    ------
+    InputError
+        ``path`` cannot be written to or is not a .ply, or ``points`` are not as many as those of ``like``.
+    TsoError
+        A coordinate is not finite, or writing failed; nothing is written then.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".ply":
+        raise InputError(f"{path}: the suffix is {path.suffix!a}, expected .ply for a point cloud to write")
+    check_output(path, overwrite)
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"{path}: the points to write have shape {list(points.shape)}, expected [N, 3]")
+    if not np.isfinite(points).all():
+        index = int((~np.isfinite(points)).any(axis=1).argmax())
+        raise TsoError(f"{path}: point {index} is not finite, nothing was written")
+    if like is not None and len(points) != len(like.points):
+        raise InputError(f"{path}: {len(points)} points to write, {like.path} has {len(like.points)}, expected the same")
+    if like is not None and colours is not None:
+        raise InputError(f"{path}: colours come from {like.path}, expected no others")
+    narrow = set(like.ply.kinds) if like is not None and like.ply is not None else set()
+    if "f4" in narrow and np.abs(points, initial=0.0).max() > np.finfo(np.float32).max:
+        raise TsoError(f"{path}: a coordinate does not fit into the float of {like.path if like else path}")
+    if like is not None and like.ply is not None:
+        data = like.ply.with_points(points)
+        if like.ply.has_normals and data is not like.ply.data:
+            warnings.warn(f"{path}: the normals are those of {like.path}, before the points moved", stacklevel=2)
+    else:
+        data = _new_file(path, points, dtype or (like.precision if like is not None else _precision(points)), colours)
+    with atomic_output(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def _precision(points: Points) -> str:
+    with np.errstate(over="ignore", invalid="ignore"):
+        loss = np.abs(points.astype(np.float32) - points).max(initial=0.0)
+    extent = np.ptp(points, axis=0).max() if len(points) else 0.0
+    return "float32" if loss <= 1e-6 * extent else "float64"
+
+
+def _new_file(path: Path, points: Points, dtype: str, colours: NDArray[np.uint8] | None) -> bytes:
+    types = {"float32": "float", "float64": "double"}
+    if dtype not in types:
+        raise InputError(f"{path}: the type is {dtype!r}, expected float32 or float64")
+    fields = [(axis, "<" + np.dtype(dtype).str[1:]) for axis in "xyz"]
+    lines = [f"property {types[dtype]} {axis}" for axis in "xyz"]
+    if colours is not None:
+        colours = np.asarray(colours)
+        if colours.shape != points.shape or colours.dtype != np.uint8:
+            raise InputError(
+                f"{path}: the colours are {colours.dtype} {list(colours.shape)}, expected uint8 {list(points.shape)}"
+            )
+        fields += [(name, "u1") for name in ("red", "green", "blue")]
+        lines += [f"property uchar {name}" for name in ("red", "green", "blue")]
+    rows = np.empty(len(points), dtype=fields)
+    for k, axis in enumerate("xyz"):
+        rows[axis] = points[:, k]
+    if colours is not None:
+        for k, name in enumerate(("red", "green", "blue")):
+            rows[name] = colours[:, k]
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *lines, "end_header", ""]
+    return "\n".join(head).encode() + rows.tobytes()
+
+
+def _from_array(data: bytes, path: Path) -> PointCloud:
+    array = read_array(data, path)
+    if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "fiu":
+        raise InputError(f"{path}: holds {array.dtype} {list(array.shape)}, expected numbers [N, 3]")
+    precision = "float32" if array.dtype.kind == "f" and array.dtype.itemsize <= 4 else "float64"
+    with np.errstate(all="ignore"):
+        return PointCloud(np.ascontiguousarray(array, dtype=np.float64), path, precision)
+
+
+def _from_text(data: bytes, path: Path) -> PointCloud:
+    table = TextTable(data, path)
+    table.drop_comments()
+    short = table.counts < 3
+    if short.any():
+        row = int(short.argmax())
+        raise InputError(
+            f"{path}: line {table.numbers[row]} has {table.counts[row]} columns, expected at least 3 (x y z, parted by blanks)"
+        )
+    points = table.values(table.first[:, None] + np.arange(3))
+    if table.counts.max(initial=3) > 3:
+        warnings.warn(f"{path}: only the first three of its columns are used, as x y z", stacklevel=3)
+    return PointCloud(points, path)
+
+
+def _check(points: Points, path: Path) -> None:
+    count = len(points)
+    if count < 2:
+        raise InputError(f"{path}: {count} point{'s' * (count != 1)}, expected at least 2")
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        index = int((~finite).argmax())
+        raise InputError(
+            f"{path}: {count - int(finite.sum())} of {count} points have a coordinate that is not finite, "
+            f"the first is point {index} {points[index].tolist()}"
+        )
+    largest = max(-float(points.min()), float(points.max()))
+    if largest > _LARGEST:
+        raise InputError(f"{path}: a coordinate of {largest:g}, expected at most {_LARGEST:g}")
+    if (points.max(axis=0) - points.min(axis=0)).max() <= 1.0 / _LARGEST:
+        raise InputError(f"{path}: all {count} points are the same {points[0].tolist()}, expected different ones")

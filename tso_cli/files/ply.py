@@ -1,0 +1,177 @@
+"""PLY files whose vertices can be moved while every other byte stays as it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .ply_header import Element, Header, parse_header
+from .ply_rows import Rows, find_rows
+from .reading import shown
+from .text import Integers, TextTable
+
+Points = NDArray[np.float64]
+AXES = ("x", "y", "z")
+
+
+class PlyFile:
+    """The bytes of a PLY file and the places of its vertex coordinates.
+
+    Text and both binary forms are read; the vertex element may stand anywhere among others, and have lists. Whatever the
+    header does not account for, other than white space at the end, is an error: a count that is too low would lose points.
+
+    Parameters
+    ----------
+    data : the whole file.
+    path : for messages.
+
+    Raises
+    ------
+    InputError
+        It is not a PLY file, has no x, y, z, or its body is shorter or longer than the header says.
+    """
+
+    def __init__(self, data: bytes, path: Path) -> None:
+        self.data = data
+        self.path = path
+        self.header: Header = parse_header(data, path)
+        self.vertex = self._vertex()
+        self.kinds = [p.kind for axis in AXES for p in self.vertex.properties if p.name == axis]
+        self._table: TextTable | None = None
+        self._rows: Rows | None = None
+        self._words: Integers | None = None  # [N, 3], of a text body
+        if self.header.order:
+            self._rows = find_rows(data, self.header, AXES, path)
+        else:
+            self._table = TextTable(data, path, self.header.size, self.header.lines)
+            self._words = self._find_words(self._table)
+
+    def _vertex(self) -> Element:
+        for element in self.header.elements:
+            if element.name == "vertex":
+                for axis in AXES:
+                    found = [p for p in element.properties if p.name == axis]
+                    if not found:
+                        names = ", ".join(p.name for p in element.properties) or "none"
+                        raise InputError(f"{self.path}: its vertices have no {axis} (properties: {shown(names)})")
+                    if found[0].length_kind:
+                        raise InputError(f"{self.path}: {axis} of its vertices is a list, expected one number")
+                return element
+        names = ", ".join(element.name for element in self.header.elements) or "none"
+        raise InputError(f"{self.path}: has no vertex element (elements: {shown(names)})")
+
+    @property
+    def has_normals(self) -> bool:
+        """Whether the vertices carry normals, which moving them makes stale."""
+        return any(p.name in ("nx", "ny", "nz", "normal_x", "normal_y", "normal_z") for p in self.vertex.properties)
+
+    def read(self) -> Points:
+        """The coordinates [N, 3] of the vertices, in the file's order."""
+        if self._rows is not None:
+            return np.stack([self._rows.get(self.data, k, self.kinds[k]) for k in range(3)], axis=1, dtype=np.float64)
+        assert self._table is not None and self._words is not None
+        return self._table.values(self._words)
+
+    def with_points(self, points: Points) -> bytes:
+        """The file with its vertices moved to ``points`` [N, 3]; what is not a coordinate keeps its bytes.
+
+        Numbers are rounded to the type the file declares; integer coordinates become double. In text only numbers that
+        change are rewritten, with as many digits as tell apart two values of the type; where the text holds more digits
+        than its type, those of a double.
+        """
+        old = self.read()
+        if np.array_equal(old, points):
+            return self.data
+        promoted = [k for k in range(3) if not self.kinds[k].startswith("f")]
+        head = self._head(promoted)
+        if self._rows is not None:
+            columns = [points[:, k].astype(self.header.order + self._kind(k)) for k in range(3)]
+            return head + self._rows.put(self.data, self.header.size, columns, self.kinds)
+        return head + self._text(old, points)
+
+    def _kind(self, k: int) -> str:
+        return self.kinds[k] if self.kinds[k].startswith("f") else "f8"
+
+    def _head(self, promoted: list[int]) -> bytes:
+        head = self.data[: self.header.size]
+        spans = [p.type_span for p in self.vertex.properties if p.name in [AXES[k] for k in promoted]]
+        for begin, end in sorted(spans, reverse=True):
+            head = head[:begin] + b"double" + head[end:]
+        return head
+
+    def _find_words(self, table: TextTable) -> Integers:
+        begin = 0
+        words = np.empty((0, 3), dtype=np.int64)
+        for element in self.header.elements:
+            count = element.count if element.properties else 0
+            if begin + count > table.first.size:
+                raise InputError(
+                    f"{self.path}: ends after {table.first.size - begin} of {count} lines of element {shown(element.name)}"
+                )
+            lines = slice(begin, begin + count)
+            places = self._columns(element, table, lines)
+            if element is self.vertex:
+                words = table.first[lines, None] + places
+            begin += count
+        if begin < table.first.size:
+            raise InputError(
+                f"{self.path}: has {table.first.size} lines of data, the header accounts for {begin}, expected the same"
+            )
+        return words
+
+    def _columns(self, element: Element, table: TextTable, lines: slice) -> Integers:
+        """Check the number of words of each line; return the columns of x, y, z in it, [1, 3] or [N, 3]."""
+        found = table.counts[lines]
+        expected = np.zeros(found.size, dtype=np.int64)
+        places = np.zeros((found.size, 3), dtype=np.int64)
+        for p in element.properties:
+            if element is self.vertex and p.name in AXES:
+                places[:, AXES.index(p.name)] = expected
+            if p.length_kind:
+                # Past the end of a short line any word will do: the line is refused below.
+                words = np.minimum(table.first[lines] + expected, table.starts.size - 1)
+                lengths = table.values(words)
+                bad = ~((lengths >= 0) & (lengths <= found) & (lengths == np.floor(lengths)))
+                if bad.any():
+                    line = table.numbers[lines][bad.argmax()]
+                    raise InputError(f"{self.path}: line {line}: a list of {lengths[bad.argmax()]:g} values does not fit")
+                expected += lengths.astype(np.int64)
+            expected += 1
+        wrong = found != expected
+        if wrong.any():
+            row = int(wrong.argmax())
+            raise InputError(
+                f"{self.path}: line {table.numbers[lines][row]} has {found[row]} values, "
+                f"expected {expected[row]} for element {shown(element.name)}"
+            )
+        return places
+
+    def _text(self, old: Points, points: Points) -> bytes:
+        assert self._table is not None and self._words is not None
+        words = np.empty(points.shape, dtype=object)
+        changed = np.zeros(points.shape, dtype=bool)
+        for k in range(3):
+            with np.errstate(over="ignore"):
+                single, single_old = points[:, k].astype(np.float32), old[:, k].astype(np.float32)
+            narrow = self.kinds[k] == "f4" and np.array_equal(single_old.astype("S32").astype(np.float64), old[:, k])
+            changed[:, k] = single != single_old if narrow else points[:, k] != old[:, k]
+            moved = changed[:, k]
+            words[moved, k] = (
+                single[moved].astype("S32").tolist()
+                if narrow
+                else [repr(value).encode() for value in points[moved, k].tolist()]
+            )
+        index = self._words[changed]
+        order = np.argsort(index)
+        pieces = []
+        at = self.header.size
+        source = memoryview(self.data)
+        begins, ends = self._table.starts[index][order].tolist(), self._table.ends[index][order].tolist()
+        for begin, end, word in zip(begins, ends, words[changed][order].tolist(), strict=True):
+            pieces += [source[at:begin], word]
+            at = end
+        pieces.append(source[at:])
+        return b"".join(pieces)

@@ -1,0 +1,1 @@
+"""The hot loops: sums of Gaussians over a pixel grid, nearest neighbours."""

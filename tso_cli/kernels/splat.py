@@ -1,0 +1,112 @@
+"""Sums of Gaussians over a pixel grid (Eq. 2 and 3 before the tanh): the dispatcher and the default windowed kernel."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .reference import splat_exact
+
+# A tap below this value changes no float32 sum; it fixes the window's radius.
+NEGLIGIBLE = 1e-8
+# Taps held at once; bounds memory at about 400 MB however many points there are.
+TAPS_PER_CHUNK = 1 << 24
+
+KERNELS = ("windowed", "exact")
+
+
+def window_radius(sigma_sq: float) -> int:
+    """Radius in pixels beyond which a Gaussian of variance ``sigma_sq`` (px^2) is negligible: 4 at 0.4."""
+    return math.ceil(math.sqrt(2.0 * sigma_sq * math.log(1.0 / NEGLIGIBLE)))
+
+
+def splat(
+    points_px: Tensor,  # [M, N, 2]
+    valid: Tensor,  # [M, N] bool
+    height: int,
+    width: int,
+    sigma_sq: float,
+    kernel: str = "windowed",
+) -> Tensor:
+    """Sum of one un-normalised Gaussian per point at every pixel centre: the argument of the tanh in Eq. 2.
+
+    Parameters
+    ----------
+    points_px : [M, N, 2] column and row of each point, in pixels; M is any batch of images.
+    valid : [M, N] bool; points that are False add nothing and get no gradient.
+    height, width : size of the image.
+    sigma_sq : variance of the Gaussian, px^2.
+    kernel : "windowed" (the default: each point touches the pixels around it) or "exact" (every pixel, Eq. 2 as printed).
+
+    Returns
+    -------
+    [M, height, width] sums, >= 0.
+    """
+    if kernel == "exact":
+        return splat_exact(points_px, valid, height, width, sigma_sq)
+    if kernel == "windowed":
+        return _Windowed.apply(points_px, valid, height, width, float(sigma_sq))
+    raise ValueError(f"kernel is {kernel!r}, expected one of {', '.join(KERNELS)}")
+
+
+def _taps(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float) -> tuple[Tensor, ...]:
+    """Separable weights [M, n, k] in x and y, offsets to the taps' centres, and the flat index [M, n, k, k] of every tap."""
+    radius = window_radius(sigma_sq)
+    steps = torch.arange(-radius, radius + 1, device=points_px.device)
+    # A point beyond the reach of the image is parked in a corner: its integer coordinate could overflow.
+    reach = radius + 1
+    x, y = points_px.unbind(-1)
+    reached = valid & (x > -reach) & (x < width - 1 + reach) & (y > -reach) & (y < height - 1 + reach)
+    anchors = torch.where(reached, x, -reach), torch.where(reached, y, -reach)
+    weights, offsets, indices = [], [], []
+    for anchor, size in zip(anchors, (width, height), strict=True):
+        nearest = anchor.detach().round()
+        offset = (anchor - nearest).unsqueeze(-1) - steps
+        index = nearest.long().unsqueeze(-1) + steps
+        inside = (index >= 0) & (index < size) & reached.unsqueeze(-1)
+        weights.append(torch.exp(offset.square() * (-0.5 / sigma_sq)) * inside)
+        offsets.append(offset)
+        indices.append(index.clamp_(0, size - 1))
+    image = torch.arange(len(points_px), device=points_px.device).mul_(height * width).view(-1, 1, 1, 1)
+    flat = (indices[1] * width).unsqueeze(-1) + indices[0].unsqueeze(-2) + image
+    return weights[0], weights[1], offsets[0], offsets[1], flat
+
+
+def _chunks(images: int, count: int, sigma_sq: float) -> list[slice]:
+    per_point = max(images, 1) * (2 * window_radius(sigma_sq) + 1) ** 2
+    size = max(1, TAPS_PER_CHUNK // per_point)
+    return [slice(start, start + size) for start in range(0, count, size)]
+
+
+class _Windowed(torch.autograd.Function):
+    """Scatter of each point's window; the backward pass gathers the same window, so nothing of its size is stored."""
+
+    @staticmethod
+    def forward(ctx: Any, points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float) -> Tensor:
+        images, count = valid.shape
+        sums = points_px.new_zeros(images * height * width)
+        for part in _chunks(images, count, sigma_sq):
+            wx, wy, _, _, flat = _taps(points_px[:, part], valid[:, part], height, width, sigma_sq)
+            sums.scatter_add_(0, flat.flatten(), (wy.unsqueeze(-1) * wx.unsqueeze(-2)).flatten())
+        ctx.save_for_backward(points_px, valid)
+        ctx.geometry = height, width, sigma_sq
+        return sums.view(images, height, width)
+
+    @staticmethod
+    def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor | None, ...]:
+        points_px, valid = ctx.saved_tensors
+        height, width, sigma_sq = ctx.geometry
+        grad_sums = grad_outputs[0].flatten()
+        grads = []
+        for part in _chunks(*valid.shape, sigma_sq):
+            wx, wy, dx, dy, flat = _taps(points_px[:, part], valid[:, part], height, width, sigma_sq)
+            grad_taps = grad_sums[flat]  # [M, n, k, k]
+            # d/dx exp(-dx^2 / 2 sigma^2) = -dx / sigma^2 times the weight itself
+            along_x = (grad_taps * wy.unsqueeze(-1)).sum(-2) * wx * dx
+            along_y = (grad_taps * wx.unsqueeze(-2)).sum(-1) * wy * dy
+            grads.append(torch.stack([along_x.sum(-1), along_y.sum(-1)], -1) / -sigma_sq)
+        grad = torch.cat(grads, 1) if grads else torch.zeros_like(points_px)
+        return grad, None, None, None, None

@@ -1,0 +1,96 @@
+"""The mask term of the optimisation: views resampled to the resolution their kernel can resolve, projected and compared."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from .losses import silhouette_bce
+from .projection import CameraBatch, cheaper_kernel, default_sigma_sq, project, silhouette_sums
+from .resample import area_resize
+from .scene import View
+
+# A silhouette blurred by this variance (px^2) is resolved by its pixels: it is the paper's setting.
+RESOLVED_SIGMA_SQ = 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class WorkingView:
+    """A view as the loop sees it: tensors with leading batch axes of one cloud and one view."""
+
+    mask: Tensor  # [1, h, w]
+    known: Tensor | None  # [1, h, w] weight
+    camera: CameraBatch
+    sigma_sq: float
+    kernel: str
+
+
+def working_view(view: View, sigma_sq: float, centre: NDArray[np.float64], scale: float, count: int, like: Tensor) -> WorkingView:
+    """Prepare ``view`` for a cloud normalised by ``(X - centre) / scale``.
+
+    A silhouette whose kernel spans many pixels holds nothing finer than that kernel, so its mask is averaged (by area) down
+    to pixels of about the kernel's size. The default sigma^2 grows with the image, so every image is worked on at 64 px along
+    its longer side; a smaller sigma^2 keeps more. Nothing is ever scaled up.
+    """
+    camera = view.camera
+    mask, known = view.mask.astype(np.float64), view.known
+    shrink = min(1.0, math.sqrt(RESOLVED_SIGMA_SQ / sigma_sq))
+    width = max(1, round(camera.width * shrink))
+    height = max(1, round(camera.height * shrink))
+    weight: NDArray[np.float64] | None = None if known is None else known.astype(np.float64)
+    if (width, height) != (camera.width, camera.height):
+        box = (-0.5, -0.5, camera.width - 0.5, camera.height - 0.5)
+        mask, weight = area_resize(mask, box, width, height, weights=weight)
+        sigma_sq *= (max(width, height) / max(camera.width, camera.height)) ** 2
+        camera = camera.resized(width, height)
+    batch = CameraBatch.of([camera.for_normalised(centre, scale)], like)
+    return WorkingView(
+        torch.as_tensor(mask, dtype=like.dtype, device=like.device).unsqueeze(0),
+        None if known is None else torch.as_tensor(weight, dtype=like.dtype, device=like.device).unsqueeze(0),
+        batch,
+        sigma_sq,
+        cheaper_kernel(count, batch, sigma_sq),
+    )
+
+
+class MaskObjective:
+    """Sum over views of the silhouette's binary cross-entropy (Eq. 4) for one cloud.
+
+    Parameters
+    ----------
+    views : V views of the object.
+    centre, scale : the normalisation of the clouds it will be called with.
+    sigma_sq : px^2 of each view's mask; None for each view's default.
+    count : number of points.
+    like : tensor whose precision and device are used.
+    """
+
+    def __init__(
+        self,
+        views: Sequence[View],
+        centre: NDArray[np.float64],
+        scale: float,
+        sigma_sq: float | None,
+        count: int,
+        like: Tensor,
+    ) -> None:
+        self.views = []
+        for view in views:
+            own = default_sigma_sq(view.camera.width, view.camera.height) if sigma_sq is None else sigma_sq
+            self.views.append(working_view(view, own, centre, scale, count, like))
+
+    def __call__(self, points: Tensor) -> Tensor:
+        """The loss of ``points`` [N, 3], a scalar."""
+        total = points.new_zeros(())
+        for view in self.views:
+            projected = project(points.unsqueeze(0), view.camera)
+            sums = silhouette_sums(projected, view.camera, view.sigma_sq, view.kernel)[:, 0]
+            points_px, valid = projected.points_px[:, 0], projected.valid[:, 0]
+            total = total + silhouette_bce(sums, view.mask, points_px, valid, view.sigma_sq, view.known)[0]
+        return total

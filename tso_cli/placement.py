@@ -1,0 +1,167 @@
+"""Where a cloud falls in a view: the check before any optimisation, and the placing of a network's cloud."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .camera import CANONICAL_DISTANCE, CANONICAL_ROTATION, Camera
+from .errors import InputError
+from .scene import View
+
+# Boxes of mask and projected cloud that overlap less than this belong to different cameras, units or axes.
+SMALLEST_BOX_IOU = 0.05
+
+Array = NDArray[np.float64]
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Placement:
+    """How a cloud and a mask meet in one view.
+
+    Attributes
+    ----------
+    points : how many there are; behind : at or behind the camera; inside_image, inside_mask : where the others fall.
+    depth : nearest and farthest depth of the points in front, world units (None if there are none).
+    points_box : left, top, right, bottom edges of the projected cloud in pixels, cut to the image (None if it is not seen).
+    mask_box : the same of the mask's foreground.
+    box_iou : intersection over union of the two boxes.
+    """
+
+    points: int
+    behind: int
+    inside_image: int
+    inside_mask: int
+    depth: tuple[float, float] | None
+    points_box: Box | None
+    mask_box: Box
+    box_iou: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return asdict(self)
+
+
+def place(points: Array, view: View) -> Placement:
+    """Project ``points`` [N, 3] (world units) into ``view`` and count where they fall."""
+    camera = view.camera
+    pixels, depth = camera.project(points)
+    front = np.isfinite(pixels).all(1)
+    seen = pixels[front]
+    columns, rows = np.rint(seen).T
+    inside = (columns >= 0) & (rows >= 0) & (columns < camera.width) & (rows < camera.height)
+    on_mask = view.mask[rows[inside].astype(int), columns[inside].astype(int)] > 0.5
+    mask_box = _plain(view.box())
+    box, overlap = None, 0.0
+    if len(seen):
+        # Half a pixel around the points: a cloud of one column still has a width, as the mask's box does.
+        low = np.maximum(seen.min(0) - 0.5, -0.5)
+        high = np.minimum(seen.max(0) + 0.5, [camera.width - 0.5, camera.height - 0.5])
+        if (high > low).all():
+            box = _plain((*low, *high))
+            overlap = box_iou(box, mask_box)
+    distances = (float(depth[front].min()), float(depth[front].max())) if len(seen) else None
+    return Placement(
+        len(points), int((~front).sum()), int(inside.sum()), int(on_mask.sum()), distances, box, mask_box, overlap
+    )
+
+
+def _plain(box: Any) -> Box:
+    left, top, right, bottom = (float(edge) for edge in box)
+    return left, top, right, bottom
+
+
+def box_iou(a: Box, b: Box) -> float:
+    """Intersection over union of two boxes (left, top, right, bottom)."""
+    width = min(a[2], b[2]) - max(a[0], b[0])
+    height = min(a[3], b[3]) - max(a[1], b[1])
+    common = max(width, 0.0) * max(height, 0.0)
+    union = (a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - common
+    return common / union if union > 0.0 else 0.0
+
+
+def require_overlap(placement: Placement, view: View) -> None:
+    """Refuse a cloud and a mask that do not meet; warn of points behind the camera.
+
+    Raises
+    ------
+    InputError
+        All points lie behind the camera, none falls inside the image, or the boxes' IoU is at most 0.05.
+    """
+    advice = (
+        "check the camera's axes (OpenCV: x right, y down, z forward; X_camera = R X_world + t) and units, "
+        "or look at the numbers with --check"
+    )
+    if placement.behind == placement.points:
+        raise InputError(f"{view.name}: all {placement.points} points lie behind the camera; {advice}")
+    if placement.points_box is None:
+        raise InputError(f"{view.name}: no point falls inside the {view.camera.width}x{view.camera.height} image; {advice}")
+    if placement.box_iou <= SMALLEST_BOX_IOU:
+        raise InputError(
+            f"{view.name}: the projected cloud ({describe_box(placement.points_box)}) and the mask "
+            f"({describe_box(placement.mask_box)}) hardly meet: IoU of the boxes {placement.box_iou:.3f}, expected over "
+            f"{SMALLEST_BOX_IOU}; {advice}"
+        )
+    if placement.behind:
+        warnings.warn(
+            f"{view.name}: {placement.behind} of {placement.points} points lie behind the camera and take no part", stacklevel=2
+        )
+
+
+def describe_box(box: Box) -> str:
+    """``box`` in words, rounded to whole pixels."""
+    left, top, right, bottom = (round(edge) for edge in box)
+    return f"columns {left} to {right}, rows {top} to {bottom}"
+
+
+def place_in_front(points: Array, view: View) -> Camera:
+    """The canonical camera with the view's K, moved so that a view-aligned cloud fills the mask's box.
+
+    A network sees a crop: it can tell neither the object's distance from its size nor, for a photo of unknown focal length,
+    the two from the zoom. Axes are the canonical ones; the distance is that at which the longer side of the projected box
+    equals the mask's, and the sideways shift centres the box on the mask's. Where K is the training renders' own this
+    is a distance close to the canonical 2.
+
+    Parameters
+    ----------
+    points : [N, 3] view-aligned (x right, y up, z toward the viewer), about centred.
+    view : mask and camera; of the camera only K, width and height are used.
+    """
+    left, top, right, bottom = view.box()
+    wanted, middle = max(right - left, bottom - top), np.array([left + right, top + bottom]) / 2.0
+    camera = replace(view.camera, R=CANONICAL_ROTATION, t=np.array([0.0, 0.0, CANONICAL_DISTANCE]), model="perspective")
+    focal = camera.K[[0, 1], [0, 1]]
+    # Perspective makes box size and distance almost inversely proportional: a few rounds reach rounding error.
+    nearest = float(points[:, 2].max()) + 0.1
+    for _ in range(50):
+        pixels, _ = camera.project(points)
+        low, high = pixels.min(0) - 0.5, pixels.max(0) + 0.5
+        distance = max(camera.t[2] * float((high - low).max()) / wanted, nearest)
+        shift = (middle - (low + high) / 2.0) / focal * distance
+        moved = np.array([camera.t[0] + shift[0], camera.t[1] + shift[1], distance])
+        if np.abs(moved - camera.t).max() < 1e-9 * distance:
+            break
+        camera = replace(camera, t=moved)
+    return camera
+
+
+def view_to_world(points: Array, placed: Camera, camera: Camera) -> Array:
+    """Take a view-aligned cloud that ``placed`` projects onto the picture into the world of ``camera``.
+
+    The picture fixes the cloud up to a scale about the camera's centre; it is chosen so that the placed cloud's origin comes to
+    the depth of the world's origin.
+
+    Raises
+    ------
+    InputError
+        The world's origin is not in front of ``camera``.
+    """
+    if camera.t[2] <= 0.0:
+        raise InputError(f"the world's origin has depth {camera.t[2]:g} in this camera, expected it in front (> 0)")
+    seen = (points @ placed.R.T + placed.t) * (camera.t[2] / placed.t[2])
+    return (seen - camera.t) @ camera.R

@@ -1,0 +1,1 @@
+"""Questions asked of the method, answered with records."""
