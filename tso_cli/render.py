@@ -6,11 +6,8 @@ that faces +z, and grows toward +x; the camera looks at the origin. At azimuth a
 
 from __future__ import annotations
 
-import os
-import shutil
 import zlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,18 +15,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from . import __version__
 from .camera import CANONICAL_DISTANCE, CANONICAL_FOCAL_AT_64, Camera
+from .datasets.rendered import stored_record, write_object
 from .errors import InputError, TsoError
-from .files.meshes import Mesh, find_meshes, read_mesh
+from .files.meshes import GREY, Mesh, find_meshes, read_mesh
+from .geometry import farthest_point_sample
 
 Array = NDArray[np.float64]
 
-RAYS_ACROSS = 4
-"""Rays across one pixel: 16 a pixel."""
+RAYS_ACROSS = 5
+"""Rays across one pixel, 25 in all. An odd number: with an even one, ties at half cover would move every outline."""
 MARGIN_PX = 2.0
 """Free border left around the object when the distance is chosen here."""
 AMBIENT = 0.3
-GREY = (170, 170, 170)
 
 
 @dataclass(frozen=True)
@@ -102,11 +101,15 @@ class RenderedObject:
 
 @dataclass(frozen=True)
 class RenderSummary:
-    """What render_folder did: names of objects written and of those left as they were."""
+    """What render_folder did.
+
+    written, skipped : names of the objects rendered now and of those that were there already; failed : name -> why not.
+    """
 
     folder: Path
     written: list[str] = field(default_factory=list)
     skipped: list[str] = field(default_factory=list)
+    failed: dict[str, str] = field(default_factory=dict)
 
 
 def normalise(mesh: Mesh) -> Mesh:
@@ -223,7 +226,7 @@ class RayScene:
 def render_view(scene: RayScene, camera: Camera, rng: np.random.Generator | None = None) -> RenderedView:
     """Picture and mask of ``scene`` seen by ``camera``.
 
-    A pixel is inside the mask when more than half of its 16 rays meet the mesh. The picture is their mean over white, shaded
+    A pixel is inside the mask when more than half of its 25 rays meet the mesh. The picture is their mean over white, shaded
     by one far light (Lambert, both sides of a face alike) whose direction ``rng`` draws; without it, it stands up on the left.
     """
     height, width = camera.height, camera.width
@@ -269,8 +272,6 @@ def sample_surface(mesh: Mesh, count: int, rng: np.random.Generator) -> Array:
 
 def ground_truth(mesh: Mesh, settings: RenderSettings, rng: np.random.Generator) -> tuple[Array, Array]:
     """Surface samples [samples, 3] and the farthest-point subset of them [points, 3]."""
-    from .geometry import farthest_point_sample
-
     samples = sample_surface(mesh, settings.samples, rng)
     return samples, samples[farthest_point_sample(samples, settings.points)]
 
@@ -284,6 +285,103 @@ def render_mesh(
     views = [render_view(scene, camera, rng) for camera in sample_cameras(settings, mesh.vertices, rng)]
     samples, target = ground_truth(mesh, settings, rng)
     return RenderedObject(name, views, samples.astype(np.float32), target.astype(np.float32))
+
+
+def render_folder(
+    source: Path | str,
+    output: Path | str,
+    settings: RenderSettings,
+    seed: int = 0,
+    overwrite: bool = False,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> RenderSummary:
+    """Render a mesh, or every mesh of a folder, into ``output``/NAME as `datasets.rendered` describes.
+
+    NAME is the file's path below ``source`` without suffix. An object is written whole or not at all and depends only on its
+    mesh, its name, ``settings`` and ``seed``, so that a run that was stopped can be started again and goes on: what is there
+    and was made alike is skipped. A mesh of a folder that cannot be rendered is left out and named in ``failed``.
+
+    Parameters
+    ----------
+    progress : called with objects done, objects in all and the name of the last one.
+
+    Raises
+    ------
+    InputError
+        There is no mesh; ``output`` cannot be a folder; two meshes have one name; an object is there that other settings
+        made and ``overwrite`` is false; no mesh could be rendered.
+    TsoError
+        open3d is missing, or writing failed.
+    """
+    source, output = Path(source), Path(output)
+    if seed < 0:
+        raise InputError(f"seed is {seed}, expected 0 or more")
+    _check_folder(output)
+    meshes = _names(source, output)
+    record = {"tso": __version__, "seed": seed, **asdict(settings)}
+    summary = RenderSummary(output)
+    waiting = []
+    # All of what is there is looked at before the work starts: a clash of settings should not show after an hour.
+    for name, path in meshes.items():
+        found = stored_record(output / name)
+        if found is None or overwrite:
+            waiting.append((name, path))
+            continue
+        for key, value in record.items():
+            value = list(value) if isinstance(value, tuple) else value
+            if key != "tso" and found.get(key) != value:
+                raise InputError(
+                    f"{output / name}: was rendered with {key} {found.get(key)}, now it is {value}; "
+                    "expected the same settings, --overwrite or another output folder"
+                )
+        summary.skipped.append(name)
+    for done, (name, path) in enumerate(waiting):
+        try:
+            rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
+            rendered = render_mesh(read_mesh(path), settings, rng, name)
+        except InputError as error:
+            if len(meshes) == 1:
+                raise
+            summary.failed[name] = str(error) if str(path) in str(error) else f"{path}: {error}"
+        else:
+            views = [(view.image, view.mask, view.camera) for view in rendered.views]
+            write_object(output / name, views, rendered.samples, rendered.target, {"mesh": path.name, **record}, overwrite)
+            summary.written.append(name)
+        if progress is not None:
+            progress(done + 1, len(waiting), name)
+    if summary.failed and not (summary.written or summary.skipped):
+        raise InputError(f"none of {len(meshes)} meshes could be rendered, the first: {next(iter(summary.failed.values()))}")
+    return summary
+
+
+def _check_folder(output: Path) -> None:
+    if output.exists() and not output.is_dir():
+        raise InputError(f"{output}: is a file, expected the name of a folder to write to")
+    parent = output.resolve().parent
+    if not parent.is_dir():
+        raise InputError(f"{output}: the folder {parent} does not exist, expected one to write to")
+
+
+def _names(source: Path, output: Path) -> dict[str, Path]:
+    """Name of each object -> its mesh."""
+    if not source.is_dir():
+        return {source.stem: source}
+    inside = output.resolve()
+    meshes: dict[str, Path] = {}
+    for path in find_meshes(source):
+        if inside != source.resolve() and inside in path.resolve().parents:
+            continue  # written by an earlier run
+        name = path.relative_to(source).with_suffix("").as_posix()
+        if name in meshes:
+            raise InputError(f"{path}: would be rendered as {name}, as would {meshes[name]}; expected different names")
+        meshes[name] = path
+    for name, path in meshes.items():
+        above = next((parent.as_posix() for parent in Path(name).parents if parent.as_posix() in meshes), None)
+        if above is not None:
+            raise InputError(f"{path}: would be rendered inside {above}, made of {meshes[above]}; expected another name")
+    if not meshes:
+        raise InputError(f"{source}: no mesh in this folder beside those of {output}")
+    return meshes
 
 
 def _open3d() -> Any:

@@ -1,4 +1,4 @@
-"""What is known of one object: a cloud, and the views that it must agree with."""
+"""A view: what one picture says of an object."""
 
 from __future__ import annotations
 
@@ -63,11 +63,3 @@ class View:
             inside &= self.known
         rows, columns = np.flatnonzero(inside.any(1)), np.flatnonzero(inside.any(0))
         return columns[0] - 0.5, rows[0] - 0.5, columns[-1] + 0.5, rows[-1] + 0.5
-
-
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """A cloud [N, 3] in world units (float64) and at least one view of the object."""
-
-    points: NDArray[np.float64]
-    views: tuple[View, ...]

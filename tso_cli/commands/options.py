@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -47,17 +48,25 @@ def log(message: str) -> None:
 
 
 class ProgressBar:
-    """A bar on stderr while it is a terminal, else a line about every tenth of the work."""
+    """A bar on stderr while it is a terminal, else a line about every tenth of the work.
 
-    def __init__(self, label: str) -> None:
+    Parameters
+    ----------
+    label : what is being done.
+    delay : seconds before anything is shown, so that quick work stays silent.
+    """
+
+    def __init__(self, label: str, delay: float = 1.0) -> None:
         self.label = label
         self._terminal = sys.stderr.isatty()
         self._shown = -1
+        self._from = time.monotonic() + delay
 
     def __call__(self, done: int, total: int, note: str = "") -> None:
         """Show ``done`` of ``total``."""
         mark = done * (40 if self._terminal else 10) // max(total, 1)
-        if mark == self._shown and done != total:
+        silent = time.monotonic() < self._from
+        if silent or (mark == self._shown and not (done == total and self._terminal)):
             return
         self._shown = mark
         if self._terminal:

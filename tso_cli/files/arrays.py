@@ -43,9 +43,7 @@ def read_array(data: bytes, path: Path) -> NDArray[Any]:
     begin = stream.tell()
     size = math.prod(shape) * dtype.itemsize
     if any(not isinstance(n, int) or n < 0 for n in shape) or size != len(data) - begin:
-        raise InputError(
-            f"{path}: has {len(data) - begin:,} bytes of values, its header says {shown(shape)} of {dtype}, expected the same"
-        )
+        raise InputError(f"{path}: has {len(data) - begin:,} bytes of values, expected {shown(shape)} of {dtype}")
     try:
         array = np.frombuffer(data, dtype=dtype, count=math.prod(shape), offset=begin)
         return array.reshape(shape, order="F" if fortran else "C")

@@ -1,7 +1,8 @@
 """Camera files (JSON).
 
-One camera is ``{"width": W, "height": H, "K": 3x3, "R": 3x3, "t": [3]}``, several views are ``{"views": [...]}``, each with
-these keys. Optional: ``"model"`` ("perspective" or "orthographic"), ``"mask"`` and ``"image"``, paths relative to the file.
+One camera is ``{"width": W, "height": H, "K": 3x3, "R": 3x3, "t": [3]}``, several views are ``{"views": [...]}``, each
+with these keys. Optional: ``"model"`` ("perspective" or "orthographic"), ``"mask"`` and ``"image"``, paths relative to the
+file.
 The frame conventions are those of `tso_cli.camera`.
 """
 
@@ -32,8 +33,8 @@ _LARGEST = 1e15  # beyond it products of the entries say nothing any more
 _MEANT = {
     "intrinsics": "K", "intrinsic": "K", "intrinsic_matrix": "K", "camera_matrix": "K", "rotation": "R",
     "rotation_matrix": "R", "translation": "t", "tvec": "t", "w": "width", "h": "height", "camera_model": "model",
-    "projection": "model", "type": "model", "masks": "mask", "mask_path": "mask", "images": "image", "image_path": "image",
-    "file_path": "image", "view": "views", "cameras": "views", "frames": "views",
+    "projection": "model", "type": "model", "masks": "mask", "mask_path": "mask", "images": "image",
+    "image_path": "image", "file_path": "image", "view": "views", "cameras": "views", "frames": "views",
 }  # fmt: skip
 
 
@@ -67,7 +68,7 @@ def read_cameras(path: str | Path) -> list[CameraRecord]:
     path = Path(path)
     document = _load(path)
     if not isinstance(document, dict):
-        raise InputError(f"{path}: holds a JSON {_kind(document)}, expected an object with width, height, K, R, t or views")
+        raise InputError(f"{path}: holds {_kind(document)}, expected an object with width, height, K, R, t or views")
     ignored: set[str] = set()
     if "views" in document:
         views = document["views"]
@@ -210,7 +211,8 @@ def _record(path: Path, where: str, view: dict[str, Any], ignored: set[str]) -> 
             raise InputError(f"{path}: {where}{key} is missing, expected width, height, K, R and t")
     sizes = [_size(path, where + key, view[key]) for key in ("width", "height")]
     if sizes[0] * sizes[1] > PIXEL_LIMIT:
-        raise InputError(f"{path}: {where}width x height is {sizes[0]}x{sizes[1]}, expected at most {PIXEL_LIMIT:,} pixels")
+        size = f"{sizes[0]}x{sizes[1]}"
+        raise InputError(f"{path}: {where}width x height is {size}, expected at most {PIXEL_LIMIT:,} pixels")
     K, R = (_matrix(path, where + key, view[key]) for key in ("K", "R"))
     t = _vector(path, where + "t", view["t"], "[3]")
     model = view.get("model", "perspective")

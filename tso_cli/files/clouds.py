@@ -43,8 +43,8 @@ class PointCloud:
 def read_cloud(path: str | Path) -> PointCloud:
     """Read a point cloud; of a mesh in PLY, its vertices.
 
-    The suffix decides: .ply; .npy with an array [N, 3]; .xyz and .txt with three numbers or more a line, of which the first
-    three count, and comment lines that start with #.
+    The suffix decides: .ply; .npy with an array [N, 3]; .xyz and .txt with three numbers or more a line, of which the
+    first three count, and comment lines that start with #.
 
     Raises
     ------
@@ -83,12 +83,12 @@ def write_cloud(
     Parameters
     ----------
     points : [N, 3].
-    like : the cloud that ``points`` are the moved points of. If it came from a PLY file, only the coordinates change: form,
-        order, precision, colours, faces and every other attribute stay as they are, byte for byte. Normals stay too, with a
-        warning that they are those of the old points.
+    like : the cloud that ``points`` are the moved points of. If it came from a PLY file, only the coordinates change:
+        form, order, precision, colours, faces and every other attribute stay as they are, byte for byte. Normals stay
+        too, with a warning that they are those of the old points.
     colours : [N, 3] uint8 red, green, blue; not together with ``like``.
-    dtype : "float32" or "float64", without a ``like`` from PLY. By default the precision of ``like``; without it float32
-        where that moves no point by over a millionth of the cloud's extent.
+    dtype : "float32" or "float64", without a ``like`` from PLY. By default the precision of ``like``; without it
+        float32 where that moves no point by over a millionth of the cloud's extent.
 
     Raises
     ------
@@ -108,11 +108,11 @@ def write_cloud(
         index = int((~np.isfinite(points)).any(axis=1).argmax())
         raise TsoError(f"{path}: point {index} is not finite, nothing was written")
     if like is not None and len(points) != len(like.points):
-        raise InputError(f"{path}: {len(points)} points to write, {like.path} has {len(like.points)}, expected the same")
+        raise InputError(f"{path}: {len(points)} points to write, expected {len(like.points)} as in {like.path}")
     if like is not None and colours is not None:
         raise InputError(f"{path}: colours come from {like.path}, expected no others")
     narrow = set(like.ply.kinds) if like is not None and like.ply is not None else set()
-    if "f4" in narrow and np.abs(points, initial=0.0).max() > np.finfo(np.float32).max:
+    if "f4" in narrow and np.abs(points).max(initial=0.0) > np.finfo(np.float32).max:
         raise TsoError(f"{path}: a coordinate does not fit into the float of {like.path if like else path}")
     if like is not None and like.ply is not None:
         data = like.ply.with_points(points)
@@ -171,7 +171,7 @@ def _from_text(data: bytes, path: Path) -> PointCloud:
     if short.any():
         row = int(short.argmax())
         raise InputError(
-            f"{path}: line {table.numbers[row]} has {table.counts[row]} columns, expected at least 3 (x y z, parted by blanks)"
+            f"{path}: line {table.numbers[row]} has {table.counts[row]} columns, expected at least 3, parted by blanks"
         )
     points = table.values(table.first[:, None] + np.arange(3))
     if table.counts.max(initial=3) > 3:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 PIXEL_LIMIT = 100_000_000
 FORMATS = ("PNG", "JPEG", "MPO", "TIFF", "WEBP", "GIF", "BMP", "PPM")
-WRITABLE = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF", ".webp": "WEBP", ".bmp": "BMP"}
+WRITABLE = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF", ".bmp": "BMP"}
 _FILE_LIMIT = 1 << 31
 _WITH_ALPHA = ("RGBA", "LA", "PA", "RGBa", "La")
 
@@ -28,10 +28,11 @@ _WITH_ALPHA = ("RGBA", "LA", "PA", "RGBa", "La")
 def read_mask(path: str | Path, invert: bool = False) -> NDArray[np.float32]:
     """Read a mask as [H, W] in [0, 1], inside 1; soft values are kept.
 
-    - An alpha channel that is not opaque everywhere is the mask; else the brightness is (the largest channel of a colour).
-    - A palette whose used colours are all grey counts by its greys; of any other, index 0 is outside and the rest inside.
-    - Integers are divided by the largest value of their type. If the largest value there is 1, they are labels 0 and 1, and
-      a warning says so. Floating-point numbers must lie in [0, 1].
+    - An alpha channel that is not opaque everywhere is the mask; else the brightness is (the largest channel of a
+      colour).
+    - A palette whose used colours are all grey counts by its greys; of any other, index 0 is outside, the rest inside.
+    - Integers are divided by the largest value of their type. If the largest value there is 1, they are labels 0 and 1,
+      and a warning says so. Floating-point numbers must lie in [0, 1].
     - Of several frames the first counts. A .npy file holds [H, W]: bool, integers or floating-point numbers.
 
     That there is both inside and outside is for `scene.View` to check.
@@ -90,8 +91,9 @@ def write_image(path: str | Path, array: NDArray[np.uint8], overwrite: bool = Fa
     array = np.asarray(array)
     if array.dtype == bool:
         array = array.astype(np.uint8) * np.uint8(255)
-    if array.dtype != np.uint8 or array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,), (4,)) or array.size == 0:
-        raise InputError(f"{path}: {array.dtype} {list(array.shape)} to write, expected uint8 [H, W], [H, W, 3] or [H, W, 4]")
+    if array.dtype != np.uint8 or array.ndim < 2 or array.shape[2:] not in ((), (3,), (4,)) or array.size == 0:
+        found = f"{array.dtype} {list(array.shape)}"
+        raise InputError(f"{path}: {found} to write, expected uint8 [H, W], [H, W, 3] or [H, W, 4]")
     if array.shape[2:] == (4,) and WRITABLE[suffix] in ("JPEG", "BMP"):
         raise InputError(f"{path}: {WRITABLE[suffix]} holds no alpha channel, expected .png")
     from PIL import Image

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import io
 import logging
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .output import atomic_output, check_output
+from .output import atomic_output, check_output, reason
+from .reading import read_bytes
 
+Array = NDArray[np.float64]
+GREY = (170, 170, 170)
+"""Colour of what has none."""
 SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
 
 
@@ -27,7 +33,7 @@ class Mesh:
     colours : [F, 3] uint8, one RGB colour a face (vertex colours averaged), or None where the file has none.
     """
 
-    vertices: NDArray[np.float64]
+    vertices: Array
     faces: NDArray[np.int64]
     colours: NDArray[np.uint8] | None = None
 
@@ -69,26 +75,14 @@ def read_mesh(path: Path | str) -> Mesh:
         face names a vertex that does not exist; all faces together have no area.
     """
     path = Path(path)
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, expected a mesh file ({', '.join(SUFFIXES)})")
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: ends in {path.suffix or 'nothing'!r}, expected a mesh: {', '.join(SUFFIXES)}")
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file, expected a mesh") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
-    if not content:
-        raise InputError(f"{path}: the file is empty, expected a mesh")
+    if path.suffix.lower() not in SUFFIXES and not path.is_dir():
+        raise InputError(f"{path}: the suffix is {path.suffix!a}, expected a mesh: {', '.join(SUFFIXES)}")
+    content = read_bytes(path, f"a mesh ({', '.join(SUFFIXES)})")
     vertices, faces, colours = _parse(path, content)
     if vertices.ndim != 2 or vertices.shape[1:] != (3,) or len(vertices) == 0:
         raise InputError(f"{path}: no vertices, expected a mesh")
     if faces.ndim != 2 or faces.shape[1:] != (3,) or len(faces) == 0:
         raise InputError(f"{path}: {len(vertices):,} vertices but no face, expected a mesh (a point cloud has no surface)")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        wrong = faces.min() if faces.min() < 0 else faces.max()
-        raise InputError(f"{path}: a face names vertex {wrong}, expected 0 to {len(vertices) - 1}")
     bad = ~np.isfinite(vertices).all(axis=1)
     if bad.any():
         raise InputError(f"{path}: {int(bad.sum())} of {len(vertices):,} vertices are NaN or infinite, expected numbers")
@@ -100,44 +94,63 @@ def read_mesh(path: Path | str) -> Mesh:
     return Mesh(vertices, faces, colours)
 
 
-def _parse(path: Path, content: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.uint8] | None]:
-    """Vertices, faces and colours as the file states them, unchecked."""
+def _parse(path: Path, content: bytes) -> tuple[Array, NDArray[np.int64], NDArray[np.uint8] | None]:
+    """Vertices, faces and colours of all parts of the file, each where the file places it; unchecked."""
     import trimesh
+    from trimesh.resolvers import FilePathResolver
 
     # The library logs its own complaints with a traceback; the one line raised below replaces them.
     log = logging.getLogger("trimesh")
     before, log.disabled = log.disabled, True
     try:
-        with np.errstate(all="ignore"):
-            mesh = trimesh.load_mesh(
-                io.BytesIO(content), file_type=path.suffix.lower()[1:], process=False, resolver=_resolver(path)
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            scene = trimesh.load_scene(
+                io.BytesIO(content),
+                file_type=path.suffix.lower()[1:],
+                process=False,
+                resolver=FilePathResolver(str(path)),
             )
-            vertices = np.array(mesh.vertices, dtype=np.float64)
-            faces = np.array(mesh.faces, dtype=np.int64)
-    except Exception as error:  # a damaged file makes the parser fail in any way there is
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
-        raise InputError(f"{path}: not a readable {path.suffix.lower()} mesh ({reason})") from None
+            parts = scene.dump()
+            vertices = [np.array(part.vertices, dtype=np.float64).reshape(-1, 3) for part in parts]
+            faces = [np.array(getattr(part, "faces", ()), dtype=np.int64).reshape(-1, 3) for part in parts]
+    # A damaged file makes the parser fail in any way there is.
+    except Exception as error:
+        raise InputError(f"{path}: is not a readable {path.suffix.lower()} mesh ({reason(error)})") from None
     finally:
         log.disabled = before
-    return vertices, faces, _face_colours(mesh, len(faces))
+    # Before the parts are joined: afterwards a wrong index could fall on a vertex of the next part.
+    for points, own in zip(vertices, faces, strict=True):
+        if own.size and not 0 <= own.min() <= own.max() < len(points):
+            wrong = own.min() if own.min() < 0 else own.max()
+            raise InputError(f"{path}: a face names vertex {wrong}, expected 0 to {len(points) - 1}")
+    starts = np.cumsum([0] + [len(part) for part in vertices])
+    colours = [_face_colours(part, len(own)) for part, own in zip(parts, faces, strict=True)]
+    known = [np.full((len(own), 3), GREY, np.uint8) if c is None else c for c, own in zip(colours, faces, strict=True)]
+    return (
+        np.concatenate([np.empty((0, 3)), *vertices]),
+        np.concatenate(
+            [np.empty((0, 3), np.int64), *(own + start for own, start in zip(faces, starts[:-1], strict=True))]
+        ),
+        None if all(c is None for c in colours) else np.concatenate(known),
+    )
 
 
-def _resolver(path: Path) -> object:
-    from trimesh.resolvers import FilePathResolver
-
-    return FilePathResolver(str(path))
-
-
-def _face_colours(mesh: object, count: int) -> NDArray[np.uint8] | None:
+def _face_colours(part: Any, count: int) -> NDArray[np.uint8] | None:
     """RGB of every face [F, 3], or None where the file states no colour or one that cannot be read."""
+    # Colour only decorates the picture: a missing texture or an odd material must not stop the work.
     try:
-        visual = mesh.visual  # type: ignore[attr-defined]
+        visual = part.visual
         if visual.kind is None:
             return None
-        if visual.kind == "texture":
-            visual = visual.to_color()
-        colours = np.asarray(visual.face_colors)[:, :3].astype(np.uint8)
-    except Exception:  # colour only decorates the picture: a missing texture must not stop the work
+        if visual.kind != "texture":
+            colours = np.asarray(visual.face_colors)[:, :3].astype(np.uint8)
+        elif visual.uv is not None and getattr(visual.material, "image", None) is not None:
+            corners = np.asarray(visual.to_color().vertex_colors)[np.asarray(part.faces), :3]
+            colours = np.rint(corners.mean(axis=1)).astype(np.uint8)
+        else:
+            colours = np.tile(np.asarray(visual.material.main_color)[:3].astype(np.uint8), (count, 1))
+    except Exception:
         return None
     return colours if colours.shape == (count, 3) else None
 

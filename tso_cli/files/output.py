@@ -17,7 +17,8 @@ def check_output(path: Path, overwrite: bool) -> None:
     Raises
     ------
     InputError
-        The folder is missing or not writable, ``path`` is a folder or a device, or it exists and ``overwrite`` is false.
+        The folder is missing or not writable, ``path`` is a folder or a device, or it exists and ``overwrite`` is
+        false.
     """
     path = Path(path)
     try:
@@ -40,7 +41,7 @@ def check_output(path: Path, overwrite: bool) -> None:
 
 @contextmanager
 def atomic_output(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside ``path``, with its suffix; on success it takes the name ``path``, else it is removed.
+    """Yield a temporary path beside ``path``, with its suffix; on success it takes that name, else it is removed.
 
     A symbolic link is followed, so that the file it points to is replaced and the link stays.
 
@@ -65,12 +66,12 @@ def atomic_output(path: Path) -> Iterator[Path]:
             os.fsync(handle)
         finally:
             os.close(handle)
-        os.replace(temporary, target)
+        temporary.replace(target)
     except OSError as error:
         raise TsoError(f"{path}: cannot be written ({reason(error)}), nothing was kept") from None
     finally:
         with suppress(OSError):
-            os.unlink(temporary)
+            temporary.unlink()
 
 
 def reason(error: BaseException) -> str:

@@ -20,8 +20,9 @@ AXES = ("x", "y", "z")
 class PlyFile:
     """The bytes of a PLY file and the places of its vertex coordinates.
 
-    Text and both binary forms are read; the vertex element may stand anywhere among others, and have lists. Whatever the
-    header does not account for, other than white space at the end, is an error: a count that is too low would lose points.
+    Text and both binary forms are read; the vertex element may stand anywhere among others, and have lists. Whatever
+    the header does not account for, other than white space at the end, is an error: a count that is too low would lose
+    points.
 
     Parameters
     ----------
@@ -72,7 +73,8 @@ class PlyFile:
         """The coordinates [N, 3] of the vertices, in the file's order."""
         if self._rows is not None:
             return np.stack([self._rows.get(self.data, k, self.kinds[k]) for k in range(3)], axis=1, dtype=np.float64)
-        assert self._table is not None and self._words is not None
+        assert self._table is not None
+        assert self._words is not None
         return self._table.values(self._words)
 
     def with_points(self, points: Points) -> bytes:
@@ -108,9 +110,8 @@ class PlyFile:
         for element in self.header.elements:
             count = element.count if element.properties else 0
             if begin + count > table.first.size:
-                raise InputError(
-                    f"{self.path}: ends after {table.first.size - begin} of {count} lines of element {shown(element.name)}"
-                )
+                found = f"{table.first.size - begin} of {count}"
+                raise InputError(f"{self.path}: ends after {found} rows of element {shown(element.name)}")
             lines = slice(begin, begin + count)
             places = self._columns(element, table, lines)
             if element is self.vertex:
@@ -136,8 +137,10 @@ class PlyFile:
                 lengths = table.values(words)
                 bad = ~((lengths >= 0) & (lengths <= found) & (lengths == np.floor(lengths)))
                 if bad.any():
-                    line = table.numbers[lines][bad.argmax()]
-                    raise InputError(f"{self.path}: line {line}: a list of {lengths[bad.argmax()]:g} values does not fit")
+                    line, length = table.numbers[lines][bad.argmax()], lengths[bad.argmax()]
+                    raise InputError(
+                        f"{self.path}: line {line} has a list of {length:g} values, more than the line holds"
+                    )
                 expected += lengths.astype(np.int64)
             expected += 1
         wrong = found != expected
@@ -150,7 +153,8 @@ class PlyFile:
         return places
 
     def _text(self, old: Points, points: Points) -> bytes:
-        assert self._table is not None and self._words is not None
+        assert self._table is not None
+        assert self._words is not None
         words = np.empty(points.shape, dtype=object)
         changed = np.zeros(points.shape, dtype=bool)
         for k in range(3):

@@ -21,8 +21,8 @@ _CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I"}
 class Rows:
     """The rows of one element and three values in each.
 
-    Either all rows are ``stride`` bytes long and the values lie at ``offsets`` [3] in each, or ``places`` [N, 3] gives the
-    byte of each value in the file.
+    Either all rows are ``stride`` bytes long and the values lie at ``offsets`` [3] in each, or ``places`` [N, 3] gives
+    the byte of each value in the file.
     """
 
     start: int
@@ -66,7 +66,7 @@ class Rows:
         at = begin
         source = memoryview(data)
         by_place = np.argsort(places[0])
-        values = [np.ascontiguousarray(column).view(f"V{size}").tolist() for column, size in zip(columns, new, strict=True)]
+        values = [column.view(f"V{size}").tolist() for column, size in zip(columns, new, strict=True)]
         for row, starts in enumerate(places.tolist()):
             for k in by_place.tolist():
                 pieces += [source[at : starts[k]], values[k][row]]
@@ -150,7 +150,8 @@ def _walk(data: bytes, start: int, element: Element, order: str, names: tuple[st
             else:
                 (number,) = length.unpack_from(data, at)
                 if number < 0:
-                    raise InputError(f"{path}: row {row} of element {shown(element.name)} has a list of {number} values")
+                    where = f"row {row} of element {shown(element.name)}"
+                    raise InputError(f"{path}: {where} has a list of {number} values, expected 0 or more")
                 at += length.size + number * size
         if at > len(data):
             raise _short(path, element, row)

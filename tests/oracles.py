@@ -1,0 +1,60 @@
+"""Plain formulas, as the paper prints them, to hold the fast code against. Slow and in float64."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+
+def silhouette_sums(points_px: Tensor, height: int, width: int, sigma_sq: float) -> Tensor:
+    """Eq. 2 and 3 before the tanh: [N, 2] -> [H, W], an N x H x W tensor."""
+    columns = torch.arange(width, dtype=points_px.dtype)
+    rows = torch.arange(height, dtype=points_px.dtype)
+    dx = points_px[:, 0, None, None] - columns[None, None, :]
+    dy = points_px[:, 1, None, None] - rows[None, :, None]
+    return torch.exp(-(dx**2 + dy**2) / (2 * sigma_sq)).sum(0)
+
+
+def bce(points_px: Tensor, mask: Tensor, sigma_sq: float) -> Tensor:
+    """Eq. 4 with every point and pixel, by log-sum-exp, weighted by 64^2 / (W H)."""
+    height, width = mask.shape
+    columns = torch.arange(width, dtype=points_px.dtype)
+    rows = torch.arange(height, dtype=points_px.dtype)
+    dx = points_px[:, 0, None, None] - columns[None, None, :]
+    dy = points_px[:, 1, None, None] - rows[None, :, None]
+    log_s = torch.logsumexp(-(dx**2 + dy**2) / (2 * sigma_sq), 0)
+    s = torch.exp(log_s)
+    log_one_minus = math.log(2.0) - torch.nn.functional.softplus(2.0 * s)
+    # log tanh s = log s + log(tanh(s) / s), and the second term vanishes with s
+    large = torch.where(s > 1e-6, s, 1.0)
+    ratio = torch.where(s > 1e-6, torch.log(torch.tanh(large) / large), 0.0)
+    loss = -mask * (log_s + ratio) - (1.0 - mask) * log_one_minus
+    return loss.sum() * 4096.0 / (height * width)
+
+
+def affinity_paper(silhouette: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Eq. 5 as printed, by all pairs of pixels, M^+ being values over 0.5.
+
+    Where several pixels are equally near, the equation leaves open whose value counts: the least and the largest result.
+    """
+    height, width = mask.shape
+    pixels = torch.stack(torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij"), -1).reshape(-1, 2)
+    bounds = [silhouette.new_zeros(()), silhouette.new_zeros(())]
+    for source, goal in ((silhouette, mask), (mask, silhouette)):
+        marked = torch.nonzero(goal > 0.5)
+        value = goal[marked[:, 0], marked[:, 1]]
+        squared = (pixels[:, None] - marked[None]).square().sum(-1)
+        smallest = squared.min(1, keepdim=True).values
+        tied = squared == smallest
+        for i, pick in enumerate((torch.where(tied, value, torch.inf).min(1), torch.where(tied, value, -torch.inf).max(1))):
+            bounds[i] = bounds[i] + (smallest[:, 0] * source.reshape(-1) * pick.values).sum()
+    weight = (4096.0 / (height * width)) ** 2
+    return bounds[0] * weight, bounds[1] * weight
+
+
+def chamfer(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
+    """(b -> a, a -> b), squared, means over points, by all pairs."""
+    squared = (a[:, None] - b[None]).square().sum(-1)
+    return squared.min(0).values.mean(), squared.min(1).values.mean()

@@ -1,0 +1,233 @@
+"""The loop: what it promises about its result, and the invariances of its settings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import tso_cli
+from tso_cli import refinement
+from tso_cli.camera import Camera
+from tso_cli.errors import InputError, TsoError
+from tso_cli.files.cameras import read_camera
+from tso_cli.files.clouds import read_cloud
+from tso_cli.files.images import read_mask
+from tso_cli.losses import chamfer
+from tso_cli.network import build_network
+from tso_cli.refinement import RefineConfig, refine
+from tso_cli.scene import View
+
+CHAIR = Path(__file__).parents[1] / "examples" / "chair"
+
+
+@pytest.fixture(scope="module")
+def chair():
+    mask = read_mask(CHAIR / "mask.png")
+    camera = read_camera(CHAIR / "camera.json", mask.shape[1], mask.shape[0])
+    return read_cloud(CHAIR / "initial.ply").points, mask, camera
+
+
+def _error(points) -> float:
+    target = torch.tensor(read_cloud(CHAIR / "target.ply").points)[None]
+    return sum(chamfer(torch.as_tensor(points, dtype=torch.float64)[None], target)).item()
+
+
+def test_the_papers_settings_bring_the_chair_nearer_to_the_truth(chair):
+    points, mask, camera = chair
+    result = tso_cli.refine(points, mask, camera)
+    assert _error(result.points) < 0.97 * _error(points)
+    assert result.iou_after > result.iou_before + 0.05
+    assert result.loss_after < result.loss_before
+    assert (result.steps, result.stop_reason, result.mode) == (50, "max_steps", "points")
+    assert (result.learning_rate, result.gamma, result.sigma_sq) == (5e-4, 1e6, pytest.approx(0.4 * 16))
+
+
+def test_tensors_lists_and_views_say_the_same_as_arrays(chair):
+    points, mask, camera = chair
+    config = RefineConfig(steps=3)
+    expected = refine(points, mask, camera, config).points
+    for variant in (
+        refine(torch.tensor(points), torch.tensor(mask), camera, config),
+        refine(points.tolist(), [mask], [camera], config),
+        refine(points, View(mask, camera), config=config),
+    ):
+        np.testing.assert_array_equal(variant.points, expected)
+
+
+def test_zero_steps_give_back_every_bit_of_the_start(chair):
+    points, mask, camera = chair
+    result = refine(points + 4_000_000.1, mask, _shifted(camera, 4_000_000.1), RefineConfig(steps=0))
+    np.testing.assert_array_equal(result.points, points + 4_000_000.1)
+    assert result.loss_before == result.loss_after
+    assert result.chamfer_to_initial == 0.0
+
+
+def _shifted(camera: Camera, by: float, scale: float = 1.0) -> Camera:
+    """The camera that sees scale * X + by where ``camera`` sees X."""
+    return Camera(camera.K, camera.R, scale * camera.t - camera.R @ np.full(3, by), camera.width, camera.height, camera.model)
+
+
+def test_scaling_cloud_and_camera_by_a_thousand_changes_nothing(chair):
+    points, mask, camera = chair
+    expected = refine(points, mask, camera)
+    scaled = refine(points * 1000.0, mask, _shifted(camera, 0.0, 1000.0))
+    np.testing.assert_allclose(scaled.points / 1000.0, expected.points, atol=1e-4)
+    assert scaled.loss_after == pytest.approx(expected.loss_after, rel=1e-4)
+    assert scaled.chamfer_to_initial == pytest.approx(expected.chamfer_to_initial, rel=1e-3)
+
+
+def test_a_scan_with_coordinates_near_four_million_is_refined_as_at_the_origin(chair):
+    points, mask, camera = chair
+    expected = refine(points, mask, camera)
+    far = refine(points + 4e6, mask, _shifted(camera, 4e6))
+    np.testing.assert_allclose(far.points - 4e6, expected.points, atol=1e-4)
+
+
+def test_enlarging_mask_and_intrinsics_by_two_changes_nothing(chair):
+    points, mask, camera = chair
+    finer = mask.repeat(2, axis=0).repeat(2, axis=1)
+    expected = refine(points, mask, camera)
+    result = refine(points, finer, camera.resized(2 * camera.width, 2 * camera.height))
+    np.testing.assert_allclose(result.points, expected.points, atol=1e-4)
+    assert result.sigma_sq == pytest.approx(4 * expected.sigma_sq)
+    assert result.loss_after == pytest.approx(expected.loss_after, rel=1e-4)
+
+
+def test_the_result_is_the_best_iterate_and_the_start_is_a_candidate(chair):
+    points, mask, camera = chair
+    wild = refine(points, mask, camera, RefineConfig(learning_rate=0.5, steps=5))
+    assert wild.best_step == 0
+    np.testing.assert_array_equal(wild.points, points)
+    tame = refine(points, mask, camera)
+    assert tame.loss_after == min(tame.losses)
+    assert len(tame.losses) == tame.steps + 1
+
+
+def test_gamma_holds_the_cloud_near_its_start(chair):
+    points, mask, camera = chair
+    held = refine(points, mask, camera, RefineConfig(gamma=1e8))
+    loose = refine(points, mask, camera, RefineConfig(gamma=0.0))
+    assert held.chamfer_to_initial < 0.2 * loose.chamfer_to_initial
+
+
+def test_two_runs_give_the_same_bits(chair):
+    points, mask, camera = chair
+    np.testing.assert_array_equal(refine(points, mask, camera).points, refine(points, mask, camera).points)
+
+
+def test_an_interrupt_keeps_the_best_so_far(chair):
+    points, mask, camera = chair
+
+    def interrupt(step, steps, loss):
+        if step == 4:
+            raise KeyboardInterrupt
+
+    result = refine(points, mask, camera, progress=interrupt)
+    assert (result.stop_reason, result.steps, result.best_step) == ("interrupted", 4, 4)
+    assert result.loss_after < result.loss_before
+
+
+def test_a_loss_that_stops_being_a_number_keeps_the_best_before_it(chair, monkeypatch):
+    points, mask, camera = chair
+    calls = iter(range(1000))
+    true_call = refinement.MaskObjective.__call__
+
+    def failing(self, moved):
+        return true_call(self, moved) * (torch.nan if next(calls) >= 3 else 1.0)
+
+    monkeypatch.setattr(refinement.MaskObjective, "__call__", failing)
+    result = refine(points, mask, camera)
+    assert (result.stop_reason, result.steps, result.best_step) == ("non_finite", 2, 2)
+    assert np.isfinite(result.points).all()
+    with pytest.raises(TsoError, match="loss of the start"):
+        refine(points, mask, camera)
+
+
+def test_ignored_pixels_leave_the_points_they_cover_alone(chair):
+    points, mask, camera = chair
+    known = np.zeros(mask.shape, bool)
+    known[:, : mask.shape[1] // 2] = True
+    result = refine(points, View(mask, camera, known), config=RefineConfig(gamma=0.0))
+    columns = camera.project(points)[0][:, 0]
+    moved = np.linalg.norm(result.points - points, axis=1)
+    # points well inside the ignored half, beyond the reach of the kernel
+    assert moved[columns > mask.shape[1] / 2 + 20].max() == 0.0
+    assert moved[columns < mask.shape[1] / 2].max() > 1e-3
+
+
+def test_several_views_add_up(chair):
+    points, mask, camera = chair
+    one = refine(points, mask, camera, RefineConfig(steps=0))
+    two = refine(points, [mask, mask], [camera, camera], RefineConfig(steps=0))
+    assert two.loss_before == pytest.approx(2 * one.loss_before, rel=1e-6)
+    assert two.iou_before == pytest.approx(one.iou_before)
+
+
+def test_an_orthographic_camera_refines_too(chair):
+    points, mask, _ = chair
+    K = np.array([[180.0, 0.0, 127.5], [0.0, 180.0, 127.5], [0.0, 0.0, 1.0]])
+    camera = Camera(K, np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.0]), 256, 256, "orthographic")
+    result = refine(points, mask, camera)
+    assert result.loss_after < result.loss_before
+
+
+@pytest.mark.parametrize("mode", ["encoder", "encoder-decoder"])
+def test_a_network_mode_moves_only_its_own_weights_and_leaves_the_network_as_it_was(mode, monkeypatch):
+    torch.manual_seed(0)
+    network = build_network(points=64)
+    before = {name: value.clone() for name, value in network.state_dict().items()}
+    seen = {}
+    true_descend = refinement._descend
+
+    def spy(produce, parameters, *rest):
+        seen["count"] = sum(p.numel() for p in parameters)
+        return true_descend(produce, parameters, *rest)
+
+    monkeypatch.setattr(refinement, "_descend", spy)
+    mask = np.zeros((64, 64), np.float32)
+    mask[22:42, 25:40] = 1.0
+    image = torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0))
+    result = refine(None, mask, config=RefineConfig(mode, steps=3), network=network, image=image)
+    assert result.loss_after < result.loss_before
+    assert result.gamma == (0.0 if mode == "encoder" else 1e6)
+    encoder = sum(p.numel() for p in network.encoder.parameters())
+    assert seen["count"] == (encoder if mode == "encoder" else encoder + sum(p.numel() for p in network.decoder.parameters()))
+    for name, value in network.state_dict().items():
+        assert torch.equal(value, before[name])
+
+
+def test_what_cannot_be_refined_is_refused(chair):
+    points, mask, camera = chair
+    for bad, words in (
+        (dict(points=points[:0]), "points"),
+        (dict(points=points[:, :2]), "points"),
+        (dict(points=np.where(points > 0.4, np.nan, points)), "finite"),
+        (dict(points=points * 0.0), "same|degenerate|extent"),
+        (dict(points=points + [0, 0, 50.0]), "behind|outside|hardly meet|no point"),
+        (dict(masks=mask * 0.0), "no pixel is foreground"),
+        (dict(masks=mask * 0.0 + 1.0), "every pixel is foreground"),
+        (dict(masks=mask[:-1]), "expected the same"),
+        (dict(masks=[mask, mask]), "one camera for each mask"),
+        (dict(config=RefineConfig("encoder")), "needs a network"),
+    ):
+        arguments = dict(points=points, masks=mask, cameras=camera) | bad
+        with pytest.raises(InputError, match=words):
+            refine(**arguments)
+
+
+@pytest.mark.parametrize(
+    "bad", [{"mode": "magic"}, {"steps": -1}, {"learning_rate": 0.0}, {"gamma": -1.0}, {"sigma_sq": float("nan")}]
+)
+def test_settings_out_of_range_are_refused(bad):
+    with pytest.raises(InputError, match=next(iter(bad))):
+        RefineConfig(**bad)
+
+
+def test_a_device_that_is_not_there_is_refused(chair):
+    if torch.cuda.is_available():
+        pytest.skip("this machine has CUDA")
+    with pytest.raises(InputError, match="cuda: not available"):
+        refine(*chair, RefineConfig(device="cuda"))

@@ -1,0 +1,68 @@
+"""`tso render`: meshes -> pictures, masks, cameras and ground truth."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+
+from . import options
+
+
+class Size(click.ParamType):
+    """``64`` or ``128x96`` (width x height)."""
+
+    name = "pixels"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        if isinstance(value, tuple):
+            return value
+        match = re.fullmatch(r"(\d{1,6})(?:x(\d{1,6}))?", str(value))
+        if match is None:
+            self.fail(f"{value!r} is not a size, expected pixels such as 64, or width x height such as 128x96", param, ctx)
+        return int(match[1]), int(match[2] or match[1])
+
+
+@click.command("render")
+@click.argument("source", metavar="MESH_OR_FOLDER", type=options.FilePath())
+@click.option("-o", "--output", type=options.FilePath(), required=True, help="Folder to write NAME/... into.")
+@click.option("--views", type=int, default=24, show_default=True, help="Pictures of each object.")
+@click.option("--size", type=Size(), default="64", show_default=True, help="Pixels, or WIDTHxHEIGHT.")
+@click.option("--elevation", type=float, nargs=2, default=(-5, 40), show_default=True, help="Range in degrees.")
+@click.option("--azimuth", type=float, nargs=2, default=(0, 360), show_default=True, help="Range in degrees; 0 sees +z.")
+@click.option("--distance", type=float, help="Of the camera, in longest sides. [default: 2, or more to see all]")
+@click.option("--focal", type=float, help="Focal length in pixels. [default: 120 for each 64 pixels]")
+@click.option("--samples", type=int, default=16384, show_default=True, help="Points drawn from the surface.")
+@click.option("--points", type=int, default=1024, show_default=True, help="How many of them the target keeps.")
+@options.seed
+@options.overwrite
+@options.as_json
+def command(source: Path, output: Path, seed: int, overwrite: bool, as_json: bool, **settings: Any) -> None:
+    """Render a mesh, or all meshes of a folder: pictures, masks, cameras and ground truth.
+
+    Every mesh is centred and scaled to longest side 1. Views are random, reproducible from the seed. A run that was stopped
+    goes on where it was when started again.
+    """
+    from .. import __version__
+    from ..errors import InputError
+    from ..render import RenderSettings, render_folder
+
+    chosen = RenderSettings(**settings)
+    summary = render_folder(source, output, chosen, seed, overwrite, options.ProgressBar("rendering"))
+    for message in summary.failed.values():
+        options.log(message)
+    if summary.skipped:
+        options.log(f"{len(summary.skipped)} rendered before, skipped (--overwrite renders again)")
+    if as_json:
+        options.echo_json({**asdict(summary), "settings": asdict(chosen), "seed": seed, "version": __version__})
+    else:
+        width, height = chosen.size
+        click.echo(
+            f"{len(summary.written)} objects rendered into {output} ({chosen.views} views of {width}x{height} and "
+            f"{chosen.points} points of {chosen.samples} each, seed {seed})"
+        )
+    if summary.failed:
+        raise InputError(f"{len(summary.failed)} meshes could not be rendered, all others are in {output}")

@@ -1,0 +1,33 @@
+"""Where the examples that come with the program lie."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..errors import InputError
+
+CATEGORIES = ("chair", "car", "airplane")
+
+
+def examples_folder() -> Path:
+    """The folder ``examples``: inside the installed package, else beside it in a clone.
+
+    Raises InputError if there is neither.
+    """
+    package = Path(__file__).resolve().parent.parent
+    for folder in (package / "examples", package.parent / "examples"):
+        if (folder / "meshes").is_dir():
+            return folder
+    raise InputError(
+        f"{package.parent / 'examples'}: the shipped examples are not here, expected a clone of the repository "
+        "(or give a folder of your own)"
+    )
+
+
+def example_meshes() -> list[Path]:
+    """The shipped meshes to train on, sorted by category and name; no target of an example is among them."""
+    folder = examples_folder() / "meshes"
+    found = [path for category in CATEGORIES for path in sorted((folder / category).glob("*.ply"))]
+    if not found:
+        raise InputError(f"{folder}: no mesh, expected {', '.join(CATEGORIES)} with .ply files")
+    return found

@@ -1,0 +1,107 @@
+"""What the network is trained with: Chamfer to the surface (PSGN-FC) or masks through the projector (CAPNet)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .errors import InputError
+from .losses import affinity, chamfer, silhouette_bce
+from .projection import CameraBatch, cheaper_kernel, project, silhouette_sums
+from .train_data import Batch
+
+# The supplement: "reduced to 0.02 of its initial value upon loss saturation".
+DROP = 0.02
+
+
+def point_loss(points: Tensor, batch: Batch) -> tuple[Tensor, float, float]:
+    """Chamfer distance between predicted points [B, N, 3] and the targets, mean over the batch; and its two directions."""
+    forward, backward = [], []
+    for ours, target in zip(points, batch.targets, strict=True):
+        ahead, back = chamfer(ours.unsqueeze(0), torch.as_tensor(target, device=points.device).unsqueeze(0))
+        forward.append(ahead[0])
+        backward.append(back[0])
+    ahead, back = torch.stack(forward).mean(), torch.stack(backward).mean()
+    return ahead + back, float(ahead.detach()), float(back.detach())
+
+
+def mask_loss(
+    points: Tensor, batch: Batch, sigma_sq: float, weight: float, form: str
+) -> tuple[Tensor, float, float]:
+    """BCE + weight * affinity (Eq. 4 to 6) of predicted points [B, N, 3], summed over views, mean over the batch.
+
+    Returns the loss, and the values of BCE and of the affinity term (before its weight).
+    """
+
+    def like(array: Any) -> Tensor:
+        return torch.as_tensor(array, dtype=points.dtype, device=points.device)
+
+    height, width = batch.masks.shape[-2:]
+    cameras = CameraBatch(like(batch.K), like(batch.R), like(batch.t), width, height)
+    projected = project(points, cameras)
+    kernel = cheaper_kernel(points.shape[1], cameras, sigma_sq)
+    sums = silhouette_sums(projected, cameras, sigma_sq, kernel).flatten(0, 1)  # [B V, H, W]
+    masks, known = like(batch.masks).flatten(0, 1), like(batch.known).flatten(0, 1)
+    points_px, valid = projected.points_px.flatten(0, 1), projected.valid.flatten(0, 1)
+    bce = silhouette_bce(sums, masks, points_px, valid, sigma_sq, known).sum() / len(points)
+    if weight == 0.0:
+        return bce, float(bce.detach()), 0.0
+    outliers = affinity(sums, masks, points_px, valid, form).sum() / len(points)
+    return bce + weight * outliers, float(bce.detach()), float(outliers.detach())
+
+
+@dataclass
+class AffinitySchedule:
+    """lambda, and when it drops to 0.02 of itself.
+
+    The loss counts as saturated when the mean over the last ``window`` steps is not lower, by the relative ``gain``, than
+    the mean over the ``window`` steps before them. It drops once.
+    """
+
+    initial: float
+    window: int = 500
+    gain: float = 0.01
+    total: float = 0.0
+    count: int = 0
+    previous: float | None = None
+    dropped_at: int | None = None
+
+    @property
+    def weight(self) -> float:
+        """lambda of the next step."""
+        return self.initial * DROP if self.dropped_at is not None else self.initial
+
+    def observe(self, loss: float, step: int) -> None:
+        """Take note of the loss of ``step`` (counted from 1)."""
+        if self.dropped_at is not None:
+            return
+        self.total += loss
+        self.count += 1
+        if self.count < self.window:
+            return
+        mean = self.total / self.count
+        if self.previous is not None and mean > (1.0 - self.gain) * self.previous:
+            self.dropped_at = step
+        self.previous, self.total, self.count = mean, 0.0, 0
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it, exactly."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, values: Any, name: str) -> AffinitySchedule:
+        """The schedule that `to_json` gave; InputError naming the file ``name`` if it is not one."""
+        template = asdict(cls(0.0))
+        if not isinstance(values, dict) or set(values) != set(template):
+            raise InputError(f"{name}: the schedule in the training state is damaged, expected {', '.join(template)}")
+        for key, value in values.items():
+            empty = value is None and template[key] is None
+            whole = key in ("window", "count", "dropped_at")
+            fits = isinstance(value, int if whole else (int, float)) and not isinstance(value, bool)
+            if not empty and not (fits and math.isfinite(value)):
+                raise InputError(f"{name}: {key} of the schedule in the training state is damaged, expected a number")
+        return cls(**values)
