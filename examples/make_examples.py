@@ -97,6 +97,8 @@ def credits_table(rows: list[tuple[str, dict[str, str]]]) -> str:
         "",
         "All shapes are in the public domain under CC0 1.0 (https://creativecommons.org/publicdomain/zero/1.0/). The pictures,",
         "masks, cameras and clouds were made from them by `make_examples.py` and are given under the same terms.",
+        "The authors: Kenney (www.kenney.nl), Quaternius (www.patreon.com/quaternius), and the authors of the BlendSwap shapes",
+        "that the Debian package sweethome3d-furniture distributes.",
         "",
         "| file | made from | author | source | licence |",
         "|---|---|---|---|---|",

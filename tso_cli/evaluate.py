@@ -288,9 +288,7 @@ def _by_name(folder: Path, suffix: str = "") -> dict[str, Path]:
     return found
 
 
-def _require_same_names(
-    prediction: Path, ours: dict[str, Path], target: Path, theirs: dict[str, Path], suffix: str
-) -> None:
+def _require_same_names(prediction: Path, ours: dict[str, Path], target: Path, theirs: dict[str, Path], suffix: str) -> None:
     lonely = [(prediction, target, sorted(set(ours) - set(theirs))), (target, prediction, sorted(set(theirs) - set(ours)))]
     parts = []
     for here, there, names in lonely:

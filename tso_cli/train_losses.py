@@ -34,6 +34,9 @@ def mask_loss(
 ) -> tuple[Tensor, float, float]:
     """BCE + weight * affinity (Eq. 4 to 6) of predicted points [B, N, 3], summed over views, mean over the batch.
 
+    The crop holds the whole object. A point that falls beyond its edge, where no pixel speaks against it, is an outlier too:
+    its squared distance to the edge, in pixels, counts as affinity.
+
     Returns the loss, and the values of BCE and of the affinity term (before its weight).
     """
 
@@ -50,8 +53,15 @@ def mask_loss(
     bce = silhouette_bce(sums, masks, points_px, valid, sigma_sq, known).sum() / len(points)
     if weight == 0.0:
         return bce, float(bce.detach()), 0.0
-    outliers = affinity(sums, masks, points_px, valid, form).sum() / len(points)
+    outliers = (affinity(sums, masks, points_px, valid, form) + _beyond(points_px, valid, height, width)).sum() / len(points)
     return bce + weight * outliers, float(bce.detach()), float(outliers.detach())
+
+
+def _beyond(points_px: Tensor, valid: Tensor, height: int, width: int) -> Tensor:
+    """Sum [M] over points of the squared distance to the image, 0 for those inside it."""
+    limit = points_px.new_tensor([width - 0.5, height - 0.5])
+    inside = torch.minimum(points_px.clamp(min=-0.5), limit)
+    return ((points_px - inside).square().sum(-1) * valid).sum(-1)
 
 
 @dataclass

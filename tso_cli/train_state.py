@@ -123,3 +123,15 @@ def _require_same(path: Path, stored: NetworkConfig, asked: NetworkConfig) -> No
                 f"{path}: was trained with {name} {shown(before.get(name))}, this run asks for {shown(now.get(name))}; "
                 "expected the same settings to resume"
             )
+
+
+def write_history(path: Path, history: list[tuple[float, float, float, float]], supervision: str) -> None:
+    """All losses so far as a table, one line a step; the file is replaced whole."""
+    from .files.output import atomic_output
+
+    terms = "bce,affinity,lambda" if supervision == "masks" else "forward,backward"
+    lines = [f"step,loss,{terms}"]
+    for step, row in enumerate(history, 1):
+        lines.append(",".join([str(step), *(repr(value) for value in row[: terms.count(",") + 2])]))
+    with atomic_output(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -30,7 +30,9 @@ _SQUARED = ("forward", "backward", "chamfer")
 @click.option("--vertices", is_flag=True, help="Of meshes take the vertices, not the surface.")
 @click.option("--threshold", type=float, help="Distance of the F-score.  [default: 1 % of the target's longest side]")
 @click.option("--mask", type=options.FilePath(), help="Mask of the object, or a folder of NAME.png.")
-@click.option("--camera", type=options.FilePath(), help="Camera file, for one mask or for all, or a folder of NAME.camera.json.")
+@click.option(
+    "--camera", type=options.FilePath(), help="Camera file, for one mask or for all, or a folder of NAME.camera.json."
+)
 @click.option("--sigma-sq", type=float, help="Variance of the silhouette, px^2.  [default: 0.4 (max(W, H) / 64)^2]")
 @click.option("--suffix", default="", help="In folders: predictions are the files NAME + this, such as .refined.")
 @click.option("--fail-above", type=float, metavar="X", help="Exit with 3 if the mean Chamfer x1000 is above X.")
@@ -77,7 +79,7 @@ def command(
     if "f_score" not in chosen and threshold is not None:
         raise InputError("--threshold serves --f-score, which was not asked for")
     pairs = find_pairs(prediction, target, mask, camera, suffix)
-    result = evaluate(pairs, config, options.ProgressBar("judging") if len(pairs) > 5 else None)
+    result = evaluate(pairs, config, options.ProgressBar("judging") if len(pairs) > 1 else None)
     _remarks(result["pairs"], config)
     if as_json:
         options.echo_json(result)

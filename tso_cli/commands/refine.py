@@ -105,7 +105,7 @@ def command(
     read = time.perf_counter() - started
     from ..refinement import RefineConfig, refine
 
-    config = RefineConfig(mode, steps, learning_rate, gamma, sigma_sq or scene.sigma_sq, device, seed)
+    config = RefineConfig(mode, steps, learning_rate, gamma, scene.sigma_sq if sigma_sq is None else sigma_sq, device, seed)
     bar = options.ProgressBar("tso: refining")
     result = refine(
         None if scene.network else scene.points,

@@ -112,7 +112,7 @@ def _parse(path: Path, content: bytes) -> tuple[Array, NDArray[np.int64], NDArra
                 resolver=FilePathResolver(str(path)),
             )
             parts = scene.dump()
-            vertices = [np.array(part.vertices, dtype=np.float64).reshape(-1, 3) for part in parts]
+            vertices = [np.array(getattr(part, "vertices", ()), dtype=np.float64).reshape(-1, 3) for part in parts]
             faces = [np.array(getattr(part, "faces", ()), dtype=np.int64).reshape(-1, 3) for part in parts]
     # A damaged file makes the parser fail in any way there is.
     except Exception as error:
@@ -129,9 +129,7 @@ def _parse(path: Path, content: bytes) -> tuple[Array, NDArray[np.int64], NDArra
     known = [np.full((len(own), 3), GREY, np.uint8) if c is None else c for c, own in zip(colours, faces, strict=True)]
     return (
         np.concatenate([np.empty((0, 3)), *vertices]),
-        np.concatenate(
-            [np.empty((0, 3), np.int64), *(own + start for own, start in zip(faces, starts[:-1], strict=True))]
-        ),
+        np.concatenate([np.empty((0, 3), np.int64), *(own + start for own, start in zip(faces, starts[:-1], strict=True))]),
         None if all(c is None for c in colours) else np.concatenate(known),
     )
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from ..errors import InputError, TsoError
+from ..errors import InputError
 
 
 def check_output(path: Path, overwrite: bool) -> None:
@@ -57,7 +57,7 @@ def atomic_output(path: Path) -> Iterator[Path]:
         # Created here, so that the file gets the permissions the user's umask asks for and the name is surely ours.
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     except (OSError, ValueError) as error:
-        raise TsoError(f"{path}: cannot be written ({reason(error)})") from None
+        raise InputError(f"{path}: cannot be written ({reason(error)})") from None
     try:
         yield temporary
         # A full disk may show only when the data leave the memory.
@@ -68,7 +68,7 @@ def atomic_output(path: Path) -> Iterator[Path]:
             os.close(handle)
         temporary.replace(target)
     except OSError as error:
-        raise TsoError(f"{path}: cannot be written ({reason(error)}), nothing was kept") from None
+        raise InputError(f"{path}: cannot be written ({reason(error)}), nothing was kept") from None
     finally:
         with suppress(OSError):
             temporary.unlink()

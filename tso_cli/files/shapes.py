@@ -143,7 +143,7 @@ def read_binvox(path: Path | str) -> tuple[NDArray[np.bool_], Array, float]:
     scale = _numbers(path, fields, b"scale", 1)[0] if b"scale" in fields else 1.0
     total = depth * height * width
     if min(depth, height, width) < 1 or total > MAX_VOXELS:
-        raise InputError(f"{path}: dim is {depth} {height} {width}, expected 1 to {MAX_VOXELS:,} voxels")
+        raise InputError(f"{path}: dim is {shown(f'{depth} {height} {width}')}, expected 1 to {MAX_VOXELS:,} voxels")
     if not 1e-30 < scale < 1e30 or np.abs(translate).max() > 1e30:
         raise InputError(f"{path}: scale is {scale:g}, translate {translate.tolist()}, expected a size > 0 and a place")
     runs = np.frombuffer(data[1:], dtype=np.uint8)
@@ -187,7 +187,7 @@ def _numbers(path: Path, fields: dict[bytes, list[bytes]], key: bytes, count: in
         if key == b"dim" and any(value != int(value) for value in values):
             raise ValueError
     except (KeyError, ValueError):
-        what = shown(b" ".join(fields[key])) if key in fields else "missing"
+        what = shown(b" ".join(fields[key]).decode("latin-1")) if key in fields else "missing"
         raise InputError(f"{path}: {key.decode()} is {what}, expected {count} finite number{'s' * (count > 1)}") from None
     return values
 

@@ -1,0 +1,25 @@
+"""The two network variants on a photo: give a checkpoint that `tso train` wrote.
+
+    python examples/refine_network.py base.safetensors
+"""
+
+import sys
+from pathlib import Path
+
+from tso_cli import RefineConfig, refine
+from tso_cli.files.clouds import read_cloud
+from tso_cli.geometry import normalise_longest_side
+from tso_cli.metrics import chamfer
+from tso_cli.scenes import load_network_scene
+
+chair = Path(__file__).parent / "chair"
+target = normalise_longest_side(read_cloud(chair / "target.ply").points)
+scene = load_network_scene(chair / "image.png", chair / "mask.png", Path(sys.argv[1]), world=True)
+
+for mode in ("encoder", "encoder-decoder"):
+    config = RefineConfig(mode, sigma_sq=scene.sigma_sq)
+    result = refine(None, scene.view, config=config, network=scene.network, image=scene.image)
+    # a network knows neither size nor place: both clouds are judged at longest side 1
+    clouds = (normalise_longest_side(scene.to_output(points)) for points in (result.initial, result.points))
+    before, after = (1e3 * chamfer(cloud, target).chamfer for cloud in clouds)
+    print(f"{mode}: IoU {result.iou_before:.3f} -> {result.iou_after:.3f}, Chamfer x1000 {before:.3f} -> {after:.3f}")

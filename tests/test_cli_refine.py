@@ -1,0 +1,393 @@
+"""`tso refine` as a user meets it: what it writes and prints, and one clear line for whatever cannot work."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import struct
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tso_cli import __version__
+from tso_cli.cli import main
+from tso_cli.files.clouds import read_cloud, write_cloud
+
+CHAIR = Path(__file__).parents[1] / "examples" / "chair"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A copy of the chair example to stand in."""
+    for name in ("initial.ply", "mask.png", "image.png", "camera.json", "target.ply"):
+        shutil.copy(CHAIR / name, tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory):
+    """A small view-aligned network; untrained, which is enough to run the modes."""
+    from tso_cli.files.checkpoints import save_network
+    from tso_cli.network import NetworkConfig, build_network
+
+    path = tmp_path_factory.mktemp("checkpoint") / "small.safetensors"
+    save_network(path, build_network(points=128, seed=0), NetworkConfig(points=128, version=__version__))
+    return path
+
+
+def tso(*arguments) -> int:
+    """Run the command line in this process; returns the exit code."""
+    with pytest.raises(SystemExit) as stopped:
+        main([str(argument) for argument in arguments])
+    return stopped.value.code
+
+
+def _json(capsys):
+    return json.loads(capsys.readouterr().out)
+
+
+def test_the_command_of_the_readme_works_as_written(folder, capsys):
+    assert tso("refine", "--mode", "points", "initial.ply", "mask.png") == 0
+    captured = capsys.readouterr()
+    assert "camera: camera.json" in captured.err
+    assert "IoU" in captured.out
+    refined, initial = read_cloud("initial.refined.ply").points, read_cloud("initial.ply").points
+    assert refined.shape == initial.shape
+    assert 0.0 < np.abs(refined - initial).max() < 0.05
+
+
+def test_json_is_one_document_with_everything_promised(folder, capsys):
+    assert tso("refine", "initial.ply", "mask.png", "--json", "-o", "out.ply", "--overlay", "out.png") == 0
+    document = _json(capsys)
+    promised = (
+        "mode output camera steps stop_reason iou_before iou_after loss_before loss_after chamfer_to_initial seconds frame "
+        "points sigma_sq device seed version"
+    )
+    assert set(promised.split()) <= set(document)
+    assert document["mode"] == "points"
+    assert document["frame"] == "input"
+    assert document["points"] == 1024
+    assert document["iou_after"] > document["iou_before"]
+    assert document["loss_after"] < document["loss_before"]
+    assert document["version"] == __version__
+    assert {"read", "optimise", "write", "total"} <= set(document["seconds"])
+    with Image.open("out.png") as picture:
+        assert picture.size[0] > 600
+
+
+def test_the_camera_named_after_the_mask_wins_over_the_folders(folder, capsys):
+    shutil.copy("camera.json", "mask.camera.json")
+    Path("camera.json").write_text("not used")
+    assert tso("refine", "initial.ply", "mask.png", "--steps", "0") == 0
+    assert "camera: mask.camera.json" in capsys.readouterr().err
+
+
+def test_without_a_camera_file_the_canonical_camera_is_used_and_said(folder, capsys):
+    Path("camera.json").unlink()
+    assert tso("refine", "initial.ply", "mask.png", "--steps", "0") == 0
+    assert "camera: canonical" in capsys.readouterr().err
+
+
+def test_zero_steps_write_the_start(folder):
+    assert tso("refine", "initial.ply", "mask.png", "--steps", "0", "-o", "same.ply") == 0
+    assert Path("same.ply").read_bytes() == Path("initial.ply").read_bytes()
+
+
+def test_everything_but_the_coordinates_survives(folder, capsys):
+    points = read_cloud("initial.ply").points
+    lines = [
+        "ply", "format ascii 1.0", "comment from a scanner", f"element vertex {len(points)}", "property uchar red",
+        "property double x", "property double y", "property double z", "property float nx", "property int label",
+        "element face 1", "property list uchar int vertex_indices", "end_header",
+    ]  # fmt: skip
+    lines += [f"{i % 256} {x!r} {y!r} {z!r} 0.5 {i}" for i, (x, y, z) in enumerate(points.tolist())]
+    Path("scan.ply").write_text("\n".join([*lines, "3 0 1 2"]) + "\n")
+    assert tso("refine", "scan.ply", "mask.png") == 0
+    assert "normals" in capsys.readouterr().err
+    before, after = (Path(name).read_text().splitlines() for name in ("scan.ply", "scan.refined.ply"))
+    assert len(before) == len(after)
+    moved = 0
+    for old, new in zip(before, after, strict=True):
+        if len(old.split()) == 6 and old[0].isdigit():
+            a, b = old.split(), new.split()
+            assert (a[0], a[4:]) == (b[0], b[4:])
+            moved += a[1:4] != b[1:4]
+        else:
+            assert old == new
+    assert moved > 500
+
+
+def test_an_inverted_mask_says_the_same_with_the_flag(folder, capsys):
+    Image.fromarray(255 - np.asarray(Image.open("mask.png").convert("L"))).save("dark.png")
+    assert tso("refine", "initial.ply", "mask.png", "-o", "a.ply") == 0
+    assert tso("refine", "initial.ply", "dark.png", "--invert-mask", "-o", "b.ply") == 0
+    assert Path("a.ply").read_bytes() == Path("b.ply").read_bytes()
+
+
+def test_ignored_pixels_change_the_result(folder, capsys):
+    ignore = np.zeros((256, 256), np.uint8)
+    ignore[:, 128:] = 255
+    Image.fromarray(ignore).save("ignore.png")
+    assert tso("refine", "initial.ply", "mask.png", "-o", "a.ply") == 0
+    assert tso("refine", "initial.ply", "mask.png", "--ignore", "ignore.png", "-o", "b.ply") == 0
+    assert Path("a.ply").read_bytes() != Path("b.ply").read_bytes()
+
+
+def test_check_says_where_the_points_fall_and_writes_nothing(folder, capsys):
+    assert tso("refine", "initial.ply", "mask.png", "--check") == 0
+    out = capsys.readouterr().out
+    for word in ("perspective", "inside the image", "on the mask", "IoU", "depth"):
+        assert word in out
+    assert tso("refine", "initial.ply", "mask.png", "--check", "--json") == 0
+    assert _json(capsys)["meets"] is True
+    assert not list(folder.glob("*refined*"))
+
+
+def test_check_explains_a_cloud_that_does_not_meet_the_mask(folder, capsys):
+    write_cloud("far.ply", read_cloud("initial.ply").points + [30.0, 0.0, 0.0])
+    assert tso("refine", "far.ply", "mask.png", "--check") == 0
+    assert "do not meet" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("mode", ["encoder", "encoder-decoder"])
+def test_the_network_modes_refine_the_networks_cloud(mode, folder, checkpoint, capsys):
+    assert tso("refine", "--mode", mode, "image.png", "mask.png", "--checkpoint", checkpoint, "--json", "--steps", "5") == 0
+    document = _json(capsys)
+    assert document["frame"] == "view"
+    assert document["points"] == 128
+    assert document["loss_after"] <= document["loss_before"]
+    assert read_cloud("image.refined.ply").points.shape == (128, 3)
+
+
+def test_a_view_aligned_cloud_can_be_had_in_world_coordinates(folder, checkpoint, capsys):
+    common = ("refine", "--mode", "encoder", "image.png", "mask.png", "--checkpoint", checkpoint, "--steps", "1")
+    assert tso(*common, "-o", "world.ply", "--frame", "world", "--json") == 0
+    assert _json(capsys)["frame"] == "world"
+    # in the world of the camera file, the cloud falls on the mask without further ado
+    assert tso("refine", "world.ply", "mask.png", "--check", "--json") == 0
+    assert _json(capsys)["placement"]["box_iou"] > 0.5
+
+
+def test_a_network_without_a_camera_file_sees_the_crop_through_the_canonical_camera(folder, checkpoint, capsys):
+    Path("camera.json").unlink()
+    arguments = ("refine", "--mode", "encoder", "image.png", "mask.png", "--checkpoint", checkpoint, "--steps", "1", "--json")
+    assert tso(*arguments) == 0
+    assert _json(capsys)["camera"]["K"][0][0] == 120.0
+    assert tso(*arguments, "--frame", "world", "-o", "w.ply") == 2
+    assert "--frame world needs" in capsys.readouterr().err
+
+
+def test_a_canonical_frame_network_needs_a_camera_file(folder, tmp_path, capsys):
+    from tso_cli.files.checkpoints import save_network
+    from tso_cli.network import NetworkConfig, build_network
+
+    config = NetworkConfig(points=128, frame="canonical", version=__version__)
+    save_network(Path("canonical.safetensors"), build_network(points=128), config)
+    arguments = ("refine", "--mode", "encoder", "image.png", "mask.png", "--checkpoint", "canonical.safetensors", "--steps", "1")
+    assert tso(*arguments, "--json") == 0
+    assert _json(capsys)["frame"] == "canonical"
+    Path("camera.json").unlink()
+    assert tso(*arguments, "--overwrite") == 2
+    assert "R and t" in capsys.readouterr().err
+
+
+def test_a_photo_turned_by_its_exif_note_says_the_same_as_one_stored_upright(folder, checkpoint, capsys):
+    with Image.open("image.png") as image:
+        exif = Image.Exif()
+        exif[0x0112] = 6  # stored a quarter turn to the left
+        image.convert("RGB").transpose(Image.Transpose.ROTATE_90).save("turned.png", exif=exif)
+    common = ("--mode", "encoder", "--checkpoint", checkpoint, "--steps", "1")
+    assert tso("refine", "image.png", "mask.png", *common, "-o", "a.ply") == 0
+    assert tso("refine", "turned.png", "mask.png", *common, "-o", "b.ply") == 0
+    assert Path("a.ply").read_bytes() == Path("b.ply").read_bytes()
+
+
+def test_an_interrupt_writes_the_best_so_far(folder, capsys, monkeypatch):
+    from tso_cli import refinement
+
+    steps = iter(range(100))
+    true_call = refinement.MaskObjective.__call__
+
+    def interrupted(self, moved):
+        if next(steps) == 7:
+            raise KeyboardInterrupt
+        return true_call(self, moved)
+
+    monkeypatch.setattr(refinement.MaskObjective, "__call__", interrupted)
+    assert tso("refine", "initial.ply", "mask.png") == 130
+    assert "interrupted at step 6 of 50" in capsys.readouterr().err
+    assert Path("initial.refined.ply").exists()
+
+
+# What is done to the folder, the arguments, and words that the one line of error must hold.
+BAD = {
+    "missing cloud": ("", "nowhere.ply mask.png", "nowhere.ply exist"),
+    "missing mask": ("", "initial.ply nowhere.png", "nowhere.png"),
+    "folder for a cloud": ("mkdir:dir.ply", "dir.ply mask.png", "dir.ply folder"),
+    "folder for a mask": ("mkdir:dir.png", "initial.ply dir.png", "dir.png folder"),
+    "empty cloud": ("text:bad.ply:", "bad.ply mask.png", "bad.ply empty"),
+    "empty mask": ("text:bad.png:", "initial.ply bad.png", "bad.png empty"),
+    "truncated cloud": ("cut:initial.ply:2000", "initial.ply mask.png", "initial.ply 1024|1,024"),
+    "cloud that lies about its count": ("swap:initial.ply:vertex 1024:vertex 9024", "initial.ply mask.png", "initial.ply 9024|9,024"),
+    "zero points": ("ply:bad.ply:", "bad.ply mask.png", "bad.ply 0 points"),
+    "one point": ("ply:bad.ply:0 0 0", "bad.ply mask.png", "bad.ply 1 point"),
+    "NaN": ("ply:bad.ply:0 0 0;1 nan 0", "bad.ply mask.png", "bad.ply finite|nan"),
+    "infinity": ("ply:bad.ply:0 0 0;1 inf 0", "bad.ply mask.png", "bad.ply finite|inf"),
+    "all points equal": ("ply:bad.ply:1 1 1;1 1 1;1 1 1", "bad.ply mask.png", "bad.ply same"),
+    "not a point cloud": ("text:bad.ply:hello world", "bad.ply mask.png", "bad.ply ply|PLY"),
+    "picture for a cloud": ("", "image.png mask.png", "image.png .ply"),
+    "mask all background": ("mask:bad.png:0", "initial.ply bad.png", "bad.png foreground"),
+    "mask all foreground": ("mask:bad.png:255", "initial.ply bad.png", "bad.png every|background"),
+    "a billion pixels": ("bomb:bad.png", "initial.ply bad.png", "bad.png 40000x30000|pixels"),
+    "camera without a key": ("drop:camera.json:K", "initial.ply mask.png", "camera.json K missing"),
+    "camera of a wrong shape": ("set:camera.json:K:[1,2,3]", "initial.ply mask.png", "camera.json K"),
+    "singular K": ("set:camera.json:K:[[0,0,1],[0,0,1],[0,0,1]]", "initial.ply mask.png", "camera.json singular"),
+    "R no rotation": ("set:camera.json:R:[[2,0,0],[0,1,0],[0,0,1]]", "initial.ply mask.png", "camera.json rotation"),
+    "camera of another size": ("set:camera.json:width:64", "initial.ply mask.png", "camera.json 64x256 256x256"),
+    "camera not JSON": ("text:camera.json:{", "initial.ply mask.png", "camera.json JSON"),
+    "missing camera": ("", "initial.ply mask.png --camera nowhere.json", "nowhere.json"),
+    "unknown mode": ("", "initial.ply mask.png --mode magic", "magic points encoder"),
+    "checkpoint for points mode": ("", "initial.ply mask.png --checkpoint base.safetensors", "points base.safetensors"),
+    "checkpoint as the cloud": ("text:base.safetensors:x", "base.safetensors mask.png", "base.safetensors checkpoint"),
+    "no checkpoint": ("", "image.png mask.png --mode encoder", "encoder --checkpoint"),
+    "pickled checkpoint": ("pickle:base.pt", "image.png mask.png --mode encoder --checkpoint base.pt", "base.pt pickle"),
+    "truncated checkpoint": ("tensor:base.safetensors", "image.png mask.png --mode encoder --checkpoint base.safetensors", "base.safetensors"),
+    "image and mask of different size": ("resize:image.png", "image.png mask.png --mode encoder --checkpoint CHECKPOINT", "image.png 128x128 256x256"),
+    "frame in points mode": ("", "initial.ply mask.png --frame world", "--frame"),
+    "missing output folder": ("", "initial.ply mask.png -o nowhere/out.ply", "nowhere exist"),
+    "existing output": ("text:out.ply:precious", "initial.ply mask.png -o out.ply", "out.ply exists --overwrite"),
+    "existing overlay": ("text:out.png:precious", "initial.ply mask.png --overlay out.png", "out.png exists --overwrite"),
+    "output of another format": ("", "initial.ply mask.png -o out.obj", "out.obj .ply"),
+    "negative steps": ("", "initial.ply mask.png --steps -3", "steps -3"),
+    "gamma no number": ("", "initial.ply mask.png --gamma nan", "gamma"),
+    "sigma zero": ("", "initial.ply mask.png --sigma-sq 0", "sigma_sq 0"),
+    "unknown option": ("", "initial.ply mask.png --magic", "--magic"),
+    "no mask given": ("", "initial.ply", "MASK"),
+    "unknown device": ("", "initial.ply mask.png --device warp", "warp"),
+    "ignore map of another size": ("resize:image.png", "initial.ply mask.png --ignore image.png", "image.png 128x128 256x256"),
+    "cloud elsewhere": ("move:initial.ply", "initial.ply mask.png", "mask.png --check"),
+}  # fmt: skip
+
+
+def _ply(rows: list[str]) -> str:
+    head = ["ply", "format ascii 1.0", f"element vertex {len(rows)}", "property float x", "property float y", "property float z"]
+    return "\n".join([*head, "end_header", *rows]) + "\n"
+
+
+def _damage(action: str) -> None:
+    """Do to the current folder what a line of BAD says."""
+    if not action:
+        return
+    verb, name, *rest = action.split(":")
+    path = Path(name)
+    if verb == "mkdir":
+        path.mkdir()
+    elif verb == "text":
+        path.write_text(rest[0])
+    elif verb == "cut":
+        path.write_bytes(path.read_bytes()[: int(rest[0])])
+    elif verb == "swap":
+        path.write_bytes(path.read_bytes().replace(rest[0].encode(), rest[1].encode()))
+    elif verb == "ply":
+        path.write_text(_ply([row for row in rest[0].split(";") if row]))
+    elif verb == "mask":
+        Image.fromarray(np.full((256, 256), int(rest[0]), np.uint8)).save(path)
+    elif verb == "bomb":
+
+        def chunk(kind: bytes, data: bytes) -> bytes:
+            return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+        header = struct.pack(">IIBBBBB", 40000, 30000, 1, 0, 0, 0, 0)
+        path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"\0" * 5001)) + chunk(b"IEND", b""))
+        assert path.stat().st_size < 1024
+    elif verb == "drop":
+        document = json.loads(path.read_text())
+        del document[rest[0]]
+        path.write_text(json.dumps(document))
+    elif verb == "set":
+        path.write_text(json.dumps(json.loads(path.read_text()) | {rest[0]: json.loads(rest[1])}))
+    elif verb == "pickle":
+        import torch
+
+        torch.save({"weight": torch.zeros(3)}, path)
+    elif verb == "tensor":
+        path.write_bytes(struct.pack("<Q", 4000) + b'{"weight"')
+    elif verb == "resize":
+        with Image.open(path) as image:
+            image.resize((128, 128)).save(path)
+    elif verb == "move":
+        points = read_cloud(path).points
+        write_cloud(path, points + [30.0, 0.0, 0.0], overwrite=True)
+    else:
+        raise AssertionError(verb)
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_cannot_work_gets_one_line_and_exit_code_two_and_writes_nothing(case, folder, checkpoint, capsys):
+    action, arguments, words = BAD[case]
+    _damage(action)
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    code = tso("refine", *arguments.replace("CHECKPOINT", str(checkpoint)).split())
+    captured = capsys.readouterr()
+    assert code == 2
+    assert captured.out == ""
+    errors = [line for line in captured.err.splitlines() if line.startswith("tso: error: ")]
+    assert len(errors) == 1
+    assert all(line.startswith("tso: ") for line in captured.err.splitlines())
+    for word in words.split():
+        assert re.search(word.replace(".", r"\."), errors[0]), f"{word!r} not in {errors[0]!r}"
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
+
+
+def test_cuda_that_is_asked_for_and_absent_is_refused(folder, capsys):
+    import torch
+
+    if torch.cuda.is_available():
+        pytest.skip("this machine has CUDA")
+    assert tso("refine", "initial.ply", "mask.png", "--device", "cuda") == 2
+    assert "--device cuda: not available" in capsys.readouterr().err
+    assert not Path("initial.refined.ply").exists()
+
+
+def test_a_full_disk_leaves_no_partial_file(folder, capsys, monkeypatch):
+    def full(self, data):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    before = set(folder.iterdir())
+    assert tso("refine", "initial.ply", "mask.png") == 2
+    assert "initial.refined.ply: cannot be written (No space left on device" in capsys.readouterr().err
+    assert set(folder.iterdir()) == before
+
+
+def test_the_program_starts_without_torch_and_fails_without_a_traceback(folder):
+    for arguments, expected in ((["--version"], 0), (["--help"], 0), (["refine", "--help"], 0), (["refine", "no.ply", "no.png"], 2)):
+        code = (
+            "import sys; from tso_cli.cli import main\n"
+            f"try:\n    main({arguments!r})\nfinally:\n    assert 'torch' not in sys.modules, 'torch was imported'"
+        )
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=folder)
+        assert done.returncode == expected, done.stderr
+        assert "Traceback" not in done.stderr
+
+
+def test_refining_imports_neither_open3d_nor_what_only_pictures_and_meshes_need(folder):
+    code = (
+        "import sys; from tso_cli.cli import main\n"
+        "try:\n    main(['refine', 'initial.ply', 'mask.png'])\n"
+        "finally:\n    heavy = {'open3d', 'matplotlib', 'trimesh', 'skimage'} & set(sys.modules); assert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=folder)
+    assert done.returncode == 0, done.stderr
+
+
+def test_importing_the_package_imports_no_torch():
+    code = "import sys, tso_cli; assert 'torch' not in sys.modules; from tso_cli import refine; assert callable(refine)"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,469 @@
+"""Training: what it learns from, how it stops and goes on, and that it depends on nothing but seed and data."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from tso_cli import network as networks
+from tso_cli.camera import CANONICAL_ROTATION, Camera
+from tso_cli.cli import main
+from tso_cli.commands import options
+from tso_cli.datasets.rendered import RenderedDataset, write_object
+from tso_cli.errors import InputError, TsoError
+from tso_cli.files.checkpoints import load_network
+from tso_cli.network import NetworkConfig, build_network
+from tso_cli.render import look_at
+from tso_cli.train import TrainConfig, evaluate, network_config, start, train
+from tso_cli.train_data import TrainingData, TrainingObject, TrainingView, from_folder
+from tso_cli.train_losses import DROP, AffinitySchedule, mask_loss, point_loss
+from tso_cli.train_state import TrainingState, load_training, save_training, state_path
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture
+def thin(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same layers with few channels: steps of milliseconds and files of kilobytes."""
+    monkeypatch.setattr(networks, "CONVOLUTIONS", tuple((4, size, stride) for _, size, stride in networks.CONVOLUTIONS))
+
+
+def box_surface(sides: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Points on the surface of a box, longest side 1, with a knob on top so that it looks different from every side."""
+    points = rng.uniform(-0.5, 0.5, (count, 3))
+    axis = rng.integers(3, size=count)
+    points[np.arange(count), axis] = np.where(points[np.arange(count), axis] > 0, 0.5, -0.5)
+    points *= sides
+    points[: count // 8] = points[: count // 8] * 0.3 + [sides[0] * 0.35, 0.0, 0.0]
+    low, high = points.min(0), points.max(0)
+    return (points - (low + high) / 2) / (high - low).max()
+
+
+def picture(points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Image (depth as grey) and mask of a dense cloud."""
+    pixels, depth = camera.project(points)
+    u, v = np.clip(np.rint(pixels), 0, 63).astype(int).T
+    image = np.zeros((64, 64, 3), np.uint8)
+    order = np.argsort(-depth)
+    image[v[order], u[order]] = np.clip(400 - 100 * depth[order], 60, 255)[:, None]
+    mask = np.zeros((64, 64), np.float32)
+    mask[v, u] = 1.0
+    return image, mask
+
+
+def make_objects(count: int = 3, views: int = 4) -> list[TrainingObject]:
+    rng = np.random.default_rng(0)
+    objects = []
+    for number in range(count):
+        dense = box_surface(rng.uniform(0.3, 1.0, 3), 20_000, rng)
+        taken = []
+        for _ in range(views):
+            camera = look_at(rng.uniform(0, 360), rng.uniform(-5, 40), 2.8, (64, 64))
+            shown = picture(dense, camera)
+            taken.append(TrainingView(camera, lambda shown=shown: shown))  # type: ignore[misc]
+        objects.append(TrainingObject(f"box{number}", taken, dense[::20].astype(np.float32)))
+    return objects
+
+
+@pytest.fixture(scope="module")
+def data() -> TrainingData:
+    return TrainingData(make_objects(), "three boxes")
+
+
+def config(**changes: Any) -> TrainConfig:
+    return TrainConfig(**{"steps": 6, "batch_size": 2, "points": 64, "views": 2, "saturation_steps": 2, **changes})
+
+
+def weights(network: torch.nn.Module) -> dict[str, torch.Tensor]:
+    return {name: tensor.clone() for name, tensor in network.state_dict().items()}
+
+
+def assert_equal(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> None:
+    assert one.keys() == other.keys()
+    for name in one:
+        assert torch.equal(one[name], other[name]), name
+
+
+@pytest.mark.parametrize("frame", ["view", "canonical"])
+def test_true_points_in_the_networks_frame_fill_the_supervising_masks(data: TrainingData, frame: str) -> None:
+    """What `assemble` says of frames and cameras agrees with the pictures: every true point falls into every mask."""
+    batch = data.assemble([(0, 1, [0, 2, 3]), (2, 0, [0, 1, 3])], frame)
+    for b, target in enumerate(batch.targets):
+        for v in range(3):
+            camera = Camera(batch.K[b, v], batch.R[b, v], batch.t[b, v], 64, 64)
+            pixels, depth = camera.project(target.astype(np.float64))
+            assert depth.min() > 0
+            column, row = np.rint(pixels).astype(int).T
+            mask = np.pad(batch.masks[b, v] > 0.2, 1)
+            near = mask[1:-1, 1:-1] | mask[:-2, 1:-1] | mask[2:, 1:-1] | mask[1:-1, :-2] | mask[1:-1, 2:]
+            assert near[row, column].all()
+
+
+def test_a_view_aligned_target_has_the_axes_of_its_picture(data: TrainingData) -> None:
+    """x right, y up, z toward the viewer: the canonical rotation leads back to the input camera's axes."""
+    batch = data.assemble([(1, 2, [])], "view")
+    camera = data.objects[1].views[2].camera
+    seen = data.objects[1].target @ camera.R.T
+    np.testing.assert_allclose(batch.targets[0] @ CANONICAL_ROTATION.T, seen, atol=1e-6)
+
+
+def test_the_input_of_a_batch_is_that_of_the_shared_crop_rule(data: TrainingData) -> None:
+    batch = data.assemble([(1, 2, [])], "view")
+    np.testing.assert_array_equal(batch.images[0], data.prepared(1, 2).image)
+    assert batch.images.shape == (1, 3, 64, 64)
+
+
+def test_every_object_comes_once_before_one_comes_again(data: TrainingData) -> None:
+    for epoch in range(4):
+        seen = [data.batch(5, epoch * 3 + i, 1, 0, "canonical").targets[0] for i in range(3)]
+        assert len({cloud.tobytes() for cloud in seen}) == 3
+
+
+def test_a_batch_depends_on_seed_and_step_alone(data: TrainingData) -> None:
+    one, same = (data.batch(1, 4, 2, 2, "view") for _ in range(2))
+    np.testing.assert_array_equal(one.images, same.images)
+    np.testing.assert_array_equal(one.R, same.R)
+    assert any(not np.array_equal(one.R, data.batch(seed, step, 2, 2, "view").R) for seed, step in ((2, 4), (1, 5)))
+
+
+@pytest.mark.parametrize("supervision", ["points", "masks"])
+def test_the_loss_falls_in_a_few_steps(thin: None, data: TrainingData, supervision: str) -> None:
+    result = train(data, config(supervision=supervision, steps=60, learning_rate=1e-3, saturation_steps=500))
+    assert result.history[-10:, 0].mean() < 0.7 * result.history[:5, 0].mean()
+    assert result.steps == 60 and result.stop_reason == "max_steps"
+
+
+def test_masks_alone_bring_the_prediction_nearer_to_the_true_shape(thin: None, data: TrainingData) -> None:
+    settings = config(
+        supervision="masks", frame="canonical", steps=80, learning_rate=1e-3, points=256, batch_size=3, sigma_sq=2.0,
+        saturation_steps=500,
+    )  # fmt: skip
+    before = sum(evaluate(start(data, settings).network, data, "canonical"))
+    assert sum(evaluate(train(data, settings).network, data, "canonical")) < 0.6 * before
+
+
+def test_the_chamfer_loss_is_zero_for_the_targets_themselves(data: TrainingData) -> None:
+    batch = data.batch(0, 0, 2, 0, "view")
+    loss, forward, backward = point_loss(torch.from_numpy(np.stack(batch.targets)), batch)
+    assert float(loss) == forward == backward == 0.0
+
+
+def test_true_points_have_a_far_lower_mask_loss_than_moved_ones(data: TrainingData) -> None:
+    batch = data.batch(0, 0, 2, 3, "view")
+    points = torch.from_numpy(np.stack(batch.targets))
+    true, bce, outliers = mask_loss(points, batch, 0.4, 0.01, "points")
+    moved, *_ = mask_loss(points + torch.tensor([0.2, 0.0, 0.0]), batch, 0.4, 0.01, "points")
+    assert float(true) < 0.2 * float(moved)
+    assert float(true) == pytest.approx(bce + 0.01 * outliers, rel=1e-4)
+
+
+def test_lambda_drops_to_a_fiftieth_once_the_running_mean_stops_falling() -> None:
+    schedule = AffinitySchedule(2.0, window=3)
+    for step, loss in enumerate([9.0, 9.0, 9.0, 6.0, 6.0, 6.0, 5.0, 5.0, 5.0], 1):
+        schedule.observe(loss, step)
+        assert schedule.weight == 2.0
+    for step, loss in enumerate([5.0, 5.0, 4.99], 10):
+        schedule.observe(loss, step)
+    assert schedule.dropped_at == 12
+    assert schedule.weight == DROP * 2.0
+    schedule.observe(0.0, 13)
+    assert schedule.weight == DROP * 2.0
+
+
+def test_the_same_seed_gives_the_same_network_and_another_seed_another(thin: None, data: TrainingData) -> None:
+    one, same, other = (weights(train(data, config(steps=3, seed=seed)).network) for seed in (1, 1, 2))
+    assert_equal(one, same)
+    assert not torch.equal(one["encoder.latent.weight"], other["encoder.latent.weight"])
+
+
+def resume(path: Path, data: TrainingData, settings: TrainConfig) -> TrainingState:
+    return load_training(path, network_config(data, settings, 0), data.fingerprint(), CPU)
+
+
+def saving(path: Path) -> Any:
+    return lambda state, saved: save_training(path, state, saved)
+
+
+@pytest.mark.parametrize("supervision", ["points", "masks"])
+def test_three_steps_and_three_more_after_a_resume_are_six_steps_bit_for_bit(
+    thin: None, data: TrainingData, tmp_path: Path, supervision: str
+) -> None:
+    settings = {"supervision": supervision, "learning_rate": 1e-3}
+    straight = train(data, config(**settings), save=saving(tmp_path / "straight.safetensors"))
+    path = tmp_path / "base.safetensors"
+    train(data, config(steps=3, **settings), save=saving(path))
+    resumed = train(data, config(**settings), resume(path, data, config(**settings)), save=saving(path))
+    assert_equal(weights(straight.network), weights(resumed.network))
+    np.testing.assert_array_equal(straight.history, resumed.history)
+    assert_equal(load_file(state_path(tmp_path / "straight.safetensors")), load_file(state_path(path)))
+    if supervision == "masks":
+        assert resumed.lambda_dropped_at == straight.lambda_dropped_at
+
+
+def test_a_resume_of_the_full_network_is_bit_for_bit_too(data: TrainingData, tmp_path: Path) -> None:
+    path = tmp_path / "base.safetensors"
+    straight = train(data, config(steps=2))
+    train(data, config(steps=1), save=saving(path))
+    assert_equal(weights(straight.network), weights(train(data, config(steps=2), resume(path, data, config())).network))
+
+
+def test_a_checkpoint_in_mid_training_is_one_that_refinement_can_read(
+    thin: None, data: TrainingData, tmp_path: Path
+) -> None:
+    path = tmp_path / "base.safetensors"
+    steps = []
+
+    def save(state: TrainingState, saved: NetworkConfig) -> None:
+        save_training(path, state, saved)
+        network, read = load_network(path)
+        assert_equal(weights(network), weights(state.network))
+        steps.append(read.steps)
+        assert (read.frame, read.supervision, read.points, read.training_set) == ("view", "points", 64, "three boxes")
+
+    train(data, config(steps=5), save=save, save_every=2)
+    assert steps == [2, 4, 5]
+
+
+def test_ctrl_c_finishes_the_step_and_writes_a_state_to_go_on_from(
+    thin: None, data: TrainingData, tmp_path: Path
+) -> None:
+    path = tmp_path / "base.safetensors"
+    before = signal.getsignal(signal.SIGINT)
+
+    def press(done: int, total: int, note: str) -> None:
+        if done == 2:
+            signal.raise_signal(signal.SIGINT)
+
+    result = train(data, config(), progress=press, save=saving(path))
+    assert (result.stop_reason, result.steps) == ("interrupted", 2)
+    assert signal.getsignal(signal.SIGINT) is before
+    resumed = train(data, config(), resume(path, data, config()))
+    assert_equal(weights(train(data, config()).network), weights(resumed.network))
+
+
+def test_a_second_ctrl_c_goes_through_at_once(thin: None, data: TrainingData) -> None:
+    def press(*_: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        train(data, config(), progress=press)
+
+
+def test_a_loss_that_is_no_number_stops_the_training_in_one_line(
+    thin: None, data: TrainingData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state = start(data, config())
+    with torch.no_grad():
+        state.network.decoder.layers[-1].bias.fill_(float("nan"))
+    monkeypatch.setattr("tso_cli.train.point_loss", lambda points, batch: (points.sum(), 0.0, 0.0))
+    with pytest.raises(TsoError, match=r"became nan in step 1 .*nothing was written"):
+        train(data, config(), state)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"learning_rate": 1e-4}, "trained with learning_rate 5e-05, this run asks for 0.0001"),
+        ({"points": 32}, "trained with points 64, this run asks for 32"),
+        ({"frame": "canonical"}, "trained with frame 'view'"),
+        ({"supervision": "masks"}, "trained with"),
+        ({"seed": 3}, "trained with seed 0"),
+    ],
+)
+def test_a_resume_with_other_settings_is_refused(
+    thin: None, data: TrainingData, tmp_path: Path, change: dict[str, Any], message: str
+) -> None:
+    train(data, config(steps=1), save=saving(tmp_path / "base.safetensors"))
+    with pytest.raises(InputError, match=message):
+        resume(tmp_path / "base.safetensors", data, config(**change))
+
+
+def test_a_resume_on_other_data_or_without_state_or_of_what_is_done_is_refused(
+    thin: None, data: TrainingData, tmp_path: Path
+) -> None:
+    path = tmp_path / "base.safetensors"
+    with pytest.raises(InputError, match=r"base.training.safetensors: does not exist"):
+        resume(path, data, config())
+    train(data, config(steps=2), save=saving(path))
+    with pytest.raises(InputError, match="2 steps are done already"):
+        train(data, config(steps=2), resume(path, data, config()))
+    with pytest.raises(InputError, match="other data"):
+        resume(path, TrainingData(make_objects(2), "three boxes"), config())
+    path.replace(state_path(path))
+    with pytest.raises(InputError, match="step in the training state is None"):
+        resume(path, data, config())
+
+
+def test_a_damaged_training_state_is_refused(thin: None, data: TrainingData, tmp_path: Path) -> None:
+    path = tmp_path / "base.safetensors"
+    train(data, config(steps=1), save=saving(path))
+    file = state_path(path)
+    tensors, metadata = load_file(file), _metadata(file)
+    good = json.loads(metadata["training"])
+    for state in ({**good, "schedule": 3}, {**good, "schedule": {**good["schedule"], "window": "x"}}, {**good, "step": -1}, {**good, "step": 7}):
+        save_file(tensors, file, {**metadata, "training": json.dumps(state)})
+        with pytest.raises(InputError, match=file.name):
+            resume(path, data, config())
+    tensors.pop("training.exp_avg.encoder.latent.weight")
+    save_file(tensors, file, metadata)
+    with pytest.raises(InputError, match="exp_avg.encoder.latent.weight is missing"):
+        resume(path, data, config())
+
+
+def _metadata(path: Path) -> dict[str, str]:
+    raw = path.read_bytes()
+    header = json.loads(raw[8 : 8 + int.from_bytes(raw[:8], "little")])
+    values: dict[str, str] = header["__metadata__"]
+    return values
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"steps": 0}, {"views": 0}, {"batch_size": -1}, {"seed": -1}, {"learning_rate": 0.0}, {"learning_rate": float("nan")},
+     {"sigma_sq": -0.4}, {"affinity_weight": -1.0}, {"supervision": "depth"}, {"frame": "world"}, {"affinity": "none"}],
+)  # fmt: skip
+def test_impossible_settings_are_refused(change: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="expected"):
+        config(**change)
+
+
+def test_more_supervising_views_than_there_are_is_refused(thin: None, data: TrainingData) -> None:
+    with pytest.raises(InputError, match="box0: has 4 views, expected at least the 5"):
+        train(data, config(supervision="masks", views=5))
+
+
+def test_an_empty_training_set_is_refused() -> None:
+    with pytest.raises(InputError, match="no object"):
+        TrainingData([], "nothing")
+
+
+def test_evaluation_of_a_perfect_prediction_is_zero(data: TrainingData) -> None:
+    class Oracle(torch.nn.Linear):
+        def forward(self, images: torch.Tensor) -> torch.Tensor:
+            return torch.from_numpy(data.objects[0].target).expand(len(images), -1, -1)
+
+    one = TrainingData(data.objects[:1], "one box")
+    forward, backward = evaluate(Oracle(1, 1), one, "canonical")  # type: ignore[arg-type]
+    assert forward == pytest.approx(0.0, abs=1e-12) and backward == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """The boxes as `tso render` would have written them."""
+    for item in make_objects(2):
+        views = []
+        for view in item.views:
+            image, mask = view.load()
+            views.append((image, (mask * 255).astype(np.uint8), view.camera))
+        write_object(tmp_path / "boxes" / item.name, views, item.target, item.target, {"seed": 0})
+    return tmp_path / "boxes"
+
+
+def run(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as stopped:
+        main(["train", *(str(argument) for argument in arguments)])
+    code = stopped.value.code
+    assert isinstance(code, int)
+    return code
+
+
+def test_a_rendered_folder_gives_the_batches_that_its_pictures_gave_in_memory(folder: Path) -> None:
+    read, made = from_folder(RenderedDataset(folder)), TrainingData(make_objects(2), "boxes")
+    one, other = (item.batch(0, 0, 2, 2, "view") for item in (read, made))
+    np.testing.assert_allclose(one.images, other.images, atol=1e-6)
+    np.testing.assert_allclose(one.masks, other.masks, atol=1e-6)
+    np.testing.assert_allclose(one.K, other.K)
+    np.testing.assert_allclose(one.targets, other.targets, atol=1e-6)
+
+
+def test_the_command_trains_on_a_folder_and_says_what_it_did(
+    thin: None, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output, log = tmp_path / "base.safetensors", tmp_path / "log.csv"
+    code = run(folder, "-o", output, "--steps", 4, "--batch-size", 2, "--points", 32, "--log", log, "--json",
+               "--supervision", "masks", "--views", 2)  # fmt: skip
+    assert code == 0
+    captured = capsys.readouterr()
+    document = json.loads(captured.out)
+    assert (document["steps"], document["stop_reason"], document["supervision"]) == (4, "max_steps", "masks")
+    assert document["chamfer_training"]["chamfer"] > 0
+    assert load_network(output)[1].settings["lambda"] == 0.01
+    lines = log.read_text().splitlines()
+    assert lines[0] == "step,loss,bce,affinity,lambda" and len(lines) == 5
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "base.safetensors", "base.training.safetensors", "boxes", "log.csv",
+    ]  # fmt: skip
+
+
+def test_ctrl_c_at_the_command_line_is_130_and_resume_goes_on(
+    thin: None, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    common = ["--steps", 4, "--batch-size", 2, "--points", 32]
+    assert run(folder, "-o", tmp_path / "straight.safetensors", *common) == 0
+    shown = options.ProgressBar.__call__
+
+    def press(bar: options.ProgressBar, done: int, total: int, note: str = "") -> None:
+        shown(bar, done, total, note)
+        if bar.label == "train" and done == 2:
+            signal.raise_signal(signal.SIGINT)
+
+    output = tmp_path / "base.safetensors"
+    with monkeypatch.context() as patch:
+        patch.setattr(options.ProgressBar, "__call__", press)
+        assert run(folder, "-o", output, *common) == 130
+    assert "interrupted after 2 of 4 steps" in capsys.readouterr().err
+    assert load_network(output)[1].steps == 2
+    assert run(folder, "-o", output, *common, "--resume") == 0
+    assert "resuming after 2 steps" in capsys.readouterr().err
+    assert output.read_bytes() == (tmp_path / "straight.safetensors").read_bytes()
+
+
+def test_the_command_refuses_in_one_line_and_writes_nothing(
+    thin: None, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "there.safetensors").write_bytes(b"mine")
+    cases: list[tuple[list[object], str]] = [
+        ([tmp_path / "none"], "none"),
+        ([folder, "-o", tmp_path / "there.safetensors"], "exists"),
+        ([folder, "-o", tmp_path / "missing" / "a.safetensors"], "missing"),
+        ([folder, "-o", tmp_path / "a.pth"], "expected a checkpoint name in .safetensors"),
+        ([folder, "-o", tmp_path / "a.safetensors", "--resume"], "a.training.safetensors: does not exist"),
+        ([folder, "-o", tmp_path / "a.safetensors", "--steps", 0], "steps is 0"),
+        ([folder, "-o", tmp_path / "a.safetensors", "--crop-share", 2], "crop share"),
+        ([folder, "-o", tmp_path / "a.safetensors", "--device", "cuda:99"], "cuda:99"),
+        ([folder, "-o", tmp_path / "a.safetensors", "--frame", "world"], "world"),
+    ]
+    before = sorted(tmp_path.iterdir())
+    for arguments, expected in cases:
+        if "-o" not in arguments:
+            arguments = [*arguments, "-o", tmp_path / "a.safetensors"]
+        assert run(*arguments) == 2, arguments
+        lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("tso: error:")]
+        assert len(lines) == 1 and expected in lines[0], (arguments, lines)
+    assert sorted(tmp_path.iterdir()) == before
+    assert (tmp_path / "there.safetensors").read_bytes() == b"mine"
+
+
+def test_the_shipped_meshes_and_examples_make_a_training_set() -> None:
+    pytest.importorskip("open3d")
+    from tso_cli.files.shipped import example_meshes
+    from tso_cli.train_data import from_meshes, shipped_examples
+
+    meshes = example_meshes()
+    assert {path.parent.name for path in meshes} == {"airplane", "car", "chair"}
+    rendered = from_meshes(meshes[:2], "two", views=2)
+    same = from_meshes(meshes[:2], "two", views=2)
+    assert rendered.fingerprint() == same.fingerprint()
+    np.testing.assert_array_equal(rendered.batch(0, 0, 2, 1, "view").images, same.batch(0, 0, 2, 1, "view").images)
+    unseen = shipped_examples()
+    assert [item.name for item in unseen.objects] == ["chair", "car", "airplane"]
+    forward, backward = evaluate(build_network(64), unseen, "view")
+    assert forward > 0 and backward > 0

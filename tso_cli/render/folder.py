@@ -1,0 +1,127 @@
+"""A mesh file, or a folder of them: rendered into a folder, object by object."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from .. import __version__
+from ..datasets.rendered import stored_record, write_object
+from ..errors import InputError
+from ..files.meshes import find_meshes, read_mesh
+from .objects import render_mesh
+from .viewpoints import RenderSettings
+
+
+@dataclass(frozen=True)
+class RenderSummary:
+    """What render_folder did.
+
+    written, skipped : names of the objects rendered now and of those that were there already; failed : name -> why not.
+    """
+
+    folder: Path
+    written: list[str] = field(default_factory=list)
+    skipped: list[str] = field(default_factory=list)
+    failed: dict[str, str] = field(default_factory=dict)
+
+
+def render_folder(
+    source: Path | str,
+    output: Path | str,
+    settings: RenderSettings,
+    seed: int = 0,
+    overwrite: bool = False,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> RenderSummary:
+    """Render a mesh, or every mesh of a folder, into ``output``/NAME as `datasets.rendered` describes.
+
+    NAME is the file's path below ``source`` without suffix. An object is written whole or not at all and depends only on its
+    mesh, its name, ``settings`` and ``seed``, so that a run that was stopped can be started again and goes on: what is there
+    and was made alike is skipped. A mesh of a folder that cannot be rendered is left out and named in ``failed``.
+
+    Parameters
+    ----------
+    progress : called with objects done, objects in all and the name of the last one.
+
+    Raises
+    ------
+    InputError
+        There is no mesh; ``output`` cannot be a folder; two meshes have one name; an object is there that other settings
+        made and ``overwrite`` is false; no mesh could be rendered.
+    TsoError
+        open3d is missing, or writing failed.
+    """
+    source, output = Path(source), Path(output)
+    if seed < 0:
+        raise InputError(f"seed is {seed}, expected 0 or more")
+    _check_folder(output)
+    meshes = _names(source, output)
+    record = {"tso": __version__, "seed": seed, **asdict(settings)}
+    summary = RenderSummary(output)
+    waiting = []
+    # All of what is there is looked at before the work starts: a clash of settings should not show after an hour.
+    for name, path in meshes.items():
+        found = stored_record(output / name)
+        if found is None or overwrite:
+            waiting.append((name, path))
+            continue
+        for key, value in record.items():
+            value = list(value) if isinstance(value, tuple) else value
+            if key != "tso" and found.get(key) != value:
+                raise InputError(
+                    f"{output / name}: was rendered with {key} {found.get(key)}, now it is {value}; "
+                    "expected the same settings, --overwrite or another output folder"
+                )
+        summary.skipped.append(name)
+    for done, (name, path) in enumerate(waiting):
+        try:
+            rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
+            rendered = render_mesh(read_mesh(path), settings, rng, name)
+        except InputError as error:
+            if len(meshes) == 1:
+                raise
+            summary.failed[name] = str(error) if str(path) in str(error) else f"{path}: {error}"
+        else:
+            views = [(view.image, view.mask, view.camera) for view in rendered.views]
+            write_object(output / name, views, rendered.samples, rendered.target, {"mesh": path.name, **record}, overwrite)
+            summary.written.append(name)
+        if progress is not None:
+            progress(done + 1, len(waiting), name)
+    if summary.failed and not (summary.written or summary.skipped):
+        raise InputError(f"none of {len(meshes)} meshes could be rendered, the first: {next(iter(summary.failed.values()))}")
+    return summary
+
+
+def _check_folder(output: Path) -> None:
+    if output.exists() and not output.is_dir():
+        raise InputError(f"{output}: is a file, expected the name of a folder to write to")
+    parent = output.resolve().parent
+    if not parent.is_dir():
+        raise InputError(f"{output}: the folder {parent} does not exist, expected one to write to")
+
+
+def _names(source: Path, output: Path) -> dict[str, Path]:
+    """Name of each object -> its mesh."""
+    if not source.is_dir():
+        return {source.stem: source}
+    inside = output.resolve()
+    meshes: dict[str, Path] = {}
+    for path in find_meshes(source):
+        if inside != source.resolve() and inside in path.resolve().parents:
+            continue  # written by an earlier run
+        name = path.relative_to(source).with_suffix("").as_posix()
+        if name in meshes:
+            raise InputError(f"{path}: would be rendered as {name}, as would {meshes[name]}; expected different names")
+        meshes[name] = path
+    for name, path in meshes.items():
+        above = next((parent.as_posix() for parent in Path(name).parents if parent.as_posix() in meshes), None)
+        if above is not None:
+            raise InputError(f"{path}: would be rendered inside {above}, made of {meshes[above]}; expected another name")
+    if not meshes:
+        raise InputError(f"{source}: no mesh in this folder beside those of {output}")
+    return meshes

@@ -1,0 +1,50 @@
+"""One mesh: all its pictures and its ground truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..files.meshes import Mesh
+from ..geometry import Array, farthest_point_sample, sample_surface
+from .rays import RayScene, RenderedView, render_view
+from .viewpoints import RenderSettings, sample_cameras
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedObject:
+    """Pictures and ground truth of one mesh, longest side 1.
+
+    samples : [S, 3] float32 points of the surface; target : [P, 3] float32, the farthest-point subset of them.
+    """
+
+    name: str
+    views: list[RenderedView]
+    samples: NDArray[np.float32]
+    target: NDArray[np.float32]
+
+
+def normalise(mesh: Mesh) -> Mesh:
+    """The mesh centred on the bounding box of its faces and scaled to longest side 1, without vertices no face uses."""
+    used, faces = np.unique(mesh.faces, return_inverse=True)
+    vertices = mesh.vertices[used]
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    vertices = (vertices - (low + high) / 2.0) / (high - low).max()
+    return Mesh(vertices, faces.reshape(mesh.faces.shape).astype(np.int64), mesh.colours)
+
+
+def ground_truth(mesh: Mesh, settings: RenderSettings, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Surface samples [samples, 3] and the farthest-point subset of them [points, 3]."""
+    samples = sample_surface(mesh.vertices, mesh.faces, settings.samples, rng)
+    return samples, samples[farthest_point_sample(samples, settings.points)]
+
+
+def render_mesh(mesh: Mesh, settings: RenderSettings, rng: np.random.Generator, name: str = "object") -> RenderedObject:
+    """Normalise ``mesh``, draw its views and its ground truth."""
+    mesh = normalise(mesh)
+    scene = RayScene(mesh)
+    views = [render_view(scene, camera, rng) for camera in sample_cameras(settings, mesh.vertices, rng)]
+    samples, target = ground_truth(mesh, settings, rng)
+    return RenderedObject(name, views, samples.astype(np.float32), target.astype(np.float32))
