@@ -14,8 +14,9 @@ import numpy as np
 
 from tso_cli.errors import InputError
 
-NASTY_NUMBERS = [b"0", b"1", b"-1", b"2", b"255", b"65536", b"2147483648", b"99999999999999999999", b"1" * 5000, b"1e400", b"nan"]
-NASTY_WORDS = [*NASTY_NUMBERS, b"-inf", b"", b"\x00", b"list", b"[", b"{}", b'""', b"null", b"true", b"x", b"(", b"\xff\xfe", b"\n", b"'"]
+NASTY_NUMBERS = [b"0", b"1", b"-1", b"2", b"255", b"65536", b"2147483648", b"99999999999999999999", b"1" * 5000]
+NASTY_NUMBERS += [b"1e400", b"nan", b"-inf"]
+NASTY_WORDS = [*NASTY_NUMBERS, b"", b"\x00", b"list", b"[", b"{}", b'""', b"null", b"true", b"x", b"(", b"\xff\xfe", b"\n"]
 BOUNDARIES = [0, 1, 2, 127, 128, 254, 255]
 
 

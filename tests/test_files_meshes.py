@@ -53,10 +53,13 @@ def test_every_format_gives_the_same_triangles(tmp_path: Path, suffix: str) -> N
     assert mesh.colours is None
 
 
-def test_vertices_keep_their_order_and_are_not_merged(tmp_path: Path) -> None:
+def test_faces_keep_their_order_and_their_corners(tmp_path: Path) -> None:
     path = tmp_path / "a.ply"
-    path.write_text(ply("0 0 0\n2 0 0\n0 3 0\n0 0 0\n"))
-    np.testing.assert_array_equal(read_mesh(path).vertices, [[0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 0]])
+    path.write_text(ply("0 0 0\n2 0 0\n0 3 0\n0 0 0\n", "3 0 2 1\n3 2 1 3\n"))
+    mesh = read_mesh(path)
+    np.testing.assert_array_equal(
+        mesh.vertices[mesh.faces], [[[0, 0, 0], [0, 3, 0], [2, 0, 0]], [[0, 3, 0], [2, 0, 0], [0, 0, 0]]]
+    )
 
 
 def test_a_quadrilateral_becomes_two_triangles(tmp_path: Path) -> None:
@@ -137,6 +140,8 @@ def test_a_bad_mesh_is_refused_in_one_line_that_names_it(tmp_path: Path, name: s
 def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="does not exist"):
         read_mesh(tmp_path / "a.ply")
+    with pytest.raises(InputError, match="does not exist"):
+        read_mesh(tmp_path / "nothing")
     with pytest.raises(InputError, match="is a folder"):
         read_mesh(tmp_path)
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import tso_cli
-from tso_cli import refinement
+from tso_cli import objective, refinement
 from tso_cli.camera import Camera
 from tso_cli.errors import InputError, TsoError
 from tso_cli.files.cameras import read_camera
@@ -94,6 +94,15 @@ def test_enlarging_mask_and_intrinsics_by_two_changes_nothing(chair):
     np.testing.assert_allclose(result.points, expected.points, atol=1e-4)
     assert result.sigma_sq == pytest.approx(4 * expected.sigma_sq)
     assert result.loss_after == pytest.approx(expected.loss_after, rel=1e-4)
+
+
+def test_working_at_the_kernels_own_resolution_loses_nothing_against_every_pixel(chair, monkeypatch):
+    points, mask, camera = chair
+    coarse = refine(points, mask, camera)
+    monkeypatch.setattr(objective, "RESOLVED_SIGMA_SQ", 1e9)
+    full = refine(points, mask, camera)
+    assert not np.array_equal(coarse.points, full.points)
+    assert _error(coarse.points) < 1.01 * _error(full.points)
 
 
 def test_the_result_is_the_best_iterate_and_the_start_is_a_candidate(chair):

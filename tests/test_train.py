@@ -395,7 +395,7 @@ def test_the_command_trains_on_a_folder_and_says_what_it_did(
     document = json.loads(captured.out)
     assert (document["steps"], document["stop_reason"], document["supervision"]) == (4, "max_steps", "masks")
     assert document["chamfer_training"]["chamfer"] > 0
-    assert load_network(output)[1].settings["lambda"] == 0.01
+    assert load_network(output)[1].settings["lambda"] == 1.0
     lines = log.read_text().splitlines()
     assert lines[0] == "step,loss,bce,affinity,lambda" and len(lines) == 5
     assert sorted(path.name for path in tmp_path.iterdir()) == [

@@ -60,7 +60,7 @@ class TrainConfig:
     batch_size: int = 16
     learning_rate: float = 5e-5
     views: int = 4
-    affinity_weight: float = 0.01
+    affinity_weight: float = 1.0
     affinity: str = "points"
     saturation_steps: int = 500
     sigma_sq: float = 0.4

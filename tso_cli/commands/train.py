@@ -31,7 +31,7 @@ STEPS, PAPER_RATE = 20_000, 5e-5
 @click.option("--steps", type=int, help=f"Adam steps in all.  [default: {STEPS}; {EXAMPLE_STEPS} without DATA]")
 @click.option("--batch-size", type=int, default=16, show_default=True, help="Objects a step.")
 @click.option("--learning-rate", type=float, help=f"Of Adam.  [default: {PAPER_RATE:g}; {EXAMPLE_RATE:g} without DATA]")
-@click.option("--lambda", "affinity_weight", type=float, default=0.01, show_default=True, help="Weight of the affinity loss, 0.02 of it once the loss saturates.")
+@click.option("--lambda", "affinity_weight", type=float, default=1.0, show_default=True, help="Weight of the affinity loss, 0.02 of it once the loss saturates.")
 @click.option("--affinity", type=click.Choice(["points", "paper"]), default="points", show_default=True, help="Form of the affinity loss.")
 @click.option("--sigma-sq", type=float, default=0.4, show_default=True, help="Variance of the projection's Gaussian, px^2 of the 64x64 mask.")
 @click.option("--points", type=int, default=1024, show_default=True, help="Points of the predicted cloud.")

@@ -29,11 +29,11 @@ FILE_LIMIT = 64 << 20
 _REQUIRED = ("width", "height", "K", "R", "t")
 _OPTIONAL = ("model", "mask", "image")
 _LARGEST = 1e15  # beyond it products of the entries say nothing any more
-# Names that other tools give to what is meant: ignoring such a key would silently use another camera.
-_MEANT = {
+# In small letters, the names above and those that others give to the same: to ignore one would silently use another camera.
+_MEANT = {key.casefold(): key for key in (*_REQUIRED, *_OPTIONAL, "views")} | {
     "intrinsics": "K", "intrinsic": "K", "intrinsic_matrix": "K", "camera_matrix": "K", "rotation": "R",
     "rotation_matrix": "R", "translation": "t", "tvec": "t", "w": "width", "h": "height", "camera_model": "model",
-    "projection": "model", "type": "model", "masks": "mask", "mask_path": "mask", "images": "image",
+    "projection": "model", "masks": "mask", "mask_path": "mask", "images": "image",
     "image_path": "image", "file_path": "image", "view": "views", "cameras": "views", "frames": "views",
 }  # fmt: skip
 
@@ -195,12 +195,11 @@ def _check_keys(path: Path, where: str, view: dict[str, Any], known: Sequence[st
     for key in view:
         if key in known:
             continue
-        folded = key.casefold()
-        meant = next((name for name in known if name.casefold() == folded), None) or _MEANT.get(folded)
-        if meant is not None and (meant in known or meant == "views"):
-            raise InputError(f"{path}: {where}{key[:40]} is not a key of camera files, expected {meant}")
-        if key in _REQUIRED or key == "views":
-            raise InputError(f"{path}: has both views and {key} beside each other, expected one form")
+        meant = _MEANT.get(key.casefold())
+        if meant == key:
+            raise InputError(f"{path}: the key {where}{key} is out of place, expected views or a single camera")
+        if meant is not None:
+            raise InputError(f"{path}: the key {where}{shown(key)} is not one of camera files, expected {meant}")
         ignored.add(key)
 
 

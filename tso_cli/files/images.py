@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
 PIXEL_LIMIT = 100_000_000
-FORMATS = ("PNG", "JPEG", "MPO", "TIFF", "WEBP", "GIF", "BMP", "PPM")
+FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "GIF", "BMP", "PPM")
 WRITABLE = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF", ".bmp": "BMP"}
 _FILE_LIMIT = 1 << 31
 _WITH_ALPHA = ("RGBA", "LA", "PA", "RGBa", "La")
@@ -124,8 +124,7 @@ def _decode(data: bytes, path: Path, what: str, convert: Any) -> NDArray[Any]:
     except InputError:
         raise
     except Image.UnidentifiedImageError:
-        names = ", ".join(name for name in FORMATS if name != "MPO")
-        raise InputError(f"{path}: is not a readable image, expected {what} ({names})") from None
+        raise InputError(f"{path}: is not a readable image, expected {what} ({', '.join(FORMATS)})") from None
     except Image.DecompressionBombError as error:
         raise InputError(f"{path}: {reason(error)}; expected at most {PIXEL_LIMIT:,} pixels") from None
     # Decoders fail on damaged files in many ways (struct.error, SyntaxError, KeyError, ...): all mean the same here.

@@ -62,7 +62,7 @@ def find_meshes(folder: Path | str) -> list[Path]:
 
 
 def read_mesh(path: Path | str) -> Mesh:
-    """Read a triangle mesh; vertices are neither merged nor moved, polygons become triangles.
+    """Read a triangle mesh; faces stay in order and vertices in place, polygons become triangles.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def read_mesh(path: Path | str) -> Mesh:
         face names a vertex that does not exist; all faces together have no area.
     """
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES and not path.is_dir():
+    if path.suffix.lower() not in SUFFIXES and path.is_file():
         raise InputError(f"{path}: the suffix is {path.suffix!a}, expected a mesh: {', '.join(SUFFIXES)}")
     content = read_bytes(path, f"a mesh ({', '.join(SUFFIXES)})")
     vertices, faces, colours = _parse(path, content)

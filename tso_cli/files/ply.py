@@ -138,9 +138,7 @@ class PlyFile:
                 bad = ~((lengths >= 0) & (lengths <= found) & (lengths == np.floor(lengths)))
                 if bad.any():
                     line, length = table.numbers[lines][bad.argmax()], lengths[bad.argmax()]
-                    raise InputError(
-                        f"{self.path}: line {line} has a list of {length:g} values, more than the line holds"
-                    )
+                    raise InputError(f"{self.path}: line {line} has a list of {length:g} values, more than the line holds")
                 expected += lengths.astype(np.int64)
             expected += 1
         wrong = found != expected
