@@ -122,7 +122,8 @@ def test_a_mesh_gives_points_of_its_surface_or_on_request_its_vertices(saved: Ca
     assert points.shape == (300, 3)
     assert len(np.unique(points, axis=0)) == 300
     assert (points[:, 2] == 0).all()
-    assert points.min() >= 0 and points.max() <= 2
+    assert points.min() >= 0
+    assert points.max() <= 2
     np.testing.assert_array_equal(points, read_shape(path, 300, seed=1))
     assert not np.array_equal(points, read_shape(path, 300, seed=2))
     assert sorted(read_shape(path, 300, as_vertices=True).tolist()) == [[0, 0, 0], [0, 2, 0], [2, 0, 0], [2, 2, 0]]

@@ -119,7 +119,7 @@ def test_centre_and_scale_are_those_of_the_bounding_box_not_of_the_points() -> N
 
 @pytest.mark.parametrize("points", [[[1.0, 2.0, 3.0]], [[1.0, 2.0, 3.0]] * 5, [[-1.7e308, 0, 0], [1.7e308, 0, 0]]])
 def test_a_cloud_without_a_measurable_extent_cannot_be_normalised(points: list[list[float]]) -> None:
-    with pytest.raises(InputError, match="a.ply: "):
+    with pytest.raises(InputError, match=r"a\.ply: "):
         bounding_box_normalisation(points, "a.ply")
 
 
@@ -135,7 +135,8 @@ def test_surface_samples_share_out_by_area() -> None:
     # Uniform within a square too: mean and variance of a uniform coordinate.
     np.testing.assert_allclose(points[upper, :2].mean(0), 1.5, atol=0.03)
     np.testing.assert_allclose(points[upper, :2].var(0), 9 / 12, atol=0.03)
-    assert points[upper, :2].min() >= 0 and points[upper, :2].max() <= 3
+    assert points[upper, :2].min() >= 0
+    assert points[upper, :2].max() <= 3
 
 
 @pytest.mark.parametrize("scale", [1e-170, 1e-20, 1.0, 1e20, 1e150])

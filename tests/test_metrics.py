@@ -112,15 +112,15 @@ def test_emd_bounds_both_directions_of_chamfer_from_above() -> None:
 
 def test_emd_of_a_moved_cloud_is_the_length_of_the_move() -> None:
     points = np.random.default_rng(6).normal(size=(40, 3))
-    assert emd(points, points + [0.0, 0.3, 0.4]) == pytest.approx(0.5)
-    assert emd(points, points + [0.0, 0.3, 0.4], squared=True) == pytest.approx(0.25)
+    assert emd(points, points + np.array([0.0, 0.3, 0.4])) == pytest.approx(0.5)
+    assert emd(points, points + np.array([0.0, 0.3, 0.4]), squared=True) == pytest.approx(0.25)
 
 
 def test_emd_refuses_clouds_of_different_or_excessive_size_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match=r"found 3 \(prediction\) and 2 \(target\).*--points 2"):
         emd(np.eye(3), np.eye(3)[:2])
     monkeypatch.setattr(metrics, "EMD_LIMIT", 2)
-    with pytest.raises(InputError, match="EMD of 3 points .*at most 2.*--points"):
+    with pytest.raises(InputError, match=r"EMD of 3 points .*at most 2.*--points"):
         emd(np.eye(3), np.eye(3))
 
 

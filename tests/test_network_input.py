@@ -10,7 +10,7 @@ import pytest
 from tso_cli.camera import Camera
 from tso_cli.errors import InputError
 from tso_cli.network_input import crop_box, network_input
-from tso_cli.resample import area_resize
+from tso_cli.resample import Box, area_resize
 from tso_cli.scene import View
 
 
@@ -20,7 +20,7 @@ def rectangle(height: int, width: int, rows: slice, columns: slice) -> View:
     return View(mask, Camera.canonical(width, height))
 
 
-def brute_force(array: np.ndarray, box: tuple[float, float, float, float], width: int, height: int) -> np.ndarray:
+def brute_force(array: np.ndarray, box: Box, width: int, height: int) -> np.ndarray:
     """Area averages by summing every overlap one by one."""
     left, top, right, bottom = box
     result = np.zeros((height, width))
@@ -31,16 +31,14 @@ def brute_force(array: np.ndarray, box: tuple[float, float, float, float], width
             total = area = 0.0
             for v in range(array.shape[0]):
                 for u in range(array.shape[1]):
-                    overlap = max(0.0, min(x1, u + 0.5) - max(x0, u - 0.5)) * max(
-                        0.0, min(y1, v + 0.5) - max(y0, v - 0.5)
-                    )
+                    overlap = max(0.0, min(x1, u + 0.5) - max(x0, u - 0.5)) * max(0.0, min(y1, v + 0.5) - max(y0, v - 0.5))
                     total, area = total + overlap * array[v, u], area + overlap
             result[j, i] = total / area if area else 0.0
     return result
 
 
 @pytest.mark.parametrize("box", [(0.2, 1.1, 6.7, 5.4), (-3.0, -2.0, 4.0, 9.0), (2.1, 2.2, 2.9, 3.7)])
-def test_area_resize_is_the_exact_average_when_shrinking_enlarging_and_reaching_outside(box) -> None:
+def test_area_resize_is_the_exact_average_when_shrinking_enlarging_and_reaching_outside(box: Box) -> None:
     array = np.random.default_rng(0).random((7, 8))
     values, _ = area_resize(array, box, 4, 3)
     np.testing.assert_allclose(values, brute_force(array, box, 4, 3), atol=1e-12)

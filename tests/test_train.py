@@ -22,9 +22,9 @@ from tso_cli.files.checkpoints import load_network
 from tso_cli.network import NetworkConfig, build_network
 from tso_cli.render import look_at
 from tso_cli.train import TrainConfig, evaluate, network_config, start, train
-from tso_cli.train_data import TrainingData, TrainingObject, TrainingView, from_folder
-from tso_cli.train_losses import DROP, AffinitySchedule, mask_loss, point_loss
-from tso_cli.train_state import TrainingState, load_training, save_training, state_path
+from tso_cli.train.data import TrainingData, TrainingObject, TrainingView, from_folder
+from tso_cli.train.losses import DROP, AffinitySchedule, mask_loss, point_loss
+from tso_cli.train.state import TrainingState, load_training, save_training, state_path
 
 CPU = torch.device("cpu")
 
@@ -214,9 +214,7 @@ def test_a_resume_of_the_full_network_is_bit_for_bit_too(data: TrainingData, tmp
     assert_equal(weights(straight.network), weights(train(data, config(steps=2), resume(path, data, config())).network))
 
 
-def test_a_checkpoint_in_mid_training_is_one_that_refinement_can_read(
-    thin: None, data: TrainingData, tmp_path: Path
-) -> None:
+def test_a_checkpoint_in_mid_training_is_one_that_refinement_can_read(thin: None, data: TrainingData, tmp_path: Path) -> None:
     path = tmp_path / "base.safetensors"
     steps = []
 
@@ -231,9 +229,7 @@ def test_a_checkpoint_in_mid_training_is_one_that_refinement_can_read(
     assert steps == [2, 4, 5]
 
 
-def test_ctrl_c_finishes_the_step_and_writes_a_state_to_go_on_from(
-    thin: None, data: TrainingData, tmp_path: Path
-) -> None:
+def test_ctrl_c_finishes_the_step_and_writes_a_state_to_go_on_from(thin: None, data: TrainingData, tmp_path: Path) -> None:
     path = tmp_path / "base.safetensors"
     before = signal.getsignal(signal.SIGINT)
 
@@ -262,8 +258,8 @@ def test_a_loss_that_is_no_number_stops_the_training_in_one_line(
 ) -> None:
     state = start(data, config())
     with torch.no_grad():
-        state.network.decoder.layers[-1].bias.fill_(float("nan"))
-    monkeypatch.setattr("tso_cli.train.point_loss", lambda points, batch: (points.sum(), 0.0, 0.0))
+        list(state.network.parameters())[-1].fill_(float("nan"))
+    monkeypatch.setattr("tso_cli.train.loop.point_loss", lambda points, batch: (points.sum(), 0.0, 0.0))
     with pytest.raises(TsoError, match=r"became nan in step 1 .*nothing was written"):
         train(data, config(), state)
 
@@ -307,9 +303,11 @@ def test_a_damaged_training_state_is_refused(thin: None, data: TrainingData, tmp
     train(data, config(steps=1), save=saving(path))
     file = state_path(path)
     tensors, metadata = load_file(file), _metadata(file)
-    good = json.loads(metadata["training"])
-    for state in ({**good, "schedule": 3}, {**good, "schedule": {**good["schedule"], "window": "x"}}, {**good, "step": -1}, {**good, "step": 7}):
-        save_file(tensors, file, {**metadata, "training": json.dumps(state)})
+    whole = json.loads(metadata["tso"])
+    good = whole["training"]
+    broken = {**good["schedule"], "window": "x"}
+    for change in ({"schedule": 3}, {"schedule": broken}, {"step": -1}, {"step": 7}):
+        save_file(tensors, file, {"tso": json.dumps({**whole, "training": {**good, **change}})})
         with pytest.raises(InputError, match=file.name):
             resume(path, data, config())
     tensors.pop("training.exp_avg.encoder.latent.weight")
@@ -455,7 +453,7 @@ def test_the_command_refuses_in_one_line_and_writes_nothing(
 def test_the_shipped_meshes_and_examples_make_a_training_set() -> None:
     pytest.importorskip("open3d")
     from tso_cli.files.shipped import example_meshes
-    from tso_cli.train_data import from_meshes, shipped_examples
+    from tso_cli.train.data import from_meshes, shipped_examples
 
     meshes = example_meshes()
     assert {path.parent.name for path in meshes} == {"airplane", "car", "chair"}

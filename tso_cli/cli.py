@@ -69,7 +69,7 @@ def main(arguments: list[str] | None = None) -> None:
         code = _fail("interrupted", 130)
     except BrokenPipeError:
         # The reader went away (`tso eval ... | head`); python would complain once more while closing stdout.
-        sys.stdout = None  # type: ignore[assignment]
+        sys.stdout = None
         code = 0
     except MemoryError:
         code = _fail("out of memory", 1)

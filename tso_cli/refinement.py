@@ -47,7 +47,7 @@ class RefineConfig:
     mode : "points" moves the points, "encoder" the encoder's weights, "encoder-decoder" all weights of the network.
     steps : Adam steps; 0 returns the start.
     learning_rate : None for the paper's 5e-4, 1e-6, 5e-6. In points mode it is stated for a cloud of longest side 1.
-    gamma : weight of the Chamfer distance to the initial cloud (of longest side 1); None for the paper's 1e6, in encoder mode 0.
+    gamma : weight of the Chamfer distance to the start (longest side 1); None for the paper's 1e6, in encoder mode 0.
     sigma_sq : variance of the projection's Gaussian, px^2 of the mask; None for 0.4 (max(W, H) / 64)^2.
     device : "cpu", "cuda", "auto" or any name torch knows.
     seed : of torch's random numbers during the loop.
@@ -155,6 +155,7 @@ def refine(
     views = as_views(masks, cameras)
     device = devices.resolve(config.device)
     with _timed(seconds, "prepare"):
+        start: _PointsStart | _NetworkStart
         if config.mode == "points":
             start = _PointsStart(points, device)
         else:
@@ -255,7 +256,7 @@ class _PointsStart:
         self.centre, self.scale = bounding_box_normalisation(self.initial, "points")
         normalised = (self.initial - self.centre) / self.scale
         self._moved = torch.tensor(normalised, dtype=torch.float32, device=device, requires_grad=True)
-        self.parameters = [self._moved]
+        self.parameters: list[Tensor] = [self._moved]
 
     def produce(self) -> Tensor:
         return self._moved
@@ -272,7 +273,7 @@ class _NetworkStart:
         moving = self._network.encoder if mode == "encoder" else self._network
         self._network.requires_grad_(False)
         moving.requires_grad_(True)
-        self.parameters = list(moving.parameters())
+        self.parameters: list[Tensor] = list(moving.parameters())
         with torch.no_grad():
             predicted = self._network(self._image)[0]
         self.initial = as_points(predicted.cpu().numpy(), "the network's prediction")

@@ -14,8 +14,8 @@ from . import options
 
 if TYPE_CHECKING:
     from ..train import TrainConfig, TrainResult
-    from ..train_data import TrainingData
-    from ..train_state import TrainingState
+    from ..train.data import TrainingData
+    from ..train.state import TrainingState
 
 # Without DATA: about two minutes on two cores, at a rate that gets somewhere in so few steps (both by measurement).
 EXAMPLE_STEPS, EXAMPLE_RATE = 600, 3e-4
@@ -24,22 +24,65 @@ STEPS, PAPER_RATE = 20_000, 5e-5
 
 @click.command("train", short_help="Train the network that predicts a cloud from a photo.")
 @click.argument("data", required=False, type=options.FilePath())
-@click.option("-o", "--output", type=options.FilePath(), default=Path("base.safetensors"), show_default=True, help="Checkpoint to write.")
-@click.option("--supervision", type=click.Choice(["points", "masks"]), default="points", show_default=True, help="Chamfer to the true points, or masks through the projector.")
-@click.option("--frame", type=click.Choice(["view", "canonical"]), default="view", show_default=True, help="Axes of the predicted points: the camera's, or the objects' own.")
+@click.option(
+    "-o", "--output", type=options.FilePath(), default=Path("base.safetensors"), show_default=True, help="Checkpoint to write."
+)
+@click.option(
+    "--supervision",
+    type=click.Choice(["points", "masks"]),
+    default="points",
+    show_default=True,
+    help="Chamfer to the true points, or masks through the projector.",
+)
+@click.option(
+    "--frame",
+    type=click.Choice(["view", "canonical"]),
+    default="view",
+    show_default=True,
+    help="Axes of the predicted points: the camera's, or the objects' own.",
+)
 @click.option("--views", type=int, default=4, show_default=True, help="Masks that supervise each object a step.")
 @click.option("--steps", type=int, help=f"Adam steps in all.  [default: {STEPS}; {EXAMPLE_STEPS} without DATA]")
 @click.option("--batch-size", type=int, default=16, show_default=True, help="Objects a step.")
 @click.option("--learning-rate", type=float, help=f"Of Adam.  [default: {PAPER_RATE:g}; {EXAMPLE_RATE:g} without DATA]")
-@click.option("--lambda", "affinity_weight", type=float, default=1.0, show_default=True, help="Weight of the affinity loss, 0.02 of it once the loss saturates.")
-@click.option("--affinity", type=click.Choice(["points", "paper"]), default="points", show_default=True, help="Form of the affinity loss.")
-@click.option("--sigma-sq", type=float, default=0.4, show_default=True, help="Variance of the projection's Gaussian, px^2 of the 64x64 mask.")
+@click.option(
+    "--lambda",
+    "affinity_weight",
+    type=float,
+    default=1.0,
+    show_default=True,
+    help="Weight of the affinity loss, 0.02 of it once the loss saturates.",
+)
+@click.option(
+    "--affinity", type=click.Choice(["points", "paper"]), default="points", show_default=True, help="Form of the affinity loss."
+)
+@click.option(
+    "--sigma-sq",
+    type=float,
+    default=0.4,
+    show_default=True,
+    help="Variance of the projection's Gaussian, px^2 of the 64x64 mask.",
+)
 @click.option("--points", type=int, default=1024, show_default=True, help="Points of the predicted cloud.")
-@click.option("--crop-share", type=float, default=0.9, show_default=True, help="Share of the input's side that the object takes up.")
-@click.option("--background", type=click.Choice(["black", "white", "keep"]), default="black", show_default=True, help="What stands around the object in the input.")
+@click.option(
+    "--crop-share", type=float, default=0.9, show_default=True, help="Share of the input's side that the object takes up."
+)
+@click.option(
+    "--background",
+    type=click.Choice(["black", "white", "keep"]),
+    default="black",
+    show_default=True,
+    help="What stands around the object in the input.",
+)
 @options.seed
 @options.device
-@click.option("--checkpoint-every", type=click.IntRange(min=0), default=500, show_default=True, help="Steps between checkpoints; 0: only at the end.")
+@click.option(
+    "--checkpoint-every",
+    type=click.IntRange(min=0),
+    default=500,
+    show_default=True,
+    help="Steps between checkpoints; 0: only at the end.",
+)
 @click.option("--resume", is_flag=True, help="Go on from the state beside the checkpoint.")
 @options.overwrite
 @click.option("--log", "log_file", type=options.FilePath(), help="Losses of every step, .csv.")
@@ -77,7 +120,7 @@ def command(
     )
     from .. import device as devices
     from ..train import network_config
-    from ..train_state import load_training, save_training, write_history
+    from ..train.state import load_training, save_training, write_history
 
     device = devices.resolve(config.device)
     training = _load(data, crop_share, background)
@@ -92,9 +135,7 @@ def command(
             write_history(log_file, current.history, config.supervision)
 
     prepared = time.perf_counter()
-    result = train(
-        training, config, state, progress=options.ProgressBar("train"), save=save, save_every=checkpoint_every
-    )
+    result = train(training, config, state, progress=options.ProgressBar("train"), save=save, save_every=checkpoint_every)
     trained = time.perf_counter()
     document = _document(result, config, output, training, data is None)
     document["seconds"] = {"prepare": prepared - started, "train": trained - prepared, "judge": time.perf_counter() - trained}
@@ -124,7 +165,7 @@ def _check_outputs(output: Path, log_file: Path | None, resume: bool, overwrite:
 
 
 def _load(folder: Path | None, crop_share: float, background: str) -> TrainingData:
-    from ..train_data import from_folder, from_meshes
+    from ..train.data import from_folder, from_meshes
 
     if folder is not None:
         from ..datasets.rendered import RenderedDataset
@@ -142,8 +183,8 @@ def _document(
     result: TrainResult, config: TrainConfig, output: Path, training: TrainingData, on_examples: bool
 ) -> dict[str, Any]:
     from ..train import evaluate
-    from ..train_data import shipped_examples
-    from ..train_state import state_path
+    from ..train.data import shipped_examples
+    from ..train.state import state_path
 
     def judged(data: TrainingData) -> dict[str, float]:
         forward, backward = evaluate(result.network, data, config.frame)

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from ..network import BaseNetwork, NetworkConfig
 
 FORMAT = "tso-network-1"
+# One key: with several, safetensors writes them in an order that differs from run to run.
+METADATA_KEY = "tso"
 STATE_PREFIX = "training."
 MOST_POINTS = 1_000_000
 
@@ -41,9 +43,8 @@ def save_tensors(
 
     path = Path(path)
     check_output(path, overwrite)
-    metadata = {"format": FORMAT, "config": json.dumps(dataclasses.asdict(config), sort_keys=True, allow_nan=False)}
-    if state:
-        metadata["training"] = json.dumps(state, sort_keys=True, allow_nan=False)
+    about = {"format": FORMAT, "config": dataclasses.asdict(config), **({"training": state} if state else {})}
+    metadata = {METADATA_KEY: json.dumps(about, sort_keys=True, allow_nan=False)}
     with atomic_output(path) as temporary:
         save_file({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, temporary, metadata)
 
@@ -92,11 +93,21 @@ def read_metadata(path: Path | str) -> tuple[NetworkConfig, dict[str, Any]]:
             metadata = file.metadata() or {}
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(f"{path}: {_damage(error)}, expected a whole safetensors file") from None
-    if metadata.get("format") != FORMAT:
-        found = shown(metadata["format"]) if "format" in metadata else "missing"
+    if METADATA_KEY not in metadata:
+        raise InputError(f"{path}: a safetensors file without {METADATA_KEY!r} in its metadata, expected one of tso train")
+    try:
+        about = json.loads(metadata[METADATA_KEY])
+    except (ValueError, RecursionError):
+        raise InputError(f"{path}: the metadata is {shown(metadata[METADATA_KEY])}, expected JSON") from None
+    if not isinstance(about, dict) or about.get("format") != FORMAT:
+        found = shown(about.get("format")) if isinstance(about, dict) else shown(about)
         raise InputError(f"{path}: the format in the metadata is {found}, expected {FORMAT!r} (as tso train writes it)")
-    state = _json_object(path, metadata, "training") if "training" in metadata else {}
-    return _config(path, _json_object(path, metadata, "config")), state
+    for key in ("config", "training"):
+        if not isinstance(about.get(key, {}), dict):
+            raise InputError(f"{path}: {key!r} in the metadata is {shown(about[key])}, expected a JSON object")
+    if "config" not in about:
+        raise InputError(f"{path}: the metadata has no 'config', expected the network's configuration")
+    return _config(path, about["config"]), about.get("training", {})
 
 
 def _refuse_other_files(path: Path) -> None:
@@ -131,18 +142,6 @@ def _damage(error: Exception) -> str:
     text = reason(error).removeprefix("Error while deserializing header: ")
     cut = "incomplete metadata" in text or "invalid header length" in text
     return f"{'truncated or ' if cut else ''}damaged ({shown(text)})"
-
-
-def _json_object(path: Path, metadata: dict[str, str], key: str) -> dict[str, Any]:
-    if key not in metadata:
-        raise InputError(f"{path}: the metadata has no {key!r}, expected the network's configuration")
-    try:
-        value = json.loads(metadata[key])
-    except (ValueError, RecursionError):
-        raise InputError(f"{path}: {key!r} in the metadata is {shown(metadata[key])}, expected JSON") from None
-    if not isinstance(value, dict):
-        raise InputError(f"{path}: {key!r} in the metadata is {shown(value)}, expected a JSON object")
-    return value
 
 
 def _config(path: Path, values: dict[str, Any]) -> NetworkConfig:
@@ -190,7 +189,7 @@ def _read_tensors(path: Path, expected: dict[str, tuple[int, ...]], belongs: Any
     tensors = {}
     try:
         with safe_open(path, framework="pt") as file:
-            found = {name: tuple(file.get_slice(name).get_shape()) for name in file.keys() if belongs(name)}
+            found = {name: tuple(file.get_slice(name).get_shape()) for name in file.keys() if belongs(name)}  # noqa: SIM118
             for name, shape in expected.items():
                 if name not in found:
                     raise InputError(f"{path}: tensor {name} is missing, expected shape {list(shape)}")

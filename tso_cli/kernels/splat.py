@@ -101,7 +101,8 @@ class _Windowed(torch.autograd.Function):
         height, width, sigma_sq = ctx.geometry
         grad_sums = grad_outputs[0].flatten()
         grads = []
-        for part in _chunks(*valid.shape, sigma_sq):
+        images, count = valid.shape
+        for part in _chunks(images, count, sigma_sq):
             wx, wy, dx, dy, flat = _taps(points_px[:, part], valid[:, part], height, width, sigma_sq)
             grad_taps = grad_sums[flat]  # [M, n, k, k]
             # d/dx exp(-dx^2 / 2 sigma^2) = -dx / sigma^2 times the weight itself

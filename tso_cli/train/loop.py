@@ -9,19 +9,20 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from . import __version__
-from . import device as devices
-from .errors import InputError, TsoError
-from .losses import chamfer
-from .network import FRAMES, SUPERVISIONS, BaseNetwork, NetworkConfig, build_network
-from .train_data import TrainingData
-from .train_losses import AffinitySchedule, mask_loss, point_loss
-from .train_state import TrainingState, new_state
+from .. import __version__
+from .. import device as devices
+from ..errors import InputError, TsoError
+from ..losses import chamfer
+from ..network import FRAMES, SUPERVISIONS, BaseNetwork, NetworkConfig, build_network
+from .data import TrainingData
+from .losses import AffinitySchedule, mask_loss, point_loss
+from .state import TrainingState, new_state
 
 Progress = Callable[[int, int, str], None]
 Save = Callable[[TrainingState, NetworkConfig], None]
@@ -72,9 +73,11 @@ class TrainConfig:
         for name, allowed in (("supervision", SUPERVISIONS), ("frame", FRAMES), ("affinity", AFFINITIES)):
             if getattr(self, name) not in allowed:
                 raise InputError(f"{name} is {getattr(self, name)!r}, expected {' or '.join(allowed)}")
-        for name, lowest in (("steps", 1), ("batch_size", 1), ("views", 1), ("saturation_steps", 1), ("points", 1), ("seed", 0)):
-            if getattr(self, name) < lowest:
-                raise InputError(f"{name} is {getattr(self, name)}, expected {lowest} or more")
+        for name in ("steps", "batch_size", "views", "saturation_steps", "points"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} is {getattr(self, name)}, expected 1 or more")
+        if self.seed < 0:
+            raise InputError(f"seed is {self.seed}, expected 0 or more")
         for name in ("learning_rate", "sigma_sq"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise InputError(f"{name} is {getattr(self, name):g}, expected a finite number above 0")
@@ -105,7 +108,7 @@ class TrainResult:
 
 def network_config(data: TrainingData, config: TrainConfig, steps: int) -> NetworkConfig:
     """What a checkpoint after ``steps`` steps says of itself."""
-    settings = {"batch_size": config.batch_size, "learning_rate": config.learning_rate}
+    settings: dict[str, Any] = {"batch_size": config.batch_size, "learning_rate": config.learning_rate}
     if config.supervision == "masks":
         settings |= {"views": config.views, "lambda": config.affinity_weight, "affinity": config.affinity}
         settings |= {"saturation_steps": config.saturation_steps}
@@ -144,7 +147,7 @@ def train(
 
     Parameters
     ----------
-    state : where to go on (`train_state.load_training`); None starts anew.
+    state : where to go on (`state.load_training`); None starts anew.
     progress : called after every step with (step, steps, note).
     save : called with the state every ``save_every`` steps (0: never) and at the end.
 
@@ -195,7 +198,7 @@ def train(
         finished = network_config(data, config, state.step)
         if save:
             save(state, finished)
-    network = copy.deepcopy(state.network).to("cpu", memory_format=torch.contiguous_format).eval()
+    network = copy.deepcopy(state.network).cpu().to(memory_format=torch.contiguous_format).eval()  # type: ignore[call-overload]
     return TrainResult(
         network,
         finished,

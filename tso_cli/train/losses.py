@@ -9,10 +9,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .errors import InputError
-from .losses import affinity, chamfer, silhouette_bce
-from .projection import CameraBatch, cheaper_kernel, project, silhouette_sums
-from .train_data import Batch
+from ..errors import InputError
+from ..losses import affinity, chamfer, silhouette_bce
+from ..projection import CameraBatch, cheaper_kernel, project, silhouette_sums
+from .data import Batch
 
 # The supplement: "reduced to 0.02 of its initial value upon loss saturation".
 DROP = 0.02
@@ -29,9 +29,7 @@ def point_loss(points: Tensor, batch: Batch) -> tuple[Tensor, float, float]:
     return ahead + back, float(ahead.detach()), float(back.detach())
 
 
-def mask_loss(
-    points: Tensor, batch: Batch, sigma_sq: float, weight: float, form: str
-) -> tuple[Tensor, float, float]:
+def mask_loss(points: Tensor, batch: Batch, sigma_sq: float, weight: float, form: str) -> tuple[Tensor, float, float]:
     """BCE + weight * affinity (Eq. 4 to 6) of predicted points [B, N, 3], summed over views, mean over the batch.
 
     The crop holds the whole object. A point that falls beyond its edge, where no pixel speaks against it, is an outlier too:

@@ -10,11 +10,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .errors import InputError
-from .files.checkpoints import STATE_PREFIX, load_network, load_state, read_metadata, save_network, save_tensors
-from .files.reading import shown
-from .network import BaseNetwork, NetworkConfig
-from .train_losses import AffinitySchedule
+from ..errors import InputError
+from ..files.checkpoints import STATE_PREFIX, load_network, load_state, read_metadata, save_network, save_tensors
+from ..files.reading import shown
+from ..network import BaseNetwork, NetworkConfig
+from .losses import AffinitySchedule
 
 MOMENTS = ("exp_avg", "exp_avg_sq")
 # Columns of the history: the loss, its two terms (forward and backward, or BCE and affinity), lambda.
@@ -97,7 +97,7 @@ def new_state(
     network: BaseNetwork, config: NetworkConfig, schedule: AffinitySchedule, fingerprint: str, device: torch.device
 ) -> TrainingState:
     """A training at its start. Convolutions run a third faster on the CPU with channels last."""
-    network = network.to(device, memory_format=torch.channels_last).train()
+    network = network.to(device).to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
     optimiser = torch.optim.Adam(network.parameters(), lr=config.settings["learning_rate"])
     return TrainingState(network, optimiser, schedule, [], fingerprint)
 
@@ -127,7 +127,7 @@ def _require_same(path: Path, stored: NetworkConfig, asked: NetworkConfig) -> No
 
 def write_history(path: Path, history: list[tuple[float, float, float, float]], supervision: str) -> None:
     """All losses so far as a table, one line a step; the file is replaced whole."""
-    from .files.output import atomic_output
+    from ..files.output import atomic_output
 
     terms = "bce,affinity,lambda" if supervision == "masks" else "forward,backward"
     lines = [f"step,loss,{terms}"]

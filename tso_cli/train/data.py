@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from .camera import CANONICAL_ROTATION, Camera
-from .errors import InputError
-from .geometry import normalise_longest_side
-from .network_input import NetworkInput, network_input
-from .scene import View
+from ..camera import CANONICAL_ROTATION, Camera
+from ..errors import InputError
+from ..geometry import normalise_longest_side
+from ..network_input import NetworkInput, network_input
+from ..scene import View
 
 if TYPE_CHECKING:
-    from .datasets.rendered import RenderedDataset
+    from ..datasets.rendered import RenderedDataset
 
 Floats = NDArray[np.float32]
 # Prepared views kept in memory; the rest is read again when it is needed.
@@ -183,8 +183,8 @@ def from_meshes(
     size: int = EXAMPLE_SIZE,
 ) -> TrainingData:
     """Meshes rendered in memory; the pictures of each depend on ``seed`` and its place in the list alone."""
-    from .files.meshes import read_mesh
-    from .render import RenderSettings, render_mesh
+    from ..files.meshes import read_mesh
+    from ..render import RenderSettings, render_mesh
 
     settings = RenderSettings(views=views, size=(size, size))
     objects = []
@@ -203,10 +203,10 @@ def from_meshes(
 
 def shipped_examples(crop_share: float = 0.9, background: str = "black") -> TrainingData:
     """The pictures of the shipped examples with their true shapes: unseen by a network trained on the shipped meshes."""
-    from .files.cameras import read_camera
-    from .files.clouds import read_cloud
-    from .files.images import read_image, read_mask
-    from .files.shipped import CATEGORIES, examples_folder
+    from ..files.cameras import read_camera
+    from ..files.clouds import read_cloud
+    from ..files.images import read_image, read_mask
+    from ..files.shipped import CATEGORIES, examples_folder
 
     objects = []
     for category in CATEGORIES:

@@ -1,0 +1,7 @@
+"""Training the network that predicts a cloud from a photo."""
+
+from __future__ import annotations
+
+from .loop import TrainConfig, TrainResult, evaluate, network_config, start, train
+
+__all__ = ["TrainConfig", "TrainResult", "evaluate", "network_config", "start", "train"]
