@@ -49,6 +49,8 @@ def assert_reads_or_refuses(
     victim = path.with_name("damaged" + path.suffix)
     was_read = refused = 0
     for i, data in enumerate(corruptions(good, count, seed)):
+        # A new file each time: some file systems wait for the disk when a file is written over.
+        victim.unlink(missing_ok=True)
         victim.write_bytes(repair(data) if repair is not None and i % 2 else data)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")

@@ -211,6 +211,6 @@ def test_any_damage_is_read_or_refused_in_one_line(save, form):
             assert np.isfinite(record.camera.K).all()
             assert np.abs(record.camera.R @ record.camera.R.T - np.eye(3)).max() < 2e-3
 
-    was_read, refused = assert_reads_or_refuses(read, path, count=1000)
+    was_read, refused = assert_reads_or_refuses(read, path, count=600)
     assert was_read > 10
-    assert refused > 300
+    assert refused > 200

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from tso_cli.errors import InputError, TsoError
+from tso_cli.errors import InputError
 from tso_cli.files.output import atomic_output, check_output
 
 
@@ -51,7 +51,7 @@ def test_a_name_that_cannot_be_is_refused_in_one_line(tmp_path):
     for name in ("a" * 5000, "nul\0byte"):
         with pytest.raises(InputError, match="cannot be written"):
             check_output(tmp_path / name, overwrite=False)
-        with pytest.raises(TsoError, match="cannot be written"), atomic_output(tmp_path / name):
+        with pytest.raises(InputError, match="cannot be written"), atomic_output(tmp_path / name):
             pass
 
 
@@ -90,9 +90,11 @@ def test_a_full_disk_is_one_line_that_names_the_output(tmp_path):
             temporary.write_text("half")
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(temporary))
 
-    with pytest.raises(TsoError, match=r"out\.txt: cannot be written \(No space left on device\), nothing was kept$") as caught:
+    with pytest.raises(
+        InputError, match=r"out\.txt: cannot be written \(No space left on device\), nothing was kept$"
+    ) as caught:
         write()
-    assert caught.value.exit_code == 1
+    assert caught.value.exit_code == 2
     assert list(tmp_path.iterdir()) == []
 
 
@@ -109,7 +111,7 @@ def test_a_real_limit_on_file_size_leaves_nothing_behind(tmp_path):
     run = subprocess.run(
         [sys.executable, "-c", program, str(tmp_path / "big.ply")], capture_output=True, text=True, check=False
     )
-    assert run.stdout.startswith("TsoError"), run.stderr
+    assert run.stdout.startswith("InputError"), run.stderr
     assert "big.ply: cannot be written (File too large)" in run.stdout
     assert list(tmp_path.iterdir()) == []
 

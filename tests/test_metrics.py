@@ -72,7 +72,8 @@ def test_f_score_counts_points_with_a_near_counterpart(prediction: np.ndarray, t
 
 
 def test_f_score_leaves_the_bound_itself_out() -> None:
-    assert f_score([[0.0, 0, 0]], [[0.5, 0, 0]], 0.5).f_score == 0.0
+    at_bound = f_score([[0.0, 0, 0]], [[0.5, 0, 0]], 0.5)
+    assert (at_bound.precision, at_bound.recall, at_bound.f_score) == (0.0, 0.0, 0.0)
     assert f_score([[0.0, 0, 0]], [[0.5, 0, 0]], 0.500001).f_score == 1.0
 
 

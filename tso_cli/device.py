@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from .errors import InputError
@@ -26,3 +28,22 @@ def resolve(name: str) -> torch.device:
         found = f"{torch.cuda.device_count()} CUDA devices" if torch.cuda.is_available() else "no CUDA device"
         raise InputError(f"--device {name}: not available here (found the CPU and {found})") from None
     return device
+
+
+@contextmanager
+def one_thread(when: bool) -> Iterator[None]:
+    """Let torch use one CPU thread inside the block if ``when``; its own number is restored after.
+
+    A step on a small cloud is a hundred operations of some microseconds each. Sharing them between threads gains nothing
+    on an idle machine, and on a busy one the threads wait for one another: five to ten times slower.
+    """
+    import torch
+
+    before = torch.get_num_threads()
+    if when:
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        if when:
+            torch.set_num_threads(before)

@@ -34,6 +34,9 @@ MODES = ("points", "encoder", "encoder-decoder")
 PAPER_LEARNING_RATE = {"points": 5e-4, "encoder": 1e-6, "encoder-decoder": 5e-6}
 PAPER_GAMMA = {"points": 1e6, "encoder": 0.0, "encoder-decoder": 1e6}
 
+# Clouds up to this size are moved by one CPU thread.
+SMALL_CLOUD = 8192
+
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, float], None]
 
@@ -172,7 +175,8 @@ def refine(
         loss = mask_term(moved)
         return loss + gamma * chamfer(moved) if gamma else loss
 
-    with _timed(seconds, "optimise"), torch.random.fork_rng(devices=[]):
+    small = len(first) <= SMALL_CLOUD
+    with _timed(seconds, "optimise"), torch.random.fork_rng(devices=[]), devices.one_thread(small and network is None):
         torch.manual_seed(config.seed)
         best, best_step, losses, stop_reason = _descend(
             start.produce, start.parameters, objective, config.steps, learning_rate, progress
@@ -180,7 +184,7 @@ def refine(
     # What did not move keeps every bit of the input.
     refined = start.initial + start.scale * (best.double() - first.double()).cpu().numpy()
     first_camera = views[0].camera
-    with _timed(seconds, "judge"):
+    with _timed(seconds, "judge"), devices.one_thread(small):
         before, after = (float(np.mean([_view_iou(p, v, config.sigma_sq) for v in views])) for p in (start.initial, refined))
         moved_by = float(chamfer(best))
     return RefineResult(

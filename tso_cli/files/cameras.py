@@ -130,9 +130,7 @@ def write_cameras(path: str | Path, records: Sequence[CameraRecord], overwrite: 
     Raises
     ------
     InputError
-        ``path`` cannot be written to.
-    TsoError
-        Writing failed; nothing is written then.
+        ``path`` cannot be written.
     """
     path = Path(path)
     check_output(path, overwrite)

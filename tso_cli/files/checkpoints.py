@@ -39,14 +39,15 @@ def save_tensors(
     path: Path | str, tensors: dict[str, Tensor], config: NetworkConfig, state: dict[str, Any], overwrite: bool = False
 ) -> None:
     """Write network tensors, ``training.*`` tensors and the JSON-able training ``state`` to one file."""
-    from safetensors.torch import save_file
+    from safetensors.torch import save
 
     path = Path(path)
     check_output(path, overwrite)
     about = {"format": FORMAT, "config": dataclasses.asdict(config), **({"training": state} if state else {})}
     metadata = {METADATA_KEY: json.dumps(about, sort_keys=True, allow_nan=False)}
     with atomic_output(path) as temporary:
-        save_file({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, temporary, metadata)
+        # Not save_file: it would make the file readable for its owner alone.
+        temporary.write_bytes(save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, metadata))
 
 
 def load_network(path: Path | str) -> tuple[BaseNetwork, NetworkConfig]:

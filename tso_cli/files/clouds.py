@@ -93,9 +93,9 @@ def write_cloud(
     Raises
     ------
     InputError
-        ``path`` cannot be written to or is not a .ply, or ``points`` are not as many as those of ``like``.
+        ``path`` is not a .ply or cannot be written, or ``points`` are not as many as those of ``like``.
     TsoError
-        A coordinate is not finite, or writing failed; nothing is written then.
+        A coordinate is not finite or too large for its type. Nothing is written then.
     """
     path = Path(path)
     if path.suffix.lower() != ".ply":

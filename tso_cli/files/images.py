@@ -79,9 +79,7 @@ def write_image(path: str | Path, array: NDArray[np.uint8], overwrite: bool = Fa
     Raises
     ------
     InputError
-        ``path`` cannot be written to, or its suffix is not that of an image format that can hold ``array``.
-    TsoError
-        Writing failed; nothing is written then.
+        ``path`` cannot be written, or its suffix is not that of an image format that can hold ``array``.
     """
     path = Path(path)
     suffix = path.suffix.lower()

@@ -47,7 +47,7 @@ def atomic_output(path: Path) -> Iterator[Path]:
 
     Raises
     ------
-    TsoError
+    InputError
         Writing failed (disk full, no permission); the message names ``path``.
     """
     path = Path(path)

@@ -15,6 +15,7 @@ from .text import Integers, TextTable
 
 Points = NDArray[np.float64]
 AXES = ("x", "y", "z")
+_CHUNK = 1 << 16  # points of a text rewritten at a time
 
 
 class PlyFile:
@@ -153,27 +154,33 @@ class PlyFile:
     def _text(self, old: Points, points: Points) -> bytes:
         assert self._table is not None
         assert self._words is not None
-        words = np.empty(points.shape, dtype=object)
-        changed = np.zeros(points.shape, dtype=bool)
-        for k in range(3):
-            with np.errstate(over="ignore"):
-                single, single_old = points[:, k].astype(np.float32), old[:, k].astype(np.float32)
-            narrow = self.kinds[k] == "f4" and np.array_equal(single_old.astype("S32").astype(np.float64), old[:, k])
-            changed[:, k] = single != single_old if narrow else points[:, k] != old[:, k]
-            moved = changed[:, k]
-            words[moved, k] = (
-                single[moved].astype("S32").tolist()
-                if narrow
-                else [repr(value).encode() for value in points[moved, k].tolist()]
-            )
-        index = self._words[changed]
-        order = np.argsort(index)
-        pieces = []
+        narrow = [self.kinds[k] == "f4" and _is_single(old[:, k]) for k in range(3)]
+        out = bytearray()
         at = self.header.size
-        source = memoryview(self.data)
-        begins, ends = self._table.starts[index][order].tolist(), self._table.ends[index][order].tolist()
-        for begin, end, word in zip(begins, ends, words[changed][order].tolist(), strict=True):
-            pieces += [source[at:begin], word]
-            at = end
-        pieces.append(source[at:])
-        return b"".join(pieces)
+        for begin in range(0, len(points), _CHUNK):
+            part = slice(begin, begin + _CHUNK)
+            found: list[tuple[int, int, bytes]] = []
+            for k in range(3):
+                new, was = points[part, k], old[part, k]
+                if narrow[k]:
+                    new, was = new.astype(np.float32), was.astype(np.float32)
+                moved = new != was
+                index = self._words[part, k][moved]
+                digits = new[moved].astype("S32").tolist() if narrow[k] else [repr(v).encode() for v in new[moved].tolist()]
+                found += zip(self._table.starts[index].tolist(), self._table.ends[index].tolist(), digits, strict=True)
+            for start, end, word in sorted(found):
+                out += self.data[at:start]
+                out += word
+                at = end
+        return bytes(out + self.data[at:])
+
+
+def _is_single(values: Points) -> bool:
+    """Whether numbers read from text have no more digits than their nearest float32 needs."""
+    for begin in range(0, len(values), _CHUNK):
+        part = values[begin : begin + _CHUNK]
+        with np.errstate(over="ignore"):
+            single = part.astype(np.float32)
+        if not np.array_equal(single.astype("S32").astype(np.float64), part):
+            return False
+    return True
