@@ -61,7 +61,7 @@ def test_network_and_configuration_come_back_as_they_were_saved(checkpoint: Path
     for name, tensor in original.state_dict().items():
         assert torch.equal(tensor, network.state_dict()[name]), name
     image = torch.rand(1, 3, 64, 64)
-    assert torch.equal(network(image), original(image))
+    torch.testing.assert_close(network(image), original(image))
 
 
 def test_a_loaded_network_can_be_trained_on_and_does_not_change_its_file(checkpoint: Path) -> None:
@@ -89,6 +89,11 @@ def test_training_state_beside_the_network_is_ignored_by_a_reader_of_networks(tm
     tensors = {**network.state_dict(), "training.moment": torch.zeros(3)}
     save_tensors(tmp_path / "a.safetensors", tensors, CONFIG, {"step": 3})
     assert load_network(tmp_path / "a.safetensors")[1] == CONFIG
+
+
+def test_loaded_weights_are_copies_that_lie_where_torch_puts_its_own(checkpoint: Path) -> None:
+    network, _ = load_network(checkpoint)
+    assert {parameter.data_ptr() % 64 for parameter in network.parameters()} == {0}
 
 
 def test_the_same_network_gives_the_same_bytes(tmp_path: Path) -> None:

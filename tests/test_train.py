@@ -130,6 +130,9 @@ def test_a_batch_depends_on_seed_and_step_alone(data: TrainingData) -> None:
     one, same = (data.batch(1, 4, 2, 2, "view") for _ in range(2))
     np.testing.assert_array_equal(one.images, same.images)
     np.testing.assert_array_equal(one.R, same.R)
+    # one object: nothing but the step can change what is drawn
+    single = TrainingData(data.objects[:1], "one box")
+    assert len({single.batch(1, step, 1, 1, "canonical").R.tobytes() for step in range(12)}) > 1
     assert any(not np.array_equal(one.R, data.batch(seed, step, 2, 2, "view").R) for seed, step in ((2, 4), (1, 5)))
 
 
@@ -162,6 +165,22 @@ def test_true_points_have_a_far_lower_mask_loss_than_moved_ones(data: TrainingDa
     moved, *_ = mask_loss(points + torch.tensor([0.2, 0.0, 0.0]), batch, 0.4, 0.01, "points")
     assert float(true) < 0.2 * float(moved)
     assert float(true) == pytest.approx(bce + 0.01 * outliers, rel=1e-4)
+
+
+def test_a_point_beyond_the_edge_of_the_crop_is_pulled_back(data: TrainingData) -> None:
+    batch = data.batch(0, 0, 1, 1, "view")
+    points = torch.from_numpy(np.stack(batch.targets))
+    points[0, 0] = torch.tensor([0.9, 0.0, 0.0])
+    points.requires_grad_(True)
+    for weight in (0.0, 1.0):
+        (gradient,) = torch.autograd.grad(mask_loss(points, batch, 0.4, weight, "points")[0], points)
+        camera = Camera(batch.K[0, 0], batch.R[0, 0], batch.t[0, 0], 64, 64)
+        ahead, _ = camera.project(
+            np.stack([points[0, 0].detach(), points[0, 0].detach() - 0.01 * torch.sign(gradient[0, 0])]).astype(float)
+        )
+        outside = np.abs(ahead - 31.5).max(1)
+        assert outside[0] > 32.0
+        assert (outside[1] < outside[0] - 0.1) == (weight > 0.0)
 
 
 def test_lambda_drops_to_a_fiftieth_once_the_running_mean_stops_falling() -> None:
@@ -203,8 +222,14 @@ def test_three_steps_and_three_more_after_a_resume_are_six_steps_bit_for_bit(
     assert_equal(weights(straight.network), weights(resumed.network))
     np.testing.assert_array_equal(straight.history, resumed.history)
     assert_equal(load_file(state_path(tmp_path / "straight.safetensors")), load_file(state_path(path)))
-    if supervision == "masks":
-        assert resumed.lambda_dropped_at == straight.lambda_dropped_at
+
+
+def test_a_resumed_schedule_knows_what_it_had_seen(thin: None, data: TrainingData, tmp_path: Path) -> None:
+    settings = config(supervision="masks", steps=3)
+    state = start(data, settings)
+    train(data, settings, state, save=saving(tmp_path / "base.safetensors"))
+    assert state.schedule.previous is not None and state.schedule.count == 1
+    assert resume(tmp_path / "base.safetensors", data, settings).schedule == state.schedule
 
 
 def test_a_resume_of_the_full_network_is_bit_for_bit_too(data: TrainingData, tmp_path: Path) -> None:

@@ -203,7 +203,8 @@ def _read_tensors(path: Path, expected: dict[str, tuple[int, ...]], belongs: Any
             if unknown:
                 raise InputError(f"{path}: unknown tensor {shown(unknown[0])} of shape {list(found[unknown[0]])}")
             for name in expected:
-                # A copy: the tensor itself is a view of the file, which may be changed while it is in use.
+                # A copy: the tensor itself is a view of the file, which may be changed while it is in use; and where it
+                # lies in the file, off the boundaries torch aligns to, would change the last bits of what is computed.
                 tensors[name] = file.get_tensor(name).clone()
     except (SafetensorError, OSError, ValueError, TypeError, KeyError, RuntimeError, AttributeError) as error:
         raise InputError(f"{path}: {_damage(error)}, expected a whole safetensors file") from None

@@ -130,7 +130,8 @@ def _decode(data: bytes, path: Path, what: str, convert: Any) -> NDArray[Any]:
         raise InputError(f"{path}: is not readable as {what} ({reason(error)})") from None
     for warning in caught:
         if not issubclass(warning.category, (Image.DecompressionBombWarning, DeprecationWarning)):
-            warnings.warn(f"{path}: {' '.join(str(warning.message).split())[:200]}", stacklevel=4)
+            text = reason(RuntimeError(warning.message))
+            warnings.warn(f"{path}: {text}", stacklevel=4)
     return array
 
 
@@ -167,7 +168,8 @@ def _palette_values(image: Image.Image) -> NDArray[Any]:
 
 def _to_unit(array: NDArray[Any], path: Path) -> NDArray[np.float32]:
     if array.dtype.kind == "f":
-        values = np.asarray(array, dtype=np.float64)
+        with np.errstate(invalid="ignore"):  # NaN of the kind that signals
+            values = np.asarray(array, dtype=np.float64)
         low, high = float(values.min()), float(values.max())
         if not (low >= 0.0 and high <= 1.0):
             raise InputError(f"{path}: its values span {low:g} to {high:g}, expected 0 to 1")

@@ -78,4 +78,6 @@ def reason(error: BaseException) -> str:
     """What the system or a library says of ``error``, on one line and without a path."""
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     text = " ".join(text.split()) or type(error).__name__
+    # Libraries quote damaged files, whose control characters have no place on a terminal.
+    text = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
     return text if len(text) <= 200 else text[:197] + "..."

@@ -73,7 +73,9 @@ class PlyFile:
     def read(self) -> Points:
         """The coordinates [N, 3] of the vertices, in the file's order."""
         if self._rows is not None:
-            return np.stack([self._rows.get(self.data, k, self.kinds[k]) for k in range(3)], axis=1, dtype=np.float64)
+            columns = [self._rows.get(self.data, k, self.kinds[k]) for k in range(3)]
+            with np.errstate(invalid="ignore"):  # NaN of the kind that signals
+                return np.stack(columns, axis=1, dtype=np.float64)
         assert self._table is not None
         assert self._words is not None
         return self._table.values(self._words)

@@ -117,7 +117,8 @@ def _require_same(path: Path, stored: NetworkConfig, asked: NetworkConfig) -> No
         return {**values, **settings}
 
     before, now = flat(stored), flat(asked)
-    for name in sorted(set(before) | set(now)):
+    # What decides on the other settings is compared first.
+    for name in sorted(set(before) | set(now), key=lambda name: (name != "supervision", name)):
         if before.get(name) != now.get(name):
             raise InputError(
                 f"{path}: was trained with {name} {shown(before.get(name))}, this run asks for {shown(now.get(name))}; "
