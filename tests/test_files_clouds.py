@@ -143,6 +143,44 @@ def test_integer_coordinates_become_double_when_they_move(save, tmp_path, form, 
     assert written.split() == expected.split() if form == "ascii" else written == expected
 
 
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("kind", ["float", "int"])
+def test_coordinates_may_stand_in_any_order(save, tmp_path, form, kind):
+    """x, y, z are told by name: here z comes first and y last."""
+    letter = "<>"[form.endswith("big_endian")] + CODES[kind]
+
+    def body(points, letter):
+        rows = [[z, x, y] for x, y, z in points.tolist()]
+        if form == "ascii":
+            return "".join("{} {} {}\n".format(*row) for row in rows).encode()
+        return b"".join(struct.pack(letter, value) for row in rows for value in row)
+
+    head = f"ply\nformat {form} 1.0\nelement vertex 4\nproperty {kind} z\nproperty {kind} x\nproperty {kind} y\nend_header\n"
+    points = np.arange(12).reshape(4, 3) * (1.0 if kind == "float" else 1)
+    cloud = read_cloud(save("a.ply", head.encode() + body(points, letter)))
+    assert np.array_equal(cloud.points, points)
+    write_cloud(tmp_path / "b.ply", points + 0.5, like=cloud)
+    if kind == "int":
+        head, letter = head.replace("int", "double"), letter[0] + "d"
+    assert (tmp_path / "b.ply").read_bytes() == head.encode() + body(points + 0.5, letter)
+
+
+def test_a_body_may_begin_with_the_byte_of_a_line_break(save):
+    """After a header whose lines end in a bare carriage return, a line feed belongs to the first number."""
+    head = HEAD.format(2).replace("ascii", "binary_little_endian").replace("\n", "\r").encode()
+    body = b"\n\0\x80\x3f" + np.array([1, 2, 3, 4, 5], dtype="<f4").tobytes()
+    points = read_cloud(save("a.ply", head + body)).points
+    assert np.array_equal(points.ravel(), np.frombuffer(body, "<f4"))
+
+
+def test_numbers_that_signal_are_not_finite_like_any_other(save):
+    head = HEAD.format(2).replace("ascii", "binary_big_endian").encode()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(InputError, match="1 of 2 points have a coordinate that is not finite"):
+            read_cloud(save("a.ply", head + bytes(20) + b"\x7f\x80\0\x01"))
+
+
 def test_text_with_more_digits_than_its_type_keeps_them(save, tmp_path):
     text = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
     cloud = read_cloud(save("scan.ply", text + "4000000.123456 1 2\n4000001.123456 1 2\n"))
@@ -154,7 +192,9 @@ def test_text_with_more_digits_than_its_type_keeps_them(save, tmp_path):
 def test_text_is_written_in_the_digits_of_its_type(save, tmp_path):
     text = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty double z\nend_header\n"
     cloud = read_cloud(save("a.ply", text + "0.5 1 2\n0.25 1.50 3"))
-    write_cloud(tmp_path / "b.ply", cloud.points + np.array([0.1, 0, 0.1]), like=cloud)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_cloud(tmp_path / "b.ply", cloud.points + np.array([0.1, 0, 0.1]), like=cloud)
     assert (tmp_path / "b.ply").read_text() == text + "0.6 1 2.1\n0.35 1.50 3.1"
 
 
@@ -328,6 +368,14 @@ def test_arrays_that_are_no_clouds_are_refused(save, tmp_path):
     assert b"2000000000000" in lying
     with pytest.raises(InputError, match=r"has 48 bytes of values, expected .*2000000000000, 3"):
         read_cloud(save("a.npy", lying))
+    np.save(tmp_path / "a.npy", POINTS)
+    with pytest.raises(InputError, match="has 104 bytes of values, expected .4, 3. of float64"):
+        read_cloud(save("a.npy", (tmp_path / "a.npy").read_bytes() + bytes(8)))
+    np.save(tmp_path / "a.npy", POINTS)
+    odd = (tmp_path / "a.npy").read_bytes().replace(b"'<f8'", b"'<\x1b['")
+    with pytest.raises(InputError, match=r"a\.npy: is not a readable") as caught:
+        read_cloud(save("a.npy", odd))
+    assert_one_line(str(caught.value))
 
 
 def test_a_pickle_is_never_opened(save):

@@ -248,6 +248,13 @@ def test_files_that_are_no_images_are_refused(tmp_path, read):
         assert_one_line(str(caught.value))
 
 
+def test_numbers_that_signal_are_no_mask(tmp_path):
+    values = np.array([[0x3F800000, 0x7F800001]], dtype=np.uint32).view(np.float32)
+    np.save(tmp_path / "m.npy", values)
+    with pytest.raises(InputError, match="values span nan to nan"):
+        read_mask(tmp_path / "m.npy")
+
+
 def test_of_an_animation_the_first_frame_counts(tmp_path):
     other = Image.new("L", (9, 6))
     saved(tmp_path, HARD["8-bit"](), "m.gif", save_all=True, append_images=[other])

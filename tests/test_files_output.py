@@ -127,6 +127,17 @@ def test_a_symbolic_link_keeps_pointing_at_the_file_that_is_replaced(tmp_path):
     assert real.read_text() == "new"
 
 
+def test_a_reader_of_the_old_file_keeps_the_old_file(tmp_path):
+    """The new file takes the name; nothing is written into the old one."""
+    path = tmp_path / "out.txt"
+    path.write_text("old")
+    with path.open() as reader:
+        with atomic_output(path) as temporary:
+            temporary.write_text("new")
+        assert reader.read() == "old"
+    assert path.read_text() == "new"
+
+
 def test_the_file_gets_the_permissions_of_any_new_file(tmp_path):
     (tmp_path / "plain").write_text("x")
     with atomic_output(tmp_path / "out") as temporary:

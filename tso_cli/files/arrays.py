@@ -38,7 +38,7 @@ def read_array(data: bytes, path: Path) -> NDArray[Any]:
     # numpy evaluates the header as a Python literal, so that a damaged one can raise nearly anything.
     except Exception as error:
         raise InputError(f"{path}: is not a readable .npy file ({reason(error)})") from None
-    if dtype.hasobject or dtype.kind not in "biufc":
+    if dtype.kind not in "biufc":
         raise InputError(f"{path}: holds values of type {shown(str(dtype))}, expected numbers")
     begin = stream.tell()
     size = math.prod(shape) * dtype.itemsize

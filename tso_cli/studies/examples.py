@@ -23,9 +23,8 @@ def study_examples(checkpoint: Path | None = None, report: Report | None = None)
 
     Parameters
     ----------
-    checkpoint : a view-aligned network; with it the two network modes are run too. Their clouds are taken to the
-        world of the camera file before they are judged, and both clouds to longest side 1 (`--protocol capnet`), because a
-        network knows neither size nor place.
+    checkpoint : a view-aligned network; with it the two network modes are run too. Their clouds are judged in the world
+        of the camera file, as `--frame world` writes them.
     report : called with (what, done, total).
 
     Returns
@@ -43,7 +42,8 @@ def study_examples(checkpoint: Path | None = None, report: Report | None = None)
         "study": "examples",
         "version": __version__,
         "convention": {
-            "chamfer": "squared distances, mean over points, forward (target -> cloud) + backward; longest side 1",
+            "chamfer": "squared distances, mean over points, forward (target -> cloud) + backward; target's longest side 1",
+            "chamfer_capnet": "the same after each cloud was centred and scaled to longest side 1 by its own box",
             "iou": "silhouette > 0.5 against mask > 0.5",
             "seconds": f"median of {RUNS} runs of the optimisation alone, after one that is not counted",
         },
@@ -65,7 +65,10 @@ def _run(folder: Path, name: str, mode: str, checkpoint: Path | None) -> dict[st
         results.append(_refine(scene, config))
         seconds.append(time.perf_counter() - start)
     result = results[0]
-    before, after = (_judge(scene.to_output(points), target, mode) for points in (result.initial, result.points))
+    before, after = (scene.to_output(points) for points in (result.initial, result.points))
+    own = normalise_longest_side
+    plain = [chamfer(points, target).chamfer for points in (before, after)]
+    capnet = [chamfer(own(points), own(target)).chamfer for points in (before, after)]
     return {
         "example": name,
         "mode": mode,
@@ -76,9 +79,11 @@ def _run(folder: Path, name: str, mode: str, checkpoint: Path | None) -> dict[st
         "sigma_sq": result.sigma_sq,
         "iou_before": result.iou_before,
         "iou_after": result.iou_after,
-        "chamfer_before": before,
-        "chamfer_after": after,
-        "ratio": after / before,
+        "chamfer_before": plain[0],
+        "chamfer_after": plain[1],
+        "ratio": plain[1] / plain[0],
+        "chamfer_capnet_before": capnet[0],
+        "chamfer_capnet_after": capnet[1],
         "seconds": sorted(seconds[1:])[RUNS // 2],
     }
 
@@ -88,8 +93,3 @@ def _refine(scene: Scene, config: RefineConfig) -> RefineResult:
         None if scene.network else scene.points, scene.view, config=config, network=scene.network, image=scene.image
     )
 
-
-def _judge(points: Any, target: Any, mode: str) -> float:
-    if mode != "points":
-        points, target = normalise_longest_side(points), normalise_longest_side(target)
-    return chamfer(points, target).chamfer

@@ -1,0 +1,102 @@
+"""The pages say what the program does: every command is run, every table is that of the kept figures."""
+
+from __future__ import annotations
+
+import json
+import re
+import runpy
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.readme import FIGURES, README, RESULTS, ROOT, console_commands, with_tables, working_copy
+from tso_cli.cli import main
+
+NUMBER = re.compile(r"-?\d[\d,]*\.?\d*(?:e[+-]?\d+)?")
+# Training amplifies rounding: on another machine its last digits differ.
+TOLERANCE = 0.25
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Where the commands of the README run, one after the other."""
+    path = tmp_path_factory.mktemp("readme")
+    working_copy(path)
+    return path
+
+
+def _assert_alike(printed: str, shown: str) -> None:
+    """The same words, and numbers alike; times and what depends on them aside."""
+    # the width of a column follows its numbers
+    plain, expected = (re.sub(r"-{2,}", "--", re.sub(r" +", " ", text)) for text in (printed, shown))
+    assert NUMBER.sub("#", plain) == NUMBER.sub("#", expected)
+    for line, wanted in zip(plain.splitlines(), expected.splitlines(), strict=True):
+        timeless = [re.sub(rf"{NUMBER.pattern} s\b|{NUMBER.pattern} views/s", "", text) for text in (line, wanted)]
+        found, asked = ([float(n.replace(",", "")) for n in NUMBER.findall(text)] for text in timeless)
+        assert found == pytest.approx(asked, rel=TOLERANCE, abs=0.05), line
+
+
+@pytest.mark.parametrize(("command", "shown"), console_commands(README.read_text()), ids=lambda value: value[:60])
+def test_a_command_of_the_readme_prints_what_the_readme_shows(command, shown, folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    words = shlex.split(command)
+    assert words[0] == "tso"
+    with pytest.raises(SystemExit) as stopped:
+        main(words[1:])
+    assert stopped.value.code == 0
+    _assert_alike(capsys.readouterr().out.rstrip("\n"), shown)
+
+
+def test_the_tables_of_the_pages_are_those_of_the_kept_figures():
+    for page in (README, RESULTS):
+        assert page.read_text() == with_tables(page.read_text())
+        assert "<!-- points -->" in page.read_text()
+
+
+def test_the_kept_figures_meet_what_the_paper_promises():
+    summary = json.loads((FIGURES / "points.json").read_text())["summary"]
+    for category, bound in (("chair", 0.95), ("airplane", 0.92), ("car", 0.98)):
+        assert summary[category]["ratio_of_means"] <= bound
+        assert summary[category]["worst_ratio"] <= 1.02
+    for row in json.loads((FIGURES / "examples.json").read_text())["examples"]:
+        assert row["chamfer_after"] < row["chamfer_before"]
+
+
+def test_every_link_of_the_pages_leads_somewhere():
+    for page in [README, *ROOT.glob("docs/*.md"), *ROOT.glob("examples/*.md")]:
+        for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
+            if not target.startswith("http"):
+                assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_the_script_for_points_runs(capsys):
+    runpy.run_path(str(ROOT / "examples" / "refine_points.py"), run_name="__main__")
+    before, after = (float(n) for n in re.findall(r"Chamfer x1000 ([\d.]+) -> ([\d.]+)", capsys.readouterr().out)[0])
+    assert after < before
+
+
+def test_the_script_for_networks_runs(tmp_path, monkeypatch, capsys):
+    from tso_cli import __version__
+    from tso_cli.files.checkpoints import save_network
+    from tso_cli.network import NetworkConfig, build_network
+
+    checkpoint = tmp_path / "small.safetensors"
+    save_network(checkpoint, build_network(points=128), NetworkConfig(points=128, version=__version__))
+    monkeypatch.setattr(sys, "argv", ["refine_network.py", str(checkpoint)])
+    runpy.run_path(str(ROOT / "examples" / "refine_network.py"), run_name="__main__")
+    assert capsys.readouterr().out.count("Chamfer x1000") == 2
+
+
+def test_the_examples_weigh_under_three_megabytes_and_hold_what_is_promised():
+    folder = ROOT / "examples"
+    assert sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) < 3_000_000
+    for name in ("chair", "car", "airplane"):
+        held = {path.name for path in (folder / name).iterdir()}
+        assert {"image.png", "mask.png", "camera.json", "initial.ply", "target.ply"} <= held
+    credits = (folder / "CREDITS.md").read_text()
+    for mesh in Path(folder / "meshes").rglob("*.ply"):
+        assert mesh.name in credits
+    assert "GPL" not in credits
+    assert "CC-BY" not in credits
