@@ -42,12 +42,14 @@ open3d-libraries: $(VENV)/ready-to-test
 	  echo "make: open3d cannot be imported; on Debian: sudo apt-get install libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1"; exit 1; }
 
 lint: $(VENV)/ready-to-test
-	@$(BIN)/ruff check tso_cli tests examples
+	@$(BIN)/ruff check --quiet tso_cli tests examples
+	@$(BIN)/ruff format --quiet --check tso_cli tests examples
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 
+# Two processes of one thread each: torch's threads wait for one another on a busy machine.
 test: open3d-libraries lint
-	@$(BIN)/python -m pytest -n 2
+	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
 
 clean:
 	rm -rf $(VENV) demo

@@ -1,6 +1,6 @@
 """The two network variants on a photo: give a checkpoint that `tso train` wrote.
 
-    python examples/refine_network.py base.safetensors
+python examples/refine_network.py base.safetensors
 """
 
 import sys

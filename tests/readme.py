@@ -1,7 +1,7 @@
 """The commands and tables of the pages: run, compare, and write anew.
 
-    python -m tests.readme      runs every command of README.md and puts what it printed below it, and the tables of the
-                                kept figures into README.md and docs/results.md; takes as long as `tso train`
+python -m tests.readme      runs every command of README.md and puts what it printed below it, and the tables of the
+                            kept figures into README.md and docs/results.md; takes as long as `tso train`
 """
 
 from __future__ import annotations
@@ -74,16 +74,16 @@ def tables() -> dict[str, str]:
 def with_tables(text: str) -> str:
     """``text`` with what stands between ``<!-- NAME -->`` and ``<!-- end -->`` made anew."""
     for name, table in tables().items():
-        text = re.sub(
-            rf"(<!-- {name} -->\n).*?(\n<!-- end -->)", lambda m, t=table: m[1] + t + m[2], text, flags=re.DOTALL
-        )
+        text = re.sub(rf"(<!-- {name} -->\n).*?(\n<!-- end -->)", lambda m, t=table: m[1] + t + m[2], text, flags=re.DOTALL)
     return text
 
 
 def _run(command: str, folder: Path) -> str:
     words = shlex.split(command)
     assert words[0] == "tso", command
-    done = subprocess.run([sys.executable, "-m", "tso_cli", *words[1:]], cwd=folder, stdout=subprocess.PIPE, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "tso_cli", *words[1:]], cwd=folder, stdout=subprocess.PIPE, text=True, check=True
+    )
     return done.stdout.rstrip("\n")
 
 

@@ -190,7 +190,17 @@ def test_a_canonical_frame_network_needs_a_camera_file(folder, tmp_path, capsys)
 
     config = NetworkConfig(points=128, frame="canonical", version=__version__)
     save_network(Path("canonical.safetensors"), build_network(points=128), config)
-    arguments = ("refine", "--mode", "encoder", "image.png", "mask.png", "--checkpoint", "canonical.safetensors", "--steps", "1")
+    arguments = (
+        "refine",
+        "--mode",
+        "encoder",
+        "image.png",
+        "mask.png",
+        "--checkpoint",
+        "canonical.safetensors",
+        "--steps",
+        "1",
+    )
     assert tso(*arguments, "--json") == 0
     assert _json(capsys)["frame"] == "canonical"
     Path("camera.json").unlink()
@@ -235,7 +245,7 @@ BAD = {
     "empty cloud": ("text:bad.ply:", "bad.ply mask.png", "bad.ply empty"),
     "empty mask": ("text:bad.png:", "initial.ply bad.png", "bad.png empty"),
     "truncated cloud": ("cut:initial.ply:2000", "initial.ply mask.png", "initial.ply 1024|1,024"),
-    "cloud that lies about its count": ("swap:initial.ply:vertex 1024:vertex 9024", "initial.ply mask.png", "initial.ply 9024|9,024"),
+    "cloud that lies": ("swap:initial.ply:vertex 1024:vertex 9024", "initial.ply mask.png", "initial.ply 9024|9,024"),
     "zero points": ("ply:bad.ply:", "bad.ply mask.png", "bad.ply 0 points"),
     "one point": ("ply:bad.ply:0 0 0", "bad.ply mask.png", "bad.ply 1 point"),
     "NaN": ("ply:bad.ply:0 0 0;1 nan 0", "bad.ply mask.png", "bad.ply finite|nan"),
@@ -257,9 +267,9 @@ BAD = {
     "checkpoint for points mode": ("", "initial.ply mask.png --checkpoint base.safetensors", "points base.safetensors"),
     "checkpoint as the cloud": ("text:base.safetensors:x", "base.safetensors mask.png", "base.safetensors checkpoint"),
     "no checkpoint": ("", "image.png mask.png --mode encoder", "encoder --checkpoint"),
-    "pickled checkpoint": ("pickle:base.pt", "image.png mask.png --mode encoder --checkpoint base.pt", "base.pt pickle"),
-    "truncated checkpoint": ("tensor:base.safetensors", "image.png mask.png --mode encoder --checkpoint base.safetensors", "base.safetensors"),
-    "image and mask of different size": ("resize:image.png", "image.png mask.png --mode encoder --checkpoint CHECKPOINT", "image.png 128x128 256x256"),
+    "pickled checkpoint": ("pickle:base.pt", "image.png mask.png ENCODER base.pt", "base.pt pickle"),
+    "truncated checkpoint": ("tensor:base.safetensors", "image.png mask.png ENCODER base.safetensors", "base.safetensors"),
+    "image of another size": ("resize:image.png", "image.png mask.png ENCODER CHECKPOINT", "image.png 128x128 256x256"),
     "frame in points mode": ("", "initial.ply mask.png --frame world", "--frame"),
     "missing output folder": ("", "initial.ply mask.png -o nowhere/out.ply", "nowhere exist"),
     "existing output": ("text:out.ply:precious", "initial.ply mask.png -o out.ply", "out.ply exists --overwrite"),
@@ -277,7 +287,14 @@ BAD = {
 
 
 def _ply(rows: list[str]) -> str:
-    head = ["ply", "format ascii 1.0", f"element vertex {len(rows)}", "property float x", "property float y", "property float z"]
+    head = [
+        "ply",
+        "format ascii 1.0",
+        f"element vertex {len(rows)}",
+        "property float x",
+        "property float y",
+        "property float z",
+    ]
     return "\n".join([*head, "end_header", *rows]) + "\n"
 
 
@@ -305,7 +322,9 @@ def _damage(action: str) -> None:
             return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
         header = struct.pack(">IIBBBBB", 40000, 30000, 1, 0, 0, 0, 0)
-        path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"\0" * 5001)) + chunk(b"IEND", b""))
+        path.write_bytes(
+            b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"\0" * 5001)) + chunk(b"IEND", b"")
+        )
         assert path.stat().st_size < 1024
     elif verb == "drop":
         document = json.loads(path.read_text())
@@ -334,7 +353,8 @@ def test_what_cannot_work_gets_one_line_and_exit_code_two_and_writes_nothing(cas
     action, arguments, words = BAD[case]
     _damage(action)
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
-    code = tso("refine", *arguments.replace("CHECKPOINT", str(checkpoint)).split())
+    arguments = arguments.replace("ENCODER", "--mode encoder --checkpoint").replace("CHECKPOINT", str(checkpoint))
+    code = tso("refine", *arguments.split())
     captured = capsys.readouterr()
     assert code == 2
     assert captured.out == ""
@@ -344,6 +364,13 @@ def test_what_cannot_work_gets_one_line_and_exit_code_two_and_writes_nothing(cas
     for word in words.split():
         assert re.search(word.replace(".", r"\."), errors[0]), f"{word!r} not in {errors[0]!r}"
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
+
+
+def test_a_file_name_with_a_line_break_still_gets_one_line(folder, capsys):
+    assert tso("refine", "no\n\x1b[31mwhere.ply", "mask.png") == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert "\x1b" not in message
 
 
 def test_cuda_that_is_asked_for_and_absent_is_refused(folder, capsys):
@@ -368,7 +395,12 @@ def test_a_full_disk_leaves_no_partial_file(folder, capsys, monkeypatch):
 
 
 def test_the_program_starts_without_torch_and_fails_without_a_traceback(folder):
-    for arguments, expected in ((["--version"], 0), (["--help"], 0), (["refine", "--help"], 0), (["refine", "no.ply", "no.png"], 2)):
+    for arguments, expected in (
+        (["--version"], 0),
+        (["--help"], 0),
+        (["refine", "--help"], 0),
+        (["refine", "no.ply", "no.png"], 2),
+    ):
         code = (
             "import sys; from tso_cli.cli import main\n"
             f"try:\n    main({arguments!r})\nfinally:\n    assert 'torch' not in sys.modules, 'torch was imported'"

@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from tso_cli.errors import InputError
-from tso_cli.files.output import atomic_output, check_output
+from tso_cli.files.output import atomic_output, check_output, reason
 
 
 def test_a_new_file_in_an_existing_folder_is_accepted(tmp_path):
@@ -143,3 +143,9 @@ def test_the_file_gets_the_permissions_of_any_new_file(tmp_path):
     with atomic_output(tmp_path / "out") as temporary:
         temporary.write_text("x")
     assert (tmp_path / "out").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_what_a_library_says_becomes_one_printable_line():
+    assert reason(ValueError('format of "\x1b[2J,\x07" is\n  unknown')) == 'format of "\\x1b[2J,\\x07" is unknown'
+    assert reason(KeyError()) == "KeyError"
+    assert len(reason(ValueError("x" * 1000))) == 200

@@ -59,8 +59,8 @@ class Camera:
             object.__setattr__(self, name, value)
         for name in ("width", "height"):
             size = getattr(self, name)
-            if isinstance(size, bool) or int(size) != size or size < 1:
-                raise InputError(f"{name} is {size!r}, expected a whole number of pixels")
+            if isinstance(size, bool) or not isinstance(size, (int, float, np.number)) or not size >= 1 or size % 1:
+                raise InputError(f"{name} is {size!r}, expected a whole number of pixels, 1 or more")
             object.__setattr__(self, name, int(size))
         if self.model not in MODELS:
             raise InputError(f"model is {self.model!r}, expected one of {', '.join(MODELS)}")
@@ -68,11 +68,10 @@ class Camera:
             raise InputError(f"K is {self.K.tolist()}, expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]]")
         if min(self.K[0, 0], self.K[1, 1]) <= 0.0:
             raise InputError(f"K is singular or mirrored: fx = {self.K[0, 0]:g}, fy = {self.K[1, 1]:g}, expected both > 0")
-        error = np.abs(self.R @ self.R.T - np.eye(3)).max()
-        if error > 1e-3 or np.linalg.det(self.R) < 0.0:
-            raise InputError(
-                f"R is not a rotation: |R R^T - I| = {error:.2g}, det R = {np.linalg.det(self.R):.3g}, expected 0 and 1"
-            )
+        with np.errstate(over="ignore", invalid="ignore"):
+            error, handedness = np.abs(self.R @ self.R.T - np.eye(3)).max(), np.linalg.det(self.R)
+        if not (error <= 1e-3 and handedness > 0.0):
+            raise InputError(f"R is not a rotation: |R R^T - I| = {error:.2g}, det R = {handedness:.3g}, expected 0 and 1")
 
     @classmethod
     def canonical(cls, width: int, height: int) -> Camera:

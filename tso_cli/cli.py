@@ -49,7 +49,7 @@ def tso() -> None:
 
 
 def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    print(f"tso: warning: {message}", file=sys.stderr)
+    print(f"tso: warning: {_one_line(str(message))}", file=sys.stderr)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -79,5 +79,10 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _fail(message: str, code: int) -> int:
-    print(f"tso: error: {' '.join(message.split())}", file=sys.stderr)
+    print(f"tso: error: {_one_line(message)}", file=sys.stderr)
     return code
+
+
+def _one_line(message: str) -> str:
+    """``message`` as one printable line; a file's name may hold anything."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(message.split()))

@@ -1,4 +1,4 @@
-"""What a cloud is asked to do: cover the mask (BCE, Eq. 4), have no outliers (affinity, Eq. 5), stay near its start (Chamfer)."""
+"""What a cloud is asked: to cover the mask (BCE, Eq. 4), without outliers (affinity, Eq. 5), near its start (Chamfer)."""
 
 from __future__ import annotations
 

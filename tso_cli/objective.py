@@ -31,7 +31,9 @@ class WorkingView:
     kernel: str
 
 
-def working_view(view: View, sigma_sq: float, centre: NDArray[np.float64], scale: float, count: int, like: Tensor) -> WorkingView:
+def working_view(
+    view: View, sigma_sq: float, centre: NDArray[np.float64], scale: float, count: int, like: Tensor
+) -> WorkingView:
     """Prepare ``view`` for a cloud normalised by ``(X - centre) / scale``.
 
     A silhouette whose kernel spans many pixels holds nothing finer than that kernel, so its mask is averaged (by area) down

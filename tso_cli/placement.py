@@ -66,9 +66,7 @@ def place(points: Array, view: View) -> Placement:
             box = _plain((*low, *high))
             overlap = box_iou(box, mask_box)
     distances = (float(depth[front].min()), float(depth[front].max())) if len(seen) else None
-    return Placement(
-        len(points), int((~front).sum()), int(inside.sum()), int(on_mask.sum()), distances, box, mask_box, overlap
-    )
+    return Placement(len(points), int((~front).sum()), int(inside.sum()), int(on_mask.sum()), distances, box, mask_box, overlap)
 
 
 def _plain(box: Any) -> Box:

@@ -82,9 +82,7 @@ def silhouette_sums(projected: Projected, cameras: CameraBatch, sigma_sq: float,
     return sums.view(*points_px.shape[:2], cameras.height, cameras.width)
 
 
-def silhouette_of(
-    points: NDArray[np.floating], camera: Camera, sigma_sq: float | None = None
-) -> NDArray[np.float32]:
+def silhouette_of(points: NDArray[np.floating], camera: Camera, sigma_sq: float | None = None) -> NDArray[np.float32]:
     """The silhouette [H, W] in [0, 1] of a cloud [N, 3] in world units (Eq. 2), for judging and for pictures.
 
     ``sigma_sq`` is in px^2 of the camera's image, the default 0.4 (max(W, H) / 64)^2.

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from . import device as devices
+from .adam import Adam
 from .camera import Camera
 from .errors import InputError, TsoError
 from .geometry import as_points, bounding_box_normalisation
@@ -218,7 +219,7 @@ def _descend(
     progress: Progress | None,
 ) -> tuple[Tensor, int, list[float], str]:
     """Adam on ``parameters``; returns the best cloud [N, 3], its step, all losses and why it stopped."""
-    optimiser = torch.optim.Adam(parameters, lr=learning_rate)
+    optimiser = Adam(parameters, learning_rate)
     best = produce().detach().clone()
     best_step, losses = 0, []
     stop_reason = "max_steps"
@@ -238,9 +239,7 @@ def _descend(
             if progress and step:
                 progress(step, steps, value)
             if step < steps:
-                optimiser.zero_grad(set_to_none=True)
-                loss.backward()
-                optimiser.step()
+                optimiser.step(loss)
     except KeyboardInterrupt:
         if not losses:
             raise

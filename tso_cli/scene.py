@@ -45,9 +45,7 @@ class View:
         if self.known is not None:
             known = np.asarray(self.known, dtype=bool)
             if known.shape != mask.shape:
-                raise InputError(
-                    f"{self.name}: the ignore map is {known.shape[1]}x{known.shape[0]}, the mask {width}x{height}"
-                )
+                raise InputError(f"{self.name}: the ignore map is {known.shape[1]}x{known.shape[0]}, the mask {width}x{height}")
             object.__setattr__(self, "known", known)
             counted = mask[known]
         inside = int((counted > 0.5).sum())

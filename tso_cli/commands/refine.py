@@ -41,9 +41,7 @@ MODES = ("points", "encoder", "encoder-decoder")
     type=click.Choice(["view", "world"]),
     help="Axes of the cloud that a view-aligned network gives.  [default: view]",
 )
-@click.option(
-    "--preset", type=click.Choice(["paper"]), default="paper", show_default=True, help="What the defaults below are."
-)
+@click.option("--preset", type=click.Choice(["paper"]), default="paper", show_default=True, help="What the defaults below are.")
 @click.option("--steps", type=click.IntRange(min=0), default=50, show_default=True, help="Adam steps; 0 writes the start.")
 @click.option("--learning-rate", type=float, help="[default: 5e-4 points, 1e-6 encoder, 5e-6 encoder-decoder]")
 @click.option("--gamma", type=float, help="Weight of the Chamfer distance to the start.  [default: 1e6; encoder 0]")
@@ -142,7 +140,9 @@ def _refuse_mixed_up(mode: str, source: Path, checkpoint: Path | None, frame: st
             raise InputError(f"--mode {mode} needs a network, expected --checkpoint FILE (tso train writes one)")
         return
     if checkpoint is not None:
-        raise InputError(f"--mode points moves a cloud, found --checkpoint {checkpoint}; expected --mode encoder or encoder-decoder")
+        raise InputError(
+            f"--mode points moves a cloud, found --checkpoint {checkpoint}; expected --mode encoder or encoder-decoder"
+        )
     if source.suffix.lower() == ".safetensors":
         raise InputError(
             f"{source}: is a checkpoint, --mode points expects a cloud; to refine with a network: "
@@ -213,7 +213,9 @@ def _document(
 def _print_result(result: RefineResult, output: Path, overlay: Path | None, seconds: dict[str, float]) -> None:
     click.echo(f"{output}: {len(result.points):,} points, {result.steps} steps, best at step {result.best_step}")
     click.echo(f"  IoU    {result.iou_before:.3f} -> {result.iou_after:.3f}   (silhouette > 0.5, mask > 0.5)")
-    click.echo(f"  loss   {result.loss_before:.1f} -> {result.loss_after:.1f}   (BCE + {result.gamma:g} x Chamfer to the start)")
+    click.echo(
+        f"  loss   {result.loss_before:.1f} -> {result.loss_after:.1f}   (BCE + {result.gamma:g} x Chamfer to the start)"
+    )
     click.echo(
         f"  moved  {result.chamfer_to_initial * 1e3:.3f}   (Chamfer to the start x1000: squared, mean over points, "
         "both directions, longest side 1)"
@@ -251,7 +253,9 @@ def _print_check(scene: Scene, as_json: bool) -> None:
     click.echo(f"            R {camera.R.round(4).tolist()}, t {camera.t.round(4).tolist()}")
     click.echo(f"cloud       {placement.points:,} points, extent {size[0]:.4g} x {size[1]:.4g} x {size[2]:.4g}")
     if placement.depth is not None:
-        click.echo(f"depth       {placement.depth[0]:.4g} to {placement.depth[1]:.4g}, {placement.behind:,} points behind the camera")
+        click.echo(
+            f"depth       {placement.depth[0]:.4g} to {placement.depth[1]:.4g}, {placement.behind:,} points behind the camera"
+        )
     else:
         click.echo("depth       all points lie behind the camera")
     share = 100.0 / placement.points

@@ -42,9 +42,7 @@ class _Reporter:
 
 
 @command.command("points")
-@click.option(
-    "--meshes", type=options.FilePath(), required=True, help="Folder with a folder of meshes for each category."
-)
+@click.option("--meshes", type=options.FilePath(), required=True, help="Folder with a folder of meshes for each category.")
 @click.option(
     "--category",
     "categories",
@@ -109,10 +107,24 @@ def points(
         ]
         for category, s in record["summary"].items()
     ]
-    header = ["category", "cases", "before", "after", "after/before", "mean ratio", "worst", "worse", "IoU before", "after", "s"]
+    header = [
+        "category",
+        "cases",
+        "before",
+        "after",
+        "after/before",
+        "mean ratio",
+        "worst",
+        "worse",
+        "IoU before",
+        "after",
+        "s",
+    ]
     click.echo(text_table(header, rows))
     click.echo(f"Chamfer x1000: {record['convention']}")
-    click.echo("after/before: of the means; mean ratio, worst: of the cases' own; worse: cases over 1; s: median seconds a case")
+    click.echo(
+        "after/before: of the means; mean ratio, worst: of the cases' own; worse: cases over 1; s: median seconds a case"
+    )
 
 
 @command.command("examples")
@@ -135,7 +147,16 @@ def examples(checkpoint: Path | None, output: Path | None, overwrite: bool, as_j
         options.echo_json(record)
         return
     rows = [
-        [r["example"], r["mode"], r["iou_before"], r["iou_after"], 1e3 * r["chamfer_before"], 1e3 * r["chamfer_after"], r["ratio"], r["seconds"]]
+        [
+            r["example"],
+            r["mode"],
+            r["iou_before"],
+            r["iou_after"],
+            1e3 * r["chamfer_before"],
+            1e3 * r["chamfer_after"],
+            r["ratio"],
+            r["seconds"],
+        ]
         for r in record["examples"]
     ]
     click.echo(text_table(["example", "mode", "IoU before", "after", "Chamfer before", "after", "ratio", "seconds"], rows))

@@ -156,7 +156,7 @@ def _face_colours(part: Any, count: int) -> NDArray[np.uint8] | None:
 def write_mesh(path: Path | str, mesh: Mesh, overwrite: bool = False) -> None:
     """Write vertices (float32) and faces as binary little-endian PLY; colours are left out.
 
-    Raises InputError where ``path`` must not be written, TsoError where writing fails.
+    Raises InputError where ``path`` must not or cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() != ".ply":

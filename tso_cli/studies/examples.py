@@ -89,7 +89,4 @@ def _run(folder: Path, name: str, mode: str, checkpoint: Path | None) -> dict[st
 
 
 def _refine(scene: Scene, config: RefineConfig) -> RefineResult:
-    return refine(
-        None if scene.network else scene.points, scene.view, config=config, network=scene.network, image=scene.image
-    )
-
+    return refine(None if scene.network else scene.points, scene.view, config=config, network=scene.network, image=scene.image)

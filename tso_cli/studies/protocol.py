@@ -50,7 +50,9 @@ def shape_type(shape: str) -> str:
     return "_".join(parts[:2]) if parts[0] == "fg" and len(parts) > 2 else shape
 
 
-def build_cases(folder: Path, category: str, seed: int = 0, limit: int | None = None, report: Report | None = None) -> list[Case]:
+def build_cases(
+    folder: Path, category: str, seed: int = 0, limit: int | None = None, report: Report | None = None
+) -> list[Case]:
     """The cases of one category: each shape of ``folder``/``category``, one random view of it and another shape's cloud.
 
     The camera has f = 120 px at 64x64, azimuth 0 to 360, elevation -5 to 40 degrees, and stands as near as the whole object
