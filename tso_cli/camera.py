@@ -59,7 +59,7 @@ class Camera:
             object.__setattr__(self, name, value)
         for name in ("width", "height"):
             size = getattr(self, name)
-            if isinstance(size, bool) or not isinstance(size, (int, float, np.number)) or not size >= 1 or size % 1:
+            if isinstance(size, bool) or not isinstance(size, (int, float, np.integer)) or not size >= 1 or size % 1:
                 raise InputError(f"{name} is {size!r}, expected a whole number of pixels, 1 or more")
             object.__setattr__(self, name, int(size))
         if self.model not in MODELS:
