@@ -33,19 +33,20 @@ def draw_points_study(path: Path, record: dict[str, Any], overwrite: bool = Fals
         left.scatter(x, ratios, s=14, c=np.where(ratios > 1.0, WORSE, BETTER), alpha=0.75, linewidths=0)
         mean = record["summary"][category]["mean_ratio"]
         left.plot([i - 0.32, i + 0.32], [mean, mean], color=INK, linewidth=2)
-        left.annotate(f"mean {mean:.3f}", (i + 0.34, mean), va="center", fontsize=9, color=INK)
         for case in cases:
             right.plot([2 * i, 2 * i + 1], [case["iou_before"], case["iou_after"]], color=BETTER, alpha=0.2, linewidth=0.8)
         means = [record["summary"][category][key] for key in ("iou_before", "iou_after")]
         right.plot([2 * i, 2 * i + 1], means, color=INK, linewidth=2, marker="o", markersize=4)
     left.axhline(1.0, color=INK, linewidth=0.8, linestyle="--")
-    left.set_xticks(range(len(categories)), [f"{c} ({record['summary'][c]['cases']})" for c in categories])
-    left.set_xlim(-0.5, len(categories) - 0.2)
+    summary = record["summary"]
+    labels = [f"{name}\n{summary[name]['cases']} shapes\nmean {summary[name]['mean_ratio']:.3f}" for name in categories]
+    left.set_xticks(range(len(categories)), labels)
+    left.set_xlim(-0.5, len(categories) - 0.5)
     left.set_ylabel("Chamfer to the truth, after / before")
     left.set_title("below 1 is better; a dot is a shape")
     right.set_xticks([2 * i + 0.5 for i in range(len(categories))], categories)
     right.set_ylabel("IoU of silhouette and mask")
-    right.set_title("before to after; the black line is the mean")
+    right.set_title("before to after, mean in black")
     for axis in (left, right):
         axis.spines[["top", "right"]].set_visible(False)
     with atomic_output(path) as temporary:

@@ -54,7 +54,7 @@ def draw_overlay(path: Path, result: RefineResult, view: View, overwrite: bool =
         _scatter(front, seen[:, 0], seen[:, 1], seen[:, 2], middle[0], middle[1], half)
         front.set_title(f"{name}: from the camera")
         _scatter(side, seen[:, 2], seen[:, 1], -seen[:, 0], middle[2], middle[1], half)
-        side.set_title(f"{name}: from its right")
+        side.set_title(f"{name}: from the camera's right")
     for axis in axes.flat:
         axis.set_xticks([])
         axis.set_yticks([])
