@@ -152,8 +152,56 @@ def test_check_says_where_the_points_fall_and_writes_nothing(folder, capsys):
 
 def test_check_explains_a_cloud_that_does_not_meet_the_mask(folder, capsys):
     write_cloud("far.ply", read_cloud("initial.ply").points + [30.0, 0.0, 0.0])
-    assert tso("refine", "far.ply", "mask.png", "--check") == 0
-    assert "do not meet" in capsys.readouterr().out
+    assert tso("refine", "far.ply", "mask.png", "--check") == 2
+    captured = capsys.readouterr()
+    assert "do not meet" in captured.out
+    assert "behind the camera" in captured.err
+
+
+def test_a_view_that_tso_render_wrote_finds_its_camera(folder, capsys):
+    from tso_cli.camera import Camera
+    from tso_cli.files.cameras import CameraRecord, read_camera, write_cameras
+
+    camera = read_camera("camera.json", 256, 256)
+    other = Camera.canonical(256, 256)
+    write_cameras("cameras.json", [CameraRecord(other, Path("else.png")), CameraRecord(camera, Path("mask.png"))])
+    Path("camera.json").unlink()
+    assert tso("refine", "initial.ply", "mask.png", "--json") == 0
+    assert _json(capsys)["camera"]["t"] == camera.t.tolist()
+
+
+def test_a_camera_that_names_another_mask_is_warned_of(folder, capsys):
+    document = json.loads(Path("camera.json").read_text())
+    Path("camera.json").write_text(json.dumps({"views": [document | {"mask": "else.png"}]}))
+    assert tso("refine", "initial.ply", "mask.png", "--steps", "0") == 0
+    assert "else.png" in capsys.readouterr().err
+
+
+def test_a_float_too_coarse_for_its_coordinates_is_warned_of(folder, capsys):
+    from tso_cli.camera import Camera
+    from tso_cli.files.cameras import CameraRecord, read_camera, write_cameras
+
+    camera = read_camera("camera.json", 256, 256)
+    shift = np.array([4e6, 0.0, 0.0])
+    far = Camera(camera.K, camera.R, camera.t - camera.R @ shift, 256, 256)
+    write_cameras("camera.json", [CameraRecord(far)], overwrite=True)
+    points = read_cloud("initial.ply").points + shift
+    write_cloud("coarse.ply", points, dtype="float32")
+    write_cloud("fine.ply", points, dtype="float64")
+    assert tso("refine", "coarse.ply", "mask.png") == 0
+    assert "stored as float" in capsys.readouterr().err
+    assert tso("refine", "fine.ply", "mask.png") == 0
+    assert "stored as float" not in capsys.readouterr().err
+
+
+def test_the_picture_is_not_left_without_its_cloud(folder, capsys, monkeypatch):
+    def full(self, data):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    before = set(folder.iterdir())
+    assert tso("refine", "initial.ply", "mask.png", "--overlay", "picture.png") == 2
+    assert set(folder.iterdir()) == before
 
 
 @pytest.mark.parametrize("mode", ["encoder", "encoder-decoder"])
@@ -277,6 +325,13 @@ BAD = {
     "output of another format": ("", "initial.ply mask.png -o out.obj", "out.obj .ply"),
     "negative steps": ("", "initial.ply mask.png --steps -3", "steps -3"),
     "gamma no number": ("", "initial.ply mask.png --gamma nan", "gamma"),
+    "sigma tiny": ("", "initial.ply mask.png --sigma-sq 1e-30", "mask.png sigma_sq"),
+    "sigma huge": ("", "initial.ply mask.png --sigma-sq 1e5", "mask.png sigma_sq 4096"),
+    "gamma huge": ("", "initial.ply mask.png --gamma 1e308", "gamma"),
+    "negative seed": ("", "initial.ply mask.png --seed -1", "seed -1"),
+    "seed of eighty bits": ("", "initial.ply mask.png --seed 1208925819614629174706176", "seed"),
+    "device without numbers": ("", "initial.ply mask.png --device meta", "meta"),
+    "overlay over the mask": ("", "initial.ply mask.png --overlay mask.png --overwrite", "mask.png input"),
     "sigma zero": ("", "initial.ply mask.png --sigma-sq 0", "sigma_sq 0"),
     "unknown option": ("", "initial.ply mask.png --magic", "--magic"),
     "no mask given": ("", "initial.ply", "MASK"),

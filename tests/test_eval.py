@@ -211,7 +211,6 @@ def test_fail_above_prints_the_result_and_then_fails_the_gate(cloud: Callable[..
         (["--points", 1], "--points is 1"),
         (["--samples", 1], "--samples is 1"),
         (["--samples", 10, "--points", 20], "as many as --points"),
-        (["--seed", -1], "--seed is -1"),
         (["--f-score", "--threshold", 0], "--threshold is 0"),
         (["--threshold", 1], "--threshold serves --f-score"),
         (["--iou"], "--iou needs --mask"),

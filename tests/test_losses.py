@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 from hypothesis import given, settings
@@ -78,9 +80,31 @@ def test_bce_beyond_every_window_is_that_of_log_sum_exp_with_one_point():
     torch.testing.assert_close(gradient, expected, atol=1e-6, rtol=1e-6)
 
 
+def test_a_point_just_beyond_its_window_is_nearer_than_the_corner_of_anothers():
+    mask = torch.zeros(64, 64, dtype=torch.float64)
+    mask[20, 20] = 1.0
+    # the second is nearer, but only the first one's square window holds the pixel
+    points = torch.tensor([[24.4, 24.4], [24.55, 20.0]], dtype=torch.float64)
+    mine, gradient = _value_and_gradient(lambda p: _bce(p, mask), points)
+    oracle, expected = _value_and_gradient(lambda p: oracles.bce(p, mask, SIGMA_SQ), points)
+    assert mine == pytest.approx(oracle, rel=1e-6)
+    torch.testing.assert_close(gradient, expected, atol=1e-4, rtol=1e-4)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.floats(0, 39), st.floats(0, 39)), min_size=1, max_size=5), st.integers(0, 39), st.integers(0, 39))
+def test_bce_of_a_few_points_is_log_sum_exp_up_to_the_count_of_the_nearest(points, row, column):
+    mask = torch.zeros(40, 40, dtype=torch.float64)
+    mask[row, column] = 1.0
+    tensor = torch.tensor(points, dtype=torch.float64)
+    mine = _bce(tensor, mask).item() / (4096 / 1600)
+    oracle = oracles.bce(tensor, mask, SIGMA_SQ).item() / (4096 / 1600)
+    assert oracle - 1e-2 <= mine <= oracle + math.log(len(points)) + 1e-2
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.tuples(st.floats(0, 11), st.floats(0, 9)), min_size=1, max_size=6, unique=True), st.integers(0, 1000))
-def test_the_gradient_of_bce_is_that_of_finite_differences(points, seed):
+def test_the_total_pull_of_bce_is_that_of_log_sum_exp_on_soft_masks(points, seed):
     # soft masks everywhere: both terms of every pixel count
     mask = torch.rand(10, 12, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
     tensor = torch.tensor(points, dtype=torch.float64)
@@ -121,6 +145,17 @@ def test_unknown_pixels_neither_push_nor_pull():
     other, gradient_other = _value_and_gradient(lambda p: _bce(p, mask, known), points)
     assert mine == other
     torch.testing.assert_close(gradient, gradient_other)
+
+
+def test_the_weight_of_a_far_pixel_is_its_known_share():
+    mask = torch.zeros(64, 64, dtype=torch.float64)
+    mask[40, 50] = 1.0
+    points = torch.tensor([[20.0, 40.0]], dtype=torch.float64)
+    known = torch.ones_like(mask)
+    known[40, 50] = 0.25
+    rest = _bce(points, mask, 1.0 - mask)
+    whole, part = _bce(points, mask) - rest, _bce(points, mask, known) - rest
+    assert part.item() == pytest.approx(0.25 * whole.item())
 
 
 def test_points_outside_the_image_are_not_background():

@@ -80,6 +80,19 @@ def test_the_canonical_camera_sees_a_view_aligned_cloud_upright():
     np.testing.assert_allclose(depth, 2.0)
 
 
+def test_a_silhouette_judged_on_a_coarser_grid_is_that_of_every_pixel():
+    cloud = np.random.default_rng(5).uniform(-0.4, 0.4, (900, 3)) * [1.0, 0.6, 0.8]
+    camera = Camera.canonical(600, 450)
+    coarse = silhouette_of(cloud, camera)
+    points = torch.tensor(cloud, dtype=torch.float32)[None]
+    batch = CameraBatch.of([camera], points)
+    sigma_sq = 0.4 * (600 / 64) ** 2
+    every = torch.tanh(silhouette_sums(project(points, batch), batch, sigma_sq, "exact"))[0, 0].numpy()
+    assert coarse.shape == every.shape == (450, 600)
+    assert np.abs(coarse - every).max() < 0.04
+    assert ((coarse > 0.5) != (every > 0.5)).mean() < 0.002
+
+
 def test_the_silhouette_of_a_scan_four_million_units_away_keeps_its_pixels():
     rng = np.random.default_rng(4)
     cloud = rng.uniform(-0.5, 0.5, (400, 3))

@@ -15,8 +15,8 @@ from tests.readme import FIGURES, README, RESULTS, ROOT, console_commands, with_
 from tso_cli.cli import main
 
 NUMBER = re.compile(r"-?\d[\d,]*\.?\d*(?:e[+-]?\d+)?")
-# Training amplifies rounding: on another machine its last digits differ.
-TOLERANCE = 0.25
+# Rounding differs between machines. Hundreds of training steps amplify it: what comes of them is compared by its words.
+TOLERANCE = 0.05
 
 
 @pytest.fixture(scope="module")
@@ -27,11 +27,13 @@ def folder(tmp_path_factory):
     return path
 
 
-def _assert_alike(printed: str, shown: str) -> None:
-    """The same words, and numbers alike; times and what depends on them aside."""
+def _assert_alike(printed: str, shown: str, numbers: bool) -> None:
+    """The same words, and with ``numbers`` also numbers alike; times aside."""
     # the width of a column follows its numbers
     plain, expected = (re.sub(r"-{2,}", "--", re.sub(r" +", " ", text)) for text in (printed, shown))
     assert NUMBER.sub("#", plain) == NUMBER.sub("#", expected)
+    if not numbers:
+        return
     for line, wanted in zip(plain.splitlines(), expected.splitlines(), strict=True):
         timeless = [re.sub(rf"{NUMBER.pattern} s\b|{NUMBER.pattern} views/s", "", text) for text in (line, wanted)]
         found, asked = ([float(n.replace(",", "")) for n in NUMBER.findall(text)] for text in timeless)
@@ -46,7 +48,9 @@ def test_a_command_of_the_readme_prints_what_the_readme_shows(command, shown, fo
     with pytest.raises(SystemExit) as stopped:
         main(words[1:])
     assert stopped.value.code == 0
-    _assert_alike(capsys.readouterr().out.rstrip("\n"), shown)
+    _assert_alike(
+        capsys.readouterr().out.rstrip("\n"), shown, numbers="base.safetensors" not in command and "car-" not in command
+    )
 
 
 def test_the_tables_of_the_pages_are_those_of_the_kept_figures():

@@ -103,6 +103,8 @@ def test_working_at_the_kernels_own_resolution_loses_nothing_against_every_pixel
     full = refine(points, mask, camera)
     assert not np.array_equal(coarse.points, full.points)
     assert _error(coarse.points) < 1.01 * _error(full.points)
+    # the working view is the same scene: its loss is that of every pixel but for the averaged rim of the mask
+    assert coarse.loss_before == pytest.approx(full.loss_before, rel=0.05)
 
 
 def test_the_result_is_the_best_iterate_and_the_start_is_a_candidate(chair):
@@ -151,6 +153,9 @@ def test_a_loss_that_stops_being_a_number_keeps_the_best_before_it(chair, monkey
     result = refine(points, mask, camera)
     assert (result.stop_reason, result.steps, result.best_step) == ("non_finite", 2, 2)
     assert np.isfinite(result.points).all()
+    calls = iter(range(2, 1000))
+    with pytest.raises(TsoError, match="after the first step"):
+        refine(points, mask, camera)
     with pytest.raises(TsoError, match="loss of the start"):
         refine(points, mask, camera)
 
@@ -220,6 +225,8 @@ def test_what_cannot_be_refined_is_refused(chair):
         (dict(masks=mask * 0.0 + 1.0), "every pixel is foreground"),
         (dict(masks=mask[:-1]), "expected the same"),
         (dict(masks=[mask, mask]), "one camera for each mask"),
+        (dict(masks=None), "masks are no arrays"),
+        (dict(masks=[mask[None]]), "a mask has shape"),
         (dict(config=RefineConfig("encoder")), "needs a network"),
     ):
         arguments = dict(points=points, masks=mask, cameras=camera) | bad
@@ -228,7 +235,17 @@ def test_what_cannot_be_refined_is_refused(chair):
 
 
 @pytest.mark.parametrize(
-    "bad", [{"mode": "magic"}, {"steps": -1}, {"learning_rate": 0.0}, {"gamma": -1.0}, {"sigma_sq": float("nan")}]
+    "bad",
+    [
+        {"seed": -1},
+        {"steps": 2.5},
+        {"learning_rate": "a"},
+        {"mode": "magic"},
+        {"steps": -1},
+        {"learning_rate": 0.0},
+        {"gamma": -1.0},
+        {"sigma_sq": float("nan")},
+    ],
 )
 def test_settings_out_of_range_are_refused(bad):
     with pytest.raises(InputError, match=next(iter(bad))):

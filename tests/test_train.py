@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -490,3 +491,10 @@ def test_the_shipped_meshes_and_examples_make_a_training_set() -> None:
     assert [item.name for item in unseen.objects] == ["chair", "car", "airplane"]
     forward, backward = evaluate(build_network(64), unseen, "view")
     assert forward > 0 and backward > 0
+
+
+def test_an_orthographic_camera_is_refused_and_not_taken_for_a_perspective_one() -> None:
+    item = make_objects(count=1, views=1)[0]
+    camera = replace(item.views[0].camera, model="orthographic")
+    with pytest.raises(InputError, match="orthographic, expected perspective"):
+        TrainingData([replace(item, views=[replace(item.views[0], camera=camera)])], "one")

@@ -19,6 +19,8 @@ CANONICAL_ROTATION = np.diag([1.0, -1.0, -1.0])
 CANONICAL_DISTANCE = 2.0
 CANONICAL_FOCAL_AT_64 = 120.0
 MODELS = ("perspective", "orthographic")
+# Points nearer than this to the plane of the camera are culled, in units of the cloud's longest side.
+NEAR = 1e-3
 
 
 @dataclass(frozen=True, eq=False)

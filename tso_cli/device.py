@@ -23,7 +23,8 @@ def resolve(name: str) -> torch.device:
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
         device = torch.device(name)
-        torch.empty(1, device=device)
+        # "meta" allocates, but holds no numbers
+        torch.ones(1, device=device).item()
     except (RuntimeError, AssertionError, NotImplementedError):
         found = f"{torch.cuda.device_count()} CUDA devices" if torch.cuda.is_available() else "no CUDA device"
         raise InputError(f"--device {name}: not available here (found the CPU and {found})") from None

@@ -8,9 +8,10 @@ import torch
 from torch import Tensor
 
 from .kernels.nearest import StaticNearest, nearest
+from .kernels.splat import NEGLIGIBLE
 
-# A sum below this comes from no window at all, or has lost the precision that its logarithm needs.
-UNCOVERED = 1e-30
+# Windows are square: a sum below this may come from the corner of one while a nearer point lies beyond its side.
+UNCOVERED = NEGLIGIBLE
 # Losses are stated for a 64x64 mask.
 REFERENCE_PIXELS = 64.0 * 64.0
 
@@ -25,9 +26,9 @@ def silhouette_bce(
 ) -> Tensor:
     """Binary cross-entropy between mask and silhouette (Eq. 4), computed from the sum s and not from tanh(s).
 
-    ``-log(1 - tanh s) = softplus(2 s) - log 2`` neither overflows nor dies where many points stack. ``log tanh s`` is exact
-    down to the smallest s; at mask pixels that no window reaches, s is that of the nearest projected point alone,
-    ``log s = -d^2 / (2 sigma^2)``, so that far pixels pull too.
+    ``-log(1 - tanh s) = softplus(2 s) - log 2`` neither overflows nor dies where many points stack. At mask pixels
+    whose sum is negligible (under 1e-8: no window reaches them, or only a corner of one), s is that of the nearest projected
+    point alone, ``log s = -d^2 / (2 sigma^2)``, so that far pixels pull too, and pull the right point.
 
     Parameters
     ----------

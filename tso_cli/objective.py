@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from .errors import InputError
 from .losses import silhouette_bce
 from .projection import CameraBatch, cheaper_kernel, default_sigma_sq, project, silhouette_sums
 from .resample import area_resize
@@ -71,6 +72,11 @@ class MaskObjective:
     sigma_sq : px^2 of each view's mask; None for each view's default.
     count : number of points.
     like : tensor whose precision and device are used.
+
+    Raises
+    ------
+    InputError
+        sigma_sq is under 0.01 px^2, or its square root over a quarter of the image.
     """
 
     def __init__(
@@ -85,6 +91,9 @@ class MaskObjective:
         self.views = []
         for view in views:
             own = default_sigma_sq(view.camera.width, view.camera.height) if sigma_sq is None else sigma_sq
+            widest = (max(view.camera.width, view.camera.height) / 4.0) ** 2
+            if not 0.01 <= own <= widest:
+                raise InputError(f"{view.name}: sigma_sq is {own:g} px^2, expected 0.01 to {widest:g} for a mask of this size")
             self.views.append(working_view(view, own, centre, scale, count, like))
 
     def __call__(self, points: Tensor) -> Tensor:

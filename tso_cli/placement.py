@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .camera import CANONICAL_DISTANCE, CANONICAL_ROTATION, Camera
+from .camera import CANONICAL_DISTANCE, CANONICAL_ROTATION, NEAR, Camera
 from .errors import InputError
 from .scene import View
 
@@ -52,6 +52,8 @@ def place(points: Array, view: View) -> Placement:
     camera = view.camera
     pixels, depth = camera.project(points)
     front = np.isfinite(pixels).all(1)
+    if camera.model == "perspective":
+        front &= depth > NEAR * np.ptp(points, axis=0).max()
     seen = pixels[front]
     columns, rows = np.rint(seen).T
     inside = (columns >= 0) & (rows >= 0) & (columns < camera.width) & (rows < camera.height)

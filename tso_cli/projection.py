@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -11,11 +12,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from .camera import Camera
+from .camera import NEAR, Camera
 from .kernels.splat import splat
 
-# Points nearer than this to the plane of the camera are culled, in units of the cloud's longest side.
-NEAR = 1e-3
+# A silhouette blurred by this variance (px^2) changes little from one pixel to the next.
+SMOOTH_SIGMA_SQ = 6.4
+# Points projected at once when a silhouette is judged; bounds its memory.
+POINTS_AT_ONCE = 1 << 16
 
 
 def default_sigma_sq(width: int, height: int) -> float:
@@ -85,17 +88,30 @@ def silhouette_sums(projected: Projected, cameras: CameraBatch, sigma_sq: float,
 def silhouette_of(points: NDArray[np.floating], camera: Camera, sigma_sq: float | None = None) -> NDArray[np.float32]:
     """The silhouette [H, W] in [0, 1] of a cloud [N, 3] in world units (Eq. 2), for judging and for pictures.
 
+    Where the kernel spans many pixels the sums are computed on a grid still fine against it (variance 6.4 of its cells)
+    and interpolated: within 0.04 of every pixel's own, at a cost that does not grow with the photo.
+
     ``sigma_sq`` is in px^2 of the camera's image, the default 0.4 (max(W, H) / 64)^2.
     """
     points = np.asarray(points, dtype=np.float64)
     centre = (points.min(0) + points.max(0)) / 2.0
     scale = float((points.max(0) - points.min(0)).max()) or 1.0
     local = torch.as_tensor((points - centre) / scale, dtype=torch.float32).unsqueeze(0)
-    batch = CameraBatch.of([camera.for_normalised(centre, scale)], local)
+    height, width = camera.height, camera.width
     if sigma_sq is None:
-        sigma_sq = default_sigma_sq(camera.width, camera.height)
+        sigma_sq = default_sigma_sq(width, height)
+    shrink = math.sqrt(SMOOTH_SIGMA_SQ / sigma_sq)
+    if shrink < 1.0:
+        camera = camera.resized(max(1, round(width * shrink)), max(1, round(height * shrink)))
+        sigma_sq *= (max(camera.width, camera.height) / max(width, height)) ** 2
+    batch = CameraBatch.of([camera.for_normalised(centre, scale)], local)
+    kernel = cheaper_kernel(local.shape[1], batch, sigma_sq)
     with torch.no_grad():
-        sums = silhouette_sums(project(local, batch), batch, sigma_sq, cheaper_kernel(local.shape[1], batch, sigma_sq))
+        sums = torch.zeros(1, 1, camera.height, camera.width)
+        for part in local.split(POINTS_AT_ONCE, dim=1):
+            sums += silhouette_sums(project(part, batch), batch, sigma_sq, kernel)
+        if shrink < 1.0:
+            sums = torch.nn.functional.interpolate(sums, (height, width), mode="bilinear", align_corners=False)
         return torch.tanh(sums)[0, 0].numpy()
 
 

@@ -54,7 +54,7 @@ class RefineConfig:
     gamma : weight of the Chamfer distance to the start (longest side 1); None for the paper's 1e6, in encoder mode 0.
     sigma_sq : variance of the projection's Gaussian, px^2 of the mask; None for 0.4 (max(W, H) / 64)^2.
     device : "cpu", "cuda", "auto" or any name torch knows.
-    seed : of torch's random numbers during the loop.
+    seed : recorded in the result; none of the three variants draws random numbers.
 
     Raises
     ------
@@ -73,14 +73,14 @@ class RefineConfig:
     def __post_init__(self) -> None:
         if self.mode not in MODES:
             raise InputError(f"mode is {self.mode!r}, expected one of {', '.join(MODES)}")
-        if self.steps < 0:
-            raise InputError(f"steps is {self.steps}, expected 0 or more")
-        for name in ("learning_rate", "sigma_sq"):
+        for name in ("steps", "seed"):
             value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0.0):
-                raise InputError(f"{name} is {value:g}, expected a finite number > 0")
-        if self.gamma is not None and not (math.isfinite(self.gamma) and self.gamma >= 0.0):
-            raise InputError(f"gamma is {self.gamma:g}, expected a finite number >= 0")
+            if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+                raise InputError(f"{name} is {value!r}, expected a whole number, 0 or more")
+        for name, low, high in (("learning_rate", 0.0, 1e6), ("gamma", -1.0, 1e15), ("sigma_sq", 0.0, 1e9)):
+            value = getattr(self, name)
+            if value is not None and not (isinstance(value, (int, float)) and low < value <= high and value >= 0.0):
+                raise InputError(f"{name} is {value!r}, expected a number {'>= 0' if low else '> 0'}, at most {high:g}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +152,7 @@ def refine(
     InputError
         Points, masks or cameras that cannot be used or do not meet, or a mode that lacks its network.
     TsoError
-        The loss of the start is not a finite number.
+        The loss of the start, or after the first step, is not a finite number.
     """
     config = config or RefineConfig()
     seconds: dict[str, float] = {}
@@ -177,8 +177,7 @@ def refine(
         return loss + gamma * chamfer(moved) if gamma else loss
 
     small = len(first) <= SMALL_CLOUD
-    with _timed(seconds, "optimise"), torch.random.fork_rng(devices=[]), devices.one_thread(small and network is None):
-        torch.manual_seed(config.seed)
+    with _timed(seconds, "optimise"), devices.one_thread(small and network is None):
         best, best_step, losses, stop_reason = _descend(
             start.produce, start.parameters, objective, config.steps, learning_rate, progress
         )
@@ -231,6 +230,8 @@ def _descend(
             if not math.isfinite(value):
                 if step == 0:
                     raise TsoError(f"the loss of the start is {value}, expected a finite number")
+                if step == 1:
+                    raise TsoError(f"the loss is {value} after the first step, expected a number (a smaller learning rate?)")
                 stop_reason = "non_finite"
                 break
             losses.append(value)
@@ -295,9 +296,14 @@ def as_views(masks: Any, cameras: Camera | Sequence[Camera] | None = None) -> tu
         if cameras is not None:
             raise InputError("views bring their own cameras, expected none beside them")
         return tuple(masks)
-    if isinstance(masks, Tensor):
-        masks = masks.detach().cpu().numpy()
-    arrays = [np.asarray(mask) for mask in ([masks] if np.ndim(masks) == 2 else masks)]
+    if isinstance(masks, (Tensor, np.ndarray)) and masks.ndim == 2:
+        masks = [masks]
+    try:
+        arrays = [_as_array(mask) for mask in masks]
+    except (TypeError, ValueError):
+        raise InputError("masks are no arrays of numbers, expected one [H, W] or a sequence of them") from None
+    if any(mask.ndim != 2 for mask in arrays):
+        raise InputError(f"a mask has shape {[list(m.shape) for m in arrays if m.ndim != 2][0]}, expected [H, W]")
     if cameras is None:
         cameras = [Camera.canonical(mask.shape[-1], mask.shape[0]) for mask in arrays]
     elif isinstance(cameras, Camera):
@@ -305,6 +311,12 @@ def as_views(masks: Any, cameras: Camera | Sequence[Camera] | None = None) -> tu
     if len(arrays) == 0 or len(arrays) != len(cameras):
         raise InputError(f"found {len(arrays)} masks and {len(cameras)} cameras, expected one camera for each mask")
     return tuple(View(mask, camera, name=f"mask {i}") for i, (mask, camera) in enumerate(zip(arrays, cameras, strict=True)))
+
+
+def _as_array(mask: Any) -> NDArray[np.float32]:
+    if isinstance(mask, Tensor):
+        mask = mask.detach().cpu().numpy()
+    return np.asarray(mask, dtype=np.float32)
 
 
 def _view_iou(points: Array, view: View, sigma_sq: float | None) -> float:

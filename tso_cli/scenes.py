@@ -166,10 +166,13 @@ def load_network_scene(
             def to_output(points: Array) -> Array:
                 return view_to_world(points, placed, view.camera)
 
+    source = _said(camera_file)
+    if aligned:
+        source += f"; of it K counts, the network's cloud is placed to fill the mask, at distance {crop.camera.t[2]:.3g}"
     return Scene(
         predicted,
         crop,
-        _said(camera_file),
+        source,
         frame,
         network=network,
         image=given.image,

@@ -20,7 +20,9 @@ class FilePath(click.Path):
 
 
 overwrite = click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
-seed = click.option("--seed", type=int, default=0, show_default=True, help="Seed of everything random.")
+seed = click.option(
+    "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Seed of everything random."
+)
 as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
 device = click.option("--device", default="cpu", show_default=True, help="cpu, cuda, cuda:1, mps or auto.")
 
@@ -48,7 +50,7 @@ def log(message: str) -> None:
 
 
 class ProgressBar:
-    """A bar on stderr while it is a terminal, else a line about every tenth of the work.
+    """A bar on stderr while it is a terminal, else a line every tenth of the work or 15 seconds.
 
     Parameters
     ----------
@@ -60,14 +62,18 @@ class ProgressBar:
         self.label = label
         self._terminal = sys.stderr.isatty()
         self._shown = -1
-        self._from = time.monotonic() + delay
+        self._due = time.monotonic() + delay
+        self._pause = 1.0 if self._terminal else 15.0
 
     def __call__(self, done: int, total: int, note: str = "") -> None:
         """Show ``done`` of ``total``."""
         mark = done * (40 if self._terminal else 10) // max(total, 1)
-        silent = time.monotonic() < self._from
-        if silent or (mark == self._shown and not (done == total and self._terminal)):
+        now = time.monotonic()
+        if self._shown < 0 and now < self._due:
             return
+        if mark == self._shown and now < self._due and not (done == total and self._terminal):
+            return
+        self._due = now + self._pause
         self._shown = mark
         if self._terminal:
             bar = "#" * mark + "." * (40 - mark)

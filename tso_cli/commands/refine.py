@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ import click
 
 from .. import __version__
 from ..errors import InputError
-from ..files.output import check_output
+from ..files.output import atomic_output, check_output
 from . import options
 
 if TYPE_CHECKING:
@@ -45,7 +46,11 @@ MODES = ("points", "encoder", "encoder-decoder")
 @click.option("--steps", type=click.IntRange(min=0), default=50, show_default=True, help="Adam steps; 0 writes the start.")
 @click.option("--learning-rate", type=float, help="[default: 5e-4 points, 1e-6 encoder, 5e-6 encoder-decoder]")
 @click.option("--gamma", type=float, help="Weight of the Chamfer distance to the start.  [default: 1e6; encoder 0]")
-@click.option("--sigma-sq", type=float, help="Gaussian's variance, px^2 of the mask.  [default: 0.4 (max(W, H)/64)^2]")
+@click.option(
+    "--sigma-sq",
+    type=float,
+    help="Gaussian's variance, px^2 of the mask (encoder modes: of the 64 px crop).  [default: 0.4 (max(W, H)/64)^2]",
+)
 @options.device
 @options.seed
 @click.option("--overlay", type=options.FilePath(), help="Picture of mask, silhouette and cloud before and after, .png.")
@@ -83,13 +88,14 @@ def command(
     tso refine --mode encoder-decoder IMAGE MASK --checkpoint FILE
 
     The cloud that comes out is the file that went in with other coordinates: order, precision, colours, faces and every
-    other attribute stay.
+    other attribute stay. None of the three variants draws random numbers; the seed is only recorded.
     """
     started = time.perf_counter()
     _refuse_mixed_up(mode, source, checkpoint, frame)
     output = output or Path(f"{source.stem}.refined.ply")
     if not check:
-        _refuse_outputs(output, overlay, overwrite)
+        _refuse_outputs(output, overlay, overwrite, (source, mask, camera_file, ignore_file))
+    from ..placement import place, require_overlap
     from ..scenes import load_network_scene, load_points_scene
 
     if checkpoint is None:
@@ -99,6 +105,7 @@ def command(
     options.log(f"tso: camera: {scene.camera_source}")
     if check:
         _print_check(scene, as_json)
+        require_overlap(place(scene.points, scene.view), scene.view)
         return
     read = time.perf_counter() - started
     from ..refinement import RefineConfig, refine
@@ -116,11 +123,13 @@ def command(
     writing = time.perf_counter()
     from ..files.clouds import write_cloud
 
-    write_cloud(output, scene.to_output(result.points), like=scene.cloud, overwrite=overwrite)
-    if overlay is not None:
-        from ..report.overlay import draw_overlay
+    # The picture takes its name only once the cloud is written: both are there in the end, or neither.
+    with ExitStack() as outputs:
+        if overlay is not None:
+            from ..report.overlay import draw_overlay
 
-        draw_overlay(overlay, result, scene.view, overwrite)
+            draw_overlay(outputs.enter_context(atomic_output(overlay)), result, scene.view)
+        write_cloud(output, scene.to_output(result.points), like=scene.cloud, overwrite=overwrite)
     finished = time.perf_counter()
     seconds = {"read": read, **result.seconds, "write": finished - writing, "total": finished - started}
     if as_json:
@@ -152,7 +161,7 @@ def _refuse_mixed_up(mode: str, source: Path, checkpoint: Path | None, frame: st
         raise InputError("--frame is for the encoder modes; points mode keeps the frame of its cloud")
 
 
-def _refuse_outputs(output: Path, overlay: Path | None, overwrite: bool) -> None:
+def _refuse_outputs(output: Path, overlay: Path | None, overwrite: bool, inputs: tuple[Path | None, ...]) -> None:
     if output.suffix.lower() != ".ply":
         raise InputError(f"{output}: the suffix is {output.suffix!r}, expected .ply")
     check_output(output, overwrite)
@@ -160,6 +169,8 @@ def _refuse_outputs(output: Path, overlay: Path | None, overwrite: bool) -> None
         if overlay.suffix.lower() != ".png":
             raise InputError(f"{overlay}: the suffix is {overlay.suffix!r}, expected .png")
         check_output(overlay, overwrite)
+        if any(path is not None and path.resolve() == overlay.resolve() for path in inputs):
+            raise InputError(f"{overlay}: is an input, expected another name for --overlay")
 
 
 def _describe_camera(camera: Camera, source: str) -> dict[str, Any]:
@@ -198,7 +209,7 @@ def _document(
             "chamfer_to_initial": "squared distances, mean over points, both directions summed, longest side 1",
             "iou": "silhouette > 0.5 against mask > 0.5, mean over views",
             "loss": "BCE summed over pixels x 64^2/(W H) + gamma x Chamfer to the initial cloud",
-            "sigma_sq": "px^2 of the mask",
+            "sigma_sq": "px^2 of the mask (encoder modes: mask, IoU and sigma_sq are those of the 64x64 crop)",
         },
         "learning_rate": result.learning_rate,
         "gamma": result.gamma,

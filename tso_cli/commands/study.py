@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from ..errors import InputError
 from ..files.output import atomic_output, check_output
 from . import options
 
@@ -20,6 +21,8 @@ def command() -> None:
 def _outputs(output: Path | None, overwrite: bool) -> None:
     """Refuse outputs that cannot be written before the long work starts."""
     if output is not None:
+        if output.suffix.lower() != ".json":
+            raise InputError(f"{output}: the suffix is {output.suffix!r}, expected .json (the chart goes beside it as .png)")
         for path in (output, output.with_suffix(".png")):
             check_output(path, overwrite)
 

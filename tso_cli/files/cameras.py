@@ -48,9 +48,12 @@ class CameraRecord:
 
 
 def find_camera(mask_path: str | Path) -> Path | None:
-    """The camera file beside a mask: ``MASKSTEM.camera.json``, else ``camera.json``, else None."""
+    """The camera file beside a mask: ``MASKSTEM.camera.json``, else ``camera.json``, else ``cameras.json``, else None.
+
+    The last is what ``tso render`` writes: all views of an object, each naming its mask.
+    """
     mask_path = Path(mask_path)
-    for name in (f"{mask_path.stem}.camera.json", "camera.json"):
+    for name in (f"{mask_path.stem}.camera.json", "camera.json", "cameras.json"):
         path = mask_path.with_name(name)
         if path.is_file():
             return path
@@ -104,15 +107,20 @@ def read_camera(path: str | Path, width: int, height: int, mask: str | Path | No
     path = Path(path)
     records = read_cameras(path)
     if len(records) > 1:
-        wanted = os.path.realpath(mask) if mask is not None else None
-        fitting = [r for r in records if r.mask is not None and os.path.realpath(r.mask) == wanted]
+        fitting = [r for r in records if r.mask is not None and mask is not None and _same_file(r.mask, mask)]
         if len(fitting) != 1:
             named = f"the mask {mask}" if mask is not None else "a mask"
             raise InputError(f"{path}: {len(fitting)} of its {len(records)} views name {named}, expected one")
         records = fitting
+    elif mask is not None and records[0].mask is not None and not _same_file(records[0].mask, mask):
+        warnings.warn(f"{path}: its one view names the mask {records[0].mask}, used for {mask}", stacklevel=2)
     camera = records[0].camera
     check_size(path, camera, width, height, mask)
     return camera
+
+
+def _same_file(a: str | Path, b: str | Path) -> bool:
+    return os.path.realpath(a) == os.path.realpath(b)
 
 
 def check_size(path: str | Path, camera: Camera, width: int, height: int, mask: str | Path | None = None) -> None:

@@ -114,6 +114,14 @@ def write_cloud(
     narrow = set(like.ply.kinds) if like is not None and like.ply is not None else set()
     if "f4" in narrow and np.abs(points).max(initial=0.0) > np.finfo(np.float32).max:
         raise TsoError(f"{path}: a coordinate does not fit into the float of {like.path if like else path}")
+    if "f4" in narrow:
+        lost, extent = _rounding(points)
+        if lost > 1e-4 * extent:
+            warnings.warn(
+                f"{path}: its coordinates are stored as float, as in {like.path if like else path}: rounding moves points by "
+                f"up to {lost:.2g}, the cloud's longest side is {extent:.3g}; store the input as double to keep the result",
+                stacklevel=2,
+            )
     if like is not None and like.ply is not None:
         data = like.ply.with_points(points)
         if like.ply.has_normals and data is not like.ply.data:
@@ -124,10 +132,15 @@ def write_cloud(
         temporary.write_bytes(data)
 
 
-def _precision(points: Points) -> str:
+def _rounding(points: Points) -> tuple[float, float]:
+    """How far float32 moves the worst coordinate, and the longest side."""
     with np.errstate(over="ignore", invalid="ignore"):
         loss = np.abs(points.astype(np.float32) - points).max(initial=0.0)
-    extent = np.ptp(points, axis=0).max() if len(points) else 0.0
+    return float(loss), float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+
+
+def _precision(points: Points) -> str:
+    loss, extent = _rounding(points)
     return "float32" if loss <= 1e-6 * extent else "float64"
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.output import atomic_output, check_output
 from ..projection import silhouette_of
 from ..refinement import RefineResult
 from ..scene import View
@@ -30,12 +29,11 @@ def compare(silhouette: NDArray[np.floating], view: View) -> NDArray[np.float64]
     return picture
 
 
-def draw_overlay(path: Path, result: RefineResult, view: View, overwrite: bool = False) -> None:
+def draw_overlay(path: Path, result: RefineResult, view: View) -> None:
     """Write a picture: a row before and a row after; mask against silhouette, the cloud from the camera, and from its right.
 
-    Raises InputError if ``path`` cannot be written to.
+    It is written straight to ``path``, for the caller to move where it belongs once all outputs are there.
     """
-    check_output(path, overwrite)
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -58,14 +56,16 @@ def draw_overlay(path: Path, result: RefineResult, view: View, overwrite: bool =
     for axis in axes.flat:
         axis.set_xticks([])
         axis.set_yticks([])
+    handles = [_patch(AGREED, "agree"), _patch(MISSING, "mask without silhouette"), _patch(STRAY, "silhouette without mask")]
+    if view.known is not None:
+        handles.append(_patch(UNKNOWN, "says nothing"))
     figure.legend(
-        handles=[_patch(AGREED, "agree"), _patch(MISSING, "mask without silhouette"), _patch(STRAY, "silhouette without mask")],
+        handles=handles,
         loc="outside lower left",
-        ncols=3,
+        ncols=4,
         frameon=False,
     )
-    with atomic_output(path) as temporary:
-        figure.savefig(temporary, dpi=110)
+    figure.savefig(path, dpi=110)
 
 
 def _scatter(axis, x, y, depth, middle_x, middle_y, half) -> None:  # type: ignore[no-untyped-def]

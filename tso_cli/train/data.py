@@ -76,6 +76,9 @@ class TrainingData:
         for item in objects:
             if not item.views:
                 raise InputError(f"{item.name}: has no view, expected at least one")
+            for view in item.views:
+                if view.camera.model != "perspective":
+                    raise InputError(f"{view.name}: its camera is {view.camera.model}, expected perspective for training")
         self.objects, self.description = list(objects), description
         self.crop_share, self.background = crop_share, background
         self._cache: dict[tuple[int, int], NetworkInput] = {}

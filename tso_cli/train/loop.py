@@ -77,8 +77,8 @@ class TrainConfig:
         for name in ("steps", "batch_size", "views", "saturation_steps", "points"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} is {getattr(self, name)}, expected 1 or more")
-        if self.seed < 0:
-            raise InputError(f"seed is {self.seed}, expected 0 or more")
+        if not 0 <= self.seed < 2**63:
+            raise InputError(f"seed is {self.seed}, expected 0 or more, below 2^63")
         for name in ("learning_rate", "sigma_sq"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise InputError(f"{name} is {getattr(self, name):g}, expected a finite number above 0")
