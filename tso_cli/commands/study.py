@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +28,12 @@ def _outputs(output: Path | None, overwrite: bool) -> None:
             check_output(path, overwrite)
 
 
-def _write_json(path: Path, record: dict[str, Any]) -> None:
-    with atomic_output(path) as temporary:
-        temporary.write_text(json.dumps(record, indent=1) + "\n")
+def _keep(record: dict[str, Any], output: Path | None, draw: Callable[..., None], overwrite: bool) -> None:
+    """Write the record and its chart, if they are wanted."""
+    if output is not None:
+        with atomic_output(output) as temporary:
+            temporary.write_text(json.dumps(record, indent=1) + "\n")
+        draw(output.with_suffix(".png"), record, overwrite)
 
 
 class _Reporter:
@@ -88,9 +92,7 @@ def points(
     config = RefineConfig("points", steps, learning_rate, gamma, sigma_sq, device)
     chosen = categories or tuple(INITIAL_CHAMFER)
     record = study_points(meshes, config, chosen, seed, limit, _Reporter())
-    if output is not None:
-        _write_json(output, record)
-        draw_points_study(output.with_suffix(".png"), record, overwrite)
+    _keep(record, output, draw_points_study, overwrite)
     if as_json:
         options.echo_json(record)
         return
@@ -143,9 +145,7 @@ def examples(checkpoint: Path | None, output: Path | None, overwrite: bool, as_j
     from ..studies.examples import study_examples
 
     record = study_examples(checkpoint, _Reporter())
-    if output is not None:
-        _write_json(output, record)
-        draw_examples_study(output.with_suffix(".png"), record, overwrite)
+    _keep(record, output, draw_examples_study, overwrite)
     if as_json:
         options.echo_json(record)
         return
