@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,7 +12,7 @@ from torch import Tensor
 
 from .errors import InputError
 from .losses import silhouette_bce
-from .projection import CameraBatch, cheaper_kernel, default_sigma_sq, project, silhouette_sums
+from .projection import CameraBatch, cheaper_kernel, coarsened, default_sigma_sq, project, silhouette_sums
 from .resample import area_resize
 from .scene import View
 
@@ -32,33 +31,26 @@ class WorkingView:
     kernel: str
 
 
-def working_view(
-    view: View, sigma_sq: float, centre: NDArray[np.float64], scale: float, count: int, like: Tensor
-) -> WorkingView:
+def working_view(view: View, sigma_sq: float, centre: NDArray[np.float64], scale: float, like: Tensor) -> WorkingView:
     """Prepare ``view`` for a cloud normalised by ``(X - centre) / scale``.
 
     A silhouette whose kernel spans many pixels holds nothing finer than that kernel, so its mask is averaged (by area) down
     to pixels of about the kernel's size. The default sigma^2 grows with the image, so every image is worked on at 64 px along
     its longer side; a smaller sigma^2 keeps more. Nothing is ever scaled up.
     """
-    camera = view.camera
+    camera, sigma_sq = coarsened(view.camera, sigma_sq, RESOLVED_SIGMA_SQ)
     mask, known = view.mask.astype(np.float64), view.known
-    shrink = min(1.0, math.sqrt(RESOLVED_SIGMA_SQ / sigma_sq))
-    width = max(1, round(camera.width * shrink))
-    height = max(1, round(camera.height * shrink))
     weight: NDArray[np.float64] | None = None if known is None else known.astype(np.float64)
-    if (width, height) != (camera.width, camera.height):
-        box = (-0.5, -0.5, camera.width - 0.5, camera.height - 0.5)
-        mask, weight = area_resize(mask, box, width, height, weights=weight)
-        sigma_sq *= (max(width, height) / max(camera.width, camera.height)) ** 2
-        camera = camera.resized(width, height)
+    if camera is not view.camera:
+        box = (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5)
+        mask, weight = area_resize(mask, box, camera.width, camera.height, weights=weight)
     batch = CameraBatch.of([camera.for_normalised(centre, scale)], like)
     return WorkingView(
         torch.as_tensor(mask, dtype=like.dtype, device=like.device).unsqueeze(0),
         None if known is None else torch.as_tensor(weight, dtype=like.dtype, device=like.device).unsqueeze(0),
         batch,
         sigma_sq,
-        cheaper_kernel(count, batch, sigma_sq),
+        cheaper_kernel(batch, sigma_sq),
     )
 
 
@@ -70,7 +62,6 @@ class MaskObjective:
     views : V views of the object.
     centre, scale : the normalisation of the clouds it will be called with.
     sigma_sq : px^2 of each view's mask; None for each view's default.
-    count : number of points.
     like : tensor whose precision and device are used.
 
     Raises
@@ -85,7 +76,6 @@ class MaskObjective:
         centre: NDArray[np.float64],
         scale: float,
         sigma_sq: float | None,
-        count: int,
         like: Tensor,
     ) -> None:
         self.views = []
@@ -94,7 +84,7 @@ class MaskObjective:
             widest = (max(view.camera.width, view.camera.height) / 4.0) ** 2
             if not 0.01 <= own <= widest:
                 raise InputError(f"{view.name}: sigma_sq is {own:g} px^2, expected 0.01 to {widest:g} for a mask of this size")
-            self.views.append(working_view(view, own, centre, scale, count, like))
+            self.views.append(working_view(view, own, centre, scale, like))
 
     def __call__(self, points: Tensor) -> Tensor:
         """The loss of ``points`` [N, 3], a scalar."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from .camera import NEAR, Camera
-from .kernels.splat import splat
+from .kernels.splat import splat, window_radius
 
 # A silhouette blurred by this variance (px^2) changes little from one pixel to the next.
 SMOOTH_SIGMA_SQ = 6.4
@@ -100,25 +100,32 @@ def silhouette_of(points: NDArray[np.floating], camera: Camera, sigma_sq: float 
     height, width = camera.height, camera.width
     if sigma_sq is None:
         sigma_sq = default_sigma_sq(width, height)
-    shrink = math.sqrt(SMOOTH_SIGMA_SQ / sigma_sq)
-    if shrink < 1.0:
-        camera = camera.resized(max(1, round(width * shrink)), max(1, round(height * shrink)))
-        sigma_sq *= (max(camera.width, camera.height) / max(width, height)) ** 2
+    camera, sigma_sq = coarsened(camera, sigma_sq, SMOOTH_SIGMA_SQ)
     batch = CameraBatch.of([camera.for_normalised(centre, scale)], local)
-    kernel = cheaper_kernel(local.shape[1], batch, sigma_sq)
+    kernel = cheaper_kernel(batch, sigma_sq)
     with torch.no_grad():
         sums = torch.zeros(1, 1, camera.height, camera.width)
         for part in local.split(POINTS_AT_ONCE, dim=1):
             sums += silhouette_sums(project(part, batch), batch, sigma_sq, kernel)
-        if shrink < 1.0:
+        if (camera.height, camera.width) != (height, width):
             sums = torch.nn.functional.interpolate(sums, (height, width), mode="bilinear", align_corners=False)
         return torch.tanh(sums)[0, 0].numpy()
 
 
-def cheaper_kernel(count: int, cameras: CameraBatch, sigma_sq: float) -> str:
-    """Which kernel costs less for ``count`` points: a wide window over a small image costs more than the whole image."""
-    from .kernels.splat import window_radius
+def coarsened(camera: Camera, sigma_sq: float, wanted: float) -> tuple[Camera, float]:
+    """The camera on a grid so much coarser that ``sigma_sq`` is about ``wanted`` (px^2) there, and its value there.
 
+    Both are returned as they are where sigma_sq is smaller: nothing is ever scaled up.
+    """
+    shrink = min(1.0, math.sqrt(wanted / sigma_sq))
+    coarse = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
+    if (coarse.width, coarse.height) == (camera.width, camera.height):
+        return camera, sigma_sq
+    return coarse, sigma_sq * (max(coarse.width, coarse.height) / max(camera.width, camera.height)) ** 2
+
+
+def cheaper_kernel(cameras: CameraBatch, sigma_sq: float) -> str:
+    """Which kernel costs less, whatever the number of points: a wide window costs more than the whole of a small image."""
     taps = (2 * window_radius(sigma_sq) + 1) ** 2
     # A scattered tap costs about 30 times a multiply-add of the dense product.
     return "windowed" if 30 * taps < cameras.height * cameras.width else "exact"

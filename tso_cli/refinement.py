@@ -167,7 +167,7 @@ def refine(
         for view in views:
             require_overlap(place(start.initial, view), view)
         first = start.produce().detach().clone()
-        mask_term = MaskObjective(views, start.centre, start.scale, config.sigma_sq, len(first), first)
+        mask_term = MaskObjective(views, start.centre, start.scale, config.sigma_sq, first)
         chamfer = ChamferToInitial(first)
     gamma = PAPER_GAMMA[config.mode] if config.gamma is None else config.gamma
     learning_rate = config.learning_rate or PAPER_LEARNING_RATE[config.mode]

@@ -16,6 +16,7 @@ from . import options
 
 if TYPE_CHECKING:
     from ..camera import Camera
+    from ..placement import Placement
     from ..refinement import RefineResult
     from ..scenes import Scene
 
@@ -31,7 +32,7 @@ MODES = ("points", "encoder", "encoder-decoder")
     "--camera",
     "camera_file",
     type=options.FilePath(),
-    help="Camera file.  [default: MASKSTEM.camera.json, else camera.json beside the mask, else the canonical camera]",
+    help="Camera file.  [default: MASKSTEM.camera.json, else camera.json or cameras.json beside the mask, else canonical]",
 )
 @click.option("-o", "--output", type=options.FilePath(), help="Refined cloud, .ply.  [default: SOURCESTEM.refined.ply here]")
 @options.overwrite
@@ -104,8 +105,9 @@ def command(
         scene = load_network_scene(source, mask, checkpoint, camera_file, invert_mask, ignore_file, frame == "world")
     options.log(f"tso: camera: {scene.camera_source}")
     if check:
-        _print_check(scene, as_json)
-        require_overlap(place(scene.points, scene.view), scene.view)
+        placement = place(scene.points, scene.view)
+        _print_check(scene, placement, as_json)
+        require_overlap(placement, scene.view)
         return
     read = time.perf_counter() - started
     from ..refinement import RefineConfig, refine
@@ -239,10 +241,9 @@ def _print_result(result: RefineResult, output: Path, overlay: Path | None, seco
         click.echo(f"{overlay}: picture")
 
 
-def _print_check(scene: Scene, as_json: bool) -> None:
-    from ..placement import SMALLEST_BOX_IOU, describe_box, place
+def _print_check(scene: Scene, placement: Placement, as_json: bool) -> None:
+    from ..placement import SMALLEST_BOX_IOU, describe_box
 
-    placement = place(scene.points, scene.view)
     camera = scene.view.camera
     size = scene.points.max(0) - scene.points.min(0)
     meets = placement.box_iou > SMALLEST_BOX_IOU

@@ -44,7 +44,7 @@ def mask_loss(points: Tensor, batch: Batch, sigma_sq: float, weight: float, form
     height, width = batch.masks.shape[-2:]
     cameras = CameraBatch(like(batch.K), like(batch.R), like(batch.t), width, height)
     projected = project(points, cameras)
-    kernel = cheaper_kernel(points.shape[1], cameras, sigma_sq)
+    kernel = cheaper_kernel(cameras, sigma_sq)
     sums = silhouette_sums(projected, cameras, sigma_sq, kernel).flatten(0, 1)  # [B V, H, W]
     masks, known = like(batch.masks).flatten(0, 1), like(batch.known).flatten(0, 1)
     points_px, valid = projected.points_px.flatten(0, 1), projected.valid.flatten(0, 1)
