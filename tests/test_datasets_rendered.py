@@ -10,7 +10,7 @@ import pytest
 
 from tso_cli.camera import Camera
 from tso_cli.datasets import rendered
-from tso_cli.datasets.rendered import RenderedDataset, list_objects, stored_record, write_object
+from tso_cli.datasets.rendered import open_rendered, stored_record, write_object
 from tso_cli.errors import InputError, TsoError
 from tso_cli.files.images import write_image
 
@@ -35,110 +35,29 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-def test_what_was_written_is_read_back_exactly(folder: Path) -> None:
-    data = RenderedDataset(folder)
-    assert len(data) == 2
-    assert [item.name for item in data.objects] == ["a/chair", "b"]
-    first = data.objects[0]
-    np.testing.assert_array_equal(first.target(), cloud(1))
-    assert first.target().dtype == np.float32
-    for number, view in enumerate(first.views):
-        image, mask, camera = picture(10 + number)
-        np.testing.assert_array_equal(view.image(), image)
-        np.testing.assert_array_equal(view.mask(), mask / np.float32(255))
-        assert view.mask().dtype == np.float32
-        np.testing.assert_array_equal(view.camera.K, camera.K)
-        assert view.mask_path.name == f"{number:03d}.mask.png"
-    np.testing.assert_array_equal(data.targets(), np.stack([cloud(1), cloud(0)]))
-
-
 def test_one_object_is_a_data_set_of_one(folder: Path) -> None:
-    assert [item.name for item in list_objects(folder / "a" / "chair")] == ["chair"]
+    assert [item.name for item in open_rendered(folder / "a" / "chair").objects] == ["chair"]
 
 
 def test_unfinished_objects_are_left_out(folder: Path) -> None:
     (folder / "b").rename(folder / ".b.1234.partial")
-    assert [item.name for item in list_objects(folder)] == ["a/chair"]
-
-
-def test_a_picture_is_decoded_once_while_there_is_room(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    reads: list[Path] = []
-    original = rendered.read_image
-    monkeypatch.setattr(rendered, "read_image", lambda path: (reads.append(path), original(path))[1])
-    size = 12 * 10 * 3
-    for room, expected in ((10 * size, 2), (size, 4)):
-        reads.clear()
-        views = RenderedDataset(folder, cache_bytes=room).objects[0].views
-        for view in (*views, *views):
-            view.image()
-        assert len(reads) == expected
-
-
-def test_the_memory_kept_stays_below_the_bound(folder: Path) -> None:
-    data = RenderedDataset(folder, cache_bytes=1000)
-    for _ in range(2):
-        for item in data.objects:
-            for view in item.views:
-                view.image(), view.mask()
-                assert data._cache.used <= 1000
-                assert data._cache.used == sum(pixels.nbytes for pixels in data._cache._items.values())
-
-
-def test_a_kept_picture_cannot_be_changed_by_its_user(folder: Path) -> None:
-    image = list_objects(folder)[0].views[0].image()
-    with pytest.raises(ValueError, match="read-only"):
-        image[0, 0, 0] = 1
-
-
-def test_a_missing_target_is_named(folder: Path) -> None:
-    (folder / "b" / "target.ply").unlink()
-    with pytest.raises(InputError, match=r"b/target\.ply: does not exist"):
-        RenderedDataset(folder)
-
-
-def test_targets_of_different_sizes_are_refused_together_and_fine_alone(folder: Path) -> None:
-    write_object(folder / "c", [picture(3)], cloud(3), cloud(3, 7), {})
-    data = RenderedDataset(folder)
-    assert data.objects[-1].target().shape == (7, 3)
-    with pytest.raises(InputError, match=r"c/target\.ply: 7 points, expected 20"):
-        data.targets()
-
-
-def test_a_mask_or_image_of_another_size_is_named(folder: Path) -> None:
-    image, mask, _ = picture(0, 13, 10)
-    write_image(folder / "b/000.mask.png", mask, overwrite=True)
-    write_image(folder / "b/001.png", image, overwrite=True)
-    views = RenderedDataset(folder).objects[1].views
-    with pytest.raises(InputError, match=r"000\.mask\.png: is 13x10.*12x10"):
-        views[0].mask()
-    with pytest.raises(InputError, match=r"001\.png: is 13x10.*12x10"):
-        views[1].image()
-
-
-@pytest.mark.parametrize("key", ["image", "mask"])
-def test_a_view_without_image_or_mask_is_named(folder: Path, key: str) -> None:
-    path = folder / "b/cameras.json"
-    document = json.loads(path.read_text())
-    del document["views"][1][key]
-    path.write_text(json.dumps(document))
-    with pytest.raises(InputError, match=rf"views\[1\] names no {key}"):
-        _ = RenderedDataset(folder).objects[1].views
+    assert [item.name for item in open_rendered(folder).objects] == ["a/chair"]
 
 
 def test_a_missing_picture_is_named(folder: Path) -> None:
     (folder / "b/000.png").unlink()
     with pytest.raises(InputError, match=r"b/000\.png: does not exist"):
-        RenderedDataset(folder).objects[1].views[0].image()
+        open_rendered(folder).objects[1].views[0].load()
 
 
 def test_a_folder_without_objects_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="holds no object"):
-        RenderedDataset(tmp_path)
+    with pytest.raises(InputError, match="no object"):
+        open_rendered(tmp_path)
     with pytest.raises(InputError, match="does not exist"):
-        RenderedDataset(tmp_path / "missing")
+        open_rendered(tmp_path / "missing")
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="is a file"):
-        RenderedDataset(tmp_path / "file")
+        open_rendered(tmp_path / "file")
 
 
 def test_an_object_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,3 +101,66 @@ def test_an_object_is_replaced_only_when_asked(tmp_path: Path) -> None:
     assert stored_record(tmp_path / "a") == {"n": 2}
     assert not (tmp_path / "a/001.png").exists()
     assert stored_record(tmp_path / "other") is None
+
+
+def test_as_a_data_set_an_object_has_its_views_target_and_category(folder: Path) -> None:
+    data = open_rendered(folder)
+    assert [(item.name, item.category, len(item.views)) for item in data.objects] == [("a/chair", "a", 2), ("b", "", 2)]
+    assert data.skipped == {} and data.description == "data"
+    item = data.objects[0]
+    assert item.target is not None
+    np.testing.assert_array_equal(item.target(), cloud(1))
+    for number, view in enumerate(item.views):
+        image, mask, camera = picture(10 + number)
+        loaded = view.load()
+        np.testing.assert_array_equal(loaded[0], image)
+        np.testing.assert_array_equal(loaded[1], mask / np.float32(255))
+        assert loaded[1].dtype == np.float32
+        np.testing.assert_array_equal(view.camera.K, camera.K)
+        assert view.name.endswith(f"{number:03d}.mask.png")
+
+
+def test_camera_files_are_kept_for_few_objects_at_a_time(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    reads: list[Path] = []
+    original = rendered.read_cameras
+    monkeypatch.setattr(rendered, "read_cameras", lambda path: (reads.append(path), original(path))[1])
+    views = rendered._Views(limit=1)
+    for _ in range(2):
+        for name in ("a/chair", "b"):
+            assert [views.view(str(folder / name), index).camera.width for index in (0, 1)] == [12, 12]
+    assert len(reads) == 4 and len(views._kept) == 1
+
+
+@pytest.mark.parametrize(
+    ("what", "message"),
+    [
+        ("target", r"b/target\.ply: does not exist"),
+        ("cameras", r"b/cameras\.json: is not"),
+        ("mask", r"views\[1\] names no mask"),
+    ],
+)
+def test_an_unusable_object_of_a_data_set_is_skipped_or_an_error(folder: Path, what: str, message: str) -> None:
+    path = folder / "b/cameras.json"
+    if what == "target":
+        (folder / "b/target.ply").unlink()
+    elif what == "cameras":
+        path.write_text("{")
+    else:
+        document = json.loads(path.read_text())
+        del document["views"][1]["mask"]
+        path.write_text(json.dumps(document))
+    data = open_rendered(folder)
+    assert [item.name for item in data.objects] == ["a/chair"] and list(data.skipped) == ["b"]
+    with pytest.raises(InputError, match=message) as raised:
+        open_rendered(folder, strict=True)
+    assert str(raised.value) == data.skipped["b"]
+
+
+def test_a_damaged_picture_of_a_data_set_says_so_when_it_is_loaded(folder: Path) -> None:
+    (folder / "b/000.png").write_bytes(b"not a picture")
+    write_image(folder / "b/001.mask.png", picture(0, 13, 10)[1], overwrite=True)
+    views = open_rendered(folder, strict=True).objects[1].views
+    with pytest.raises(InputError, match=r"b/000\.png: is not a readable image"):
+        views[0].load()
+    with pytest.raises(InputError, match=r"001\.mask\.png: is 13x10.*12x10"):
+        views[1].load()

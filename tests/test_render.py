@@ -17,7 +17,7 @@ from scipy import ndimage
 from tso_cli import render
 from tso_cli.camera import CANONICAL_ROTATION, Camera
 from tso_cli.commands.render import command
-from tso_cli.datasets.rendered import RenderedDataset
+from tso_cli.datasets.rendered import open_rendered
 from tso_cli.errors import InputError, TsoError
 from tso_cli.files.meshes import Mesh, write_mesh
 from tso_cli.geometry import farthest_point_sample, sample_surface
@@ -414,9 +414,9 @@ def test_the_command_prints_one_json_document_and_writes_what_can_be_read(meshes
     document = json.loads(result.stdout)
     assert document["written"] == ["c", "chair/a", "chair/b"]
     assert document["settings"]["size"] == [32, 24]
-    data = RenderedDataset(tmp_path / "out")
-    assert data.targets().shape == (3, 40, 3)
-    assert data.objects[0].views[0].image().shape == (24, 32, 3)
+    data = open_rendered(tmp_path / "out")
+    assert [item.target().shape for item in data.objects if item.target] == [(40, 3)] * 3
+    assert data.objects[0].views[0].load()[0].shape == (24, 32, 3)
 
 
 def test_the_command_says_what_it_skipped_and_what_failed(meshes: Path, tmp_path: Path) -> None:

@@ -13,64 +13,29 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from tso_cli import network as networks
 from tso_cli.camera import CANONICAL_ROTATION, Camera
 from tso_cli.cli import main
 from tso_cli.commands import options
-from tso_cli.datasets.rendered import RenderedDataset, write_object
+from tso_cli.datasets.opening import open_dataset
+from tso_cli.datasets.rendered import write_object
 from tso_cli.errors import InputError, TsoError
 from tso_cli.files.checkpoints import load_network
 from tso_cli.network import NetworkConfig, build_network
-from tso_cli.render import look_at
 from tso_cli.train import TrainConfig, evaluate, network_config, start, train
-from tso_cli.train.data import TrainingData, TrainingObject, TrainingView, from_folder
+from tso_cli.train.batches import Batch, Draw, Drawing, assemble, draw_batch
+from tso_cli.train.data import TrainingData
 from tso_cli.train.losses import DROP, AffinitySchedule, mask_loss, point_loss
+from tso_cli.train.sources import from_dataset
 from tso_cli.train.state import TrainingState, load_training, save_training, state_path
+
+from .training import config, make_objects, make_thin
 
 CPU = torch.device("cpu")
 
 
 @pytest.fixture
 def thin(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same layers with few channels: steps of milliseconds and files of kilobytes."""
-    monkeypatch.setattr(networks, "CONVOLUTIONS", tuple((4, size, stride) for _, size, stride in networks.CONVOLUTIONS))
-
-
-def box_surface(sides: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Points on the surface of a box, longest side 1, with a knob on top so that it looks different from every side."""
-    points = rng.uniform(-0.5, 0.5, (count, 3))
-    axis = rng.integers(3, size=count)
-    points[np.arange(count), axis] = np.where(points[np.arange(count), axis] > 0, 0.5, -0.5)
-    points *= sides
-    points[: count // 8] = points[: count // 8] * 0.3 + [sides[0] * 0.35, 0.0, 0.0]
-    low, high = points.min(0), points.max(0)
-    return (points - (low + high) / 2) / (high - low).max()
-
-
-def picture(points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Image (depth as grey) and mask of a dense cloud."""
-    pixels, depth = camera.project(points)
-    u, v = np.clip(np.rint(pixels), 0, 63).astype(int).T
-    image = np.zeros((64, 64, 3), np.uint8)
-    order = np.argsort(-depth)
-    image[v[order], u[order]] = np.clip(400 - 100 * depth[order], 60, 255)[:, None]
-    mask = np.zeros((64, 64), np.float32)
-    mask[v, u] = 1.0
-    return image, mask
-
-
-def make_objects(count: int = 3, views: int = 4) -> list[TrainingObject]:
-    rng = np.random.default_rng(0)
-    objects = []
-    for number in range(count):
-        dense = box_surface(rng.uniform(0.3, 1.0, 3), 20_000, rng)
-        taken = []
-        for _ in range(views):
-            camera = look_at(rng.uniform(0, 360), rng.uniform(-5, 40), 2.8, (64, 64))
-            shown = picture(dense, camera)
-            taken.append(TrainingView(camera, lambda shown=shown: shown))  # type: ignore[misc]
-        objects.append(TrainingObject(f"box{number}", taken, dense[::20].astype(np.float32)))
-    return objects
+    make_thin(monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -78,8 +43,8 @@ def data() -> TrainingData:
     return TrainingData(make_objects(), "three boxes")
 
 
-def config(**changes: Any) -> TrainConfig:
-    return TrainConfig(**{"steps": 6, "batch_size": 2, "points": 64, "views": 2, "saturation_steps": 2, **changes})
+def batch(data: TrainingData, seed: int, step: int, size: int, views: int, frame: str) -> Batch:
+    return draw_batch(data, Drawing(seed, size, frame, views), step)
 
 
 def weights(network: torch.nn.Module) -> dict[str, torch.Tensor]:
@@ -95,46 +60,46 @@ def assert_equal(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -
 @pytest.mark.parametrize("frame", ["view", "canonical"])
 def test_true_points_in_the_networks_frame_fill_the_supervising_masks(data: TrainingData, frame: str) -> None:
     """What `assemble` says of frames and cameras agrees with the pictures: every true point falls into every mask."""
-    batch = data.assemble([(0, 1, [0, 2, 3]), (2, 0, [0, 1, 3])], frame)
-    for b, target in enumerate(batch.targets):
+    drawn = assemble(data, [Draw(0, 1, (0, 2, 3)), Draw(2, 0, (0, 1, 3))], frame)
+    for b, target in enumerate(drawn.targets):
         for v in range(3):
-            camera = Camera(batch.K[b, v], batch.R[b, v], batch.t[b, v], 64, 64)
+            camera = Camera(drawn.K[b, v], drawn.R[b, v], drawn.t[b, v], 64, 64)
             pixels, depth = camera.project(target.astype(np.float64))
             assert depth.min() > 0
             column, row = np.rint(pixels).astype(int).T
-            mask = np.pad(batch.masks[b, v] > 0.2, 1)
+            mask = np.pad(drawn.masks[b, v] > 0.2, 1)
             near = mask[1:-1, 1:-1] | mask[:-2, 1:-1] | mask[2:, 1:-1] | mask[1:-1, :-2] | mask[1:-1, 2:]
             assert near[row, column].all()
 
 
 def test_a_view_aligned_target_has_the_axes_of_its_picture(data: TrainingData) -> None:
     """x right, y up, z toward the viewer: the canonical rotation leads back to the input camera's axes."""
-    batch = data.assemble([(1, 2, [])], "view")
+    drawn = assemble(data, [Draw(1, 2)], "view")
     camera = data.objects[1].views[2].camera
-    seen = data.objects[1].target @ camera.R.T
-    np.testing.assert_allclose(batch.targets[0] @ CANONICAL_ROTATION.T, seen, atol=1e-6)
+    seen = data.target(1) @ camera.R.T
+    np.testing.assert_allclose(drawn.targets[0] @ CANONICAL_ROTATION.T, seen, atol=1e-6)
 
 
 def test_the_input_of_a_batch_is_that_of_the_shared_crop_rule(data: TrainingData) -> None:
-    batch = data.assemble([(1, 2, [])], "view")
-    np.testing.assert_array_equal(batch.images[0], data.prepared(1, 2).image)
-    assert batch.images.shape == (1, 3, 64, 64)
+    drawn = assemble(data, [Draw(1, 2)], "view")
+    np.testing.assert_array_equal(drawn.images[0], data.prepared(1, 2).image)
+    assert drawn.images.shape == (1, 3, 64, 64)
 
 
 def test_every_object_comes_once_before_one_comes_again(data: TrainingData) -> None:
     for epoch in range(4):
-        seen = [data.batch(5, epoch * 3 + i, 1, 0, "canonical").targets[0] for i in range(3)]
+        seen = [batch(data, 5, epoch * 3 + i, 1, 0, "canonical").targets[0] for i in range(3)]
         assert len({cloud.tobytes() for cloud in seen}) == 3
 
 
 def test_a_batch_depends_on_seed_and_step_alone(data: TrainingData) -> None:
-    one, same = (data.batch(1, 4, 2, 2, "view") for _ in range(2))
+    one, same = (batch(data, 1, 4, 2, 2, "view") for _ in range(2))
     np.testing.assert_array_equal(one.images, same.images)
     np.testing.assert_array_equal(one.R, same.R)
     # one object: nothing but the step can change what is drawn
     single = TrainingData(data.objects[:1], "one box")
-    assert len({single.batch(1, step, 1, 1, "canonical").R.tobytes() for step in range(12)}) > 1
-    assert any(not np.array_equal(one.R, data.batch(seed, step, 2, 2, "view").R) for seed, step in ((2, 4), (1, 5)))
+    assert len({batch(single, 1, step, 1, 1, "canonical").R.tobytes() for step in range(12)}) > 1
+    assert any(not np.array_equal(one.R, batch(data, seed, step, 2, 2, "view").R) for seed, step in ((2, 4), (1, 5)))
 
 
 @pytest.mark.parametrize("supervision", ["points", "masks"])
@@ -154,28 +119,28 @@ def test_masks_alone_bring_the_prediction_nearer_to_the_true_shape(thin: None, d
 
 
 def test_the_chamfer_loss_is_zero_for_the_targets_themselves(data: TrainingData) -> None:
-    batch = data.batch(0, 0, 2, 0, "view")
-    loss, forward, backward = point_loss(torch.from_numpy(np.stack(batch.targets)), batch)
+    drawn = draw_batch(data, Drawing(0, 2, "view", 0), 0)
+    loss, forward, backward = point_loss(torch.from_numpy(np.stack(drawn.targets)), drawn)
     assert float(loss) == forward == backward == 0.0
 
 
 def test_true_points_have_a_far_lower_mask_loss_than_moved_ones(data: TrainingData) -> None:
-    batch = data.batch(0, 0, 2, 3, "view")
-    points = torch.from_numpy(np.stack(batch.targets))
-    true, bce, outliers = mask_loss(points, batch, 0.4, 0.01, "points")
-    moved, *_ = mask_loss(points + torch.tensor([0.2, 0.0, 0.0]), batch, 0.4, 0.01, "points")
+    drawn = draw_batch(data, Drawing(0, 2, "view", 3), 0)
+    points = torch.from_numpy(np.stack(drawn.targets))
+    true, bce, outliers = mask_loss(points, drawn, 0.4, 0.01, "points")
+    moved, *_ = mask_loss(points + torch.tensor([0.2, 0.0, 0.0]), drawn, 0.4, 0.01, "points")
     assert float(true) < 0.2 * float(moved)
     assert float(true) == pytest.approx(bce + 0.01 * outliers, rel=1e-4)
 
 
 def test_a_point_beyond_the_edge_of_the_crop_is_pulled_back(data: TrainingData) -> None:
-    batch = data.batch(0, 0, 1, 1, "view")
-    points = torch.from_numpy(np.stack(batch.targets))
+    drawn = draw_batch(data, Drawing(0, 1, "view", 1), 0)
+    points = torch.from_numpy(np.stack(drawn.targets))
     points[0, 0] = torch.tensor([0.9, 0.0, 0.0])
     points.requires_grad_(True)
     for weight in (0.0, 1.0):
-        (gradient,) = torch.autograd.grad(mask_loss(points, batch, 0.4, weight, "points")[0], points)
-        camera = Camera(batch.K[0, 0], batch.R[0, 0], batch.t[0, 0], 64, 64)
+        (gradient,) = torch.autograd.grad(mask_loss(points, drawn, 0.4, weight, "points")[0], points)
+        camera = Camera(drawn.K[0, 0], drawn.R[0, 0], drawn.t[0, 0], 64, 64)
         ahead, _ = camera.project(
             np.stack([points[0, 0].detach(), points[0, 0].detach() - 0.01 * torch.sign(gradient[0, 0])]).astype(float)
         )
@@ -372,7 +337,7 @@ def test_an_empty_training_set_is_refused() -> None:
 def test_evaluation_of_a_perfect_prediction_is_zero(data: TrainingData) -> None:
     class Oracle(torch.nn.Linear):
         def forward(self, images: torch.Tensor) -> torch.Tensor:
-            return torch.from_numpy(data.objects[0].target).expand(len(images), -1, -1)
+            return torch.from_numpy(data.target(0)).expand(len(images), -1, -1)
 
     one = TrainingData(data.objects[:1], "one box")
     forward, backward = evaluate(Oracle(1, 1), one, "canonical")  # type: ignore[arg-type]
@@ -387,7 +352,8 @@ def folder(tmp_path: Path) -> Path:
         for view in item.views:
             image, mask = view.load()
             views.append((image, (mask * 255).astype(np.uint8), view.camera))
-        write_object(tmp_path / "boxes" / item.name, views, item.target, item.target, {"seed": 0})
+        points = item.target() if item.target else np.empty((0, 3), np.float32)
+        write_object(tmp_path / "boxes" / item.name, views, points, points, {"seed": 0})
     return tmp_path / "boxes"
 
 
@@ -400,8 +366,8 @@ def run(*arguments: object) -> int:
 
 
 def test_a_rendered_folder_gives_the_batches_that_its_pictures_gave_in_memory(folder: Path) -> None:
-    read, made = from_folder(RenderedDataset(folder)), TrainingData(make_objects(2), "boxes")
-    one, other = (item.batch(0, 0, 2, 2, "view") for item in (read, made))
+    read, made = from_dataset(open_dataset(folder)), TrainingData(make_objects(2), "boxes")
+    one, other = (batch(item, 0, 0, 2, 2, "view") for item in (read, made))
     np.testing.assert_allclose(one.images, other.images, atol=1e-6)
     np.testing.assert_allclose(one.masks, other.masks, atol=1e-6)
     np.testing.assert_allclose(one.K, other.K)
@@ -411,8 +377,8 @@ def test_a_rendered_folder_gives_the_batches_that_its_pictures_gave_in_memory(fo
 def test_the_command_trains_on_a_folder_and_says_what_it_did(
     thin: None, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    output, log = tmp_path / "base.safetensors", tmp_path / "log.csv"
-    code = run(folder, "-o", output, "--steps", 4, "--batch-size", 2, "--points", 32, "--log", log, "--json",
+    output, log = tmp_path / "base.safetensors", tmp_path / "log.jsonl"
+    code = run(folder, "-o", output, "--steps", 4, "--batch-size", 2, "--points", 32, "--log-file", log, "--json",
                "--supervision", "masks", "--views", 2)  # fmt: skip
     assert code == 0
     captured = capsys.readouterr()
@@ -421,9 +387,10 @@ def test_the_command_trains_on_a_folder_and_says_what_it_did(
     assert document["chamfer_training"]["chamfer"] > 0
     assert load_network(output)[1].settings["lambda"] == 1.0
     lines = log.read_text().splitlines()
-    assert lines[0] == "step,loss,bce,affinity,lambda" and len(lines) == 5
+    assert json.loads(lines[0])["settings"]["views"] == 2 and len(lines) == 5
+    assert list(json.loads(lines[4])) == ["step", "loss", "bce", "affinity", "lambda"]
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "base.safetensors", "base.training.safetensors", "boxes", "log.csv",
+        "base.safetensors", "base.training.safetensors", "boxes", "log.jsonl",
     ]  # fmt: skip
 
 
@@ -479,14 +446,14 @@ def test_the_command_refuses_in_one_line_and_writes_nothing(
 def test_the_shipped_meshes_and_examples_make_a_training_set() -> None:
     pytest.importorskip("open3d")
     from tso_cli.files.shipped import example_meshes
-    from tso_cli.train.data import from_meshes, shipped_examples
+    from tso_cli.train.sources import from_meshes, shipped_examples
 
     meshes = example_meshes()
     assert {path.parent.name for path in meshes} == {"airplane", "car", "chair"}
     rendered = from_meshes(meshes[:2], "two", views=2)
     same = from_meshes(meshes[:2], "two", views=2)
     assert rendered.fingerprint() == same.fingerprint()
-    np.testing.assert_array_equal(rendered.batch(0, 0, 2, 1, "view").images, same.batch(0, 0, 2, 1, "view").images)
+    np.testing.assert_array_equal(batch(rendered, 0, 0, 2, 1, "view").images, batch(same, 0, 0, 2, 1, "view").images)
     unseen = shipped_examples()
     assert [item.name for item in unseen.objects] == ["chair", "car", "airplane"]
     forward, backward = evaluate(build_network(64), unseen, "view")

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 LATENT = 128
 IMAGE_SIZE = 64
 FRAMES = ("view", "canonical")
-SUPERVISIONS = ("points", "masks")
+SUPERVISIONS = ("points", "masks", "joint")
 # (output channels, filter size, stride) of the twelve convolutions; 64x64 shrinks to 4x4.
 CONVOLUTIONS = (
     (32, 3, 1),
@@ -43,7 +43,7 @@ class NetworkConfig:
     crop_share : share of the input's side that the object's box takes up (see `network_input`).
     background : "black", "white" or "keep".
     training_set : what it was trained on, in words.
-    supervision : "points" (3D, PSGN-FC) or "masks" (2D).
+    supervision : "points" (3D, PSGN-FC), "masks" (2D) or "joint".
     seed, steps : of the training run.
     version : of tso.
     settings : every other setting of the training run.

@@ -37,10 +37,23 @@ class Size(click.ParamType):
 @click.option("--focal", type=float, help="Focal length in pixels. [default: 120 for each 64 pixels]")
 @click.option("--samples", type=int, default=16384, show_default=True, help="Points drawn from the surface.")
 @click.option("--points", type=int, default=1024, show_default=True, help="How many of them the target keeps.")
+@click.option("--copies", type=int, default=0, show_default=True, help="Warped copies of each mesh beside it, for training.")
+@click.option("--paint", is_flag=True, help="Random colours on the parts of each mesh, for training.")
+@click.option("--split", type=options.FilePath(), help="Render only what this split names; .json.")
+@click.option("--part", default="train", show_default=True, help="Which list of the split: train, validation or test.")
 @options.seed
 @options.overwrite
 @options.as_json
-def command(source: Path, output: Path, seed: int, overwrite: bool, as_json: bool, **settings: Any) -> None:
+def command(
+    source: Path,
+    output: Path,
+    split: Path | None,
+    part: str,
+    seed: int,
+    overwrite: bool,
+    as_json: bool,
+    **settings: Any,
+) -> None:
     """Render a mesh, or all meshes of a folder: pictures, masks, cameras and ground truth.
 
     Every mesh is centred and scaled to longest side 1. Views are random, reproducible from the seed. A run that was stopped
@@ -51,7 +64,14 @@ def command(source: Path, output: Path, seed: int, overwrite: bool, as_json: boo
     from ..render import RenderSettings, render_folder
 
     chosen = RenderSettings(**settings)
-    summary = render_folder(source, output, chosen, seed, overwrite, options.ProgressBar("rendering"))
+    only = None
+    if split is not None:
+        from ..datasets.opening import read_split
+
+        only = read_split(split).get(part)
+        if only is None:
+            raise InputError(f"--part is {part!r}, expected train, validation or test")
+    summary = render_folder(source, output, chosen, seed, overwrite, options.ProgressBar("rendering"), only)
     for message in summary.failed.values():
         options.log(message)
     if summary.skipped:

@@ -11,29 +11,49 @@ import click
 from .. import __version__
 from ..errors import InputError
 from . import options
+from .training_data import Wanted, load
 
 if TYPE_CHECKING:
     from ..train import TrainConfig, TrainResult
     from ..train.data import TrainingData
+    from ..train.processes import Processes
     from ..train.state import TrainingState
 
 # Without DATA: about two minutes on two cores, at a rate that gets somewhere in so few steps (both by measurement).
-EXAMPLE_STEPS, EXAMPLE_RATE = 600, 3e-4
+EXAMPLE_STEPS, EXAMPLE_RATE, EXAMPLE_AVERAGING = 600, 3e-4, 0.99
 STEPS, PAPER_RATE = 20_000, 5e-5
+
+
+class CategoryValue(click.ParamType):
+    """``airplane=0.1``."""
+
+    name = "category=value"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, float]:
+        category, _, number = str(value).partition("=")
+        try:
+            return category, float(number)
+        except ValueError:
+            self.fail(f"{value!r} is no category and number, expected such as airplane=0.1", param, ctx)
 
 
 @click.command("train", short_help="Train the network that predicts a cloud from a photo.")
 @click.argument("data", required=False, type=options.FilePath())
+@click.option("--split", "split_file", type=options.FilePath(), help='Train on the objects of its list "train" alone.')
+@click.option("--category", "categories", multiple=True, help="Train on this category; may be repeated.  [default: all]")
+@click.option("--strict", is_flag=True, help="Stop at what cannot be used instead of leaving it out.")
 @click.option(
     "-o", "--output", type=options.FilePath(), default=Path("base.safetensors"), show_default=True, help="Checkpoint to write."
 )
 @click.option(
     "--supervision",
-    type=click.Choice(["points", "masks"]),
+    type=click.Choice(["points", "masks", "joint"]),
     default="points",
     show_default=True,
-    help="Chamfer to the true points, or masks through the projector.",
+    help="Chamfer to the true points, masks through the projector, or both at once (--mask-data).",
 )
+@click.option("--mask-data", type=options.FilePath(), help="Images that have one mask each, for --supervision joint.")
+@click.option("--init", "initial", type=options.FilePath(), help="Start from the weights of this checkpoint.")
 @click.option(
     "--frame",
     type=click.Choice(["view", "canonical"]),
@@ -63,6 +83,13 @@ STEPS, PAPER_RATE = 20_000, 5e-5
     show_default=True,
     help="Variance of the projection's Gaussian, px^2 of the 64x64 mask.",
 )
+@click.option(
+    "--category-sigma-sq",
+    multiple=True,
+    metavar="CATEGORY=VALUE",
+    type=CategoryValue(),
+    help="The same for one category; may be repeated.",
+)
 @click.option("--points", type=int, default=1024, show_default=True, help="Points of the predicted cloud.")
 @click.option(
     "--crop-share", type=float, default=0.9, show_default=True, help="Share of the input's side that the object takes up."
@@ -74,6 +101,28 @@ STEPS, PAPER_RATE = 20_000, 5e-5
     show_default=True,
     help="What stands around the object in the input.",
 )
+@click.option(
+    "--backgrounds",
+    "behind",
+    metavar="FOLDER|textures",
+    help="Put the objects of DATA on crops of these photos, or on generated textures; with --background keep.",
+)
+@click.option("--balance", is_flag=True, help="Every category equally often, however many objects it has.")
+@click.option("--augment", is_flag=True, help="Mirror and recolour the pictures at random.")
+@click.option(
+    "--averaging",
+    type=float,
+    help="Save the running mean of the weights, which keeps this share of itself a step; 0: the last weights."
+    f"  [default: 0; {EXAMPLE_AVERAGING:g} without DATA]",
+)
+@click.option(
+    "--precision",
+    type=click.Choice(["float32", "bfloat16"]),
+    default="float32",
+    show_default=True,
+    help="bfloat16: mixed precision, for GPUs and processors that have it.",
+)
+@click.option("--workers", type=int, default=1, show_default=True, help="Threads that prepare batches ahead.")
 @options.seed
 @options.device
 @click.option(
@@ -85,17 +134,26 @@ STEPS, PAPER_RATE = 20_000, 5e-5
 )
 @click.option("--resume", is_flag=True, help="Go on from the state beside the checkpoint.")
 @options.overwrite
-@click.option("--log", "log_file", type=options.FilePath(), help="Losses of every step, .csv.")
+@click.option("--log-file", type=options.FilePath(), help="Settings and losses of every step, .jsonl.")
 @options.as_json
 @click.pass_context
 def command(
     ctx: click.Context,
     data: Path | None,
+    split_file: Path | None,
+    categories: tuple[str, ...],
+    strict: bool,
+    mask_data: Path | None,
+    initial: Path | None,
     output: Path,
     steps: int | None,
     learning_rate: float | None,
+    averaging: float | None,
     crop_share: float,
     background: str,
+    behind: str | None,
+    category_sigma_sq: tuple[tuple[str, float], ...],
+    device: str,
     checkpoint_every: int,
     resume: bool,
     overwrite: bool,
@@ -105,40 +163,43 @@ def command(
 ) -> None:
     """Train the network that predicts a cloud from a photo, for `tso refine --mode encoder` and `encoder-decoder`.
 
-    DATA is a folder that `tso render` wrote. Without it the shipped example meshes are rendered and trained on for about two
-    minutes. The state of the training lies beside the checkpoint (NAME.training.safetensors) for --resume; Ctrl-C finishes
-    the step at hand and writes both.
+    DATA is a folder that `tso render` wrote, or ShapeNet, 3D-R2N2 or Pix3D as they are distributed. Without it the shipped
+    example meshes are rendered and trained on for about two minutes. The state of the training lies beside the checkpoint
+    (NAME.training.safetensors) for --resume; Ctrl-C finishes the step at hand and writes both. Several processes:
+    torchrun --nproc-per-node N -m tso_cli train ...
     """
+    from ..train import TrainConfig
+    from ..train.processes import joined
+
     started = time.perf_counter()
-    _check_outputs(output, log_file, resume, overwrite)
-    from ..train import TrainConfig, train
-
-    config = TrainConfig(
-        steps=steps if steps is not None else STEPS if data else EXAMPLE_STEPS,
-        learning_rate=learning_rate if learning_rate is not None else PAPER_RATE if data else EXAMPLE_RATE,
-        **settings,
-    )
-    from .. import device as devices
-    from ..train import network_config
-    from ..train.state import load_training, save_training, write_history
-
-    device = devices.resolve(config.device)
-    training = _load(data, crop_share, background)
-    state = None
-    if resume:
-        state = load_training(output, network_config(training, config, 0), training.fingerprint(), device)
-        options.log(f"tso: resuming after {state.step} steps")
-
-    def save(current: TrainingState, current_config: Any) -> None:
-        save_training(output, current, current_config)
-        if log_file is not None:
-            write_history(log_file, current.history, config.supervision)
-
-    prepared = time.perf_counter()
-    result = train(training, config, state, progress=options.ProgressBar("train"), save=save, save_every=checkpoint_every)
+    with joined(device) as (processes, device):
+        config = TrainConfig(
+            steps=steps if steps is not None else STEPS if data else EXAMPLE_STEPS,
+            learning_rate=learning_rate if learning_rate is not None else PAPER_RATE if data else EXAMPLE_RATE,
+            averaging=averaging if averaging is not None else 0.0 if data else EXAMPLE_AVERAGING,
+            device=device,
+            category_sigma_sq=dict(category_sigma_sq),
+            **settings,
+        )
+        if processes.first:
+            _check_outputs(output, log_file, resume, overwrite)
+        processes.wait()
+        wanted = Wanted(data, split_file, categories, strict, crop_share, background, behind)
+        training = load(wanted, quiet=not processes.first)
+        masked = load(Wanted(mask_data, split_file, (), strict, crop_share, background)) if mask_data else None
+        state = _begin(training, config, output, initial, resume, quiet=not processes.first)
+        prepared = time.perf_counter()
+        result = _run(training, masked, config, state, processes, output, log_file, checkpoint_every)
+    if not processes.first:
+        return
     trained = time.perf_counter()
     document = _document(result, config, output, training, data is None)
     document["seconds"] = {"prepare": prepared - started, "train": trained - prepared, "judge": time.perf_counter() - trained}
+    document["left_out"] = training.unusable | (masked.unusable if masked else {})
+    if document["left_out"]:
+        options.log(
+            f"tso: {len(document['left_out'])} pictures could not be used and were left out (--strict stops at the first)"
+        )
     if as_json:
         options.echo_json(document)
     else:
@@ -149,6 +210,56 @@ def command(
             "Run the same command with --resume to go on"
         )
         ctx.exit(130)
+
+
+def _begin(
+    training: TrainingData, config: TrainConfig, output: Path, initial: Path | None, resume: bool, quiet: bool
+) -> TrainingState:
+    """The state to go on from: that beside the checkpoint, or a new one."""
+    from .. import device as devices
+    from ..files.checkpoints import load_network
+    from ..train import network_config, start
+    from ..train.state import load_training
+
+    if resume:
+        if initial is not None:
+            raise InputError("--init with --resume: the state to resume has weights of its own, expected one of the two")
+        described = network_config(training, config, 0)
+        state = load_training(output, described, training.fingerprint(), devices.resolve(config.device))
+        if not quiet:
+            options.log(f"tso: resuming after {state.step} steps")
+        return state
+    return start(training, config, load_network(initial)[0] if initial else None)
+
+
+def _run(
+    training: TrainingData,
+    masked: TrainingData | None,
+    config: TrainConfig,
+    state: TrainingState,
+    processes: Processes,
+    output: Path,
+    log_file: Path | None,
+    save_every: int,
+) -> TrainResult:
+    from ..train import train
+    from ..train.state import save_training, write_history
+
+    def save(current: TrainingState, current_config: Any) -> None:
+        save_training(output, current, current_config)
+        if log_file is not None:
+            write_history(log_file, current.history, current_config)
+
+    return train(
+        training,
+        config,
+        state,
+        masked=masked,
+        processes=processes,
+        progress=options.ProgressBar("train"),
+        save=save,
+        save_every=save_every,
+    )
 
 
 def _check_outputs(output: Path, log_file: Path | None, resume: bool, overwrite: bool) -> None:
@@ -164,26 +275,11 @@ def _check_outputs(output: Path, log_file: Path | None, resume: bool, overwrite:
         check_output(log_file, overwrite or resume)
 
 
-def _load(folder: Path | None, crop_share: float, background: str) -> TrainingData:
-    from ..train.data import from_folder, from_meshes
-
-    if folder is not None:
-        from ..datasets.rendered import RenderedDataset
-
-        return from_folder(RenderedDataset(folder), crop_share, background)
-    from ..files.shipped import example_meshes
-
-    meshes = example_meshes()
-    options.log(f"tso: no DATA: rendering the {len(meshes)} shipped example meshes")
-    described = f"{len(meshes)} shipped example meshes"
-    return from_meshes(meshes, described, crop_share, background, progress=options.ProgressBar("render"))
-
-
 def _document(
     result: TrainResult, config: TrainConfig, output: Path, training: TrainingData, on_examples: bool
 ) -> dict[str, Any]:
     from ..train import evaluate
-    from ..train.data import shipped_examples
+    from ..train.sources import shipped_examples
     from ..train.state import state_path
 
     def judged(data: TrainingData) -> dict[str, float]:

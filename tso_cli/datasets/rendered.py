@@ -15,9 +15,8 @@ import json
 import os
 import secrets
 import shutil
-from collections import OrderedDict
-from collections.abc import Callable, Sequence
-from functools import cached_property
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,101 +26,51 @@ from numpy.typing import NDArray
 from ..camera import Camera
 from ..errors import InputError, TsoError
 from ..files.cameras import CameraRecord, read_cameras, write_cameras
-from ..files.clouds import read_cloud, write_cloud
+from ..files.clouds import write_cloud
 from ..files.images import read_image, read_mask, write_image
 from ..files.output import atomic_output, reason
+from . import common
+from .items import Dataset, Floats, ObjectItem, Pixels, ViewItem
 
 CAMERAS, TARGET, RECORD = "cameras.json", "target.ply", "render.json"
-Pixels = NDArray[np.uint8]
 
 
-class RenderedDataset:
-    """Objects of a rendered folder; pictures are read when first asked for and kept while there is room.
+def open_rendered(folder: Path | str, strict: bool = False, progress: common.Progress | None = None) -> Dataset:
+    """The objects of a rendered folder as a data set; the category of CATEGORY/NAME is CATEGORY, of NAME "".
 
     Parameters
     ----------
     folder : as `tso render` wrote it, or one object of it.
-    cache_bytes : memory for decoded pictures and masks; the least recently used leave first.
+    strict : the first object that lacks its target or has no usable cameras is an error.
+    progress : called after every object.
 
     Raises
     ------
     InputError
-        It is not a folder, holds no object, or an object lacks its target.
+        It is not a folder or has no usable object; or, with ``strict``, one is not usable.
     """
-
-    def __init__(self, folder: Path | str, cache_bytes: int = 1 << 29) -> None:
-        self.folder = Path(folder)
-        self._cache = _Cache(cache_bytes)
-        self.objects = [RenderedObject(name, path, self._cache) for name, path in _find(self.folder)]
-
-    def __len__(self) -> int:
-        return len(self.objects)
-
-    def targets(self) -> NDArray[np.float32]:
-        """Targets of all objects, [O, P, 3]; InputError if they differ in their number of points."""
-        clouds = [item.target() for item in self.objects]
-        for item, cloud in zip(self.objects, clouds, strict=True):
-            if len(cloud) != len(clouds[0]):
-                raise InputError(
-                    f"{item.folder / TARGET}: {len(cloud)} points, expected {len(clouds[0])} as in {self.objects[0].name}"
-                )
-        return np.stack(clouds)
-
-
-class RenderedObject:
-    """One object: ``name``, ``folder``, its ``views`` and its target."""
-
-    def __init__(self, name: str, folder: Path, cache: _Cache) -> None:
-        self.name, self.folder, self._cache = name, folder, cache
-
-    @cached_property
-    def views(self) -> list[RenderedView]:
-        """All views, in file order. Raises InputError where cameras.json is damaged or lacks an image or mask."""
-        path = self.folder / CAMERAS
-        views = []
-        for number, record in enumerate(read_cameras(path)):
-            if record.image is None or record.mask is None:
-                missing = "image" if record.image is None else "mask"
-                raise InputError(f"{path}: views[{number}] names no {missing}, expected one for training")
-            views.append(RenderedView(record.image, record.mask, record.camera, self._cache))
-        return views
-
-    def target(self) -> NDArray[np.float32]:
-        """Points to learn and to be judged on, [P, 3]."""
-        return read_cloud(self.folder / TARGET).points.astype(np.float32)
+    root = Path(folder)
+    common.require_folder(root, "one that tso render wrote")
+    skipped, objects, views = common.Skipped(strict), [], _Views()
+    found = sorted(_walk(root))
+    for number, (name, path, complete) in enumerate(found):
+        try:
+            if not complete:
+                raise InputError(_no_target(path))
+            count = len(views.records(str(path)))
+            category = name.split("/")[0] if "/" in name else ""
+            target = partial(common.cloud_target, str(path / TARGET))
+            objects.append(ObjectItem(name, category, common.LazyViews(count, partial(views.view, str(path))), target))
+        except InputError as error:
+            skipped.add(name, str(error))
+        if progress is not None:
+            progress(number + 1, len(found), name)
+    return common.finished(objects, root.resolve().name, skipped, _EXPECTED)
 
 
-class RenderedView:
-    """One picture: ``image_path``, ``mask_path`` and their ``camera``."""
-
-    def __init__(self, image_path: Path, mask_path: Path, camera: Camera, cache: _Cache) -> None:
-        self.image_path, self.mask_path, self.camera, self._cache = image_path, mask_path, camera, cache
-
-    def image(self) -> Pixels:
-        """[H, W, 3] uint8, read-only. Raises InputError if unreadable or not of the camera's size."""
-        return self._cache.get(self.image_path, lambda: self._checked(self.image_path, read_image(self.image_path)))
-
-    def mask(self) -> NDArray[np.float32]:
-        """[H, W] in [0, 1]. Raises InputError if unreadable or not of the camera's size."""
-        stored = self._cache.get(
-            self.mask_path,
-            lambda: self._checked(self.mask_path, np.rint(read_mask(self.mask_path) * 255.0).astype(np.uint8)),
-        )
-        return stored.astype(np.float32) / np.float32(255.0)
-
-    def _checked(self, path: Path, pixels: Pixels) -> Pixels:
-        height, width = pixels.shape[:2]
-        if (width, height) != (self.camera.width, self.camera.height):
-            raise InputError(
-                f"{path}: is {width}x{height}, its camera in {CAMERAS} is for "
-                f"{self.camera.width}x{self.camera.height}, expected the same"
-            )
-        return pixels[..., :3] if pixels.ndim == 3 else pixels
-
-
-def list_objects(folder: Path | str) -> list[RenderedObject]:
-    """Objects of a rendered folder, sorted by name; see RenderedDataset."""
-    return RenderedDataset(folder).objects
+def holds_object(folder: Path) -> bool:
+    """Whether `tso render` wrote an object into ``folder`` or below."""
+    return next(_walk(folder), None) is not None
 
 
 def stored_record(folder: Path) -> dict[str, Any] | None:
@@ -193,39 +142,57 @@ def write_object(
             shutil.rmtree(path, ignore_errors=True)
 
 
-class _Cache:
-    """Decoded pictures by path, the most recently used up to ``limit`` bytes."""
+class _Views:
+    """Views made from the camera files; those of the objects last used are kept."""
 
-    def __init__(self, limit: int) -> None:
-        self.limit, self.used = limit, 0
-        self._items: OrderedDict[Path, Pixels] = OrderedDict()
+    def __init__(self, limit: int = 256) -> None:
+        self.limit = limit
+        self._kept: dict[str, list[CameraRecord]] = {}
 
-    def get(self, path: Path, load: Callable[[], Pixels]) -> Pixels:
-        if path in self._items:
-            self._items.move_to_end(path)
-            return self._items[path]
-        pixels: Pixels = np.ascontiguousarray(load())
-        pixels.flags.writeable = False
-        self._items[path] = pixels
-        self.used += pixels.nbytes
-        while self.used > self.limit and len(self._items) > 1:
-            self.used -= self._items.popitem(last=False)[1].nbytes
-        return pixels
+    def records(self, folder: str) -> list[CameraRecord]:
+        """All views of the object in ``folder``; InputError if one lacks its image or mask."""
+        records = self._kept.get(folder)
+        if records is None:
+            path = Path(folder) / CAMERAS
+            records = read_cameras(path)
+            for number, record in enumerate(records):
+                _files(record, number, path)
+            if len(self._kept) >= self.limit:
+                self._kept.clear()
+            self._kept[folder] = records
+        return records
+
+    def view(self, folder: str, index: int) -> ViewItem:
+        record = self.records(folder)[index]
+        image, mask = _files(record, index, Path(folder) / CAMERAS)
+        return ViewItem(str(mask), record.camera, partial(_load, image, mask, record.camera))
 
 
-def _find(folder: Path) -> list[tuple[str, Path]]:
-    """Name and folder of every object, sorted; what is hidden is unfinished and left out."""
-    if not folder.is_dir():
-        found = "is a file" if folder.exists() else "does not exist"
-        raise InputError(f"{folder}: {found}, expected a folder that tso render wrote")
-    objects = []
+def _files(record: CameraRecord, number: int, path: Path) -> tuple[Path, Path]:
+    if record.image is None or record.mask is None:
+        missing = "image" if record.image is None else "mask"
+        raise InputError(f"{path}: views[{number}] names no {missing}, expected one for training")
+    return record.image, record.mask
+
+
+def _load(image_path: Path, mask_path: Path, camera: Camera) -> tuple[Pixels, Floats]:
+    image, mask = read_image(image_path), read_mask(mask_path)
+    for path, pixels in ((image_path, image), (mask_path, mask)):
+        common.sized(path, pixels, camera, f"as its camera in {CAMERAS}")
+    return image[..., :3], mask
+
+
+_EXPECTED = f"NAME/{CAMERAS} and so on as tso render writes them"
+
+
+def _no_target(path: Path) -> str:
+    return f"{path / TARGET}: does not exist, expected the points of this object"
+
+
+def _walk(folder: Path) -> Iterator[tuple[str, Path, bool]]:
+    """Name and folder of every object, and whether it has its target; what is hidden is unfinished and left out."""
     for path, folders, files in os.walk(folder):
         folders[:] = [name for name in folders if not name.startswith(".")]
         if CAMERAS in files:
-            if TARGET not in files:
-                raise InputError(f"{Path(path) / TARGET}: does not exist, expected the points of this object")
             inside = Path(path).relative_to(folder).as_posix()
-            objects.append((folder.resolve().name if inside == "." else inside, Path(path)))
-    if not objects:
-        raise InputError(f"{folder}: holds no object, expected NAME/{CAMERAS} and so on as tso render writes them")
-    return sorted(objects)
+            yield folder.resolve().name if inside == "." else inside, Path(path), TARGET in files

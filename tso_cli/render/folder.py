@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from .. import __version__
+from ..datasets.items import copied
 from ..datasets.rendered import stored_record, write_object
 from ..errors import InputError
 from ..files.meshes import find_meshes, read_mesh
-from .objects import render_mesh
+from .objects import normalise, render_mesh
+from .variation import warp
 from .viewpoints import RenderSettings
 
 
@@ -37,22 +39,25 @@ def render_folder(
     seed: int = 0,
     overwrite: bool = False,
     progress: Callable[[int, int, str], None] | None = None,
+    only: Collection[str] | None = None,
 ) -> RenderSummary:
     """Render a mesh, or every mesh of a folder, into ``output``/NAME as `datasets.rendered` describes.
 
-    NAME is the file's path below ``source`` without suffix. An object is written whole or not at all and depends only on its
-    mesh, its name, ``settings`` and ``seed``, so that a run that was stopped can be started again and goes on: what is there
-    and was made alike is skipped. A mesh of a folder that cannot be rendered is left out and named in ``failed``.
+    NAME is the file's path below ``source`` without suffix, NAME~0001 and so on its warped copies. An object is written whole
+    or not at all and depends only on its mesh, its name, ``settings`` and ``seed``, so that a run that was stopped can be
+    started again and goes on: what is there and was made alike is skipped. A mesh of a folder that cannot be rendered is left
+    out and named in ``failed``.
 
     Parameters
     ----------
     progress : called with objects done, objects in all and the name of the last one.
+    only : names of the meshes to render; None renders all.
 
     Raises
     ------
     InputError
-        There is no mesh; ``output`` cannot be a folder; two meshes have one name; an object is there that other settings
-        made and ``overwrite`` is false; no mesh could be rendered.
+        There is no mesh, or one of ``only`` is missing; ``output`` cannot be a folder; two meshes have one name; an object is
+        there that other settings made and ``overwrite`` is false; no mesh could be rendered.
     TsoError
         open3d is missing, or writing failed.
     """
@@ -61,29 +66,39 @@ def render_folder(
         raise InputError(f"seed is {seed}, expected 0 or more")
     _check_folder(output)
     meshes = _names(source, output)
+    if only is not None:
+        missing = sorted(set(only) - set(meshes))
+        if missing:
+            raise InputError(
+                f"{source}: has no mesh {missing[0]} ({len(missing)} of {len(set(only))} are missing), expected it"
+            )
+        meshes = {name: path for name, path in meshes.items() if name in set(only)}
     record = {"tso": __version__, "seed": seed, **asdict(settings)}
     summary = RenderSummary(output)
-    waiting = []
+    waiting: list[tuple[str, Path, int]] = []
     # All of what is there is looked at before the work starts: a clash of settings should not show after an hour.
-    for name, path in meshes.items():
+    objects = [(copied(name, copy), path, copy) for name, path in meshes.items() for copy in range(settings.copies + 1)]
+    for name, path, copy in objects:
         found = stored_record(output / name)
         if found is None or overwrite:
-            waiting.append((name, path))
+            waiting.append((name, path, copy))
             continue
         for key, value in record.items():
             value = list(value) if isinstance(value, tuple) else value
-            if key != "tso" and found.get(key) != value:
+            # More copies may be asked for later.
+            if key not in ("tso", "copies") and found.get(key) != value:
                 raise InputError(
                     f"{output / name}: was rendered with {key} {found.get(key)}, now it is {value}; "
                     "expected the same settings, --overwrite or another output folder"
                 )
         summary.skipped.append(name)
-    for done, (name, path) in enumerate(waiting):
+    for done, (name, path, copy) in enumerate(waiting):
         try:
             rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-            rendered = render_mesh(read_mesh(path), settings, rng, name)
+            mesh = read_mesh(path)
+            rendered = render_mesh(warp(normalise(mesh), rng) if copy else mesh, settings, rng, name)
         except InputError as error:
-            if len(meshes) == 1:
+            if len(objects) == 1:
                 raise
             summary.failed[name] = str(error) if str(path) in str(error) else f"{path}: {error}"
         else:
@@ -93,7 +108,7 @@ def render_folder(
         if progress is not None:
             progress(done + 1, len(waiting), name)
     if summary.failed and not (summary.written or summary.skipped):
-        raise InputError(f"none of {len(meshes)} meshes could be rendered, the first: {next(iter(summary.failed.values()))}")
+        raise InputError(f"none of {len(objects)} objects could be rendered, the first: {next(iter(summary.failed.values()))}")
     return summary
 
 

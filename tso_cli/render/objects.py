@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ..files.meshes import Mesh
 from ..geometry import Array, farthest_point_sample, sample_surface
 from .rays import RayScene, RenderedView, render_view
+from .variation import paint
 from .viewpoints import RenderSettings, sample_cameras
 
 
@@ -43,7 +44,7 @@ def ground_truth(mesh: Mesh, settings: RenderSettings, rng: np.random.Generator)
 
 def render_mesh(mesh: Mesh, settings: RenderSettings, rng: np.random.Generator, name: str = "object") -> RenderedObject:
     """Normalise ``mesh``, draw its views and its ground truth."""
-    mesh = normalise(mesh)
+    mesh = normalise(paint(mesh, rng) if settings.paint else mesh)
     scene = RayScene(mesh)
     views = [render_view(scene, camera, rng) for camera in sample_cameras(settings, mesh.vertices, rng)]
     samples, target = ground_truth(mesh, settings, rng)

@@ -27,6 +27,8 @@ class RenderSettings:
         whole object is in the picture.
     focal : focal length in pixels; None is 120 for each 64 of the longer side.
     samples : points drawn from the surface; points : how many of them farthest-point sampling keeps.
+    copies : how many warped copies of each mesh are rendered beside it (see `variation.warp`), for training.
+    paint : give each connected part a random colour; False keeps the mesh's own, or grey.
 
     Raises
     ------
@@ -42,10 +44,14 @@ class RenderSettings:
     focal: float | None = None
     samples: int = 16384
     points: int = 1024
+    copies: int = 0
+    paint: bool = False
 
     def __post_init__(self) -> None:
         if self.views < 1:
             raise InputError(f"views is {self.views}, expected 1 or more")
+        if not 0 <= self.copies <= 9999:
+            raise InputError(f"copies is {self.copies}, expected 0 to 9999")
         if min(self.size) < 8 or max(self.size) > 8192:
             raise InputError(f"size is {self.size[0]}x{self.size[1]}, expected 8 to 8192 pixels each way")
         for name, limit in (("azimuth", 360.0), ("elevation", 90.0)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
-from .loop import TrainConfig, TrainResult, evaluate, network_config, start, train
+from .config import TrainConfig
+from .loop import TrainResult, evaluate, network_config, start, train
 
 __all__ = ["TrainConfig", "TrainResult", "evaluate", "network_config", "start", "train"]

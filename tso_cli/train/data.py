@@ -1,230 +1,185 @@
-"""What training sees: pictures, masks and cameras of objects, drawn anew for every step from (seed, step) alone."""
+"""What training sees: objects with pictures, masks, cameras and points, prepared once and kept while there is room."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+import threading
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import CANONICAL_ROTATION, Camera
+from ..camera import Camera
+from ..datasets.items import ObjectItem
 from ..errors import InputError
-from ..geometry import normalise_longest_side
 from ..network_input import NetworkInput, network_input
+from ..resample import Box
 from ..scene import View
-
-if TYPE_CHECKING:
-    from ..datasets.rendered import RenderedDataset
+from .backgrounds import Backgrounds
 
 Floats = NDArray[np.float32]
-# Prepared views kept in memory; the rest is read again when it is needed.
+# Prepared views kept in memory, 16 KiB each; the rest is read again when it is needed.
 CACHE_BYTES = 1 << 30
-# Pictures of each shipped mesh, and their side in pixels: about the size of the network's input once cropped.
-EXAMPLE_VIEWS, EXAMPLE_SIZE = 32, 96
-
-
-@dataclass(frozen=True, eq=False)
-class TrainingView:
-    """One picture of an object; ``load`` gives the image [H, W, 3] uint8 and the mask [H, W] in [0, 1]."""
-
-    camera: Camera
-    load: Callable[[], tuple[NDArray[np.uint8], Floats]]
-    name: str = "view"
-
-
-@dataclass(frozen=True, eq=False)
-class TrainingObject:
-    """One shape: its views, and its surface points [M, 3] centred at the origin with longest side 1."""
-
-    name: str
-    views: Sequence[TrainingView]
-    target: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """One step's worth of B objects. V is 0 without mask supervision."""
-
-    images: Floats  # [B, 3, 64, 64]
-    targets: list[Floats]  # B times [M, 3], in the frame of the prediction
-    masks: Floats  # [B, V, 64, 64]
-    known: Floats  # [B, V, 64, 64], 1 or 0
-    K: NDArray[np.float64]  # [B, V, 3, 3]
-    R: NDArray[np.float64]  # [B, V, 3, 3], frame of the prediction to camera
-    t: NDArray[np.float64]  # [B, V, 3]
 
 
 class TrainingData:
-    """Objects prepared for training.
+    """Objects prepared for training. Safe to be used from several threads.
 
     Parameters
     ----------
     objects : at least one, each with at least one view.
     description : what they are, in words; it is written into the checkpoint.
     crop_share, background : how a picture becomes network input (see `network_input`).
+    backgrounds : what `batches` puts behind the object, cut out by its mask; needs background "keep", for the network will
+        see photos whole.
+    strict : an unusable picture is an error; else it is named once, counted in ``unusable``, and another takes its place.
+
+    Attributes
+    ----------
+    categories : indices of the objects of each category, one array a category.
+    unusable : picture -> why it could not be used.
     """
 
     def __init__(
-        self, objects: Sequence[TrainingObject], description: str, crop_share: float = 0.9, background: str = "black"
+        self,
+        objects: Sequence[ObjectItem],
+        description: str,
+        crop_share: float = 0.9,
+        background: str = "black",
+        strict: bool = False,
+        backgrounds: Backgrounds | None = None,
     ) -> None:
         if not objects:
             raise InputError("the training set holds no object, expected at least one")
         for item in objects:
             if not item.views:
                 raise InputError(f"{item.name}: has no view, expected at least one")
-            for view in item.views:
-                if view.camera.model != "perspective":
-                    raise InputError(f"{view.name}: its camera is {view.camera.model}, expected perspective for training")
-        self.objects, self.description = list(objects), description
-        self.crop_share, self.background = crop_share, background
-        self._cache: dict[tuple[int, int], NetworkInput] = {}
+            _require_perspective(item.views[0].name, item.views[0].camera)
+        self.objects, self.description = objects, description
+        if backgrounds is not None and background != "keep":
+            raise InputError(f"backgrounds with background {background!r}, expected 'keep': they stay in the picture")
+        self.crop_share, self.background, self.strict, self.backgrounds = crop_share, background, strict, backgrounds
+        names = sorted({item.category for item in objects})
+        self.categories = [np.array([i for i, o in enumerate(objects) if o.category == name]) for name in names]
+        self.unusable: dict[str, str] = {}
+        self._bad: set[tuple[int, int]] = set()
+        self._cache: dict[tuple[int, int], _Packed] = {}
+        self._targets: dict[int, Floats] = {}
         self._cached_bytes = 0
+        self._lock = threading.Lock()
 
     def fingerprint(self) -> str:
-        """Changes when objects, cameras or targets do: a resumed run must see the same data."""
-        digest = hashlib.sha256(f"{self.crop_share}/{self.background}".encode())
+        """Changes when the objects or their first cameras do: a resumed run must see the same data."""
+        behind = self.backgrounds.source if self.backgrounds else ""
+        digest = hashlib.sha256(f"{self.crop_share}/{self.background}/{behind}".encode())
         for item in self.objects:
             digest.update(f"{item.name}/{len(item.views)}".encode())
-            digest.update(np.ascontiguousarray(item.target, dtype=np.float32).tobytes())
-            for view in item.views:
-                for matrix in (view.camera.K, view.camera.R, view.camera.t):
-                    digest.update(matrix.tobytes())
+            camera = item.views[0].camera
+            for matrix in (camera.K, camera.R, camera.t):
+                digest.update(matrix.tobytes())
         return digest.hexdigest()[:16]
 
+    def has_targets(self) -> bool:
+        """Whether every object knows points of its surface."""
+        return all(item.target is not None for item in self.objects)
+
+    def target(self, index: int) -> Floats:
+        """Points [M, 3] of an object, in its own frame."""
+        if index not in self._targets:
+            load = self.objects[index].target
+            if load is None:
+                raise InputError(f"{self.objects[index].name}: has no points, expected some to learn from")
+            self._keep(self._targets, index, points := load(), points.nbytes)
+            return points
+        return self._targets[index]
+
     def prepared(self, index: int, view: int) -> NetworkInput:
-        """Picture, mask and camera of one view, cropped as the network's input."""
+        """Picture, mask and camera of one view, cropped as the network's input, in steps of 1/255.
+
+        The object stands on black where it is to be put on ``backgrounds``.
+        """
         key = (index, view)
-        if key in self._cache:
-            return self._cache[key]
-        source = self.objects[index].views[view]
-        image, mask = source.load()
-        prepared = network_input(
-            image, View(mask, source.camera, name=source.name), crop_share=self.crop_share, background=self.background
-        )
-        size = prepared.image.nbytes + prepared.mask.nbytes + prepared.known.nbytes
-        if self._cached_bytes + size <= CACHE_BYTES:
-            self._cache[key] = prepared
-            self._cached_bytes += size
-        return prepared
+        packed = self._cache.get(key)
+        if packed is None:
+            source = self.objects[index].views[view]
+            _require_perspective(source.name, source.camera)
+            image, mask = source.load()
+            background = "black" if self.backgrounds else self.background
+            made = network_input(
+                image, View(mask, source.camera, name=source.name), crop_share=self.crop_share, background=background
+            )
+            packed = _Packed.of(made)
+            self._keep(self._cache, key, packed, packed.nbytes)
+        return packed.unpacked()
 
-    def batch(self, seed: int, step: int, size: int, views: int, frame: str) -> Batch:
-        """The batch of a step, a function of its arguments alone.
+    def usable(self, index: int, view: int) -> tuple[int, int, NetworkInput]:
+        """``prepared``, or where that picture cannot be used the next one that can, of the same object or of the next.
 
-        Objects come in a new random order every time all have been seen; the input view and the ``views`` supervising
-        views (all different; the input view may be among them) are drawn at random.
+        Returns the index of the object, the number of the view, and the view.
+
+        Raises
+        ------
+        InputError
+            With ``strict`` at the first picture that cannot be used; else if none can.
         """
-        rng = np.random.default_rng([seed, 1, step])
-        pairs = []
-        for place in range(step * size, (step + 1) * size):
-            epoch, slot = divmod(place, len(self.objects))
-            index = int(np.random.default_rng([seed, 2, epoch]).permutation(len(self.objects))[slot])
-            count = len(self.objects[index].views)
-            pairs.append((index, int(rng.integers(count)), rng.permutation(count)[:views].tolist()))
-        return self.assemble(pairs, frame)
+        for other in range(len(self.objects)):
+            at = (index + other) % len(self.objects)
+            count = len(self.objects[at].views)
+            for offset in range(count):
+                key = (at, (view + offset) % count)
+                if key in self._bad:
+                    continue
+                try:
+                    return *key, self.prepared(*key)
+                except InputError as error:
+                    if self.strict:
+                        raise
+                    self._leave_out(key, str(error))
+        raise InputError(f"{self.description}: no picture can be used, the first: {next(iter(self.unusable.values()))}")
 
-    def assemble(self, chosen: Sequence[tuple[int, int, list[int]]], frame: str) -> Batch:
-        """A batch of (object, input view, supervising views).
+    def _leave_out(self, key: tuple[int, int], reason: str) -> None:
+        with self._lock:
+            if key in self._bad:
+                return
+            self._bad.add(key)
+            self.unusable[self.objects[key[0]].views[key[1]].name] = reason
+        warnings.warn(f"{reason}; left out", stacklevel=3)
 
-        In the view frame the prediction is y = C R0 X, with X the object's points, R0 the rotation of the input camera and
-        C = diag(1, -1, -1): x right, y up, z toward the viewer. Camera v then sees R_v R0^T C y + t_v.
-        """
-        images, targets, masks, known = [], [], [], []
-        K, R, t = [], [], []
-        for index, given, supervising in chosen:
-            picture = self.prepared(index, given)
-            # rows of X times this are rows of y; identity in the canonical frame
-            turn = np.eye(3) if frame == "canonical" else (CANONICAL_ROTATION @ picture.camera.R).T
-            images.append(picture.image)
-            targets.append((self.objects[index].target @ turn).astype(np.float32))
-            seen = [self.prepared(index, view) for view in supervising]
-            masks.append([item.mask for item in seen])
-            known.append([item.known for item in seen])
-            K.append([item.camera.K for item in seen])
-            R.append([item.camera.R @ turn for item in seen])
-            t.append([item.camera.t for item in seen])
-        return Batch(
-            np.stack(images),
-            targets,
-            np.asarray(masks, dtype=np.float32),
-            np.asarray(known, dtype=np.float32),
-            np.asarray(K, dtype=np.float64),
-            np.asarray(R, dtype=np.float64),
-            np.asarray(t, dtype=np.float64),
-        )
+    def _keep(self, store: dict[Any, Any], key: object, value: object, size: int) -> None:
+        with self._lock:
+            if key not in store and self._cached_bytes + size <= CACHE_BYTES:
+                store[key] = value
+                self._cached_bytes += size
 
 
-def from_folder(dataset: RenderedDataset, crop_share: float = 0.9, background: str = "black") -> TrainingData:
-    """The folder that `tso render` wrote as training data; pictures are read when they are first needed."""
+@dataclass(frozen=True, eq=False)
+class _Packed:
+    """A NetworkInput in bytes."""
 
-    def loader(view: object) -> Callable[[], tuple[NDArray[np.uint8], Floats]]:
-        return lambda: (view.image(), view.mask())  # type: ignore[attr-defined]
+    image: NDArray[np.uint8]
+    mask: NDArray[np.uint8]
+    known: NDArray[np.bool_] | None
+    camera: Camera
+    box: Box
 
-    objects = [
-        TrainingObject(
-            item.name,
-            [TrainingView(view.camera, loader(view), str(view.mask_path)) for view in item.views],
-            item.target(),
-        )
-        for item in dataset.objects
-    ]
-    described = f"{dataset.folder.resolve().name}: {len(objects)} objects"
-    return TrainingData(objects, described, crop_share, background)
+    @classmethod
+    def of(cls, made: NetworkInput) -> _Packed:
+        image, mask = (np.rint(values * 255.0).astype(np.uint8) for values in (made.image, made.mask))
+        return cls(image, mask, None if made.known.all() else made.known, made.camera, made.box)
 
+    @property
+    def nbytes(self) -> int:
+        return self.image.nbytes + self.mask.nbytes + (0 if self.known is None else self.known.nbytes)
 
-def from_meshes(
-    meshes: Sequence[Path],
-    description: str,
-    crop_share: float = 0.9,
-    background: str = "black",
-    seed: int = 0,
-    progress: Callable[[int, int, str], None] | None = None,
-    views: int = EXAMPLE_VIEWS,
-    size: int = EXAMPLE_SIZE,
-) -> TrainingData:
-    """Meshes rendered in memory; the pictures of each depend on ``seed`` and its place in the list alone."""
-    from ..files.meshes import read_mesh
-    from ..render import RenderSettings, render_mesh
-
-    settings = RenderSettings(views=views, size=(size, size))
-    objects = []
-    for number, path in enumerate(meshes):
-        name = f"{path.parent.name}/{path.stem}"
-        rendered = render_mesh(read_mesh(path), settings, np.random.default_rng([seed, number]), name)
-        taken = [
-            TrainingView(view.camera, _in_memory(view.image, view.mask), f"{name} view {i}")
-            for i, view in enumerate(rendered.views)
-        ]
-        objects.append(TrainingObject(name, taken, rendered.target))
-        if progress:
-            progress(number + 1, len(meshes), "")
-    return TrainingData(objects, description, crop_share, background)
+    def unpacked(self) -> NetworkInput:
+        scale = np.float32(1.0 / 255.0)
+        known = np.ones(self.mask.shape, dtype=bool) if self.known is None else self.known
+        return NetworkInput(self.image * scale, self.mask * scale, self.camera, known, self.box)
 
 
-def shipped_examples(crop_share: float = 0.9, background: str = "black") -> TrainingData:
-    """The pictures of the shipped examples with their true shapes: unseen by a network trained on the shipped meshes."""
-    from ..files.cameras import read_camera
-    from ..files.clouds import read_cloud
-    from ..files.images import read_image, read_mask
-    from ..files.shipped import CATEGORIES, examples_folder
-
-    objects = []
-    for category in CATEGORIES:
-        folder = examples_folder() / category
-        image, mask = read_image(folder / "image.png"), read_mask(folder / "mask.png")
-        camera = read_camera(folder / "camera.json", mask.shape[1], mask.shape[0])
-        view = TrainingView(camera, _loaded(image[..., :3], mask), str(folder / "mask.png"))
-        target = normalise_longest_side(read_cloud(folder / "target.ply").points).astype(np.float32)
-        objects.append(TrainingObject(category, [view], target))
-    return TrainingData(objects, "shipped examples", crop_share, background)
-
-
-def _loaded(image: NDArray[np.uint8], mask: Floats) -> Callable[[], tuple[NDArray[np.uint8], Floats]]:
-    return lambda: (image, mask)
-
-
-def _in_memory(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> Callable[[], tuple[NDArray[np.uint8], Floats]]:
-    return lambda: (image, mask.astype(np.float32) / np.float32(255.0))
+def _require_perspective(name: str, camera: Camera) -> None:
+    if camera.model != "perspective":
+        raise InputError(f"{name}: its camera is {camera.model}, expected perspective for training")

@@ -1,89 +1,37 @@
-"""Training the base network: with points (the PSGN-FC baseline) or with masks (CAPNet, Eq. 6)."""
+"""Training the base network: with points (the PSGN-FC baseline), with masks (CAPNet, Eq. 6), or with both."""
 
 from __future__ import annotations
 
 import copy
 import signal
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import FrameType
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from .. import __version__
 from .. import device as devices
 from ..errors import InputError, TsoError
 from ..losses import chamfer
-from ..network import FRAMES, SUPERVISIONS, BaseNetwork, NetworkConfig, build_network
+from ..network import BaseNetwork, NetworkConfig, build_network
+from .batches import Batch, Draw, Drawing, assemble, draw_batch
+from .config import TrainConfig
 from .data import TrainingData
-from .losses import AffinitySchedule, mask_loss, point_loss
+from .losses import AffinitySchedule, mask_loss_by_category, point_loss
+from .processes import Processes
 from .state import TrainingState, new_state
 
 Progress = Callable[[int, int, str], None]
 Save = Callable[[TrainingState, NetworkConfig], None]
-AFFINITIES = ("points", "paper")
-
-
-@dataclass(frozen=True)
-class TrainConfig:
-    """Settings of one training.
-
-    Parameters
-    ----------
-    supervision : "points" (Chamfer to the target, 3D) or "masks" (V views through the projector, 2D).
-    frame : "view" or "canonical", the frame of the predicted points (see `network.NetworkConfig`).
-    steps : Adam steps in all, those of a resumed run included.
-    batch_size : objects a step.
-    learning_rate : of Adam; the paper's is 5e-5.
-    views : V, supervising masks of each object a step ("masks" only); the paper's is 4.
-    affinity_weight : lambda of Eq. 6, dropped to 0.02 of it when the loss saturates ("masks" only). With the form "points",
-        of 0, 0.01, 0.1 and 1 the last gave the lowest Chamfer distance on the shipped shapes (150 steps at 3e-4).
-    affinity : form of Eq. 5, "points" or "paper" (see `losses.affinity`).
-    saturation_steps : window of the running mean that decides on saturation: no improvement by 1 % over the window before.
-    sigma_sq : variance of the projection kernel, px^2 of the 64x64 mask.
-    points : N, size of the predicted cloud.
-    seed : of the weights and of every draw. A run depends on it, on the data and on the device alone.
-    device : "cpu", "cuda", "auto" or any name torch knows.
-
-    Raises
-    ------
-    InputError
-        A setting is outside what makes sense.
-    """
-
-    supervision: str = "points"
-    frame: str = "view"
-    steps: int = 1000
-    batch_size: int = 16
-    learning_rate: float = 5e-5
-    views: int = 4
-    affinity_weight: float = 1.0
-    affinity: str = "points"
-    saturation_steps: int = 500
-    sigma_sq: float = 0.4
-    points: int = 1024
-    seed: int = 0
-    device: str = "cpu"
-
-    def __post_init__(self) -> None:
-        for name, allowed in (("supervision", SUPERVISIONS), ("frame", FRAMES), ("affinity", AFFINITIES)):
-            if getattr(self, name) not in allowed:
-                raise InputError(f"{name} is {getattr(self, name)!r}, expected {' or '.join(allowed)}")
-        for name in ("steps", "batch_size", "views", "saturation_steps", "points"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} is {getattr(self, name)}, expected 1 or more")
-        if not 0 <= self.seed < 2**63:
-            raise InputError(f"seed is {self.seed}, expected 0 or more, below 2^63")
-        for name in ("learning_rate", "sigma_sq"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise InputError(f"{name} is {getattr(self, name):g}, expected a finite number above 0")
-        if not 0.0 <= self.affinity_weight < np.inf:
-            raise InputError(f"lambda is {self.affinity_weight:g}, expected a finite number, 0 or more")
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,9 +58,13 @@ class TrainResult:
 def network_config(data: TrainingData, config: TrainConfig, steps: int) -> NetworkConfig:
     """What a checkpoint after ``steps`` steps says of itself."""
     settings: dict[str, Any] = {"batch_size": config.batch_size, "learning_rate": config.learning_rate}
-    if config.supervision == "masks":
+    settings |= {"averaging": config.averaging, "balance": config.balance, "augment": config.augment}
+    settings |= {"precision": config.precision}
+    if config.supervision != "points":
         settings |= {"views": config.views, "lambda": config.affinity_weight, "affinity": config.affinity}
-        settings |= {"saturation_steps": config.saturation_steps}
+        settings |= {"saturation_steps": config.saturation_steps, "category_sigma_sq": dict(config.category_sigma_sq)}
+    if config.supervision == "joint":
+        settings |= {"joint_weight": config.joint_weight}
     return NetworkConfig(
         points=config.points,
         frame=config.frame,
@@ -128,11 +80,14 @@ def network_config(data: TrainingData, config: TrainConfig, steps: int) -> Netwo
     )
 
 
-def start(data: TrainingData, config: TrainConfig) -> TrainingState:
-    """A training at step 0."""
+def start(data: TrainingData, config: TrainConfig, initial: BaseNetwork | None = None) -> TrainingState:
+    """A training at step 0, from random weights or from those of ``initial``."""
     schedule = AffinitySchedule(config.affinity_weight, config.saturation_steps)
-    network = build_network(config.points, config.seed)
-    return new_state(network, network_config(data, config, 0), schedule, data.fingerprint(), devices.resolve(config.device))
+    network = copy.deepcopy(initial) if initial else build_network(config.points, config.seed)
+    if network.decoder.points != config.points:
+        raise InputError(f"the initial network predicts {network.decoder.points} points, expected {config.points}")
+    described = network_config(data, config, 0)
+    return new_state(network, described, schedule, data.fingerprint(), devices.resolve(config.device))
 
 
 def train(
@@ -140,6 +95,8 @@ def train(
     config: TrainConfig,
     state: TrainingState | None = None,
     *,
+    masked: TrainingData | None = None,
+    processes: Processes | None = None,
     progress: Progress | None = None,
     save: Save | None = None,
     save_every: int = 0,
@@ -149,8 +106,10 @@ def train(
     Parameters
     ----------
     state : where to go on (`state.load_training`); None starts anew.
+    masked : the images of which each has one mask alone ("joint" only).
+    processes : those that train together; the step, and all that is random in it, is the same for any number of them.
     progress : called after every step with (step, steps, note).
-    save : called with the state every ``save_every`` steps (0: never) and at the end.
+    save : called with the state every ``save_every`` steps (0: never) and at the end, in the first process.
 
     Raises
     ------
@@ -159,37 +118,41 @@ def train(
     TsoError
         The loss stopped being a finite number.
     """
-    views = config.views if config.supervision == "masks" else 0
-    for item in data.objects:
-        if len(item.views) < views:
-            raise InputError(f"{item.name}: has {len(item.views)} views, expected at least the {views} that supervise a step")
+    processes = processes or Processes()
+    _require_data(data, masked, config, processes)
     state = state or start(data, config)
     if state.step >= config.steps:
         raise InputError(f"{state.step} steps are done already, expected --steps above that")
     device = next(state.network.parameters()).device
     saved_at = -1
-    with _interrupt_flag() as interrupted:
-        while state.step < config.steps and not interrupted():
-            step = state.step
-            batch = data.batch(config.seed, step, config.batch_size, views, config.frame)
-            images = torch.as_tensor(batch.images, device=device).contiguous(memory_format=torch.channels_last)
-            points = state.network(images)
-            weight = state.schedule.weight if views else 0.0
-            if views:
-                loss, first, second = mask_loss(points, batch, config.sigma_sq, weight, config.affinity)
-            else:
-                loss, first, second = point_loss(points, batch)
-            value = float(loss.detach())
-            if not np.isfinite(value):
-                raise TsoError(
-                    f"the loss became {value} in step {step + 1} (learning rate {config.learning_rate:g}); "
-                    f"{f'the last checkpoint is from step {saved_at}' if saved_at >= 0 else 'nothing was written'}"
-                )
+    if not processes.first:
+        save = progress = None
+
+    def draw(step: int) -> list[Batch]:
+        return _draw(data, masked, config, processes, step)
+
+    with _interrupt_flag() as interrupted, _ahead(draw, state.step, config.steps, config.workers) as batches_of:
+        while state.step < config.steps and not processes.any(interrupted(), device):
+            batches = batches_of(state.step)
+            weight = state.schedule.weight if config.supervision != "points" else 0.0
+            with torch.autocast(device.type, torch.bfloat16, enabled=config.precision == "bfloat16"):
+                clouds = [state.network(_images(batch, device)) for batch in batches]
+            loss, first, second = _loss([cloud.float() for cloud in clouds], batches, config, weight)
             state.optimiser.zero_grad(set_to_none=True)
             loss.backward()
+            row = torch.tensor([float(loss.detach()), first, second], dtype=torch.float64, device=device)
+            processes.average([row])
+            value, first, second = row.tolist()
+            if not np.isfinite(value):
+                raise TsoError(
+                    f"the loss became {value} in step {state.step + 1} (learning rate {config.learning_rate:g}); "
+                    f"{f'the last checkpoint is from step {saved_at}' if saved_at >= 0 else 'nothing was written'}"
+                )
+            processes.average(p.grad for p in state.network.parameters() if p.grad is not None)
             state.optimiser.step()
             state.history.append((value, first, second, weight))
-            if views:
+            state.update_average(config.averaging)
+            if config.supervision != "points":
                 state.schedule.observe(value, state.step)
             if progress:
                 progress(state.step, config.steps, f"loss {value:.4g}")
@@ -199,7 +162,8 @@ def train(
         finished = network_config(data, config, state.step)
         if save:
             save(state, finished)
-    network = copy.deepcopy(state.network).cpu().to(memory_format=torch.contiguous_format).eval()  # type: ignore[call-overload]
+        processes.wait()
+    network = copy.deepcopy(state.averaged()).cpu().to(memory_format=torch.contiguous_format).eval()  # type: ignore[call-overload]
     return TrainResult(
         network,
         finished,
@@ -208,6 +172,77 @@ def train(
         np.array(state.history, dtype=np.float64).reshape(-1, 4),
         state.schedule.dropped_at,
     )
+
+
+def _require_data(data: TrainingData, masked: TrainingData | None, config: TrainConfig, processes: Processes) -> None:
+    """Refuse data that lack what the supervision needs."""
+    joint = config.supervision == "joint"
+    if joint != (masked is not None):
+        raise InputError(
+            f"supervision is {config.supervision!r} {'without' if joint else 'with'} images that have one mask each, expected "
+            f"{'some' if joint else 'none'}"
+        )
+    shares = processes.count * (2 if joint else 1)
+    if config.batch_size % shares:
+        raise InputError(f"batch size is {config.batch_size}, expected a multiple of {shares}")
+    if config.supervision == "masks":
+        for item in data.objects:
+            if len(item.views) < config.views:
+                raise InputError(
+                    f"{item.name}: has {len(item.views)} views, expected at least the {config.views} that supervise a step"
+                )
+    elif not data.has_targets():
+        lacking = next(item.name for item in data.objects if item.target is None)
+        raise InputError(f"{lacking}: has no points to learn from, expected some (or --supervision masks)")
+
+
+def _draw(data: TrainingData, masked: TrainingData | None, config: TrainConfig, processes: Processes, step: int) -> list[Batch]:
+    """This process's share of a step: one batch, or with "joint" one with points and one with masks."""
+    part = (processes.rank, processes.count)
+    size = config.batch_size // (2 if masked else 1)
+    drawing = Drawing(config.seed, size, config.frame, balance=config.balance, augment=config.augment)
+    if config.supervision == "masks":
+        return [draw_batch(data, replace(drawing, views=config.views, targets=False), step, part)]
+    batches = [draw_batch(data, drawing, step, part)]
+    if masked:
+        batches.append(draw_batch(masked, replace(drawing, views=1, own_view=True, targets=False), step, part))
+    return batches
+
+
+def _loss(clouds: list[Tensor], batches: list[Batch], config: TrainConfig, weight: float) -> tuple[Tensor, float, float]:
+    """The loss and its two parts: forward and backward, BCE and affinity, or Chamfer and BCE."""
+    projected = (config.sigma_sq, config.category_sigma_sq, weight, config.affinity)
+    if config.supervision == "masks":
+        return mask_loss_by_category(clouds[0], batches[0], *projected)
+    loss, forward, backward = point_loss(clouds[0], batches[0])
+    if config.supervision == "points":
+        return loss, forward, backward
+    mask, bce, _ = mask_loss_by_category(clouds[1], batches[1], *projected)
+    return config.joint_weight * loss + mask, forward + backward, bce
+
+
+def _images(batch: Batch, device: torch.device) -> Tensor:
+    return torch.as_tensor(batch.images, device=device).contiguous(memory_format=torch.channels_last)
+
+
+@contextmanager
+def _ahead(draw: Callable[[int], list[Batch]], first: int, steps: int, workers: int) -> Iterator[Callable[[int], list[Batch]]]:
+    """Batches of the steps from ``first`` on, asked for in order and prepared by threads while the network is busy."""
+    pool = ThreadPoolExecutor(workers, thread_name_prefix="tso-batch")
+    waiting: deque[Future[list[Batch]]] = deque()
+    following = first
+
+    def take(step: int) -> list[Batch]:
+        nonlocal following
+        while len(waiting) <= workers and following < steps:
+            waiting.append(pool.submit(draw, following))
+            following += 1
+        return waiting.popleft().result()
+
+    try:
+        yield take
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def evaluate(network: BaseNetwork, data: TrainingData, frame: str, views: int = 4) -> tuple[float, float]:
@@ -219,7 +254,7 @@ def evaluate(network: BaseNetwork, data: TrainingData, frame: str, views: int = 
     device = next(network.parameters()).device
     with torch.no_grad():
         for index, item in enumerate(data.objects):
-            batch = data.assemble([(index, view, []) for view in range(min(views, len(item.views)))], frame)
+            batch = assemble(data, [Draw(index, view) for view in range(min(views, len(item.views)))], frame)
             points = network(torch.as_tensor(batch.images, device=device))
             forward, backward = chamfer(points, torch.as_tensor(np.stack(batch.targets), device=device))
             totals.append((float(forward.mean()), float(backward.mean())))

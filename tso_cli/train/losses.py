@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from ..errors import InputError
 from ..losses import affinity, chamfer, silhouette_bce
 from ..projection import CameraBatch, cheaper_kernel, project, silhouette_sums
-from .data import Batch
+from .batches import Batch
 
 # The supplement: "reduced to 0.02 of its initial value upon loss saturation".
 DROP = 0.02
@@ -27,6 +29,23 @@ def point_loss(points: Tensor, batch: Batch) -> tuple[Tensor, float, float]:
         backward.append(back[0])
     ahead, back = torch.stack(forward).mean(), torch.stack(backward).mean()
     return ahead + back, float(ahead.detach()), float(back.detach())
+
+
+def mask_loss_by_category(
+    points: Tensor, batch: Batch, sigma_sq: float, by_category: Mapping[str, float], weight: float, form: str
+) -> tuple[Tensor, float, float]:
+    """`mask_loss` where some categories have a sigma^2 of their own."""
+    kernels = np.array([by_category.get(category, sigma_sq) for category in batch.categories])
+    if (kernels == kernels[0]).all():
+        return mask_loss(points, batch, float(kernels[0]), weight, form)
+    total, bce, outliers = points.new_zeros(()), 0.0, 0.0
+    for kernel in np.unique(kernels):
+        chosen = np.flatnonzero(kernels == kernel)
+        share = len(chosen) / len(kernels)
+        index = torch.as_tensor(chosen, device=points.device)
+        loss, first, second = mask_loss(points[index], batch.select(chosen), float(kernel), weight, form)
+        total, bce, outliers = total + share * loss, bce + share * first, outliers + share * second
+    return total, bce, outliers
 
 
 def mask_loss(points: Tensor, batch: Batch, sigma_sq: float, weight: float, form: str) -> tuple[Tensor, float, float]:

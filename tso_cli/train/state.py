@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
-from dataclasses import dataclass
+import json
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,7 @@ class TrainingState:
 
     history : float64 [steps done, 4], one row a step.
     fingerprint : of the data it was trained on.
+    average : running mean of each parameter, in the order of the network; empty until it is asked for.
     """
 
     network: BaseNetwork
@@ -34,11 +37,34 @@ class TrainingState:
     schedule: AffinitySchedule
     history: list[tuple[float, float, float, float]]
     fingerprint: str
+    average: list[Tensor] = field(default_factory=list)
 
     @property
     def step(self) -> int:
         """Steps done."""
         return len(self.history)
+
+    def update_average(self, kept: float) -> None:
+        """Take the weights after a step into their running mean, which keeps the share ``kept`` of what it was."""
+        if kept == 0.0:
+            return
+        with torch.no_grad():
+            weights = [parameter.detach() for parameter in self.network.parameters()]
+            if not self.average:
+                self.average = [weight.clone() for weight in weights]
+            # In the first steps the mean is over the steps there were: the random start must not linger in it.
+            kept = min(kept, self.step / (self.step + 9.0))
+            torch._foreach_lerp_(self.average, weights, 1.0 - kept)
+
+    def averaged(self) -> BaseNetwork:
+        """The network to be saved: with the mean weights where there is a mean, else the network itself."""
+        if not self.average:
+            return self.network
+        network = copy.deepcopy(self.network)
+        with torch.no_grad():
+            for parameter, mean in zip(network.parameters(), self.average, strict=True):
+                parameter.copy_(mean)
+        return network
 
 
 def state_path(checkpoint: Path) -> Path:
@@ -53,10 +79,12 @@ def save_training(checkpoint: Path, state: TrainingState, config: NetworkConfig)
         for moment in MOMENTS:
             stored = state.optimiser.state[parameter].get(moment, torch.zeros_like(parameter))
             tensors[f"{STATE_PREFIX}{moment}.{name}"] = stored
+    for (name, _), mean in zip(state.network.named_parameters(), state.average, strict=False):
+        tensors[f"{STATE_PREFIX}average.{name}"] = mean
     tensors[f"{STATE_PREFIX}history"] = torch.tensor(state.history, dtype=torch.float64).reshape(-1, COLUMNS)
     values = {"step": state.step, "schedule": state.schedule.to_json(), "fingerprint": state.fingerprint}
     save_tensors(state_path(checkpoint), tensors, config, values, overwrite=True)
-    save_network(checkpoint, state.network, config, overwrite=True)
+    save_network(checkpoint, state.averaged(), config, overwrite=True)
 
 
 def load_training(checkpoint: Path, config: NetworkConfig, fingerprint: str, device: torch.device) -> TrainingState:
@@ -80,8 +108,10 @@ def load_training(checkpoint: Path, config: NetworkConfig, fingerprint: str, dev
         raise InputError(f"{path}: was trained on other data ({stored.training_set}), expected the same data to resume")
     schedule = AffinitySchedule.from_json(values.get("schedule"), str(path))
     shapes: dict[str, tuple[int, ...]] = {"history": (step, COLUMNS)}
+    averaged = bool(step and config.settings.get("averaging"))
+    kept = (*MOMENTS, "average") if averaged else MOMENTS
     for name, parameter in network.named_parameters():
-        shapes.update({f"{moment}.{name}": tuple(parameter.shape) for moment in MOMENTS})
+        shapes.update({f"{moment}.{name}": tuple(parameter.shape) for moment in kept})
     tensors = load_state(path, shapes)
     state = new_state(network, config, schedule, fingerprint, device)
     state.history.extend(tuple(row) for row in tensors.pop("history").double().tolist())
@@ -90,6 +120,8 @@ def load_training(checkpoint: Path, config: NetworkConfig, fingerprint: str, dev
             # The layout of the parameter is kept: the sums of a convolution depend on it in the last bit.
             moments = {moment: torch.empty_like(parameter).copy_(tensors[f"{moment}.{name}"]) for moment in MOMENTS}
             state.optimiser.state[parameter] = {"step": torch.tensor(float(step)), **_detached(moments)}
+            if averaged:
+                state.average.append(torch.empty_like(parameter).copy_(tensors[f"average.{name}"]).detach())
     return state
 
 
@@ -126,13 +158,14 @@ def _require_same(path: Path, stored: NetworkConfig, asked: NetworkConfig) -> No
             )
 
 
-def write_history(path: Path, history: list[tuple[float, float, float, float]], supervision: str) -> None:
-    """All losses so far as a table, one line a step; the file is replaced whole."""
+def write_history(path: Path, history: list[tuple[float, float, float, float]], config: NetworkConfig) -> None:
+    """The settings, then the losses of every step so far, one JSON object a line; the file is replaced whole."""
     from ..files.output import atomic_output
 
-    terms = "bce,affinity,lambda" if supervision == "masks" else "forward,backward"
-    lines = [f"step,loss,{terms}"]
+    terms = {"points": ("forward", "backward"), "masks": ("bce", "affinity", "lambda"), "joint": ("chamfer", "bce", "lambda")}
+    names = ("step", "loss", *terms[config.supervision])
+    lines = [json.dumps(dataclasses.asdict(config), allow_nan=False)]
     for step, row in enumerate(history, 1):
-        lines.append(",".join([str(step), *(repr(value) for value in row[: terms.count(",") + 2])]))
+        lines.append(json.dumps(dict(zip(names, (step, *row), strict=False))))
     with atomic_output(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -1,0 +1,92 @@
+"""What every reader of a data set gives: objects, their views, and what could not be used."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import Camera
+from ..errors import InputError
+
+Pixels = NDArray[np.uint8]
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class ViewItem:
+    """One picture of an object.
+
+    Attributes
+    ----------
+    name : what messages call it, a path as a rule.
+    camera : from the object's own frame to the pixels of image and mask.
+    load : gives image [H, W, 3] uint8 and mask [H, W] float32 in [0, 1], both of the camera's size; InputError naming the file
+        if they cannot be read.
+    """
+
+    name: str
+    camera: Camera
+    load: Callable[[], tuple[Pixels, Floats]]
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectItem:
+    """One shape.
+
+    Attributes
+    ----------
+    name : unique in its data set, CATEGORY/NAME as a rule.
+    category : of its type; "" where the data set knows none.
+    views : at least one.
+    target : gives points of the surface [P, 3] float32 in the object's own frame; None where there is no such file.
+    """
+
+    name: str
+    category: str
+    views: Sequence[ViewItem]
+    target: Callable[[], Floats] | None
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Objects that can be used, and why the others cannot.
+
+    Attributes
+    ----------
+    objects : sorted by name.
+    description : what it is, in words; it travels in checkpoints.
+    skipped : item -> why it was left out.
+    """
+
+    objects: Sequence[ObjectItem]
+    description: str
+    skipped: dict[str, str] = field(default_factory=dict)
+
+    def select(self, names: Sequence[str], source: str) -> Dataset:
+        """The objects that the list of a split names, with their warped copies (NAME~0001 and so on).
+
+        Raises InputError naming ``source``, the file of the split, if it names an object that is neither here nor skipped.
+        """
+        wanted = set(names)
+        chosen = [item for item in self.objects if original(item.name) in wanted]
+        missing = sorted(wanted - {original(item.name) for item in chosen} - set(self.skipped))
+        if missing:
+            more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+            raise InputError(f"{source}: names {missing[0]}{more}, expected objects of {self.description}")
+        if not chosen:
+            raise InputError(f"{source}: names no object that can be used, expected some of {self.description}")
+        return Dataset(chosen, self.description, self.skipped)
+
+
+def copied(name: str, copy: int) -> str:
+    """Name of the warped copy number ``copy`` of an object, from 1; 0 is the object itself."""
+    return f"{name}~{copy:04d}" if copy else name
+
+
+def original(name: str) -> str:
+    """The object that ``name`` is, or is a warped copy of."""
+    return re.sub(r"~\d{4}$", "", name)

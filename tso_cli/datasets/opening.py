@@ -1,0 +1,70 @@
+"""A folder, whatever its layout -> a data set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from ..errors import InputError
+from . import common
+from .items import Dataset
+from .pix3d import TABLE, open_pix3d
+from .r2n2 import PICTURES, open_r2n2
+from .r2n2 import RENDERED as R2N2
+from .rendered import holds_object, open_rendered
+from .shapenet import RENDERED as SHAPENET
+from .shapenet import open_shapenet
+from .splits import read_split
+
+__all__ = ["open_dataset", "read_split"]
+
+Opener = Callable[[Path, bool, common.Progress | None], Dataset]
+LAYOUTS = (
+    f"ShapeNet of the CAPNet authors ({SHAPENET}/SYNSET/MODEL/render_0.png), renders of 3D-R2N2 "
+    f"({R2N2}/SYNSET/MODEL/{PICTURES}/00.png), Pix3D ({TABLE}), or what tso render writes (NAME/cameras.json)"
+)
+
+
+def open_dataset(folder: Path | str, strict: bool = False, progress: common.Progress | None = None) -> Dataset:
+    """Open the data set in ``folder``; its layout shows in the names of the folders and files in it.
+
+    Parameters
+    ----------
+    folder : see `shapenet`, `r2n2`, `pix3d` and `rendered` for the layouts.
+    strict : what cannot be used is an error; else it is named in ``skipped`` and left out. Pictures are read, and found to be
+        damaged, only when they are loaded.
+    progress : called now and then with how much is done, of how much, and a note.
+
+    Raises
+    ------
+    InputError
+        ``folder`` is none, has no layout known here or two of them, or no object of it can be used; or, with ``strict``, one
+        cannot.
+    """
+    folder = Path(folder)
+    common.require_folder(folder, f"a data set: {LAYOUTS}")
+    folders, files = common.listed(folder)
+    own = folder.resolve().name
+    fitting: list[tuple[str, Opener]] = []
+    if TABLE in files:
+        fitting.append((TABLE, open_pix3d))
+    if SHAPENET in folders or (own == SHAPENET and R2N2 not in folders):
+        fitting.append((SHAPENET, open_shapenet))
+    if R2N2 in folders or (not fitting and _is_r2n2(folder, folders)):
+        fitting.append((R2N2, open_r2n2))
+    if len(fitting) > 1:
+        raise InputError(f"{folder}: holds {fitting[0][0]} and {fitting[1][0]}, expected one data set")
+    if fitting:
+        return fitting[0][1](folder, strict, progress)
+    if not holds_object(folder):
+        raise InputError(f"{folder}: has no layout known here, expected {LAYOUTS}")
+    return open_rendered(folder, strict, progress)
+
+
+def _is_r2n2(folder: Path, categories: list[str]) -> bool:
+    """Whether the first category with models has one with a folder of pictures."""
+    for category in categories:
+        models = common.listed(folder / category)[0]
+        if models:
+            return any((folder / category / model / PICTURES).is_dir() for model in models)
+    return False

@@ -1,0 +1,206 @@
+"""Pix3D (Sun et al., 2018): photos with masks, aligned models and cameras.
+
+    ROOT/pix3d.json    a list of entries with img, mask, model (paths below ROOT), category, img_size [width, height],
+                       rot_mat, trans_mat, focal_length, truncated, occluded, slightly_occluded, and more that is not used
+
+Facts about the data, from its README, its rendering script and its authors' answers: X = rot_mat x + trans_mat takes a point x
+of the model to axes with x to the left, y up and z into the picture; the camera stands at the origin and looks along +z. So
+X_camera = diag(-1, -1, 1) X in OpenCV axes. focal_length is in mm of a sensor 32 mm wide: f = focal_length / 32 of the
+picture's width; the principal point is the middle of the picture.
+
+The frame of an object here is its model's, centred on the bounding box of its faces and scaled to longest side 1; the cameras
+are changed to match, so that a model is read when one of its views or its target is asked for. Entries whose object is cut off
+or hidden in part are left out: their masks are not its silhouette.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from ..camera import Array, Camera
+from ..errors import InputError
+from ..files.images import read_image, read_mask
+from ..files.reading import read_bytes, shown
+from ..geometry import bounding_box_normalisation
+from . import common
+from .items import Dataset, Floats, ObjectItem, Pixels, ViewItem
+
+TABLE = "pix3d.json"
+SENSOR_MM = 32.0
+PARTIAL = ("truncated", "occluded", "slightly_occluded")
+_IMAGE_AXES = np.diag([-1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """One photo: its files, the object it shows, and the camera from the model's own coordinates."""
+
+    image: str
+    mask: str
+    model: str
+    category: str
+    camera: Camera
+
+
+class _Models:
+    """Centre and scale of every model that was needed so far; a damaged one says so each time."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, tuple[Array, float]] = {}
+
+    def normalisation(self, path: str) -> tuple[Array, float]:
+        if path not in self._known:
+            vertices, faces = _read(path)
+            self._known[path] = bounding_box_normalisation(vertices[np.unique(faces)], path)
+        return self._known[path]
+
+    def target(self, path: str) -> Floats:
+        """Points of the surface [POINTS, 3], centred and of longest side 1."""
+        vertices, faces = _read(path)
+        centre, scale = self.normalisation(path)
+        return common.surface_target((vertices - centre) / scale, faces)
+
+
+def open_pix3d(
+    folder: Path | str, strict: bool = False, progress: common.Progress | None = None, by_picture: bool = False
+) -> Dataset:
+    """The objects of Pix3D; they are named after their models, CATEGORY/FOLDER/FILE, and every photo is a view.
+
+    Parameters
+    ----------
+    folder : ROOT.
+    strict : the first entry that cannot be used is an error; entries with part of the object out of sight are not meant.
+    progress : called after every entry.
+    by_picture : an object for each photo instead, CATEGORY/NUMBER: for splits by photo, where a model may be on both sides.
+
+    Returns
+    -------
+    No picture and no model is read yet. A view whose model cannot be read says so when it is loaded.
+
+    Raises
+    ------
+    InputError
+        pix3d.json cannot be read, or there is no usable entry; or, with ``strict``, one is not.
+    """
+    root = Path(folder)
+    table = root / TABLE
+    try:
+        document = json.loads(read_bytes(table, "the entries of Pix3D"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{table}: is not JSON ({shown(str(error))}), expected the entries of Pix3D") from None
+    if not isinstance(document, list):
+        raise InputError(f"{table}: holds a {type(document).__name__}, expected a list of entries")
+    skipped, there = common.Skipped(strict), dict[str, bool]()
+    entries: dict[str, list[_Entry]] = {}
+    for number, values in enumerate(document):
+        called = _called(values, number)
+        where = f"{table}: entry {number} ({called})"
+        try:
+            entry = _entry(values, where)
+            for path in (entry.image, entry.mask, entry.model):
+                if path not in there:
+                    there[path] = (root / path).is_file()
+                if not there[path]:
+                    raise InputError(f"{root / path}: does not exist, {where} names it")
+            flags = [flag for flag in PARTIAL if values.get(flag) in (True, "true", "True")]
+            if flags:
+                skipped.reasons[called] = f"{where}: the object is {flags[0].replace('_', ' ')}"
+            else:
+                entries.setdefault(_name(entry.image if by_picture else entry.model, entry.category), []).append(entry)
+        except InputError as error:
+            skipped.add(called, str(error))
+        if progress is not None:
+            progress(number + 1, len(document), called)
+    models = _Models()
+    objects = [
+        ObjectItem(
+            name,
+            own[0].category,
+            common.LazyViews(len(own), partial(_view, str(root), own, models)),
+            partial(models.target, str(root / own[0].model)),
+        )
+        for name, own in entries.items()
+    ]
+    return common.finished(objects, f"{root.resolve().name} (Pix3D)", skipped, "entries with img, mask and model")
+
+
+def _entry(values: Any, where: str) -> _Entry:
+    if not isinstance(values, dict):
+        raise InputError(f"{where}: is a {type(values).__name__}, expected an object with img, mask, model and so on")
+    image, mask, model, category = (_text(values, key, where) for key in ("img", "mask", "model", "category"))
+    width, height = (int(side) for side in _numbers(values, "img_size", (2,), where, whole=True))
+    focal = float(_numbers(values, "focal_length", (), where)) / SENSOR_MM * width
+    K = np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
+    rotation, translation = _numbers(values, "rot_mat", (3, 3), where), _numbers(values, "trans_mat", (3,), where)
+    try:
+        camera = Camera(K, _IMAGE_AXES @ rotation, _IMAGE_AXES @ translation, width, height)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    return _Entry(image, mask, model, category, camera)
+
+
+def _text(values: dict[str, Any], key: str, where: str) -> str:
+    text = values.get(key)
+    if not isinstance(text, str) or not text or not text.isprintable():
+        raise InputError(f"{where}: {key} is {shown(text)}, expected a text")
+    return text
+
+
+def _numbers(values: dict[str, Any], key: str, shape: tuple[int, ...], where: str, whole: bool = False) -> Array:
+    try:
+        array = np.array(values[key], dtype=np.float64)
+    except (KeyError, TypeError, ValueError, OverflowError):
+        array = np.array(np.nan)
+    fits = array.shape == shape and bool(np.isfinite(array).all())
+    if not fits or (whole and ((array < 1) | (array % 1 != 0) | (array > 1e6)).any()):
+        kind = "whole numbers, 1 or more" if whole else "finite numbers"
+        size = f"{' x '.join(map(str, shape))} {kind}" if shape else "a finite number"
+        raise InputError(f"{where}: {key} is {shown(values.get(key, 'missing'))}, expected {size}")
+    return array
+
+
+def _called(values: Any, number: int) -> str:
+    """What messages call an entry: its picture."""
+    name = values.get("img") if isinstance(values, dict) else None
+    return name if isinstance(name, str) and name.isprintable() and name else f"entry {number}"
+
+
+def _name(path: str, category: str) -> str:
+    """CATEGORY/... from the path of a model or picture, which starts with the folder of all models or pictures."""
+    parts = PurePosixPath(path).with_suffix("").parts
+    parts = parts[parts.index(category) :] if category in parts else (category, *parts)
+    return "/".join(parts)
+
+
+def _read(path: str) -> tuple[Array, np.ndarray[Any, np.dtype[np.int64]]]:
+    from ..files.meshes import read_mesh
+
+    mesh = read_mesh(path)
+    return mesh.vertices, mesh.faces
+
+
+def _view(root: str, entries: list[_Entry], models: _Models, index: int) -> ViewItem:
+    entry = entries[index]
+    image, mask = Path(root) / entry.image, Path(root) / entry.mask
+    try:
+        camera = entry.camera.for_normalised(*models.normalisation(str(Path(root) / entry.model)))
+    except InputError as error:
+        return ViewItem(str(image), entry.camera, partial(_fail, str(error)))
+    return ViewItem(str(image), camera, partial(_load, image, mask, camera))
+
+
+def _load(picture: Path, mask_path: Path, camera: Camera) -> tuple[Pixels, Floats]:
+    image, mask = read_image(picture)[..., :3], read_mask(mask_path)
+    for path, pixels in ((picture, image), (mask_path, mask)):
+        common.sized(path, pixels, camera, f"as {TABLE} says")
+    return image, mask
+
+
+def _fail(message: str) -> tuple[Pixels, Floats]:
+    raise InputError(message)

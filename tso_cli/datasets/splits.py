@@ -1,0 +1,121 @@
+"""Which objects are for training, validation and test.
+
+- A JSON file: {"train": [NAME, ...], "validation": [...], "test": [...]}, with names as the data set has them; a part may be
+  missing.
+- The folder of the CAPNet authors: SYNSET_train_list.txt, SYNSET_val_list.txt, SYNSET_test_list.txt with a model a line, or
+  .npy files with an array of texts; or a folder that has it as splits or ShapeNet_rendered/splits. A model is named
+  SYNSET/MODEL here.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..files.output import reason
+from ..files.reading import read_bytes, shown
+from . import common
+from .shapenet import RENDERED, SPLITS
+
+PARTS = ("train", "validation", "test")
+_FILE = re.compile(r"(?P<category>.+)_(?P<part>train|val|test)_list\.(?P<kind>txt|npy)")
+_LIMIT = 1 << 28
+
+
+def read_split(path: Path | str) -> dict[str, list[str]]:
+    """Names of the objects of each part, in the order of the file; a name that stands twice counts once.
+
+    Parameters
+    ----------
+    path : JSON file or folder.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, has another form, has no names, or has an object in two parts.
+    """
+    path = Path(path)
+    split = _from_folder(path) if path.is_dir() else _from_json(path)
+    split = {part: list(dict.fromkeys(split[part])) for part in PARTS if part in split}
+    if not any(split.values()):
+        raise InputError(f"{path}: names no object, expected some for {', '.join(PARTS)}")
+    seen: dict[str, str] = {}
+    for part, names in split.items():
+        for name in names:
+            if name in seen:
+                raise InputError(f"{path}: names {shown(name)} for {seen[name]} and for {part}, expected one of them")
+            seen[name] = part
+    return split
+
+
+def _from_json(path: Path) -> dict[str, list[str]]:
+    form = '{"train": [...], "validation": [...], "test": [...]}'
+    try:
+        document = json.loads(read_bytes(path, "a split (JSON, or a folder of lists)", limit=_LIMIT))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is not JSON ({shown(str(error))}), expected {form}") from None
+    if not isinstance(document, dict) or not document:
+        raise InputError(f"{path}: holds {shown(document)}, expected {form}")
+    for part, names in document.items():
+        if part not in PARTS:
+            raise InputError(f"{path}: has the part {shown(part)}, expected {', '.join(PARTS)}")
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise InputError(f"{path}: {part} is {shown(names)}, expected a list of names")
+    return document
+
+
+def _from_folder(folder: Path) -> dict[str, list[str]]:
+    # The authors keep the lists inside the folder of the pictures.
+    folder = next((place for place in (folder / SPLITS, folder / RENDERED / SPLITS) if place.is_dir()), folder)
+    # Where a list is there in both forms, text comes last and counts.
+    found = {
+        (match["category"], match["part"]): folder / match[0]
+        for match in map(_FILE.fullmatch, sorted(common.listed(folder)[1]))
+        if match
+    }
+    if not found:
+        raise InputError(f"{folder}: holds no list, expected SYNSET_train_list.txt or .npy and so on")
+    split: dict[str, list[str]] = {}
+    for (category, part), path in found.items():
+        names = _array(path) if path.suffix == ".npy" else _lines(path)
+        own = split.setdefault("validation" if part == "val" else part, [])
+        own.extend(name if "/" in name else f"{category}/{name}" for name in names)
+    return split
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        text = read_bytes(path, "a list of models, one a line", limit=_LIMIT).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not text ({reason(error)}), expected a list of models, one a line") from None
+    return [line.strip() for line in text.splitlines() if line.strip()]
+
+
+def _array(path: Path) -> list[str]:
+    data = read_bytes(path, "an array of texts", limit=_LIMIT)
+    try:
+        if data[:6] != b"\x93NUMPY":
+            raise ValueError("it does not start as one")
+        version = np.lib.format.read_magic(stream := io.BytesIO(data))
+        headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+        shape, _, dtype = headers[version](stream)
+        if dtype.hasobject:
+            raise InputError(
+                f"{path}: holds pickled Python objects, which are not loaded because that could run anything; "
+                "expected texts: numpy.save(path, array.astype(str)), or a .txt with a name a line"
+            )
+        if dtype.kind not in "US" or len(shape) != 1:
+            raise InputError(f"{path}: holds {shown(str(dtype))} {list(shape)}, expected an array of texts [N]")
+        array = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+        names = array.astype(str) if dtype.kind == "U" else np.char.decode(array, "utf-8")
+    except InputError:
+        raise
+    # numpy evaluates the header as a Python literal, so that a damaged one can raise nearly anything.
+    except Exception as error:
+        raise InputError(f"{path}: is not a readable .npy file ({reason(error)})") from None
+    return [str(name).strip() for name in names if str(name).strip()]

@@ -1,0 +1,55 @@
+"""More shapes from few: warped and painted copies of a mesh, for training only."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..files.meshes import Mesh
+
+MAX_STRETCH = 0.3
+"""Half the range, in logarithms, of the factor by which each axis is stretched; the other deformations follow it."""
+
+
+def warp(mesh: Mesh, rng: np.random.Generator, strength: float = MAX_STRETCH) -> Mesh:
+    """A smoothly deformed copy of a normalised ``mesh`` (centred, longest side 1, y up).
+
+    The axes are stretched; each coordinate is moved along itself by a sine; the shape tapers and leans with height, and its
+    sides are swept back along the other horizontal axis. Stretch, sine and taper keep every mirror plane through the origin;
+    the lean and the sweep keep the one across the axis that they move points along.
+
+    Parameters
+    ----------
+    strength : 0.3 changes proportions by up to a third, as between chairs of one kind; 0 changes nothing.
+    """
+    points = mesh.vertices * np.exp(rng.uniform(-strength, strength, 3))
+    points /= max(float(np.ptp(points, axis=0).max()), 1e-12)
+    bend = rng.uniform(-strength, strength, 3) / (4.0 * np.pi)
+    points += bend * np.sin(2.0 * np.pi * points)
+    points[:, [0, 2]] *= 1.0 + rng.uniform(-strength, strength, 2) * points[:, 1:2]
+    along, across = (0, 2) if rng.random() < 0.5 else (2, 0)
+    points[:, along] += rng.uniform(-strength, strength) * np.abs(points[:, across])
+    points[:, along] += 0.5 * rng.uniform(-strength, strength) * points[:, 1]
+    return Mesh(points, mesh.faces, mesh.colours)
+
+
+def paint(mesh: Mesh, rng: np.random.Generator) -> Mesh:
+    """The same shape with a random colour on each connected part; parts often share one, as on real objects."""
+    part = connected_parts(mesh.faces, len(mesh.vertices))
+    count = int(part.max()) + 1
+    palette = rng.integers(1, 4)
+    colours = rng.uniform(20.0, 245.0, (palette, 1)) + rng.normal(0.0, 35.0, (palette, 3)) * rng.random()
+    chosen = np.clip(np.rint(colours), 0, 255).astype(np.uint8)[rng.integers(palette, size=count)]
+    return Mesh(mesh.vertices, mesh.faces, chosen[part])
+
+
+def connected_parts(faces: NDArray[np.int64], vertices: int) -> NDArray[np.int64]:
+    """For each of ``faces`` [F, 3] the number of its part, from 0; faces that share a vertex are of one part."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
+    graph = coo_matrix((np.ones(len(ends), dtype=np.int8), (ends[:, 0], ends[:, 1])), shape=(vertices, vertices))
+    _, label = connected_components(graph, directed=False)
+    _, part = np.unique(label[faces[:, 0]], return_inverse=True)
+    return part.astype(np.int64)

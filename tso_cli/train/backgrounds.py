@@ -1,0 +1,94 @@
+"""What stands behind the object in a training picture: crops of photos, or generated textures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..files.images import read_image
+from ..network import IMAGE_SIZE
+from ..resample import area_resize
+
+Floats = NDArray[np.float32]
+TEXTURES = "textures"
+SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
+# Photos kept in memory, their longer side shrunk to this many pixels: 0.2 MB each.
+MOST_PHOTOS, PHOTO_SIDE = 2000, 256
+
+
+class Backgrounds:
+    """Random pictures [3, 64, 64] in [0, 1].
+
+    Parameters
+    ----------
+    source : a folder of photos, or "textures" for generated ones (smooth noise at several scales over a gradient).
+
+    Raises
+    ------
+    InputError
+        The folder is missing or holds no picture; a picture that is drawn cannot be read.
+    """
+
+    def __init__(self, source: str) -> None:
+        self.source = source
+        self._photos: dict[Path, Floats] = {}
+        self._paths: list[Path] = []
+        if source == TEXTURES:
+            return
+        folder = Path(source)
+        if not folder.is_dir():
+            raise InputError(f"{folder}: not a folder, expected one with photos for backgrounds, or {TEXTURES!r}")
+        self._paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
+        if not self._paths:
+            raise InputError(f"{folder}: holds no picture, expected {', '.join(SUFFIXES)} files")
+
+    def sample(self, rng: np.random.Generator) -> Floats:
+        """One background: a random square of a random photo, or a new texture."""
+        if not self._paths:
+            return texture(rng)
+        photo = self._photo(self._paths[int(rng.integers(len(self._paths)))])
+        height, width = photo.shape[:2]
+        side = rng.uniform(0.4, 1.0) * min(height, width)
+        left, top = rng.uniform(0.0, width - side) - 0.5, rng.uniform(0.0, height - side) - 0.5
+        crop, _ = area_resize(photo, (left, top, left + side, top + side), IMAGE_SIZE, IMAGE_SIZE)
+        if rng.random() < 0.5:
+            crop = crop[:, ::-1]
+        return np.ascontiguousarray(np.clip(crop, 0.0, 1.0).transpose(2, 0, 1), dtype=np.float32)
+
+    def _photo(self, path: Path) -> Floats:
+        found = self._photos.get(path)
+        if found is None:
+            pixels = read_image(path)[..., :3].astype(np.float32) / np.float32(255.0)
+            height, width = pixels.shape[:2]
+            shrink = min(1.0, PHOTO_SIDE / max(height, width))
+            size = max(1, round(width * shrink)), max(1, round(height * shrink))
+            found = area_resize(pixels, (-0.5, -0.5, width - 0.5, height - 0.5), *size)[0].astype(np.float32)
+            if len(self._photos) < MOST_PHOTOS:
+                self._photos[path] = found
+        return found
+
+
+def texture(rng: np.random.Generator, size: int = IMAGE_SIZE) -> Floats:
+    """A random texture [3, size, size]: a gradient between two colours with smooth noise at several scales."""
+    ends = rng.uniform(0.0, 1.0, (2, 3, 1, 1))
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    across = np.linspace(-0.5, 0.5, size)
+    ramp = np.clip(0.5 + np.cos(angle) * across[None, :] + np.sin(angle) * across[:, None], 0.0, 1.0)
+    image = ends[0] * (1.0 - ramp) + ends[1] * ramp
+    for cells in (2, 4, 8, 16, 32):
+        coarse = rng.normal(0.0, rng.uniform(0.0, 0.25), (3 if rng.random() < 0.5 else 1, cells + 1, cells + 1))
+        image = image + _enlarged(coarse, size)
+    return np.clip(image, 0.0, 1.0).astype(np.float32)
+
+
+def _enlarged(values: NDArray[np.float64], size: int) -> NDArray[np.float64]:
+    """Bilinear interpolation of [C, n, n] to [C, size, size], corner to corner."""
+    at = np.linspace(0.0, values.shape[1] - 1.0, size)
+    low = np.minimum(at.astype(int), values.shape[1] - 2)
+    weights = np.zeros((size, values.shape[1]))
+    weights[np.arange(size), low] = 1.0 - (at - low)
+    weights[np.arange(size), low + 1] = at - low
+    return np.einsum("ai,cij,bj->cab", weights, values, weights)

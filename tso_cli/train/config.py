@@ -1,0 +1,98 @@
+"""Settings of a training."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..errors import InputError
+from ..network import FRAMES, SUPERVISIONS
+
+AFFINITIES = ("points", "paper")
+PRECISIONS = ("float32", "bfloat16")
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Settings of one training.
+
+    Parameters
+    ----------
+    supervision : "points" (Chamfer to the target, 3D), "masks" (V views through the projector, 2D) or "joint" (both at once:
+        points on one data set, one mask an image on another).
+    frame : "view" or "canonical", the frame of the predicted points (see `network.NetworkConfig`).
+    steps : Adam steps in all, those of a resumed run included.
+    batch_size : objects a step.
+    learning_rate : of Adam; the paper's is 5e-5.
+    views : V, supervising masks of each object a step ("masks" only); the paper's is 4.
+    affinity_weight : lambda of Eq. 6, dropped to 0.02 of it when the loss saturates ("masks" only). With the form "points",
+        of 0, 0.01, 0.1 and 1 the last gave the lowest Chamfer distance on the shipped shapes (150 steps at 3e-4).
+    affinity : form of Eq. 5, "points" or "paper" (see `losses.affinity`).
+    saturation_steps : window of the running mean that decides on saturation: no improvement by 1 % over the window before.
+    sigma_sq : variance of the projection kernel, px^2 of the 64x64 mask.
+    category_sigma_sq : the same for categories that need another, by name.
+    points : N, size of the predicted cloud.
+    joint_weight : of the Chamfer distance beside the mask loss ("joint" only); 1e6, as gamma in refinement.
+    averaging : the network that is saved is the running mean of the weights, in which each step keeps this share of the mean
+        before (less in the first steps, so that the start is forgotten); 0 saves the last weights.
+    balance : every category equally often, however many objects it has.
+    augment : mirror and recolour the pictures at random (see `batches.Drawing`).
+    precision : "bfloat16" runs the network's layers in mixed precision (about twice as fast where the processor has it);
+        weights, losses and the projector stay in float32.
+    workers : threads that prepare batches ahead.
+    seed : of the weights and of every draw. A run depends on it, on the data and on the device alone.
+    device : "cpu", "cuda", "auto" or any name torch knows.
+
+    Raises
+    ------
+    InputError
+        A setting is outside what makes sense.
+    """
+
+    supervision: str = "points"
+    frame: str = "view"
+    steps: int = 1000
+    batch_size: int = 16
+    learning_rate: float = 5e-5
+    views: int = 4
+    affinity_weight: float = 1.0
+    affinity: str = "points"
+    saturation_steps: int = 500
+    sigma_sq: float = 0.4
+    category_sigma_sq: Mapping[str, float] = field(default_factory=dict)
+    points: int = 1024
+    joint_weight: float = 1e6
+    averaging: float = 0.0
+    balance: bool = False
+    augment: bool = False
+    precision: str = "float32"
+    workers: int = 1
+    seed: int = 0
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        for name, allowed in (
+            ("supervision", SUPERVISIONS),
+            ("frame", FRAMES),
+            ("affinity", AFFINITIES),
+            ("precision", PRECISIONS),
+        ):
+            if getattr(self, name) not in allowed:
+                raise InputError(f"{name} is {getattr(self, name)!r}, expected {' or '.join(allowed)}")
+        for name in ("steps", "batch_size", "views", "saturation_steps", "points", "workers"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} is {getattr(self, name)}, expected 1 or more")
+        if not 0 <= self.seed < 2**63:
+            raise InputError(f"seed is {self.seed}, expected 0 or more, below 2^63")
+        if not 0.0 <= self.averaging < 1.0:
+            raise InputError(f"averaging is {self.averaging:g}, expected 0 or more and below 1")
+        for name in ("learning_rate", "sigma_sq", "joint_weight"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise InputError(f"{name} is {getattr(self, name):g}, expected a finite number above 0")
+        for name, value in self.category_sigma_sq.items():
+            if not 0.0 < value < np.inf:
+                raise InputError(f"sigma_sq of {name} is {value:g}, expected a finite number above 0")
+        if not 0.0 <= self.affinity_weight < np.inf:
+            raise InputError(f"lambda is {self.affinity_weight:g}, expected a finite number, 0 or more")

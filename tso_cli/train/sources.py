@@ -1,0 +1,90 @@
+"""Where training data come from: a data set on disk, meshes rendered in memory, the shipped examples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..datasets.items import Dataset, ObjectItem, ViewItem
+from ..geometry import normalise_longest_side
+from .backgrounds import Backgrounds
+from .data import TrainingData
+
+Floats = NDArray[np.float32]
+Pixels = NDArray[np.uint8]
+# Pictures of each shipped mesh, and their side in pixels: about the size of the network's input once cropped.
+EXAMPLE_VIEWS, EXAMPLE_SIZE = 32, 96
+
+
+def from_dataset(
+    dataset: Dataset,
+    crop_share: float = 0.9,
+    background: str = "black",
+    strict: bool = False,
+    backgrounds: Backgrounds | None = None,
+) -> TrainingData:
+    """A data set as training data; pictures are read when they are first needed."""
+    described = f"{dataset.description}: {len(dataset.objects)} objects"
+    return TrainingData(dataset.objects, described, crop_share, background, strict, backgrounds)
+
+
+def from_meshes(
+    meshes: Sequence[Path],
+    description: str,
+    crop_share: float = 0.9,
+    background: str = "black",
+    seed: int = 0,
+    progress: Callable[[int, int, str], None] | None = None,
+    views: int = EXAMPLE_VIEWS,
+    size: int = EXAMPLE_SIZE,
+) -> TrainingData:
+    """Meshes rendered in memory; the pictures of each depend on ``seed`` and its place in the list alone."""
+    from ..files.meshes import read_mesh
+    from ..render import RenderSettings, render_mesh
+
+    settings = RenderSettings(views=views, size=(size, size))
+    objects = []
+    for number, path in enumerate(meshes):
+        name = f"{path.parent.name}/{path.stem}"
+        rendered = render_mesh(read_mesh(path), settings, np.random.default_rng([seed, number]), name)
+        taken = [
+            ViewItem(f"{name} view {i}", view.camera, _in_memory(view.image, view.mask))
+            for i, view in enumerate(rendered.views)
+        ]
+        objects.append(ObjectItem(name, path.parent.name, taken, _always(rendered.target)))
+        if progress:
+            progress(number + 1, len(meshes), "")
+    return TrainingData(objects, description, crop_share, background)
+
+
+def shipped_examples(crop_share: float = 0.9, background: str = "black") -> TrainingData:
+    """The pictures of the shipped examples with their true shapes: unseen by a network trained on the shipped meshes."""
+    from ..files.cameras import read_camera
+    from ..files.clouds import read_cloud
+    from ..files.images import read_image, read_mask
+    from ..files.shipped import CATEGORIES, examples_folder
+
+    objects = []
+    for category in CATEGORIES:
+        folder = examples_folder() / category
+        image, mask = read_image(folder / "image.png"), read_mask(folder / "mask.png")
+        camera = read_camera(folder / "camera.json", mask.shape[1], mask.shape[0])
+        view = ViewItem(str(folder / "mask.png"), camera, _loaded(image[..., :3], mask))
+        target = normalise_longest_side(read_cloud(folder / "target.ply").points).astype(np.float32)
+        objects.append(ObjectItem(category, category, [view], _always(target)))
+    return TrainingData(objects, "shipped examples", crop_share, background)
+
+
+def _always(points: Floats) -> Callable[[], Floats]:
+    return lambda: points
+
+
+def _loaded(image: Pixels, mask: Floats) -> Callable[[], tuple[Pixels, Floats]]:
+    return lambda: (image, mask)
+
+
+def _in_memory(image: Pixels, mask: Pixels) -> Callable[[], tuple[Pixels, Floats]]:
+    return lambda: (image, mask.astype(np.float32) / np.float32(255.0))
