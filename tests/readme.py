@@ -18,6 +18,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
 RESULTS = ROOT / "docs" / "results.md"
+NETWORK = ROOT / "docs" / "network.md"
+PAGES = (README, RESULTS, NETWORK)
 FIGURES = ROOT / "docs" / "figures"
 CONSOLE = re.compile(r"```console\n(.*?)```", re.DOTALL)
 
@@ -63,9 +65,23 @@ def points_table(record: dict) -> str:
     return "\n".join(rows)
 
 
+def network_table(record: dict) -> str:
+    """The base network and its rivals as Markdown."""
+    names = {"network": "network", "mean_view": "mean, view", "mean_aligned": "mean, aligned", "nearest": "nearest"}
+    rows = ["| list | category | shapes | " + " | ".join(names.values()) + " | network / mean, view | network / nearest |"]
+    rows.append("|---" * (len(names) + 5) + "|")
+    for part, summary in record["summary"].items():
+        for category, own in summary.items():
+            values = [f"{1e3 * own[name]:.2f}" for name in names]
+            values += [f"{own['over_mean_view']:.2f}", f"{own['over_nearest']:.2f}"]
+            rows.append(f"| {part} | {category} | {own['shapes']} | " + " | ".join(values) + " |")
+    return "\n".join(rows)
+
+
 def tables() -> dict[str, str]:
     """Name -> table, from the kept figures."""
     return {
+        "network": network_table(json.loads((FIGURES / "network.json").read_text())),
         "examples": examples_table(json.loads((FIGURES / "examples.json").read_text())),
         "points": points_table(json.loads((FIGURES / "points.json").read_text())),
     }
@@ -87,6 +103,12 @@ def _run(command: str, folder: Path) -> str:
     return done.stdout.rstrip("\n")
 
 
+def write_tables() -> None:
+    """Put the tables of the kept figures into every page."""
+    for page in PAGES:
+        page.write_text(with_tables(page.read_text()))
+
+
 def main() -> None:
     text = README.read_text()
     with tempfile.TemporaryDirectory() as name:
@@ -99,9 +121,9 @@ def main() -> None:
             blocks = [next(printed) for _ in range(count)]
             return "```console\n" + "".join(f"$ {command}\n{out}\n" for command, out in blocks) + "```"
 
-        README.write_text(with_tables(CONSOLE.sub(fill, text)))
+        README.write_text(CONSOLE.sub(fill, text))
         shutil.copy(folder / "chair.png", ROOT / "docs" / "chair.png")
-    RESULTS.write_text(with_tables(RESULTS.read_text()))
+    write_tables()
 
 
 if __name__ == "__main__":

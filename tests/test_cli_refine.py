@@ -214,6 +214,80 @@ def test_the_network_modes_refine_the_networks_cloud(mode, folder, checkpoint, c
     assert read_cloud("image.refined.ply").points.shape == (128, 3)
 
 
+@pytest.fixture
+def shipped(tmp_path, checkpoint, monkeypatch):
+    """An installation whose shipped network is the small one."""
+    from tso_cli.files import shipped
+
+    weights = tmp_path / "installed" / "weights"
+    weights.mkdir(parents=True)
+    shutil.copy(checkpoint, weights / "default.safetensors")
+    monkeypatch.setattr(shipped, "WEIGHTS", weights)
+    return weights / "default.safetensors"
+
+
+@pytest.mark.parametrize("mode", ["encoder", "encoder-decoder"])
+def test_without_a_checkpoint_the_shipped_one_refines_and_is_named(mode, folder, checkpoint, shipped, capsys):
+    common = ("refine", "--mode", mode, "image.png", "mask.png", "--steps", "2")
+    assert tso(*common, "-o", "a.ply", "--json") == 0
+    captured = capsys.readouterr()
+    assert f"checkpoint: {shipped}\n" in captured.err
+    assert json.loads(captured.out)["checkpoint"] == str(shipped)
+    assert tso(*common, "-o", "b.ply", "--checkpoint", checkpoint) == 0
+    assert f"checkpoint: {checkpoint}\n" in capsys.readouterr().err
+    assert tso(*common, "-o", "c.ply", "--checkpoint", "default") == 0
+    assert f"checkpoint: {shipped}\n" in capsys.readouterr().err
+    assert Path("a.ply").read_bytes() == Path("b.ply").read_bytes() == Path("c.ply").read_bytes()
+
+
+def test_a_file_called_default_is_meant_by_a_path_to_it(folder, checkpoint, shipped, capsys):
+    shutil.copy(checkpoint, "default")
+    common = ("refine", "--mode", "encoder", "image.png", "mask.png", "--check")
+    assert tso(*common, "--checkpoint", folder / "default") == 0
+    assert f"checkpoint: {folder / 'default'}\n" in capsys.readouterr().err
+    assert tso(*common, "--checkpoint", "default") == 0
+    assert f"checkpoint: {shipped}\n" in capsys.readouterr().err
+
+
+def test_an_installation_without_its_network_is_said_so(folder, shipped, capsys):
+    shipped.unlink()
+    for arguments in (
+        ("refine", "--mode", "encoder", "image.png", "mask.png"),
+        ("refine", "--mode", "encoder", "image.png", "mask.png", "--checkpoint", "default"),
+        ("study", "examples", "--checkpoint", "default"),
+    ):
+        assert tso(*arguments) == 2
+        captured = capsys.readouterr()
+        assert captured.err.count("\n") == 1
+        assert str(shipped) in captured.err
+        assert "--checkpoint" in captured.err
+        assert captured.out == ""
+    assert not Path("image.refined.ply").exists()
+    assert tso("refine", "initial.ply", "mask.png", "--steps", "1") == 0
+
+
+SHIPPED = Path(__file__).parents[1] / "tso_cli" / "weights" / "default.safetensors"
+
+
+@pytest.mark.skipif(not SHIPPED.exists(), reason="the network is not trained yet")
+def test_the_shipped_network_is_small_view_aligned_and_refines_the_examples(folder, capsys):
+    import torch
+    from safetensors.torch import load_file
+
+    from tso_cli.files.checkpoints import read_metadata
+    from tso_cli.files.shipped import default_checkpoint
+
+    assert default_checkpoint() == SHIPPED
+    assert SHIPPED.stat().st_size <= 16_000_000
+    assert {tensor.dtype for tensor in load_file(SHIPPED).values()} == {torch.float16}
+    config, _ = read_metadata(SHIPPED)
+    assert (config.frame, config.points) == ("view", 1024)
+    assert tso("refine", "--mode", "encoder-decoder", "image.png", "mask.png", "--steps", "10", "--json") == 0
+    document = _json(capsys)
+    assert document["points"] == 1024
+    assert document["iou_after"] > document["iou_before"] > 0.3
+
+
 def test_a_view_aligned_cloud_can_be_had_in_world_coordinates(folder, checkpoint, capsys):
     common = ("refine", "--mode", "encoder", "image.png", "mask.png", "--checkpoint", checkpoint, "--steps", "1")
     assert tso(*common, "-o", "world.ply", "--frame", "world", "--json") == 0
@@ -314,7 +388,7 @@ BAD = {
     "unknown mode": ("", "initial.ply mask.png --mode magic", "magic points encoder"),
     "checkpoint for points mode": ("", "initial.ply mask.png --checkpoint base.safetensors", "points base.safetensors"),
     "checkpoint as the cloud": ("text:base.safetensors:x", "base.safetensors mask.png", "base.safetensors checkpoint"),
-    "no checkpoint": ("", "image.png mask.png --mode encoder", "encoder --checkpoint"),
+    "shipped checkpoint for points mode": ("", "initial.ply mask.png --checkpoint default", "points default"),
     "pickled checkpoint": ("pickle:base.pt", "image.png mask.png ENCODER base.pt", "base.pt pickle"),
     "truncated checkpoint": ("tensor:base.safetensors", "image.png mask.png ENCODER base.safetensors", "base.safetensors"),
     "image of another size": ("resize:image.png", "image.png mask.png ENCODER CHECKPOINT", "image.png 128x128 256x256"),

@@ -118,6 +118,52 @@ def test_masks_alone_bring_the_prediction_nearer_to_the_true_shape(thin: None, d
     assert sum(evaluate(train(data, settings).network, data, "canonical")) < 0.6 * before
 
 
+def test_joint_training_lowers_both_the_distance_to_points_and_the_cross_entropy_of_masks(
+    thin: None, data: TrainingData
+) -> None:
+    masked = TrainingData(make_objects(2), "two boxes with one mask each")
+    settings = config(supervision="joint", steps=60, learning_rate=1e-3, batch_size=4, saturation_steps=500, sigma_sq=1.0)
+    result = train(data, settings, masked=masked)
+    first, last = result.history[:5].mean(0), result.history[-10:].mean(0)
+    assert last[1] < 0.8 * first[1] and last[2] < 0.8 * first[2]
+    assert result.config.settings["joint_weight"] == 1e6
+    with pytest.raises(InputError, match="'joint' without images that have one mask each"):
+        train(data, settings)
+    with pytest.raises(InputError, match="'points' with images"):
+        train(data, config(), masked=masked)
+    with pytest.raises(InputError, match="batch size is 3, expected a multiple of 2"):
+        train(data, config(supervision="joint", batch_size=3), masked=masked)
+
+
+def test_mixed_precision_takes_nearly_the_same_steps(thin: None, data: TrainingData) -> None:
+    exact, mixed = (train(data, config(steps=4, precision=name)) for name in ("float32", "bfloat16"))
+    np.testing.assert_allclose(mixed.history[:, 0], exact.history[:, 0], rtol=0.02)
+    assert not np.array_equal(mixed.history, exact.history)
+    assert all(parameter.dtype == torch.float32 for parameter in mixed.network.parameters())
+
+
+def test_the_averaged_network_is_saved_and_a_resume_goes_on_with_it(thin: None, data: TrainingData, tmp_path: Path) -> None:
+    settings = {"averaging": 0.9, "augment": True, "balance": True}
+    straight = train(data, config(**settings), save=saving(tmp_path / "straight.safetensors"))
+    path = tmp_path / "base.safetensors"
+    train(data, config(steps=3, **settings), save=saving(path))
+    resumed = train(data, config(**settings), resume(path, data, config(**settings)), save=saving(path))
+    assert_equal(weights(straight.network), weights(resumed.network))
+    assert_equal(load_file(state_path(tmp_path / "straight.safetensors")), load_file(state_path(path)))
+    last = train(data, config(augment=True, balance=True))
+    assert not torch.equal(last.network.encoder.latent.weight, straight.network.encoder.latent.weight)
+    with pytest.raises(InputError, match="trained with averaging 0.9, this run asks for 0.5"):
+        resume(path, data, config(**{**settings, "averaging": 0.5}))
+
+
+def test_training_goes_on_from_the_weights_it_is_given(thin: None, data: TrainingData) -> None:
+    first = train(data, config()).network
+    state = start(data, config(seed=5), first)
+    assert_equal(weights(state.network), weights(first))
+    with pytest.raises(InputError, match="predicts 64 points, expected 32"):
+        start(data, config(points=32), first)
+
+
 def test_the_chamfer_loss_is_zero_for_the_targets_themselves(data: TrainingData) -> None:
     drawn = draw_batch(data, Drawing(0, 2, "view", 0), 0)
     loss, forward, backward = point_loss(torch.from_numpy(np.stack(drawn.targets)), drawn)
@@ -317,7 +363,8 @@ def _metadata(path: Path) -> dict[str, str]:
 @pytest.mark.parametrize(
     "change",
     [{"steps": 0}, {"views": 0}, {"batch_size": -1}, {"seed": -1}, {"learning_rate": 0.0}, {"learning_rate": float("nan")},
-     {"sigma_sq": -0.4}, {"affinity_weight": -1.0}, {"supervision": "depth"}, {"frame": "world"}, {"affinity": "none"}],
+     {"sigma_sq": -0.4}, {"affinity_weight": -1.0}, {"supervision": "depth"}, {"frame": "world"}, {"affinity": "none"},
+     {"precision": "float16"}, {"averaging": 1.0}, {"workers": 0}, {"category_sigma_sq": {"car": 0.0}}, {"joint_weight": 0.0}],
 )  # fmt: skip
 def test_impossible_settings_are_refused(change: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="expected"):
@@ -465,3 +512,33 @@ def test_an_orthographic_camera_is_refused_and_not_taken_for_a_perspective_one()
     camera = replace(item.views[0].camera, model="orthographic")
     with pytest.raises(InputError, match="orthographic, expected perspective"):
         TrainingData([replace(item, views=[replace(item.views[0], camera=camera)])], "one")
+
+
+def test_a_full_disk_leaves_the_checkpoint_that_was_there(
+    thin: None, data: TrainingData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "base.safetensors"
+    train(data, config(steps=2), save=saving(path))
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+
+    def full(self: Path, content: bytes) -> int:
+        with self.open("wb") as stream:
+            stream.write(content[: len(content) // 2])
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch, pytest.raises(TsoError, match="No space left on device"):
+        patch.setattr(Path, "write_bytes", full)
+        train(data, config(steps=4), resume(path, data, config()), save=saving(path))
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
+    assert resume(path, data, config()).step == 2
+
+
+def test_a_state_of_another_architecture_is_refused(thin: None, data: TrainingData, tmp_path: Path) -> None:
+    path = tmp_path / "base.safetensors"
+    train(data, config(steps=1), save=saving(path))
+    file = state_path(path)
+    tensors, metadata = load_file(file), _metadata(file)
+    tensors["encoder.convolutions.0.weight"] = torch.zeros(8, 3, 3, 3)
+    save_file(tensors, file, metadata)
+    with pytest.raises(InputError, match=r"encoder.convolutions.0.weight has shape \[8, 3, 3, 3\], expected \[4, 3, 3, 3\]"):
+        resume(path, data, config())

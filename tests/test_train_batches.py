@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from tso_cli.camera import Camera
 from tso_cli.datasets.items import ViewItem
 from tso_cli.errors import InputError
+from tso_cli.files.images import write_image
+from tso_cli.train.backgrounds import Backgrounds
 from tso_cli.train.batches import Batch, Draw, Drawing, assemble, draw_batch, recoloured
 from tso_cli.train.data import TrainingData
+from tso_cli.train.losses import mask_loss, mask_loss_by_category
 
 from .training import make_objects
 
@@ -111,3 +116,42 @@ def test_data_without_one_usable_picture_are_refused() -> None:
     objects = [replace(item, views=[broken(view) for view in item.views]) for item in make_objects(2, 2)]
     with pytest.raises(InputError, match="no picture can be used, the first: box1 view 1.png"):
         assemble(TrainingData(objects, "boxes"), [Draw(1, 1)], "view")
+
+
+def test_an_object_is_put_on_its_background_and_nothing_behind_it_shines_through() -> None:
+    data = TrainingData(make_objects(1), "box", background="keep", backgrounds=Backgrounds("textures"))
+    batch = assemble(data, [Draw(0, 0, behind=1), Draw(0, 0, behind=2), Draw(0, 0, mirror=True, behind=1)], "view")
+    picture = data.prepared(0, 0)
+    inside, outside = picture.mask == 1.0, picture.mask == 0.0
+    for image in batch.images[:2]:
+        np.testing.assert_allclose(image[:, inside], picture.image[:, inside], atol=1e-6)
+        assert image[:, outside].std() > 0.01
+    assert np.abs(batch.images[0] - batch.images[1])[:, outside].mean() > 0.05
+    mirrored = batch.images[2][:, :, ::-1]
+    np.testing.assert_allclose(mirrored[:, inside], picture.image[:, inside], atol=1e-6)
+    with pytest.raises(InputError, match="background 'black', expected 'keep'"):
+        TrainingData(make_objects(1), "box", backgrounds=Backgrounds("textures"))
+
+
+def test_backgrounds_are_crops_of_the_photos_of_a_folder(tmp_path: Path) -> None:
+    write_image(tmp_path / "red.png", np.full((40, 90, 3), (255, 0, 0), np.uint8))
+    crop = Backgrounds(str(tmp_path)).sample(np.random.default_rng(0))
+    np.testing.assert_allclose(crop, np.broadcast_to(np.float32([[[1]], [[0]], [[0]]]), (3, 64, 64)), atol=1e-6)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="holds no picture"):
+        Backgrounds(str(tmp_path / "empty"))
+    with pytest.raises(InputError, match="not a folder, expected one with photos for backgrounds, or 'textures'"):
+        Backgrounds(str(tmp_path / "none"))
+
+
+def test_a_category_with_its_own_kernel_is_compared_with_it_and_the_others_are_not() -> None:
+    data = TrainingData([*make_objects(2), *make_objects(1, category="crate")], "boxes and a crate")
+    batch = assemble(data, [Draw(0, 0, (1, 2)), Draw(1, 0, (1, 2)), Draw(2, 1, (0, 3))], "canonical")
+    points = torch.from_numpy(np.stack(batch.targets))[:, ::4]
+    alone = [mask_loss(points[i : i + 1], batch.select(np.array([i])), kernel, 0.5, "points")[0] for i, kernel in
+             ((0, 0.4), (1, 0.4), (2, 1.5))]  # fmt: skip
+    together, bce, outliers = mask_loss_by_category(points, batch, 0.4, {"crate": 1.5}, 0.5, "points")
+    torch.testing.assert_close(together, torch.stack(alone).mean())
+    assert float(together) == pytest.approx(bce + 0.5 * outliers, rel=1e-5)
+    same, *_ = mask_loss_by_category(points, batch, 0.4, {}, 0.5, "points")
+    torch.testing.assert_close(same, mask_loss(points, batch, 0.4, 0.5, "points")[0])

@@ -17,7 +17,10 @@ COMMANDS = {
     "refine": ("refine", "Make a cloud agree with a mask."),
     "eval": ("evaluate", "Judge clouds against ground truth: Chamfer, F-score, EMD, IoU."),
     "train": ("train", "Train the network that predicts a cloud from a photo."),
+    "curves": ("curves", "Draw the loss curves of trainings, and samples of a network."),
+    "export": ("export", "Write a network in half the size, without the state of its training."),
     "render": ("render", "Render meshes to images, masks, cameras and ground truth."),
+    "generate": ("generate", "Draw chairs, cars and aeroplanes by rule, to train on."),
     "study": ("study", "Ask a question of the method, on many shapes, and keep the answer."),
 }
 

@@ -21,7 +21,7 @@ from .placement import place_in_front, view_to_world
 from .scene import View
 
 if TYPE_CHECKING:
-    from .network import BaseNetwork
+    from .network import BaseNetwork, NetworkConfig
 
 Array = NDArray[np.float64]
 
@@ -133,46 +133,63 @@ def load_network_scene(
     InputError
         A file cannot be used, image and mask differ in size, or the frame asked for needs a camera file.
     """
-    import torch
-
     from .files.checkpoints import load_network
 
     view, camera_file = load_view(mask_file, camera_file, invert, ignore_file)
     image = read_image(image_file)
     _same_size(image_file, image.shape, mask_file, view.mask.shape)
     network, config = load_network(checkpoint)
-    aligned = config.frame == "view"
-    if camera_file is None and not aligned:
+    if camera_file is None and config.frame != "view":
         raise InputError(
             f"{checkpoint}: predicts in the canonical frame of its training objects, which needs the camera's R and t; "
             "found no camera file, expected --camera FILE"
         )
     if camera_file is None and world:
         raise InputError("--frame world needs the camera's R and t; found no camera file, expected --camera FILE")
-    if aligned and view.camera.model != "perspective":
+    if config.frame == "view" and view.camera.model != "perspective":
         raise InputError(f"{camera_file}: model is {view.camera.model}, expected perspective for a view-aligned network")
+    return network_scene(image, view, network, config, _said(camera_file), camera_file is not None, world)
+
+
+def network_scene(
+    image: NDArray[np.uint8],
+    view: View,
+    network: BaseNetwork,
+    config: NetworkConfig,
+    camera_source: str = "given",
+    known_camera: bool = True,
+    world: bool = False,
+) -> Scene:
+    """The scene of a photo that is in memory already, with a network that may serve many of them.
+
+    Parameters
+    ----------
+    image : [H, W, 3] or [H, W, 4]; view : its mask and perspective camera.
+    known_camera : False lets the canonical camera see the crop; for view-aligned networks only.
+    world : as in :func:`load_network_scene`.
+    """
+    import torch
+
     given = network_input(image, view, config.image_size, config.crop_share, config.background)
     with torch.no_grad():
         predicted = network(torch.from_numpy(given.image).unsqueeze(0))[0].double().numpy()
     crop, to_output, frame = given.view(view.name), Scene.to_output, config.frame
-    if aligned:
-        if camera_file is None:
+    if config.frame == "view":
+        if not known_camera:
             crop = replace(crop, camera=Camera.canonical(config.image_size, config.image_size))
         placed = place_in_front(predicted, crop)
         crop = replace(crop, camera=placed)
+        camera_source += f"; of it K counts, the network's cloud is placed to fill the mask, at distance {placed.t[2]:.3g}"
         if world:
             frame = "world"
 
             def to_output(points: Array) -> Array:
                 return view_to_world(points, placed, view.camera)
 
-    source = _said(camera_file)
-    if aligned:
-        source += f"; of it K counts, the network's cloud is placed to fill the mask, at distance {crop.camera.t[2]:.3g}"
     return Scene(
         predicted,
         crop,
-        source,
+        camera_source,
         frame,
         network=network,
         image=given.image,

@@ -12,6 +12,7 @@ import click
 from .. import __version__
 from ..errors import InputError
 from ..files.output import atomic_output, check_output
+from ..files.shipped import DEFAULT, named_checkpoint
 from . import options
 
 if TYPE_CHECKING:
@@ -27,7 +28,11 @@ MODES = ("points", "encoder", "encoder-decoder")
 @click.argument("source", type=options.FilePath())
 @click.argument("mask", type=options.FilePath())
 @click.option("--mode", type=click.Choice(MODES), default="points", show_default=True, help="What moves.")
-@click.option("--checkpoint", type=options.FilePath(), help="Network of the encoder modes (tso train writes one).")
+@click.option(
+    "--checkpoint",
+    type=options.FilePath(),
+    help="Network of the encoder modes: a file of tso train, or `default`, the shipped one.  [default: default]",
+)
 @click.option(
     "--camera",
     "camera_file",
@@ -85,14 +90,16 @@ def command(
 
     \b
     tso refine --mode points CLOUD MASK
-    tso refine --mode encoder IMAGE MASK --checkpoint FILE
-    tso refine --mode encoder-decoder IMAGE MASK --checkpoint FILE
+    tso refine --mode encoder IMAGE MASK [--checkpoint FILE]
+    tso refine --mode encoder-decoder IMAGE MASK [--checkpoint FILE]
 
     The cloud that comes out is the file that went in with other coordinates: order, precision, colours, faces and every
     other attribute stay. None of the three variants draws random numbers; the seed is only recorded.
     """
     started = time.perf_counter()
     _refuse_mixed_up(mode, source, checkpoint, frame)
+    if mode != "points":
+        checkpoint = named_checkpoint(checkpoint or Path(DEFAULT))
     output = output or Path(f"{source.stem}.refined.ply")
     if not check:
         _refuse_outputs(output, overlay, overwrite, (source, mask, camera_file, ignore_file))
@@ -102,6 +109,7 @@ def command(
     if checkpoint is None:
         scene = load_points_scene(source, mask, camera_file, invert_mask, ignore_file)
     else:
+        options.log(f"tso: checkpoint: {checkpoint}")
         scene = load_network_scene(source, mask, checkpoint, camera_file, invert_mask, ignore_file, frame == "world")
     options.log(f"tso: camera: {scene.camera_source}")
     if check:
@@ -135,7 +143,7 @@ def command(
     finished = time.perf_counter()
     seconds = {"read": read, **result.seconds, "write": finished - writing, "total": finished - started}
     if as_json:
-        options.echo_json(_document(result, scene, output, overlay, preset, seconds))
+        options.echo_json(_document(result, scene, checkpoint, output, overlay, preset, seconds))
     else:
         _print_result(result, output, overlay, seconds)
     if result.stop_reason == "non_finite":
@@ -147,8 +155,6 @@ def command(
 
 def _refuse_mixed_up(mode: str, source: Path, checkpoint: Path | None, frame: str | None) -> None:
     if mode != "points":
-        if checkpoint is None:
-            raise InputError(f"--mode {mode} needs a network, expected --checkpoint FILE (tso train writes one)")
         return
     if checkpoint is not None:
         raise InputError(
@@ -188,11 +194,18 @@ def _describe_camera(camera: Camera, source: str) -> dict[str, Any]:
 
 
 def _document(
-    result: RefineResult, scene: Scene, output: Path, overlay: Path | None, preset: str, seconds: dict[str, float]
+    result: RefineResult,
+    scene: Scene,
+    checkpoint: Path | None,
+    output: Path,
+    overlay: Path | None,
+    preset: str,
+    seconds: dict[str, float],
 ) -> dict[str, Any]:
     return {
         "mode": result.mode,
         "preset": preset,
+        "checkpoint": checkpoint,
         "output": output,
         "overlay": overlay,
         "camera": _describe_camera(scene.view.camera, scene.camera_source),

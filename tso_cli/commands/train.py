@@ -188,13 +188,19 @@ def command(
         training = load(wanted, quiet=not processes.first)
         masked = load(Wanted(mask_data, split_file, (), strict, crop_share, background)) if mask_data else None
         state = _begin(training, config, output, initial, resume, quiet=not processes.first)
-        prepared = time.perf_counter()
+        prepared, begun = time.perf_counter(), state.step
         result = _run(training, masked, config, state, processes, output, log_file, checkpoint_every)
     if not processes.first:
         return
     trained = time.perf_counter()
     document = _document(result, config, output, training, data is None)
     document["seconds"] = {"prepare": prepared - started, "train": trained - prepared, "judge": time.perf_counter() - trained}
+    from ..train.speed import images_per_second
+
+    document["images_per_second"] = {
+        "training": (result.steps - begun) * config.batch_size / (trained - prepared),
+        **images_per_second(state, config, training, masked),
+    }
     document["left_out"] = training.unusable | (masked.unusable if masked else {})
     if document["left_out"]:
         options.log(
@@ -324,6 +330,11 @@ def _print_result(document: dict[str, Any]) -> None:
                 f"Chamfer x1000, {label}: {values['chamfer']:.2f} "
                 f"(forward {values['forward']:.2f}, backward {values['backward']:.2f})"
             )
+    speed = document["images_per_second"]
+    click.echo(
+        f"{speed['training']:.0f} images/s in training; a step without the optimiser {speed['step']:.0f}, the bare network's "
+        f"forward and backward {speed['bare']:.0f}: data, projector and losses add {100.0 * speed['added']:.0f} %"
+    )
     click.echo(
         f"(squared distances, mean over points, longest side 1; N {document['points']}, seed {document['seed']}, "
         f"sigma^2 {document['sigma_sq']:g}, {document['device']})"

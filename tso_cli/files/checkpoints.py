@@ -16,6 +16,7 @@ from .output import atomic_output, check_output, reason
 from .reading import shown
 
 if TYPE_CHECKING:
+    import torch
     from torch import Tensor
 
     from ..network import BaseNetwork, NetworkConfig
@@ -27,12 +28,27 @@ STATE_PREFIX = "training."
 MOST_POINTS = 1_000_000
 
 
-def save_network(path: Path | str, network: BaseNetwork, config: NetworkConfig, overwrite: bool = False) -> None:
+def save_network(
+    path: Path | str,
+    network: BaseNetwork,
+    config: NetworkConfig,
+    overwrite: bool = False,
+    dtype: torch.dtype | None = None,
+) -> None:
     """Write ``network`` and ``config`` as one safetensors file, whole or not at all.
 
-    Raises InputError when the folder is missing or the file exists and ``overwrite`` is False.
+    ``dtype`` is the type to store the weights in, such as torch.float16; None keeps the network's own.
+
+    Raises InputError when the folder is missing, the file exists and ``overwrite`` is False, or a weight is too large for
+    ``dtype``.
     """
-    save_tensors(path, network.state_dict(), config, {}, overwrite)
+    tensors = network.state_dict()
+    if dtype is not None:
+        tensors = {name: tensor.to(dtype) for name, tensor in tensors.items()}
+        too_large = next((name for name, tensor in tensors.items() if not tensor.isfinite().all()), None)
+        if too_large:
+            raise InputError(f"{path}: tensor {too_large} holds a number too large for {dtype}, nothing was written")
+    save_tensors(path, tensors, config, {}, overwrite)
 
 
 def save_tensors(

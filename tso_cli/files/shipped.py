@@ -1,4 +1,4 @@
-"""Where the examples that come with the program lie."""
+"""Where the examples and the network that come with the program lie."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from pathlib import Path
 from ..errors import InputError
 
 CATEGORIES = ("chair", "car", "airplane")
+DEFAULT = "default"
+"""What `--checkpoint` calls the network that comes with the program."""
+WEIGHTS = Path(__file__).resolve().parent.parent / "weights"
 
 
 def examples_folder() -> Path:
@@ -31,3 +34,19 @@ def example_meshes() -> list[Path]:
     if not found:
         raise InputError(f"{folder}: no mesh, expected {', '.join(CATEGORIES)} with .ply files")
     return found
+
+
+def default_checkpoint() -> Path:
+    """The network that comes with the program; InputError where the installation lacks it."""
+    path = WEIGHTS / "default.safetensors"
+    if not path.is_file():
+        raise InputError(
+            f"{path}: the shipped network is not in this installation, expected it there (or give --checkpoint FILE; "
+            "tso train writes one)"
+        )
+    return path
+
+
+def named_checkpoint(name: Path) -> Path:
+    """The shipped network for the name `default`, else the file ``name`` (`./default` is a file of that name)."""
+    return default_checkpoint() if str(name) == DEFAULT else name

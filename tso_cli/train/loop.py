@@ -129,15 +129,15 @@ def train(
         save = progress = None
 
     def draw(step: int) -> list[Batch]:
-        return _draw(data, masked, config, processes, step)
+        return draw_step(data, masked, config, processes, step)
 
     with _interrupt_flag() as interrupted, _ahead(draw, state.step, config.steps, config.workers) as batches_of:
         while state.step < config.steps and not processes.any(interrupted(), device):
             batches = batches_of(state.step)
             weight = state.schedule.weight if config.supervision != "points" else 0.0
             with torch.autocast(device.type, torch.bfloat16, enabled=config.precision == "bfloat16"):
-                clouds = [state.network(_images(batch, device)) for batch in batches]
-            loss, first, second = _loss([cloud.float() for cloud in clouds], batches, config, weight)
+                clouds = [state.network(images_of(batch, device)) for batch in batches]
+            loss, first, second = batch_loss([cloud.float() for cloud in clouds], batches, config, weight)
             state.optimiser.zero_grad(set_to_none=True)
             loss.backward()
             row = torch.tensor([float(loss.detach()), first, second], dtype=torch.float64, device=device)
@@ -196,7 +196,9 @@ def _require_data(data: TrainingData, masked: TrainingData | None, config: Train
         raise InputError(f"{lacking}: has no points to learn from, expected some (or --supervision masks)")
 
 
-def _draw(data: TrainingData, masked: TrainingData | None, config: TrainConfig, processes: Processes, step: int) -> list[Batch]:
+def draw_step(
+    data: TrainingData, masked: TrainingData | None, config: TrainConfig, processes: Processes, step: int
+) -> list[Batch]:
     """This process's share of a step: one batch, or with "joint" one with points and one with masks."""
     part = (processes.rank, processes.count)
     size = config.batch_size // (2 if masked else 1)
@@ -209,7 +211,7 @@ def _draw(data: TrainingData, masked: TrainingData | None, config: TrainConfig, 
     return batches
 
 
-def _loss(clouds: list[Tensor], batches: list[Batch], config: TrainConfig, weight: float) -> tuple[Tensor, float, float]:
+def batch_loss(clouds: list[Tensor], batches: list[Batch], config: TrainConfig, weight: float) -> tuple[Tensor, float, float]:
     """The loss and its two parts: forward and backward, BCE and affinity, or Chamfer and BCE."""
     projected = (config.sigma_sq, config.category_sigma_sq, weight, config.affinity)
     if config.supervision == "masks":
@@ -221,7 +223,8 @@ def _loss(clouds: list[Tensor], batches: list[Batch], config: TrainConfig, weigh
     return config.joint_weight * loss + mask, forward + backward, bce
 
 
-def _images(batch: Batch, device: torch.device) -> Tensor:
+def images_of(batch: Batch, device: torch.device) -> Tensor:
+    """The images of a batch [B, 3, 64, 64] on ``device``, channels last as the network's weights."""
     return torch.as_tensor(batch.images, device=device).contiguous(memory_format=torch.channels_last)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -13,11 +13,12 @@ from torch import Tensor
 
 from ..errors import InputError
 from ..losses import affinity, chamfer, silhouette_bce
-from ..projection import CameraBatch, cheaper_kernel, project, silhouette_sums
+from ..projection import CameraBatch, Projected, cheaper_kernel, project, silhouette_sums
 from .batches import Batch
 
 # The supplement: "reduced to 0.02 of its initial value upon loss saturation".
 DROP = 0.02
+Silhouette = Callable[[Projected, CameraBatch], Tensor]
 
 
 def point_loss(points: Tensor, batch: Batch) -> tuple[Tensor, float, float]:
@@ -48,11 +49,14 @@ def mask_loss_by_category(
     return total, bce, outliers
 
 
-def mask_loss(points: Tensor, batch: Batch, sigma_sq: float, weight: float, form: str) -> tuple[Tensor, float, float]:
+def mask_loss(
+    points: Tensor, batch: Batch, sigma_sq: float, weight: float, form: str, silhouette: Silhouette | None = None
+) -> tuple[Tensor, float, float]:
     """BCE + weight * affinity (Eq. 4 to 6) of predicted points [B, N, 3], summed over views, mean over the batch.
 
     The crop holds the whole object. A point that falls beyond its edge, where no pixel speaks against it, is an outlier too:
-    its squared distance to the edge, in pixels, counts as affinity.
+    its squared distance to the edge, in pixels, counts as affinity. ``silhouette`` gives the sums s [B, V, H, W] of another
+    projection; then BCE moves the points by the derivative of those sums alone.
 
     Returns the loss, and the values of BCE and of the affinity term (before its weight).
     """
@@ -63,11 +67,14 @@ def mask_loss(points: Tensor, batch: Batch, sigma_sq: float, weight: float, form
     height, width = batch.masks.shape[-2:]
     cameras = CameraBatch(like(batch.K), like(batch.R), like(batch.t), width, height)
     projected = project(points, cameras)
-    kernel = cheaper_kernel(cameras, sigma_sq)
-    sums = silhouette_sums(projected, cameras, sigma_sq, kernel).flatten(0, 1)  # [B V, H, W]
+    if silhouette is None:
+        sums = silhouette_sums(projected, cameras, sigma_sq, cheaper_kernel(cameras, sigma_sq)).flatten(0, 1)  # [B V, H, W]
+    else:
+        sums = silhouette(projected, cameras).flatten(0, 1)
     masks, known = like(batch.masks).flatten(0, 1), like(batch.known).flatten(0, 1)
     points_px, valid = projected.points_px.flatten(0, 1), projected.valid.flatten(0, 1)
-    bce = silhouette_bce(sums, masks, points_px, valid, sigma_sq, known).sum() / len(points)
+    reached = points_px if silhouette is None else points_px.detach()
+    bce = silhouette_bce(sums, masks, reached, valid, sigma_sq, known).sum() / len(points)
     if weight == 0.0:
         return bce, float(bce.detach()), 0.0
     outliers = (affinity(sums, masks, points_px, valid, form) + _beyond(points_px, valid, height, width)).sum() / len(points)

@@ -1,0 +1,75 @@
+"""`tso curves`: parse, call, print."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ..errors import InputError
+from . import options
+
+if TYPE_CHECKING:
+    from ..report.curves_chart import Sample
+
+
+@click.command("curves", short_help="Draw the loss curves of trainings, and samples of a network.")
+@click.argument("logs", nargs=-1, required=True, type=options.FilePath())
+@click.option(
+    "-o", "--output", type=options.FilePath(), default=Path("curves.png"), show_default=True, help="Picture to write."
+)
+@click.option("--checkpoint", type=options.FilePath(), help="Network to draw samples of, into NAME.samples.png beside it.")
+@click.option("--data", type=options.FilePath(), help="Data set that the samples come from.")
+@click.option("--split", "split_file", type=options.FilePath(), help='Take samples from its list "test" alone.')
+@click.option("--samples", "count", type=click.IntRange(min=1, max=50), default=6, show_default=True)
+@options.overwrite
+def command(
+    logs: tuple[Path, ...],
+    output: Path,
+    checkpoint: Path | None,
+    data: Path | None,
+    split_file: Path | None,
+    count: int,
+    overwrite: bool,
+) -> None:
+    """Draw the losses in LOGS, which `tso train --log-file` wrote: raw values under their running mean.
+
+    With --checkpoint and --data also what the network makes of a few pictures: input, prediction and target from two sides.
+    """
+    from ..files.logs import read_log
+    from ..files.output import check_output
+    from ..report.curves_chart import draw_curves, draw_samples, labels, lambda_drop, running_mean
+
+    if (checkpoint is None) != (data is None):
+        raise InputError("samples need a network and pictures, expected --checkpoint and --data together")
+    if split_file is not None and data is None:
+        raise InputError("--split without --data, expected a data set to choose from")
+    if output.suffix.lower() != ".png":
+        raise InputError(f"{output}: the suffix is {output.suffix!r}, expected .png")
+    pictures = output.with_name(f"{output.stem}.samples.png")
+    for path in (output, pictures) if checkpoint else (output,):
+        check_output(path, overwrite)
+    read = [read_log(path) for path in logs]
+    samples = _samples(checkpoint, data, split_file, count) if checkpoint and data else []
+    draw_curves(output, read, overwrite)
+    for name, log in zip(labels(read), read, strict=True):
+        losses, drop = log.columns["loss"], lambda_drop(log)
+        told = "" if drop is None else f", lambda dropped before step {drop}"
+        last = running_mean(losses, max(1, len(losses) // 50))[-1]
+        click.echo(f"{name}: {len(losses)} steps, {log.settings['supervision']}, loss {losses[0]:.4g} to {last:.4g}{told}")
+    if samples:
+        draw_samples(pictures, samples, overwrite)
+        click.echo(f"{pictures}: {len(samples)} samples of {checkpoint}")
+
+
+def _samples(checkpoint: Path, folder: Path, split_file: Path | None, count: int) -> list[Sample]:
+    """The first view of ``count`` objects spread evenly over the data set, predicted."""
+    from ..files.checkpoints import load_network
+    from ..files.shipped import named_checkpoint
+    from ..studies.samples import sample_predictions
+    from .training_data import Wanted, load
+
+    network, config = load_network(named_checkpoint(checkpoint))
+    wanted = Wanted(folder, split_file, crop_share=config.crop_share, background=config.background, part="test")
+    return sample_predictions(network, load(wanted), config.frame, count)

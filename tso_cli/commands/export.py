@@ -1,0 +1,64 @@
+"""`tso export`: a network in half the size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from .. import __version__
+from ..errors import InputError
+from ..files.output import check_output
+from . import options
+
+
+@click.command("export")
+@click.argument("checkpoint", type=options.FilePath())
+@click.option("-o", "--output", type=options.FilePath(), required=True, help="The copy to write, .safetensors.")
+@options.overwrite
+@options.as_json
+def command(checkpoint: Path, output: Path, overwrite: bool, as_json: bool) -> None:
+    """Write a network with weights of 16 bits and without the state of its training.
+
+    The copy is used like any checkpoint; an interrupted training cannot go on from it. How far the rounding moves a predicted
+    point is measured on the shipped examples.
+    """
+    if output.suffix.lower() != ".safetensors":
+        raise InputError(f"{output}: the suffix is {output.suffix!r}, expected .safetensors")
+    check_output(output, overwrite)
+    import torch
+
+    from ..files.checkpoints import load_network, save_network
+    from ..files.shipped import CATEGORIES, examples_folder
+
+    network, config = load_network(checkpoint)
+    if output.exists() and output.samefile(checkpoint):
+        raise InputError(f"{output}: is the input, expected another name for the copy")
+    examples = [examples_folder() / name for name in CATEGORIES]
+    save_network(output, network, config, overwrite, torch.float16)
+    moved = max(_largest_change(folder, checkpoint, output) for folder in examples)
+    before, after = checkpoint.stat().st_size, output.stat().st_size
+    if as_json:
+        options.echo_json(
+            {
+                "output": output,
+                "bytes_before": before,
+                "bytes_after": after,
+                "largest_change": moved,
+                "convention": "largest distance that a predicted point moves, shapes of longest side about 1",
+                "version": __version__,
+            }
+        )
+        return
+    click.echo(f"{output}: {before / 1e6:.1f} MB -> {after / 1e6:.1f} MB")
+    click.echo(f"  moved  {moved:.2g} at most, of a shape's longest side (predicted points of {', '.join(CATEGORIES)})")
+
+
+def _largest_change(folder: Path, *checkpoints: Path) -> float:
+    """The largest distance between a point that one checkpoint predicts for an example and the other's."""
+    import numpy as np
+
+    from ..scenes import load_network_scene
+
+    first, second = (load_network_scene(folder / "image.png", folder / "mask.png", path).points for path in checkpoints)
+    return float(np.sqrt(np.square(first - second).sum(1)).max())

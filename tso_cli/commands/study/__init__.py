@@ -1,0 +1,25 @@
+"""`tso study`: a command for each question."""
+
+from __future__ import annotations
+
+import click
+
+from .affinity import affinity
+from .examples import examples
+from .failures import failures
+from .network import network
+from .points import points
+from .sigma import sigma
+from .supervision import supervision
+from .variants import variants
+from .views import views
+from .weight import weight
+
+
+@click.group("study")
+def command() -> None:
+    """Ask a question of the method, on many shapes, and keep the answer as JSON beside a chart."""
+
+
+for study in (points, examples, network, variants, sigma, supervision, views, weight, affinity, failures):
+    command.add_command(study)

@@ -1,0 +1,72 @@
+"""What the studies' commands share: where the answer goes, and how progress is shown."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ...errors import InputError
+from ...files.output import atomic_output, check_output
+from ...files.reading import read_bytes
+from .. import options
+
+answer = click.option(
+    "-o", "--output", type=options.FilePath(), help="Write the record here (.json) and a chart beside it (.png)."
+)
+resume = click.option("--resume", is_flag=True, help="Go on from the record at -o, kept after every shape, if there is one.")
+
+
+def check_outputs(output: Path | None, overwrite: bool, resume: bool = False) -> None:
+    """Refuse outputs that cannot be written before the long work starts; with ``resume`` they may be there."""
+    if resume and output is None:
+        raise InputError("--resume goes on from a record, expected its name after -o")
+    if output is not None:
+        if output.suffix.lower() != ".json":
+            raise InputError(f"{output}: the suffix is {output.suffix!r}, expected .json (the chart goes beside it as .png)")
+        for path in (output, output.with_suffix(".png")):
+            check_output(path, overwrite or resume)
+
+
+def earlier_record(output: Path | None, resume: bool) -> dict[str, Any] | None:
+    """The record to go on from, None where there is none or it is not wanted.
+
+    Raises InputError if the file is no record.
+    """
+    if output is None or not resume or not output.exists():
+        return None
+    try:
+        record = json.loads(read_bytes(output, "the record of a study"))
+    except (ValueError, RecursionError):
+        raise InputError(f"{output}: is not JSON, expected the record of a study to go on from") from None
+    if not isinstance(record, dict):
+        raise InputError(f"{output}: holds no JSON object, expected the record of a study to go on from")
+    return record
+
+
+def write_record(record: dict[str, Any], output: Path) -> None:
+    """Write the record over the one before."""
+    with atomic_output(output) as temporary:
+        temporary.write_text(json.dumps(record, indent=1) + "\n")
+
+
+def keep(record: dict[str, Any], output: Path | None, draw: Callable[..., None], overwrite: bool) -> None:
+    """Write the record and its chart, if they are wanted."""
+    if output is not None:
+        write_record(record, output)
+        draw(output.with_suffix(".png"), record, overwrite)
+
+
+class Reporter:
+    """A progress bar for each part of a study."""
+
+    def __init__(self) -> None:
+        self._bar: options.ProgressBar | None = None
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        if self._bar is None or self._bar.label != f"tso: {what}":
+            self._bar = options.ProgressBar(f"tso: {what}", delay=0.5)
+        self._bar(done, total)

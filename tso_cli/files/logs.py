@@ -1,0 +1,76 @@
+"""Reading the log that `tso train --log-file` writes: the settings, then the losses of a step a line."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .reading import read_bytes, shown
+
+EXPECTED = "the log of a training (.jsonl, as tso train --log-file writes it)"
+# 20,000 steps take about 2 MB.
+LIMIT = 1 << 28
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingLog:
+    """One training.
+
+    Attributes
+    ----------
+    path : of the file.
+    settings : as the checkpoint has them.
+    columns : "step", "loss" and the loss's terms, one value a step each; "lambda" where there is one.
+    """
+
+    path: Path
+    settings: dict[str, Any]
+    columns: dict[str, NDArray[np.float64]]
+
+
+def read_log(path: Path | str) -> TrainingLog:
+    """Read one log.
+
+    Raises
+    ------
+    InputError
+        The file is missing or empty, a line is not JSON or not of the form of the others, or there is no step.
+    """
+    path = Path(path)
+    try:
+        lines = read_bytes(path, EXPECTED, LIMIT).decode("utf-8").splitlines()
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is not text, expected {EXPECTED}") from None
+    rows = []
+    for number, line in enumerate(lines, 1):
+        try:
+            row = json.loads(line)
+        except (ValueError, RecursionError):
+            raise InputError(f"{path}: line {number} is {shown(line)}, expected {EXPECTED}") from None
+        if not isinstance(row, dict):
+            raise InputError(f"{path}: line {number} is {shown(row)}, expected a JSON object")
+        rows.append(row)
+    settings, steps = rows[0], rows[1:]
+    if "supervision" not in settings:
+        raise InputError(f"{path}: line 1 has no supervision, expected the settings of a training")
+    if not steps:
+        raise InputError(f"{path}: has settings but no step, expected at least one")
+    names = list(steps[0])
+    if names[:2] != ["step", "loss"]:
+        raise InputError(f"{path}: line 2 has {shown(names)}, expected step, loss and so on")
+    for number, row in enumerate(steps, 2):
+        if list(row) != names or not all(_is_number(value) for value in row.values()):
+            raise InputError(f"{path}: line {number} is {shown(row)}, expected numbers for {', '.join(names)}")
+    columns = {name: np.array([row[name] for row in steps], dtype=np.float64) for name in names}
+    return TrainingLog(path, settings, columns)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

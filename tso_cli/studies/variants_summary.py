@@ -1,0 +1,123 @@
+"""Means and claims of the study of the variants."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+VARIANTS = ("encoder", "encoder-decoder", "points")
+LETTERS = {"before": "before", "encoder": "E", "encoder-decoder": "E and D", "points": "p"}
+"""What the paper calls them: which parameters move."""
+PROTOCOLS = ("capnet", "plain")
+# Forward, backward and their sum, x1000: the paper's table of test-stage optimisation.
+PAPER = {
+    "before": (2.45, 2.19, 4.64),
+    "encoder": (2.29, 2.14, 4.43),
+    "encoder-decoder": (2.28, 2.09, 4.37),
+    "points": (2.36, 2.13, 4.49),
+}
+KEPT = 1.01
+"""Up to this ratio of distances after and before, what the picture does not show counts as kept."""
+
+Summary = dict[str, Any]
+
+
+def summarise(cases: list[dict[str, Any]]) -> Summary:
+    """Means over the cases of each category, and over all of them as "all"."""
+    categories = sorted({case["category"] for case in cases})
+    groups = {name: [case for case in cases if case["category"] == name] for name in categories}
+    return {name: _group(own) for name, own in {**groups, "all": cases}.items()}
+
+
+def _group(cases: list[dict[str, Any]]) -> Summary:
+    return {
+        "shapes": len({case["shape"] for case in cases}),
+        "cases": len(cases),
+        "visible_share": float(np.mean([case["visible_share"] for case in cases])),
+        "iou": {name: float(np.mean([case["iou"][name] for case in cases])) for name in ("before", *VARIANTS)},
+        "median_seconds": {name: float(np.median([case["seconds"][name] for case in cases])) for name in VARIANTS},
+        **{protocol: _distances([case[protocol] for case in cases]) for protocol in PROTOCOLS},
+    }
+
+
+def _distances(cases: list[dict[str, dict[str, float | None]]]) -> Summary:
+    """Before and each variant: means of the distances; and of each variant what became of them."""
+
+    def values(name: str, key: str) -> list[float]:
+        return [value for case in cases if (value := case[name][key]) is not None]
+
+    def sums(name: str) -> np.ndarray:
+        return np.array(values(name, "forward")) + np.array(values(name, "backward"))
+
+    summary: Summary = {}
+    for name in ("before", *VARIANTS):
+        own = {}
+        for key in ("forward", "backward", "visible", "occluded"):
+            found = values(name, key)
+            own[key] = float(np.mean(found)) if found else None
+        own["chamfer"] = float(sums(name).mean())
+        if name != "before":
+            ratios = sums(name) / sums("before")
+            before = summary["before"]
+            own["ratio_of_means"] = own["chamfer"] / before["chamfer"]
+            for key in ("visible", "occluded"):
+                own[f"{key}_ratio"] = own[key] / before[key] if before[key] else None
+            own["mean_ratio"] = float(ratios.mean())
+            own["median_ratio"] = float(np.median(ratios))
+            own["worst_ratio"] = float(ratios.max())
+            own["worse"] = int((ratios > 1.0).sum())
+        summary[name] = own
+    return summary
+
+
+def claims(summary: Summary) -> list[dict[str, Any]]:
+    """What the paper says of its table, whether it holds here over all cases, and the figures that say so.
+
+    All are judged under the paper's protocol, on ratios of the means after and before.
+    """
+    found, ious = summary["all"]["capnet"], summary["all"]["iou"]
+
+    def ratios(key: str, of: Summary = found) -> dict[str, float]:
+        return {name: 1.0 if of[name][key] is None else of[name][key] for name in VARIANTS}
+
+    total, visible, occluded = (ratios(key) for key in ("ratio_of_means", "visible_ratio", "occluded_ratio"))
+    gained = {name: ious[name] - ious["before"] for name in VARIANTS}
+    worse = [
+        f"{LETTERS[name]} on {category}"
+        for category, own in summary.items()
+        for name, ratio in ratios("ratio_of_means", own["capnet"]).items()
+        if category != "all" and ratio >= 1.0
+    ]
+    return [
+        {
+            "claim": "every variant lowers the mean Chamfer distance",
+            "holds": all(ratio < 1.0 for ratio in total.values()),
+            "found": _changes(total) + (f"; not {', '.join(worse)}" if worse else "; in every category too"),
+        },
+        {
+            "claim": "E and D together gain most, p alone least",
+            "holds": total["encoder-decoder"] < total["encoder"] < total["points"],
+            "found": _changes(total),
+        },
+        {
+            "claim": "what the picture does not show is kept",
+            "holds": all(ratio <= KEPT for ratio in occluded.values()),
+            "found": f"forward distance of occluded points {_changes(occluded)}",
+        },
+        {
+            "claim": "what the picture shows comes nearer to the truth",
+            "holds": all(ratio < 1.0 for ratio in visible.values()),
+            "found": f"forward distance of visible points {_changes(visible)}",
+        },
+        {
+            "claim": "E alone misses detail that the other two gain",
+            "holds": all(visible[name] < visible["encoder"] and gained[name] > gained["encoder"] for name in VARIANTS[1:]),
+            "found": f"visible points {_changes(visible)}; IoU "
+            + ", ".join(f"{LETTERS[name]} {gained[name]:+.3f}" for name in VARIANTS),
+        },
+    ]
+
+
+def _changes(ratios: dict[str, float]) -> str:
+    return ", ".join(f"{LETTERS[name]} {100.0 * (ratio - 1.0):+.1f} %" for name, ratio in ratios.items())
