@@ -78,13 +78,86 @@ def network_table(record: dict) -> str:
     return "\n".join(rows)
 
 
+def variants_table(record: dict) -> str:
+    """The paper's table of test-stage optimisation, ours and theirs, as Markdown."""
+    names = {"before": "before", "encoder": "E", "encoder-decoder": "E and D", "points": "p"}
+    rows = ["| shapes | variant | forward | backward | sum | after / before | made worse | visible | occluded | IoU | seconds |"]
+    rows.append("|---" * 11 + "|")
+    for category, summary in record["summary"].items():
+        for name, label in names.items():
+            own = summary["capnet"][name]
+            cells = [f"{category}, {summary['shapes']}", label]
+            cells += [f"{1e3 * own[key]:.2f}" for key in ("forward", "backward", "chamfer")]
+            cells += [f"{own['ratio_of_means']:.3f}", f"{own['worse']} of {summary['cases']}"] if name != "before" else ["", ""]
+            cells += [f"{1e3 * own[key]:.2f}" for key in ("visible", "occluded")]
+            cells += [f"{summary['iou'][name]:.3f}", f"{summary['median_seconds'][name]:.2f}" if name != "before" else ""]
+            rows.append("| " + " | ".join(cells) + " |")
+    for name, label in names.items():
+        forward, backward, total = record["paper"][name]
+        ratio = "" if name == "before" else f"{total / record['paper']['before'][2]:.3f}"
+        rows.append(f"| *the paper* | {label} | {forward:.2f} | {backward:.2f} | {total:.2f} | {ratio} | | | | | |")
+    return "\n".join(rows)
+
+
+def settings_table(record: dict) -> str:
+    """What networks trained with different settings reached, as Markdown."""
+    flat = {setting: _flat(own) for setting, own in record["summary"].items()}
+    columns = list(dict.fromkeys(key for own in flat.values() for key in own))
+    rows = ["| | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
+    for setting, own in flat.items():
+        cells = ["" if own.get(key) is None else f"{own[key]:.3g}" for key in columns]
+        rows.append(f"| {setting} | " + " | ".join(cells) + " |")
+    return "\n".join(rows)
+
+
+def _flat(values: dict, above: str = "") -> dict[str, float]:
+    found = {}
+    for key, value in values.items():
+        found |= _flat(value, f"{above}{key} ") if isinstance(value, dict) else {f"{above}{key}": value}
+    return found
+
+
+def sigma_table(record: dict) -> str:
+    """The best sigma^2 of each category as Markdown."""
+    rows = ["| category | shapes | best sigma^2 | error | the paper's | error there |", "|---|---|---|---|---|---|"]
+    rows += [
+        f"| {name} | {s['shapes']} | {s['best']:g} | {s['l1_at_best']:.4f} | {s['paper']:g} | {s['l1_at_paper']:.4f} |"
+        for name, s in record["summary"].items()
+    ]
+    return "\n".join(rows)
+
+
+def claims_list(record: dict) -> str:
+    """What the paper says, and whether it holds here."""
+    return "\n".join(
+        f"- {'Holds' if claim['holds'] else '**Does not hold**'}: {claim['claim']} ({claim['found']})." for claim in record["claims"]
+    )
+
+
+TABLES = {
+    "examples": examples_table,
+    "points": points_table,
+    "network": network_table,
+    "tso": variants_table,
+    "sigma": sigma_table,
+    "supervision": settings_table,
+    "views": settings_table,
+    "lambda": settings_table,
+    "affinity": settings_table,
+    "failures": settings_table,
+}
+
+
 def tables() -> dict[str, str]:
     """Name -> table, from the kept figures."""
-    return {
-        "network": network_table(json.loads((FIGURES / "network.json").read_text())),
-        "examples": examples_table(json.loads((FIGURES / "examples.json").read_text())),
-        "points": points_table(json.loads((FIGURES / "points.json").read_text())),
-    }
+    made = {}
+    for path in sorted(FIGURES.glob("*.json")):
+        record = json.loads(path.read_text())
+        if "study" in record:
+            made[path.stem] = TABLES[path.stem](record)
+        if "claims" in record:
+            made[f"{path.stem} claims"] = claims_list(record)
+    return made
 
 
 def with_tables(text: str) -> str:
