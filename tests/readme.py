@@ -81,7 +81,9 @@ def network_table(record: dict) -> str:
 def variants_table(record: dict) -> str:
     """The paper's table of test-stage optimisation, ours and theirs, as Markdown."""
     names = {"before": "before", "encoder": "E", "encoder-decoder": "E and D", "points": "p"}
-    rows = ["| shapes | variant | forward | backward | sum | after / before | made worse | visible | occluded | IoU | seconds |"]
+    rows = [
+        "| shapes | variant | forward | backward | sum | after / before | made worse | visible | occluded | IoU | seconds |"
+    ]
     rows.append("|---" * 11 + "|")
     for category, summary in record["summary"].items():
         for name, label in names.items():
@@ -130,7 +132,8 @@ def sigma_table(record: dict) -> str:
 def claims_list(record: dict) -> str:
     """What the paper says, and whether it holds here."""
     return "\n".join(
-        f"- {'Holds' if claim['holds'] else '**Does not hold**'}: {claim['claim']} ({claim['found']})." for claim in record["claims"]
+        f"- {'Holds' if claim['holds'] else '**Does not hold**'}: {claim['claim']} ({claim['found']})."
+        for claim in record["claims"]
     )
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import distance_transform_edt
 
-from tso_cli.kernels.nearest import StaticNearest, nearest
+from tso_cli.kernels import compiled_nearest
+from tso_cli.kernels.nearest import StaticNearest, nearest, nearest_both_ways, nearest_marked, nearest_points
 
 
 def _distance(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
@@ -54,3 +57,89 @@ def test_a_moved_copy_finds_its_neighbours_whatever_moved(rows, step):
     to_moved, to_start = StaticNearest(start)(moved)
     _assert_nearest(start, moved, to_moved)
     _assert_nearest(moved, start, to_start)
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 40), (40, 1), (30, 47), (64, 64)])
+@pytest.mark.parametrize("share", [0.003, 0.05, 0.6])
+def test_the_nearest_marked_pixel_is_as_near_as_scipys(height, width, share):
+    marked = torch.rand(4, height, width, generator=torch.Generator().manual_seed(height * width)) < share
+    marked[0] = False
+    rows, columns = nearest_marked(marked, compiled=True)
+    assert (rows[0] == -1).all()
+    assert (columns[0] == -1).all()
+    for i in range(1, 4):
+        if not marked[i].any():
+            continue
+        assert marked[i][rows[i], columns[i]].all()
+        squared = (rows[i] - torch.arange(height)[:, None]) ** 2 + (columns[i] - torch.arange(width)) ** 2
+        np.testing.assert_allclose(squared.numpy(), distance_transform_edt(~marked[i].numpy()) ** 2, atol=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 8), st.integers(0, 10)), max_size=8))
+def test_the_nearest_marked_pixel_is_that_of_all_pairs(marks):
+    marked = torch.zeros(1, 9, 11, dtype=torch.bool)
+    for row, column in marks:
+        marked[0, row, column] = True
+    plain, fast = nearest_marked(marked), nearest_marked(marked, compiled=True)
+    grid = torch.stack(torch.meshgrid(torch.arange(9), torch.arange(11), indexing="ij"))
+    squared = [(torch.stack(index)[:, 0] - grid).square().sum(0) for index in (plain, fast)]
+    assert torch.equal(*squared) or not marks
+
+
+@pytest.mark.parametrize(("count", "height", "width"), [(1, 9, 9), (40, 64, 64), (1500, 64, 48), (3000, 20, 25), (60, 1, 200)])
+def test_the_nearest_point_to_a_pixel_is_that_of_all_pairs(count, height, width):
+    generator = torch.Generator().manual_seed(7)
+    points = (torch.rand(4, count, 2, generator=generator, dtype=torch.float64) * 1.4 - 0.2) * max(height, width)
+    valid = torch.rand(4, count, generator=generator) > 0.1
+    valid[1:, 0] = True
+    valid[0] = False
+    points[2] = points[2, 0]  # stacked: the first valid one is taken
+    points[3] = points[3] * 3.0 - width  # most of them beyond the image
+    pixels = torch.rand(4, height, width, generator=torch.Generator().manual_seed(8)) < 0.7
+    index = compiled_nearest.nearest_points(pixels, points, valid)
+    assert torch.equal(index >= 0, pixels & valid.any(1)[:, None, None])
+    for i in range(1, 4):
+        rows, columns = torch.nonzero(pixels[i], as_tuple=True)
+        centres = torch.stack([columns, rows], 1).double()
+        pairs = (centres[:, None] - points[i][None]).square().sum(-1).masked_fill(~valid[i], torch.inf)
+        assert torch.equal(index[i, rows, columns], pairs.argmin(1))
+        torch.testing.assert_close(
+            pairs.gather(1, nearest_points(pixels, points, valid)[i, rows, columns][:, None])[:, 0], pairs.min(1).values
+        )
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.floats(-30, 40), st.floats(-30, 40)), min_size=1, max_size=12))
+def test_the_nearest_of_any_few_points_is_found_from_every_pixel(rows):
+    points = torch.tensor([rows], dtype=torch.float64)
+    pixels = torch.ones(1, 9, 13, dtype=torch.bool)
+    index = compiled_nearest.nearest_points(pixels, points, torch.ones(1, len(rows), dtype=torch.bool))[0]
+    centres = torch.stack(torch.meshgrid(torch.arange(13.0), torch.arange(9.0), indexing="xy"), -1).double()
+    pairs = (centres[:, :, None] - points[0]).square().sum(-1)
+    assert torch.equal(pairs.gather(2, index[:, :, None])[:, :, 0], pairs.min(-1).values)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize(("first", "second"), [(1, 5), (300, 700), (257, 512)])
+def test_neighbours_between_clouds_are_those_of_all_pairs(dtype, first, second):
+    generator = torch.Generator().manual_seed(9)
+    a, b = (torch.rand(3, n, 3, generator=generator, dtype=dtype) for n in (first, second))
+    b[1] = b[1, 0]
+    to_b, to_a = compiled_nearest.nearest_both_ways(a, b)
+    plain = nearest_both_ways(a, b)
+    for x, y, index, other in ((a, b, to_b, plain[0]), (b, a, to_a, plain[1])):
+        pairs = (x.double()[:, :, None] - y.double()[:, None]).square().sum(-1)
+        least = pairs.min(-1).values
+        for found in (index, other):
+            torch.testing.assert_close(pairs.gather(2, found[:, :, None])[:, :, 0], least, atol=1e-12, rtol=1e-5)
+    assert (to_b[1] == 0).all()
+
+
+def test_of_points_equally_near_to_a_pixel_the_first_is_taken():
+    around = torch.tensor([[6.0, 5.0], [4.0, 5.0], [5.0, 6.0], [5.0, 4.0]]).repeat(4, 1)
+    pixels = torch.zeros(1, 11, 11, dtype=torch.bool)
+    pixels[0, 5, 5] = True
+    for shift in range(4):
+        index = compiled_nearest.nearest_points(pixels, around.roll(shift, 0)[None], torch.ones(1, 16, dtype=torch.bool))
+        assert index[0, 5, 5] == 0

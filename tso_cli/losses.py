@@ -7,11 +7,14 @@ import math
 import torch
 from torch import Tensor
 
-from .kernels.nearest import StaticNearest, nearest
+from .kernels.choice import compiled_pays
+from .kernels.nearest import StaticNearest, nearest_both_ways, nearest_marked, nearest_points
 from .kernels.splat import NEGLIGIBLE
 
 # Windows are square: a sum below this may come from the corner of one while a nearer point lies beyond its side.
 UNCOVERED = NEGLIGIBLE
+# Where the sum is this, the silhouette is 0.5.
+HALF = math.atanh(0.5)
 # Losses are stated for a 64x64 mask.
 REFERENCE_PIXELS = 64.0 * 64.0
 
@@ -42,35 +45,42 @@ def silhouette_bce(
     -------
     [M] sum over pixels, weighted by 64^2 / (W H) so that settings hold at any resolution.
     """
+    waiting = (sums <= UNCOVERED) & (mask > 0.0)
+    if known is not None:
+        waiting &= known > 0.0
+    weight = mask if known is None else mask * known
+    total = _cross_entropy(sums, mask, known, compiled_pays(points_px))
+    total = total + _far_pixels(waiting, weight, points_px, valid, 0.5 / sigma_sq)
+    return total * (REFERENCE_PIXELS / (mask.shape[-1] * mask.shape[-2]))
+
+
+def _cross_entropy(sums: Tensor, mask: Tensor, known: Tensor | None, compiled: bool) -> Tensor:
+    """Sum [M] over pixels of the cross-entropy; mask pixels whose sum is negligible add nothing."""
+    if compiled:
+        from .kernels.compiled_losses import cross_entropy
+
+        return cross_entropy(sums, mask, known, UNCOVERED)
     covered = sums > UNCOVERED
     s = torch.where(covered, sums, 1.0)
     log_tanh = torch.log(-torch.expm1(-2.0 * s)) - torch.log1p(torch.exp(-2.0 * s))
     miss = torch.where(covered, -log_tanh, 0.0) * mask
     stray = (torch.nn.functional.softplus(2.0 * sums) - math.log(2.0)) * (1.0 - mask)
     loss = miss + stray if known is None else (miss + stray) * known
-    total = loss.sum((-1, -2))
-    waiting = ~covered & (mask > 0.0)
-    if known is not None:
-        waiting &= known > 0.0
-    if waiting.any():
-        weight = mask if known is None else mask * known
-        total = total + _far_pixels(waiting, weight, points_px, valid, 0.5 / sigma_sq)
-    return total * (REFERENCE_PIXELS / (mask.shape[-1] * mask.shape[-2]))
+    return loss.sum((-1, -2))
 
 
 def _far_pixels(pixels: Tensor, weight: Tensor, points_px: Tensor, valid: Tensor, factor: float) -> Tensor:
     """Sum [M] over the marked pixels of weight * factor * squared distance to the nearest projected point."""
-    terms = []
-    for i in range(len(pixels)):
-        alive = points_px[i][valid[i]]
-        rows, columns = torch.nonzero(pixels[i], as_tuple=True)
-        if len(alive) == 0 or len(rows) == 0:
-            terms.append(points_px[i].sum() * 0.0)
-            continue
-        centres = torch.stack([columns, rows], 1).to(alive.dtype)
-        squared = (centres - alive[nearest(centres, alive)]).square().sum(1)
-        terms.append((squared * weight[i, rows, columns]).sum() * factor)
-    return torch.stack(terms)
+    if compiled_pays(points_px):
+        from .kernels.compiled_losses import pull_to_pixels
+
+        return pull_to_pixels(pixels, weight, points_px, valid, factor)
+    index = nearest_points(pixels, points_px, valid)
+    image, row, column = torch.nonzero(index >= 0, as_tuple=True)
+    centres = torch.stack([column, row], 1).to(points_px.dtype)
+    squared = (centres - points_px[image, index[image, row, column]]).square().sum(1)
+    terms = squared * weight[image, row, column] * factor
+    return terms.new_zeros(len(pixels)).index_add(0, image, terms)
 
 
 def affinity(
@@ -96,47 +106,43 @@ def affinity(
     """
     if form not in ("paper", "points"):
         raise ValueError(f"form is {form!r}, expected paper or points")
-    silhouette = torch.tanh(sums)
-    height, width = mask.shape[-2:]
-    terms = []
-    for i in range(len(mask)):
-        term = points_px[i].sum() * 0.0
-        inside = mask[i] > 0.5
-        if inside.any():
-            rows, columns, squared = _nearest_pixel(inside)
-            if form == "paper":
-                term = term + (squared * silhouette[i] * mask[i, rows, columns]).sum()
-            else:
-                term = term + _stray_points(points_px[i], valid[i], inside, rows, columns)
-        predicted = silhouette[i].detach() > 0.5
-        if form == "points":
-            uncovered = (inside & ~predicted).unsqueeze(0)
-            term = term + _far_pixels(uncovered, mask[i : i + 1], points_px[i : i + 1], valid[i : i + 1], 1.0)[0]
-        elif predicted.any():
-            rows, columns, squared = _nearest_pixel(predicted)
-            term = term + (squared * mask[i] * silhouette[i, rows, columns]).sum()
-        terms.append(term)
-    return torch.stack(terms) * (REFERENCE_PIXELS / (height * width)) ** 2
+    inside, predicted = mask > 0.5, sums.detach() > HALF
+    if form == "points":
+        term = _stray_points(points_px, valid, inside) + _far_pixels(inside & ~predicted, mask, points_px, valid, 1.0)
+    else:
+        silhouette, compiled = torch.tanh(sums), compiled_pays(points_px)
+        term = _far_values(silhouette, mask, *nearest_marked(inside, compiled))
+        term = term + _far_values(mask, silhouette, *nearest_marked(predicted, compiled))
+    return term * (REFERENCE_PIXELS / (mask.shape[-1] * mask.shape[-2])) ** 2
 
 
-def _nearest_pixel(marked: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Row, column [H, W] of the marked pixel nearest to each pixel, and the squared distance to it."""
-    from scipy.ndimage import distance_transform_edt
+def _far_values(source: Tensor, goal: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+    """Sum [M] over pixels of squared distance to the nearest marked pixel (at rows, columns) * source * goal there."""
+    height, width = source.shape[-2:]
+    away_y = rows - torch.arange(height, device=rows.device).unsqueeze(1)
+    away_x = columns - torch.arange(width, device=rows.device)
+    squared = (away_y.square() + away_x.square()) * (rows >= 0)
+    there = goal.flatten(1).gather(1, (rows * width + columns).clamp_min(0).flatten(1)).view_as(goal)
+    return (squared * source * there).sum((-1, -2))
 
-    distance, index = distance_transform_edt(~marked.cpu().numpy(), return_indices=True)
-    rows, columns = torch.from_numpy(index).long().to(marked.device)
-    return rows, columns, torch.from_numpy(distance**2).to(marked.device, torch.float32)
 
+def _stray_points(points_px: Tensor, valid: Tensor, inside: Tensor) -> Tensor:
+    """Sum [M] over the points that fall on background of the squared distance to the nearest pixel that is ``inside``."""
+    if compiled_pays(points_px):
+        from .kernels.compiled_losses import pull_to_mask
 
-def _stray_points(points_px: Tensor, valid: Tensor, inside: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
-    height, width = inside.shape
+        return pull_to_mask(points_px, valid, inside)
+    rows, columns = nearest_marked(inside)
+    height, width = inside.shape[-2:]
     pixel = points_px.detach().round()
     # What lies outside the image is unknown, not background.
-    seen = valid & (pixel >= 0).all(1) & (pixel[:, 0] < width) & (pixel[:, 1] < height)
-    column, row = torch.where(seen.unsqueeze(1), pixel, 0.0).long().unbind(1)
-    stray = seen & ~inside[row, column]
-    goal = torch.stack([columns[row, column], rows[row, column]], 1).to(points_px.dtype)
-    return ((points_px - goal)[stray]).square().sum()
+    limit = pixel.new_tensor([width, height])
+    seen = valid & (pixel >= 0).all(-1) & (pixel < limit).all(-1)
+    column, row = torch.where(seen.unsqueeze(-1), pixel, 0.0).long().unbind(-1)
+    place = row * width + column  # [M, N]
+    goal = torch.stack([index.flatten(1).gather(1, place) for index in (columns, rows)], -1)
+    stray = seen & ~inside.flatten(1).gather(1, place) & (goal[..., 0] >= 0)
+    return torch.where(stray.unsqueeze(-1), points_px - goal, 0.0).square().sum((-1, -2))
 
 
 def chamfer(prediction: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
@@ -151,11 +157,10 @@ def chamfer(prediction: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
     -------
     forward [B], target -> prediction, and backward [B], prediction -> target: squared distances, mean over points.
     """
-    forward, backward = [], []
-    for ours, theirs in zip(prediction, target, strict=True):
-        forward.append((theirs - ours[nearest(theirs, ours)]).square().sum(1).mean())
-        backward.append((ours - theirs[nearest(ours, theirs)]).square().sum(1).mean())
-    return torch.stack(forward), torch.stack(backward)
+    to_target, to_prediction = nearest_both_ways(prediction, target)
+    forward = target - torch.take_along_dim(prediction, to_prediction.unsqueeze(-1), 1)
+    backward = prediction - torch.take_along_dim(target, to_target.unsqueeze(-1), 1)
+    return forward.square().sum(-1).mean(-1), backward.square().sum(-1).mean(-1)
 
 
 class ChamferToInitial:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from .errors import InputError
 from .losses import silhouette_bce
-from .projection import CameraBatch, cheaper_kernel, coarsened, default_sigma_sq, project, silhouette_sums
+from .projection import CameraBatch, coarsened, default_sigma_sq, project, silhouette_sums
 from .resample import area_resize
 from .scene import View
 
@@ -28,7 +28,6 @@ class WorkingView:
     known: Tensor | None  # [1, h, w] weight
     camera: CameraBatch
     sigma_sq: float
-    kernel: str
 
 
 def working_view(view: View, sigma_sq: float, centre: NDArray[np.float64], scale: float, like: Tensor) -> WorkingView:
@@ -50,7 +49,6 @@ def working_view(view: View, sigma_sq: float, centre: NDArray[np.float64], scale
         None if known is None else torch.as_tensor(weight, dtype=like.dtype, device=like.device).unsqueeze(0),
         batch,
         sigma_sq,
-        cheaper_kernel(batch, sigma_sq),
     )
 
 
@@ -91,7 +89,7 @@ class MaskObjective:
         total = points.new_zeros(())
         for view in self.views:
             projected = project(points.unsqueeze(0), view.camera)
-            sums = silhouette_sums(projected, view.camera, view.sigma_sq, view.kernel)[:, 0]
+            sums = silhouette_sums(projected, view.camera, view.sigma_sq)[:, 0]
             points_px, valid = projected.points_px[:, 0], projected.valid[:, 0]
             total = total + silhouette_bce(sums, view.mask, points_px, valid, view.sigma_sq, view.known)[0]
         return total

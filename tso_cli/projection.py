@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from .camera import NEAR, Camera
-from .kernels.splat import splat, window_radius
+from .kernels.splat import splat
 
 # A silhouette blurred by this variance (px^2) changes little from one pixel to the next.
 SMOOTH_SIGMA_SQ = 6.4
@@ -78,7 +78,7 @@ def project(points: Tensor, cameras: CameraBatch, near: float = NEAR) -> Project
     return Projected(plane @ linear.transpose(-1, -2) + centre.unsqueeze(-2), valid)
 
 
-def silhouette_sums(projected: Projected, cameras: CameraBatch, sigma_sq: float, kernel: str = "windowed") -> Tensor:
+def silhouette_sums(projected: Projected, cameras: CameraBatch, sigma_sq: float, kernel: str = "auto") -> Tensor:
     """The sums s [B, V, H, W] whose tanh is the silhouette (Eq. 2). Losses take s: it keeps what tanh rounds away."""
     points_px, valid = projected
     sums = splat(points_px.flatten(0, 1), valid.flatten(0, 1), cameras.height, cameras.width, sigma_sq, kernel)
@@ -102,11 +102,10 @@ def silhouette_of(points: NDArray[np.floating], camera: Camera, sigma_sq: float 
         sigma_sq = default_sigma_sq(width, height)
     camera, sigma_sq = coarsened(camera, sigma_sq, SMOOTH_SIGMA_SQ)
     batch = CameraBatch.of([camera.for_normalised(centre, scale)], local)
-    kernel = cheaper_kernel(batch, sigma_sq)
     with torch.no_grad():
         sums = torch.zeros(1, 1, camera.height, camera.width)
         for part in local.split(POINTS_AT_ONCE, dim=1):
-            sums += silhouette_sums(project(part, batch), batch, sigma_sq, kernel)
+            sums += silhouette_sums(project(part, batch), batch, sigma_sq)
         if (camera.height, camera.width) != (height, width):
             sums = torch.nn.functional.interpolate(sums, (height, width), mode="bilinear", align_corners=False)
         return torch.tanh(sums)[0, 0].numpy()
@@ -122,10 +121,3 @@ def coarsened(camera: Camera, sigma_sq: float, wanted: float) -> tuple[Camera, f
     if (coarse.width, coarse.height) == (camera.width, camera.height):
         return camera, sigma_sq
     return coarse, sigma_sq * (max(coarse.width, coarse.height) / max(camera.width, camera.height)) ** 2
-
-
-def cheaper_kernel(cameras: CameraBatch, sigma_sq: float) -> str:
-    """Which kernel costs less, whatever the number of points: a wide window costs more than the whole of a small image."""
-    taps = (2 * window_radius(sigma_sq) + 1) ** 2
-    # A scattered tap costs about 30 times a multiply-add of the dense product.
-    return "windowed" if 30 * taps < cameras.height * cameras.width else "exact"

@@ -1,10 +1,14 @@
-"""Exact nearest neighbours: a k-d tree on the CPU, chunked distances elsewhere."""
+"""Exact nearest neighbours: a k-d tree or compiled loops on the CPU, chunked distances elsewhere."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
+from .choice import compiled_pays
+
+# Clouds up to this size are compared pair by pair in compiled code; in larger ones a k-d tree finds its way faster.
+COMPARE_ALL_UP_TO = 8192
 # Pairs compared at once where there is no k-d tree.
 PAIRS_PER_CHUNK = 1 << 26
 
@@ -29,6 +33,73 @@ def nearest(queries: Tensor, data: Tensor) -> Tensor:
         return torch.from_numpy(_query(tree, queries)[1])
     size = max(1, PAIRS_PER_CHUNK // len(data))
     return torch.cat([torch.cdist(part, data).argmin(1) for part in queries.split(size)])
+
+
+def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
+    """Nearest neighbours between the clouds of B pairs, both ways.
+
+    Parameters
+    ----------
+    a : [B, N, 3]
+    b : [B, M, 3]
+
+    Returns
+    -------
+    Index into ``b`` of the point nearest to each of ``a`` [B, N], and into ``a`` of that nearest to each of ``b`` [B, M].
+    Nothing is differentiable here; gather with the index and subtract.
+    """
+    smaller, larger = (a, b) if a.shape[1] <= b.shape[1] else (b, a)
+    if compiled_pays(smaller) and larger.shape[1] <= COMPARE_ALL_UP_TO:
+        from .compiled_nearest import nearest_both_ways as compare
+
+        return compare(a, b)
+    pairs = list(zip(a, b, strict=True))
+    return torch.stack([nearest(x, y) for x, y in pairs]), torch.stack([nearest(y, x) for x, y in pairs])
+
+
+def nearest_points(pixels: Tensor, points_px: Tensor, valid: Tensor) -> Tensor:
+    """Which projected point is nearest to each chosen pixel.
+
+    Parameters
+    ----------
+    pixels : [M, H, W] bool, those that ask.
+    points_px, valid : [M, N, 2] column and row, [M, N] bool: points that are False are not there.
+
+    Returns
+    -------
+    [M, H, W] int64 index into the image's points; -1 at other pixels, and everywhere where an image has no valid point.
+    """
+    index = torch.full(pixels.shape, -1, dtype=torch.int64, device=pixels.device)
+    for i in range(len(pixels)):
+        alive = torch.nonzero(valid[i]).squeeze(1)
+        rows, columns = torch.nonzero(pixels[i], as_tuple=True)
+        if len(alive) and len(rows):
+            centres = torch.stack([columns, rows], 1).to(points_px.dtype)
+            index[i, rows, columns] = alive[nearest(centres, points_px[i, alive])]
+    return index
+
+
+def nearest_marked(marked: Tensor, compiled: bool = False) -> tuple[Tensor, Tensor]:
+    """Row and column [M, H, W] of the marked pixel nearest to each pixel, -1 in images without one.
+
+    Parameters
+    ----------
+    marked : [M, H, W] bool.
+    compiled : by compiled loops (on the CPU) or by one distance transform per image.
+    """
+    if compiled:
+        from .compiled_nearest import nearest_marked as transform
+
+        return transform(marked)
+    from scipy.ndimage import distance_transform_edt
+
+    index = torch.full((2, *marked.shape), -1, dtype=torch.int64)
+    for i, image in enumerate(marked.cpu()):
+        if image.any():
+            found = distance_transform_edt(~image.numpy(), return_distances=False, return_indices=True)
+            index[:, i] = torch.from_numpy(found)
+    rows, columns = index.to(marked.device)
+    return rows, columns
 
 
 def _query(tree, queries: Tensor, k: int = 1):  # type: ignore[no-untyped-def]

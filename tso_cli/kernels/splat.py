@@ -1,4 +1,4 @@
-"""Sums of Gaussians over a pixel grid (Eq. 2 and 3 before the tanh): the dispatcher and the default windowed kernel."""
+"""Sums of Gaussians over a pixel grid (Eq. 2 and 3 before the tanh): the dispatcher, and the window in plain torch."""
 
 from __future__ import annotations
 
@@ -8,14 +8,17 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from .choice import compiled_pays
 from .reference import splat_exact
 
 # A tap below this value changes no float32 sum; it fixes the window's radius.
 NEGLIGIBLE = 1e-8
 # Taps held at once; bounds memory at about 400 MB however many points there are.
 TAPS_PER_CHUNK = 1 << 24
+# A tap scattered by torch costs about 30 times a multiply-add of the dense product.
+TAP_COST = 30
 
-KERNELS = ("windowed", "exact")
+KERNELS = ("auto", "compiled", "windowed", "exact")
 
 
 def window_radius(sigma_sq: float) -> int:
@@ -29,7 +32,7 @@ def splat(
     height: int,
     width: int,
     sigma_sq: float,
-    kernel: str = "windowed",
+    kernel: str = "auto",
 ) -> Tensor:
     """Sum of one un-normalised Gaussian per point at every pixel centre: the argument of the tanh in Eq. 2.
 
@@ -39,17 +42,28 @@ def splat(
     valid : [M, N] bool; points that are False add nothing and get no gradient.
     height, width : size of the image.
     sigma_sq : variance of the Gaussian, px^2.
-    kernel : "windowed" (the default: each point touches the pixels around it) or "exact" (every pixel, Eq. 2 as printed).
+    kernel : "compiled" (each point touches the pixels around it; on the CPU), "windowed" (the same in plain torch, on any
+        device), "exact" (every pixel, Eq. 2 as printed) or "auto" (the cheapest, see :func:`cheapest`).
 
     Returns
     -------
     [M, height, width] sums, >= 0.
     """
+    if kernel == "auto":
+        kernel = cheapest(points_px, height, width, sigma_sq)
     if kernel == "exact":
         return splat_exact(points_px, valid, height, width, sigma_sq)
-    if kernel == "windowed":
-        return _Windowed.apply(points_px, valid, height, width, float(sigma_sq))
+    if kernel in ("compiled", "windowed"):
+        return _Windowed.apply(points_px, valid, height, width, float(sigma_sq), kernel == "compiled")
     raise ValueError(f"kernel is {kernel!r}, expected one of {', '.join(KERNELS)}")
+
+
+def cheapest(points_px: Tensor, height: int, width: int, sigma_sq: float) -> str:
+    """The kernel that "auto" stands for: compiled where that pays, else the window unless the image is small against it."""
+    if compiled_pays(points_px):
+        return "compiled"
+    taps = (2 * window_radius(sigma_sq) + 1) ** 2
+    return "windowed" if TAP_COST * taps < height * width else "exact"
 
 
 def _taps(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float) -> tuple[Tensor, ...]:
@@ -82,32 +96,50 @@ def _chunks(images: int, count: int, sigma_sq: float) -> list[slice]:
 
 
 class _Windowed(torch.autograd.Function):
-    """Scatter of each point's window; the backward pass gathers the same window, so nothing of its size is stored."""
+    """Each point's window, added up; the backward pass reads the same window again, so nothing of its size is stored."""
 
     @staticmethod
-    def forward(ctx: Any, points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float) -> Tensor:
-        images, count = valid.shape
-        sums = points_px.new_zeros(images * height * width)
-        for part in _chunks(images, count, sigma_sq):
-            wx, wy, _, _, flat = _taps(points_px[:, part], valid[:, part], height, width, sigma_sq)
-            sums.scatter_add_(0, flat.flatten(), (wy.unsqueeze(-1) * wx.unsqueeze(-2)).flatten())
+    def forward(ctx: Any, points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float, compiled: bool) -> Tensor:
         ctx.save_for_backward(points_px, valid)
-        ctx.geometry = height, width, sigma_sq
-        return sums.view(images, height, width)
+        ctx.sigma_sq, ctx.compiled = sigma_sq, compiled
+        if compiled:
+            from .compiled import sums
+
+            return sums(points_px, valid, height, width, sigma_sq, window_radius(sigma_sq))
+        return _scatter(points_px, valid, height, width, sigma_sq)
 
     @staticmethod
     def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor | None, ...]:
         points_px, valid = ctx.saved_tensors
-        height, width, sigma_sq = ctx.geometry
-        grad_sums = grad_outputs[0].flatten()
-        grads = []
-        images, count = valid.shape
-        for part in _chunks(images, count, sigma_sq):
-            wx, wy, dx, dy, flat = _taps(points_px[:, part], valid[:, part], height, width, sigma_sq)
-            grad_taps = grad_sums[flat]  # [M, n, k, k]
-            # d/dx exp(-dx^2 / 2 sigma^2) = -dx / sigma^2 times the weight itself
-            along_x = (grad_taps * wy.unsqueeze(-1)).sum(-2) * wx * dx
-            along_y = (grad_taps * wx.unsqueeze(-2)).sum(-1) * wy * dy
-            grads.append(torch.stack([along_x.sum(-1), along_y.sum(-1)], -1) / -sigma_sq)
-        grad = torch.cat(grads, 1) if grads else torch.zeros_like(points_px)
-        return grad, None, None, None, None
+        if ctx.compiled:
+            from .compiled import gradient
+
+            grad = gradient(grad_outputs[0], points_px, valid, ctx.sigma_sq, window_radius(ctx.sigma_sq))
+        else:
+            grad = _gather(grad_outputs[0], points_px, valid, ctx.sigma_sq)
+        return grad, None, None, None, None, None
+
+
+def _scatter(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float) -> Tensor:
+    images, count = valid.shape
+    sums = points_px.new_zeros(images * height * width)
+    for part in _chunks(images, count, sigma_sq):
+        wx, wy, _, _, flat = _taps(points_px[:, part], valid[:, part], height, width, sigma_sq)
+        sums.scatter_add_(0, flat.flatten(), (wy.unsqueeze(-1) * wx.unsqueeze(-2)).flatten())
+    return sums.view(images, height, width)
+
+
+def _gather(grad_sums: Tensor, points_px: Tensor, valid: Tensor, sigma_sq: float) -> Tensor:
+    """Derivative [M, N, 2] by ``points_px``, from that by the sums [M, H, W]."""
+    images, count = valid.shape
+    height, width = grad_sums.shape[1:]
+    grad_sums = grad_sums.flatten()
+    grads = []
+    for part in _chunks(images, count, sigma_sq):
+        wx, wy, dx, dy, flat = _taps(points_px[:, part], valid[:, part], height, width, sigma_sq)
+        grad_taps = grad_sums[flat]  # [M, n, k, k]
+        # d/dx exp(-dx^2 / 2 sigma^2) = -dx / sigma^2 times the weight itself
+        along_x = (grad_taps * wy.unsqueeze(-1)).sum(-2) * wx * dx
+        along_y = (grad_taps * wx.unsqueeze(-2)).sum(-1) * wy * dy
+        grads.append(torch.stack([along_x.sum(-1), along_y.sum(-1)], -1) / -sigma_sq)
+    return torch.cat(grads, 1) if grads else torch.zeros_like(points_px)

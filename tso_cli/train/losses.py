@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ..errors import InputError
 from ..losses import affinity, chamfer, silhouette_bce
-from ..projection import CameraBatch, Projected, cheaper_kernel, project, silhouette_sums
+from ..projection import CameraBatch, Projected, project, silhouette_sums
 from .batches import Batch
 
 # The supplement: "reduced to 0.02 of its initial value upon loss saturation".
@@ -23,12 +23,14 @@ Silhouette = Callable[[Projected, CameraBatch], Tensor]
 
 def point_loss(points: Tensor, batch: Batch) -> tuple[Tensor, float, float]:
     """Chamfer distance between predicted points [B, N, 3] and the targets, mean over the batch; and its two directions."""
-    forward, backward = [], []
-    for ours, target in zip(points, batch.targets, strict=True):
-        ahead, back = chamfer(ours.unsqueeze(0), torch.as_tensor(target, device=points.device).unsqueeze(0))
-        forward.append(ahead[0])
-        backward.append(back[0])
-    ahead, back = torch.stack(forward).mean(), torch.stack(backward).mean()
+    if len({len(target) for target in batch.targets}) == 1:
+        # one call for the whole batch
+        pairs = [(points, torch.as_tensor(np.stack(batch.targets), device=points.device))]
+    else:
+        targets = [torch.as_tensor(target, device=points.device) for target in batch.targets]
+        pairs = [(ours.unsqueeze(0), target.unsqueeze(0)) for ours, target in zip(points, targets, strict=True)]
+    directions = [chamfer(ours, target) for ours, target in pairs]
+    ahead, back = (torch.cat(parts).mean() for parts in zip(*directions, strict=True))
     return ahead + back, float(ahead.detach()), float(back.detach())
 
 
@@ -68,7 +70,7 @@ def mask_loss(
     cameras = CameraBatch(like(batch.K), like(batch.R), like(batch.t), width, height)
     projected = project(points, cameras)
     if silhouette is None:
-        sums = silhouette_sums(projected, cameras, sigma_sq, cheaper_kernel(cameras, sigma_sq)).flatten(0, 1)  # [B V, H, W]
+        sums = silhouette_sums(projected, cameras, sigma_sq).flatten(0, 1)  # [B V, H, W]
     else:
         sums = silhouette(projected, cameras).flatten(0, 1)
     masks, known = like(batch.masks).flatten(0, 1), like(batch.known).flatten(0, 1)
