@@ -156,7 +156,7 @@ def tables() -> dict[str, str]:
     made = {}
     for path in sorted(FIGURES.glob("*.json")):
         record = json.loads(path.read_text())
-        if "study" in record:
+        if "summary" in record:
             made[path.stem] = TABLES[path.stem](record)
         if "claims" in record:
             made[f"{path.stem} claims"] = claims_list(record)

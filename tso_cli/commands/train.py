@@ -333,7 +333,7 @@ def _print_result(document: dict[str, Any]) -> None:
     speed = document["images_per_second"]
     click.echo(
         f"{speed['training']:.0f} images/s in training; a step without the optimiser {speed['step']:.0f}, the bare network's "
-        f"forward and backward {speed['bare']:.0f}: data, projector and losses add {100.0 * speed['added']:.0f} %"
+        f"forward and backward {speed['bare']:.0f}: data, projector and losses add {round(100.0 * speed['added'])} %"
     )
     click.echo(
         f"(squared distances, mean over points, longest side 1; N {document['points']}, seed {document['seed']}, "
