@@ -156,7 +156,7 @@ def tables() -> dict[str, str]:
     made = {}
     for path in sorted(FIGURES.glob("*.json")):
         record = json.loads(path.read_text())
-        if "summary" in record:
+        if {"summary", "examples"} & set(record):
             made[path.stem] = TABLES[path.stem](record)
         if "claims" in record:
             made[f"{path.stem} claims"] = claims_list(record)
@@ -166,7 +166,7 @@ def tables() -> dict[str, str]:
 def with_tables(text: str) -> str:
     """``text`` with what stands between ``<!-- NAME -->`` and ``<!-- end -->`` made anew."""
     for name, table in tables().items():
-        text = re.sub(rf"(<!-- {name} -->\n).*?(\n<!-- end -->)", lambda m, t=table: m[1] + t + m[2], text, flags=re.DOTALL)
+        text = re.sub(rf"(<!-- {name} -->\n).*?(<!-- end -->)", lambda m, t=table: f"{m[1]}{t}\n{m[2]}", text, flags=re.DOTALL)
     return text
 
 
