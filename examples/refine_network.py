@@ -1,6 +1,6 @@
-"""The two network variants on a photo: give a checkpoint that `tso train` wrote.
+"""The two network variants on a photo, with the network that comes with the program or with a checkpoint of `tso train`.
 
-python examples/refine_network.py base.safetensors
+python examples/refine_network.py [base.safetensors]
 """
 
 import sys
@@ -8,13 +8,15 @@ from pathlib import Path
 
 from tso_cli import RefineConfig, refine
 from tso_cli.files.clouds import read_cloud
+from tso_cli.files.shipped import named_checkpoint
 from tso_cli.geometry import normalise_longest_side
 from tso_cli.metrics import chamfer
 from tso_cli.scenes import load_network_scene
 
 chair = Path(__file__).parent / "chair"
 target = normalise_longest_side(read_cloud(chair / "target.ply").points)
-scene = load_network_scene(chair / "image.png", chair / "mask.png", Path(sys.argv[1]), world=True)
+checkpoint = named_checkpoint(Path(sys.argv[1] if len(sys.argv) > 1 else "default"))
+scene = load_network_scene(chair / "image.png", chair / "mask.png", checkpoint, world=True)
 
 for mode in ("encoder", "encoder-decoder"):
     config = RefineConfig(mode, sigma_sq=scene.sigma_sq)

@@ -93,6 +93,10 @@ def test_the_script_for_networks_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["refine_network.py", str(checkpoint)])
     runpy.run_path(str(ROOT / "examples" / "refine_network.py"), run_name="__main__")
     assert capsys.readouterr().out.count("Chamfer x1000") == 2
+    monkeypatch.setattr(sys, "argv", ["refine_network.py"])
+    runpy.run_path(str(ROOT / "examples" / "refine_network.py"), run_name="__main__")
+    for before, after in re.findall(r"Chamfer x1000 ([\d.]+) -> ([\d.]+)", capsys.readouterr().out):
+        assert float(after) < float(before)
 
 
 def test_the_examples_weigh_under_three_megabytes_and_hold_what_is_promised():

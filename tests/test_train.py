@@ -441,6 +441,19 @@ def test_the_command_trains_on_a_folder_and_says_what_it_did(
     ]  # fmt: skip
 
 
+def test_joint_training_at_the_command_line_takes_each_data_set_by_its_own_split(
+    thin: None, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    split, other = tmp_path / "split.json", tmp_path / "other.json"
+    split.write_text(json.dumps({"train": ["box0"], "validation": [], "test": ["box1"]}))
+    other.write_text(json.dumps({"train": ["box1"], "validation": [], "test": ["box0"]}))
+    code = run(folder, "-o", tmp_path / "a.safetensors", "--steps", 2, "--batch-size", 2, "--points", 32, "--split", split,
+               "--supervision", "joint", "--mask-data", folder, "--mask-split", other, "--json")  # fmt: skip
+    assert code == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["training_set"] == "boxes: 1 objects" and document["supervision"] == "joint"
+
+
 def test_ctrl_c_at_the_command_line_is_130_and_resume_goes_on(
     thin: None, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -478,6 +491,8 @@ def test_the_command_refuses_in_one_line_and_writes_nothing(
         ([folder, "-o", tmp_path / "a.safetensors", "--crop-share", 2], "crop share"),
         ([folder, "-o", tmp_path / "a.safetensors", "--device", "cuda:99"], "cuda:99"),
         ([folder, "-o", tmp_path / "a.safetensors", "--frame", "world"], "world"),
+        ([folder, "-o", tmp_path / "a.safetensors", "--mask-data", folder], "expected joint with --mask-data"),
+        ([folder, "-o", tmp_path / "a.safetensors", "--supervision", "joint"], "joint, expected --mask-data FOLDER with it"),
     ]
     before = sorted(tmp_path.iterdir())
     for arguments, expected in cases:

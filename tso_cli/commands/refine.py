@@ -109,8 +109,8 @@ def command(
     if checkpoint is None:
         scene = load_points_scene(source, mask, camera_file, invert_mask, ignore_file)
     else:
-        options.log(f"tso: checkpoint: {checkpoint}")
         scene = load_network_scene(source, mask, checkpoint, camera_file, invert_mask, ignore_file, frame == "world")
+        options.log(f"tso: checkpoint: {checkpoint}")
     options.log(f"tso: camera: {scene.camera_source}")
     if check:
         placement = place(scene.points, scene.view)

@@ -53,7 +53,10 @@ class CategoryValue(click.ParamType):
     help="Chamfer to the true points, masks through the projector, or both at once (--mask-data).",
 )
 @click.option("--mask-data", type=options.FilePath(), help="Images that have one mask each, for --supervision joint.")
-@click.option("--init", "initial", type=options.FilePath(), help="Start from the weights of this checkpoint.")
+@click.option("--mask-split", type=options.FilePath(), help='Of --mask-data take the list "train" of this split alone.')
+@click.option(
+    "--init", "initial", type=options.FilePath(), help="Start from the weights of this checkpoint; default: the shipped one."
+)
 @click.option(
     "--frame",
     type=click.Choice(["view", "canonical"]),
@@ -144,6 +147,7 @@ def command(
     categories: tuple[str, ...],
     strict: bool,
     mask_data: Path | None,
+    mask_split: Path | None,
     initial: Path | None,
     output: Path,
     steps: int | None,
@@ -181,12 +185,15 @@ def command(
             category_sigma_sq=dict(category_sigma_sq),
             **settings,
         )
+        if (config.supervision == "joint") != (mask_data is not None):
+            expected = "--mask-data FOLDER with it" if mask_data is None else "joint with --mask-data"
+            raise InputError(f"--supervision is {config.supervision}, expected {expected}")
         if processes.first:
             _check_outputs(output, log_file, resume, overwrite)
         processes.wait()
         wanted = Wanted(data, split_file, categories, strict, crop_share, background, behind)
         training = load(wanted, quiet=not processes.first)
-        masked = load(Wanted(mask_data, split_file, (), strict, crop_share, background)) if mask_data else None
+        masked = load(Wanted(mask_data, mask_split, (), strict, crop_share, background)) if mask_data else None
         state = _begin(training, config, output, initial, resume, quiet=not processes.first)
         prepared, begun = time.perf_counter(), state.step
         result = _run(training, masked, config, state, processes, output, log_file, checkpoint_every)
@@ -224,6 +231,7 @@ def _begin(
     """The state to go on from: that beside the checkpoint, or a new one."""
     from .. import device as devices
     from ..files.checkpoints import load_network
+    from ..files.shipped import named_checkpoint
     from ..train import network_config, start
     from ..train.state import load_training
 
@@ -235,7 +243,7 @@ def _begin(
         if not quiet:
             options.log(f"tso: resuming after {state.step} steps")
         return state
-    return start(training, config, load_network(initial)[0] if initial else None)
+    return start(training, config, load_network(named_checkpoint(initial))[0] if initial else None)
 
 
 def _run(

@@ -48,5 +48,5 @@ def default_checkpoint() -> Path:
 
 
 def named_checkpoint(name: Path) -> Path:
-    """The shipped network for the name `default`, else the file ``name`` (`./default` is a file of that name)."""
+    """The shipped network for the name `default`, else the file ``name`` (a file of that name needs its whole path)."""
     return default_checkpoint() if str(name) == DEFAULT else name
