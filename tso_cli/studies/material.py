@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datasets.items import ObjectItem, ViewItem
+from ..datasets.items import ObjectItem
+from ..files.shipped import CATEGORIES
 from ..geometry import sample_surface
-from ..render import RenderedView, RenderSettings
+from ..render import RenderSettings
 from ..train.data import TrainingData
-from .parts import SPLIT, SeenShape, Shape, see, shapes_of_part
+from ..train.sources import rendered_object
+from .parts import SPLIT, see, shapes_of_part
 from .protocol import Report
 
 Floats = NDArray[np.float32]
@@ -42,7 +44,7 @@ class Source:
     meshes: Path
     split: Path = SPLIT
     part: str = "test"
-    categories: tuple[str, ...] = ("chair", "car", "airplane")
+    categories: tuple[str, ...] = CATEGORIES
     limit: int | None = None
     seed: int = 0
 
@@ -91,7 +93,9 @@ class Material:
             settings = RenderSettings(views=TRAINING_VIEWS if training else TEST_VIEWS, size=(SIZE, SIZE))
             objects = []
             for done, shape in enumerate(shapes, 1):
-                objects.append(_as_object(shape, see(shape, settings, self.source.seed)))
+                seen = see(shape, settings, self.source.seed)
+                target = seen.target.astype(np.float32)
+                objects.append(rendered_object(shape.name, shape.category, seen.views, target))
                 if self._report:
                     self._report(f"rendering {category}", done, len(shapes))
             self._objects[category, training] = objects
@@ -108,13 +112,3 @@ class Material:
             return sample_surface(mesh.vertices, mesh.faces, DENSE, np.random.default_rng(0)).astype(np.float32)
 
         return load
-
-
-def _as_object(shape: Shape, seen: SeenShape) -> ObjectItem:
-    target = seen.target.astype(np.float32)
-    views = [ViewItem(f"{shape.name} view {i}", view.camera, _in_memory(view)) for i, view in enumerate(seen.views)]
-    return ObjectItem(shape.name, shape.category, views, lambda: target)
-
-
-def _in_memory(view: RenderedView) -> Callable[[], tuple[NDArray[np.uint8], Floats]]:
-    return lambda: (view.image, view.mask.astype(np.float32) / np.float32(255.0))

@@ -15,6 +15,7 @@ from ..projection import CameraBatch, Projected, project
 from ..train import TrainConfig, start
 from ..train.batches import Batch, Drawing, draw_batch
 from ..train.data import TrainingData
+from ..train.loop import images_of
 from ..train.losses import Silhouette, mask_loss
 
 GAUSSIAN, PLAIN, DEPTH = "gaussian", "plain", "depth"
@@ -98,9 +99,8 @@ def train_projected(
     gradients: dict[str, float] = {}
     while state.step < config.steps:
         batch = draw_batch(data, drawing, state.step)
-        images = torch.as_tensor(batch.images, device=device).contiguous(memory_format=torch.channels_last)
         weight = state.schedule.weight
-        points = state.network(images)
+        points = state.network(images_of(batch, device))
         if not gradients:
             gradients["own"] = bce_gradient(points, batch, config.sigma_sq, silhouette)
             gradients[GAUSSIAN] = bce_gradient(points, batch, config.sigma_sq, None)

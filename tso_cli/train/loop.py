@@ -131,9 +131,9 @@ def train(
     def draw(step: int) -> list[Batch]:
         return draw_step(data, masked, config, processes, step)
 
-    with _interrupt_flag() as interrupted, _ahead(draw, state.step, config.steps, config.workers) as batches_of:
+    with _interrupt_flag() as interrupted, _ahead(draw, state.step, config.steps, config.workers) as next_batches:
         while state.step < config.steps and not processes.any(interrupted(), device):
-            batches = batches_of(state.step)
+            batches = next_batches()
             weight = state.schedule.weight if config.supervision != "points" else 0.0
             with torch.autocast(device.type, torch.bfloat16, enabled=config.precision == "bfloat16"):
                 clouds = [state.network(images_of(batch, device)) for batch in batches]
@@ -229,13 +229,13 @@ def images_of(batch: Batch, device: torch.device) -> Tensor:
 
 
 @contextmanager
-def _ahead(draw: Callable[[int], list[Batch]], first: int, steps: int, workers: int) -> Iterator[Callable[[int], list[Batch]]]:
-    """Batches of the steps from ``first`` on, asked for in order and prepared by threads while the network is busy."""
+def _ahead(draw: Callable[[int], list[Batch]], first: int, steps: int, workers: int) -> Iterator[Callable[[], list[Batch]]]:
+    """Batches of the steps from ``first`` on, one at each call, prepared by threads while the network is busy."""
     pool = ThreadPoolExecutor(workers, thread_name_prefix="tso-batch")
     waiting: deque[Future[list[Batch]]] = deque()
     following = first
 
-    def take(step: int) -> list[Batch]:
+    def take() -> list[Batch]:
         nonlocal following
         while len(waiting) <= workers and following < steps:
             waiting.append(pool.submit(draw, following))

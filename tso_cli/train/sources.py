@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,9 @@ from ..datasets.items import Dataset, ObjectItem, ViewItem
 from ..geometry import normalise_longest_side
 from .backgrounds import Backgrounds
 from .data import TrainingData
+
+if TYPE_CHECKING:
+    from ..render import RenderedView
 
 Floats = NDArray[np.float32]
 Pixels = NDArray[np.uint8]
@@ -50,14 +54,16 @@ def from_meshes(
     for number, path in enumerate(meshes):
         name = f"{path.parent.name}/{path.stem}"
         rendered = render_mesh(read_mesh(path), settings, np.random.default_rng([seed, number]), name)
-        taken = [
-            ViewItem(f"{name} view {i}", view.camera, _in_memory(view.image, view.mask))
-            for i, view in enumerate(rendered.views)
-        ]
-        objects.append(ObjectItem(name, path.parent.name, taken, _always(rendered.target)))
+        objects.append(rendered_object(name, path.parent.name, rendered.views, rendered.target))
         if progress:
             progress(number + 1, len(meshes), "")
     return TrainingData(objects, description, crop_share, background)
+
+
+def rendered_object(name: str, category: str, views: Sequence[RenderedView], target: Floats) -> ObjectItem:
+    """A shape whose pictures and points [P, 3] are held in memory."""
+    taken = [ViewItem(f"{name} view {i}", view.camera, _in_memory(view.image, view.mask)) for i, view in enumerate(views)]
+    return ObjectItem(name, category, taken, _always(target))
 
 
 def shipped_examples(crop_share: float = 0.9, background: str = "black") -> TrainingData:

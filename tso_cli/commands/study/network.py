@@ -31,14 +31,14 @@ def network(
 ) -> None:
     """The base network on unseen shapes, beside the mean training shape and the nearest training shape."""
     check_outputs(output, overwrite)
-    from ...files.shipped import named_checkpoint
+    from ...files.shipped import CATEGORIES, named_checkpoint
     from ...report.network_chart import LABELS, draw_network_study
     from ...report.table import text_table
     from ...studies.material import Source
     from ...studies.network import study_network
     from ...studies.parts import SPLIT
 
-    source = Source(meshes, split_file or SPLIT, seed=seed, categories=categories or ("chair", "car", "airplane"))
+    source = Source(meshes, split_file or SPLIT, seed=seed, categories=categories or CATEGORIES)
     record = study_network(named_checkpoint(checkpoint), source, Reporter())
     keep(record, output, draw_network_study, overwrite)
     if as_json:
