@@ -454,6 +454,19 @@ def test_joint_training_at_the_command_line_takes_each_data_set_by_its_own_split
     assert document["training_set"] == "boxes: 1 objects" and document["supervision"] == "joint"
 
 
+def test_data_without_points_are_trained_on_by_their_masks_and_not_judged(
+    thin: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bare = TrainingData([replace(item, target=None) for item in make_objects(2)], "boxes without points")
+    monkeypatch.setattr("tso_cli.commands.train.load", lambda wanted, quiet: bare)
+    common = [tmp_path, "--steps", 2, "--batch-size", 2, "--points", 32, "--views", 2]
+    assert run(*common, "-o", tmp_path / "a.safetensors", "--supervision", "masks") == 0
+    assert "2 steps" in capsys.readouterr().out
+    assert run(*common, "-o", tmp_path / "b.safetensors") == 2
+    assert "box0: has no points to learn from" in capsys.readouterr().err
+    assert not (tmp_path / "b.safetensors").exists()
+
+
 def test_ctrl_c_at_the_command_line_is_130_and_resume_goes_on(
     thin: None, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -193,7 +193,8 @@ def command(
         processes.wait()
         wanted = Wanted(data, split_file, categories, strict, crop_share, background, behind)
         training = load(wanted, quiet=not processes.first)
-        masked = load(Wanted(mask_data, mask_split, (), strict, crop_share, background)) if mask_data else None
+        of_masks = Wanted(mask_data, mask_split, (), strict, crop_share, background)
+        masked = load(of_masks, quiet=not processes.first) if mask_data else None
         state = _begin(training, config, output, initial, resume, quiet=not processes.first)
         prepared, begun = time.perf_counter(), state.step
         result = _run(training, masked, config, state, processes, output, log_file, checkpoint_every)
@@ -309,8 +310,10 @@ def _document(
         "loss": float(last[0]),
         "lambda_dropped_at": result.lambda_dropped_at,
         "training_set": training.description,
-        "chamfer_training": judged(training),
     }
+    # Masks may be all there is to learn from.
+    if training.has_targets():
+        document["chamfer_training"] = judged(training)
     if on_examples:
         document["chamfer_unseen_examples"] = judged(shipped_examples(training.crop_share, training.background))
     document |= {
