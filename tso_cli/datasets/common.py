@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import overload
+from typing import TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from ..files.reading import read_bytes, shown
 from ..geometry import Array, farthest_point_sample, sample_surface
 from .items import Dataset, Floats, ObjectItem, ViewItem
 
+Known = TypeVar("Known")
+"""What a reader knows of the views of one model."""
 Progress = Callable[[int, int, str], None]
 """Called with how much is done, of how much, and a note."""
 
@@ -106,6 +108,46 @@ def require_folder(folder: Path, what: str) -> None:
 def models_in(folder: Path, apart_from: str = "") -> list[tuple[str, list[str]]]:
     """Category folders of ``folder``, each with the names of its model folders, all sorted."""
     return [(category, listed(folder / category)[0]) for category in listed(folder)[0] if category != apart_from]
+
+
+def objects_of(
+    folder: Path,
+    skipped: Skipped,
+    progress: Progress | None,
+    look: Callable[[str], Known],
+    pictures: Callable[[str, Known], Iterable[Path]],
+    build: Callable[[str, Known, tuple[int, int]], tuple[LazyViews, Callable[[], Floats] | None]],
+    apart_from: str = "",
+) -> list[ObjectItem]:
+    """The models of ``folder``/SYNSET/MODEL, named so; those that cannot be used are noted in ``skipped``.
+
+    Parameters
+    ----------
+    look : what is known of a model's views; InputError where it cannot be used.
+    pictures : those of a model whose size is that of all pictures of its category.
+    build : views and target of a model whose pictures are of a size (width, height).
+    apart_from : a folder that is no category.
+    """
+    objects, done = [], 0
+    categories = models_in(folder, apart_from)
+    total = sum(len(models) for _, models in categories)
+    for category, models in categories:
+        found: list[tuple[str, Known]] = []
+        for model in models:
+            name, done = f"{category}/{model}", done + 1
+            try:
+                found.append((name, look(name)))
+            except InputError as error:
+                skipped.add(name, str(error))
+            if progress is not None:
+                progress(done, total, name)
+        size = first_size(path for name, known in found for path in pictures(name, known))
+        for name, known in found:
+            if size is None:
+                skipped.add(name, f"{folder / name}: no picture of the category can be read")
+                continue
+            objects.append(ObjectItem(name, SYNSETS.get(category, category), *build(name, known, size)))
+    return objects
 
 
 def cloud_folder(beside: Path) -> Path | None:

@@ -31,13 +31,15 @@ from ..errors import InputError
 from ..files.images import read_image
 from ..files.reading import read_bytes, shown
 from . import common
-from .items import Dataset, Floats, ObjectItem, Pixels, ViewItem
+from .items import Dataset, Floats, Pixels, ViewItem
 
 RENDERED, VOXELS = "ShapeNetRendering", "ShapeNetVox32"
 PICTURES = "rendering"
 TABLE, LIST = "rendering_metadata.txt", "renderings.txt"
 FARTHEST = 1.75
 LENS_MM, SENSOR_MM = 35.0, 32.0
+# File names of a model's pictures, and a row of the table for each.
+Views = tuple[list[str], Array]
 _PICTURE = re.compile(r"([0-9]{2,9})\.png")
 
 
@@ -71,32 +73,24 @@ def open_r2n2(folder: Path | str, strict: bool = False, progress: common.Progres
         target_of = partial(_file_and_reader, clouds, common.CLOUD, common.cloud_target)
     elif voxels.is_dir():
         target_of = partial(_file_and_reader, voxels, "model.binvox", voxel_target)
-    skipped, objects, done = common.Skipped(strict), [], 0
-    categories = common.models_in(root)
-    total = sum(len(models) for _, models in categories)
-    for category, models in categories:
-        found = []
-        for model in models:
-            name, done = f"{category}/{model}", done + 1
-            try:
-                if target_of is not None and not target_of(name)[0].is_file():
-                    raise InputError(f"{target_of(name)[0]}: does not exist, expected the shape of this object")
-                found.append((name, *_views_of(root / name / PICTURES, name, skipped)))
-            except InputError as error:
-                skipped.add(name, str(error))
-            if progress is not None:
-                progress(done, total, name)
-        size = common.first_size(_pictures(root, found))
-        for name, files, rows in found:
-            if size is None:
-                skipped.add(name, f"{root / name}: no picture of the category can be read")
-                continue
-            views = common.LazyViews(len(files), partial(_view, str(root / name / PICTURES), files, rows, size))
-            target = None
-            if target_of is not None:
-                path, read = target_of(name)
-                target = partial(read, str(path))
-            objects.append(ObjectItem(name, common.SYNSETS.get(category, category), views, target))
+    skipped = common.Skipped(strict)
+
+    def look(name: str) -> Views:
+        if target_of is not None and not target_of(name)[0].is_file():
+            raise InputError(f"{target_of(name)[0]}: does not exist, expected the shape of this object")
+        return _views_of(root / name / PICTURES, name, skipped)
+
+    def pictures(name: str, known: Views) -> Iterator[Path]:
+        return (root / name / PICTURES / file for file in known[0])
+
+    def build(name: str, known: Views, size: tuple[int, int]) -> tuple[common.LazyViews, Callable[[], Floats] | None]:
+        views = common.LazyViews(len(known[0]), partial(_view, str(root / name / PICTURES), *known, size))
+        if target_of is None:
+            return views, None
+        path, read = target_of(name)
+        return views, partial(read, str(path))
+
+    objects = common.objects_of(root, skipped, progress, look, pictures, build)
     described = f"{root.resolve().name} (renders of 3D-R2N2)"
     return common.finished(objects, described, skipped, f"SYNSET/MODEL/{PICTURES} with 00.png and {TABLE}")
 
@@ -133,7 +127,7 @@ def _file_and_reader(folder: Path, file: str, read: Callable[[str], Floats], nam
     return folder / name / file, read
 
 
-def _views_of(folder: Path, name: str, skipped: common.Skipped) -> tuple[list[str], Array]:
+def _views_of(folder: Path, name: str, skipped: common.Skipped) -> Views:
     """File names of the usable pictures of a model, and the first four columns of the table for each [V, 4]."""
     if not folder.is_dir():
         raise InputError(f"{folder}: does not exist, expected the pictures of this object")
@@ -163,12 +157,6 @@ def _views_of(folder: Path, name: str, skipped: common.Skipped) -> tuple[list[st
     if not kept:
         raise InputError(f"{folder}: none of its {len(numbered)} pictures can be used")
     return kept, np.array(chosen)
-
-
-def _pictures(root: Path, found: list[tuple[str, list[str], Array]]) -> Iterator[Path]:
-    for name, files, _ in found:
-        for file in files:
-            yield root / name / PICTURES / file
 
 
 def _view(folder: str, files: list[str], rows: Array, size: tuple[int, int], index: int) -> ViewItem:

@@ -20,7 +20,7 @@ The renderer writes tilt 0 and distance 2 into columns 3 and 4. The distance is 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -31,11 +31,13 @@ from ..camera import CANONICAL_DISTANCE, Array, Camera
 from ..errors import InputError
 from ..files.images import read_image
 from . import common
-from .items import Dataset, Floats, ObjectItem, Pixels, ViewItem
+from .items import Dataset, Floats, Pixels, ViewItem
 
 RENDERED = "ShapeNet_rendered"
 SPLITS = "splits"
 BACKGROUND = 254
+# Numbers of a model's pictures, and azimuth, elevation, distance of each.
+Views = tuple[NDArray[np.int32], Array]
 _PICTURE = re.compile(r"render_(0|[1-9][0-9]{0,8})\.png")
 # (a, b, c) of the cloud -> p; X -> OpenCV axes.
 _CLOUD_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -64,30 +66,22 @@ def open_shapenet(folder: Path | str, strict: bool = False, progress: common.Pro
     root = Path(folder)
     if not (root / RENDERED).is_dir() and root.resolve().name == RENDERED:
         root = root.resolve().parent
-    common.require_folder(root / RENDERED, "the pictures of the ShapeNet models")
+    models = root / RENDERED
+    common.require_folder(models, "the pictures of the ShapeNet models")
     clouds = common.cloud_folder(root)
-    skipped, objects, done = common.Skipped(strict), [], 0
-    categories = common.models_in(root / RENDERED, apart_from=SPLITS)
-    total = sum(len(models) for _, models in categories)
-    for category, models in categories:
-        found = []
-        for model in models:
-            name, done = f"{category}/{model}", done + 1
-            try:
-                found.append((name, *_views_of(root / RENDERED / name, name, clouds, skipped)))
-            except InputError as error:
-                skipped.add(name, str(error))
-            if progress is not None:
-                progress(done, total, name)
-        size = common.first_size(_depths(root, found))
-        for name, numbers, angles in found:
-            if size is None:
-                skipped.add(name, f"{root / RENDERED / name}: no picture of the category can be read")
-                continue
-            build = partial(_view, str(root / RENDERED / name), numbers, angles, size)
-            target = None if clouds is None else partial(common.cloud_target, str(clouds / name / common.CLOUD))
-            views = common.LazyViews(len(numbers), build)
-            objects.append(ObjectItem(name, common.SYNSETS.get(category, category), views, target))
+    skipped = common.Skipped(strict)
+
+    def depths(name: str, known: Views) -> Iterator[Path]:
+        return (models / name / f"depth_{number}.png" for number in known[0].tolist())
+
+    def build(name: str, known: Views, size: tuple[int, int]) -> tuple[common.LazyViews, Callable[[], Floats] | None]:
+        views = common.LazyViews(len(known[0]), partial(_view, str(models / name), *known, size))
+        return views, None if clouds is None else partial(common.cloud_target, str(clouds / name / common.CLOUD))
+
+    def look(name: str) -> Views:
+        return _views_of(models / name, name, clouds, skipped)
+
+    objects = common.objects_of(models, skipped, progress, look, depths, build, apart_from=SPLITS)
     described = f"{root.resolve().name} (ShapeNet of the CAPNet authors)"
     return common.finished(objects, described, skipped, f"{RENDERED}/SYNSET/MODEL with render_0.png, depth_0.png, view.txt")
 
@@ -109,7 +103,7 @@ def shapenet_camera(azimuth: float, elevation: float, size: tuple[int, int], dis
     return Camera(K, rotation, np.array([0.0, 0.0, distance]), *size)
 
 
-def _views_of(folder: Path, name: str, clouds: Path | None, skipped: common.Skipped) -> tuple[NDArray[np.int32], Array]:
+def _views_of(folder: Path, name: str, clouds: Path | None, skipped: common.Skipped) -> Views:
     """Numbers [V] of the usable pictures of a model, and azimuth, elevation, distance of each [V, 3]."""
     files = common.listed(folder)[1]
     numbers = sorted(int(match[1]) for match in map(_PICTURE.fullmatch, files) if match)
@@ -137,12 +131,6 @@ def _views_of(folder: Path, name: str, clouds: Path | None, skipped: common.Skip
     if not kept:
         raise InputError(f"{folder}: none of its {len(numbers)} pictures can be used")
     return np.array(kept, dtype=np.int32), np.array(angles)
-
-
-def _depths(root: Path, found: list[tuple[str, NDArray[np.int32], Array]]) -> Iterator[Path]:
-    for name, numbers, _ in found:
-        for number in numbers.tolist():
-            yield root / RENDERED / name / f"depth_{number}.png"
 
 
 def _view(folder: str, numbers: NDArray[np.int32], angles: Array, size: tuple[int, int], index: int) -> ViewItem:
