@@ -15,10 +15,11 @@ from tso_cli.studies.other_projections import (
     bce_gradient,
     depth_loss,
     depth_map,
-    train_projected,
+    first_gradients,
+    projected_objective,
 )
 from tso_cli.studies.other_projections import silhouette_sums as plain_sums
-from tso_cli.train import train
+from tso_cli.train import start, train
 from tso_cli.train.batches import Drawing, draw_batch
 from tso_cli.train.data import TrainingData
 from tso_cli.train.losses import mask_loss
@@ -119,14 +120,14 @@ def weights(network: torch.nn.Module) -> dict[str, torch.Tensor]:
     return dict(network.state_dict())
 
 
-def test_the_loop_of_the_comparison_trains_as_the_real_one_does(thin, data):
+def test_the_objective_of_the_comparison_trains_as_the_real_one_does(thin, data):
     """With the paper's projection it gives the very same network: nothing but the projection differs."""
     settings = config(supervision="masks", frame="canonical", averaging=0.9, learning_rate=1e-3)
-    other, dropped, _ = train_projected(data, settings, GAUSSIAN)
+    other = train(data, settings, objective=projected_objective(settings, GAUSSIAN))
     result = train(data, settings)
     for name, tensor in weights(result.network).items():
-        assert torch.equal(tensor, weights(other)[name]), name
-    assert dropped == result.lambda_dropped_at
+        assert torch.equal(tensor, weights(other.network)[name]), name
+    assert other.lambda_dropped_at == result.lambda_dropped_at
 
 
 def test_the_hook_of_the_mask_loss_changes_nothing_for_our_own_sums(data):
@@ -180,11 +181,12 @@ def test_the_depth_map_of_the_truth_fills_the_mask_of_its_view(data):
 @pytest.mark.parametrize("projection", [PLAIN, DEPTH])
 def test_training_through_a_discrete_projection_lowers_what_it_still_can(thin, data, projection):
     settings = config(supervision="masks", frame="canonical", steps=30, learning_rate=1e-3, points=128, saturation_steps=500)
-    network, _, extra = train_projected(data, settings, projection)
-    before, _, _ = train_projected(data, config(**{**vars(settings), "steps": 1, "learning_rate": 1e-9}), projection)
+    network = train(data, settings, objective=projected_objective(settings, projection)).network
+    before = start(data, settings).network
     batch = draw_batch(data, Drawing(9, 3, "canonical", 2), 0)
     images = torch.from_numpy(batch.images)
     with torch.no_grad():
         losses = [mask_loss(net(images), batch, 0.4, 1.0, "points")[2] for net in (before, network)]
     assert losses[1] < 0.7 * losses[0]
-    assert extra["bce_gradient"]["own"] == 0.0 < extra["bce_gradient"][GAUSSIAN]
+    gradients = first_gradients(data, settings)
+    assert gradients["own"] == 0.0 < gradients[GAUSSIAN]

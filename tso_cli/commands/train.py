@@ -297,9 +297,9 @@ def _document(
     from ..train.sources import shipped_examples
     from ..train.state import state_path
 
-    def judged(data: TrainingData) -> dict[str, float]:
-        forward, backward = evaluate(result.network, data, config.frame)
-        return {"forward": forward, "backward": backward, "chamfer": forward + backward}
+    def judged(data: TrainingData) -> dict[str, float | int]:
+        forward, backward, shapes = evaluate(result.network, data, config.frame)
+        return {"forward": forward, "backward": backward, "chamfer": forward + backward, "shapes": shapes}
 
     last = result.history[-100:].mean(0)
     document: dict[str, Any] = {
@@ -336,9 +336,9 @@ def _print_result(document: dict[str, Any]) -> None:
     click.echo(f"{document['output']}: {document['steps']} steps in {seconds['train']:.0f} s, {document['training_set']}")
     for key, label in (("chamfer_training", "training shapes"), ("chamfer_unseen_examples", "unseen examples")):
         if key in document:
-            values = {name: 1000.0 * value for name, value in document[key].items()}
+            values = {name: 1000.0 * document[key][name] for name in ("forward", "backward", "chamfer")}
             click.echo(
-                f"Chamfer x1000, {label}: {values['chamfer']:.2f} "
+                f"Chamfer x1000, {document[key]['shapes']} {label}: {values['chamfer']:.2f} "
                 f"(forward {values['forward']:.2f}, backward {values['backward']:.2f})"
             )
     speed = document["images_per_second"]

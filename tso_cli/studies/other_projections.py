@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import torch
 from torch import Tensor
 
-from ..errors import TsoError
 from ..kernels.discrete import UPSAMPLING, discrete_depth, discrete_mask
-from ..network import BaseNetwork
 from ..projection import CameraBatch, Projected, project
 from ..train import TrainConfig, start
-from ..train.batches import Batch, Drawing, draw_batch
+from ..train.batches import Batch
 from ..train.data import TrainingData
-from ..train.loop import images_of
+from ..train.loop import Objective, draw_step, images_of
 from ..train.losses import Silhouette, mask_loss
+from ..train.processes import Processes
 
 GAUSSIAN, PLAIN, DEPTH = "gaussian", "plain", "depth"
 PROJECTIONS = (PLAIN, DEPTH)
@@ -69,54 +65,29 @@ def bce_gradient(points: Tensor, batch: Batch, sigma_sq: float, silhouette: Silh
     return 0.0 if gradient is None else float(gradient.square().sum(-1).mean().sqrt())
 
 
-def train_projected(
-    data: TrainingData, config: TrainConfig, projection: str, progress: Callable[[int, int, str], None] | None = None
-) -> tuple[BaseNetwork, int | None, dict[str, Any]]:
-    """As `train.train` with masks, but with another projection; the same start, the same draws, the same affinity loss.
+def projected_objective(config: TrainConfig, projection: str) -> Objective:
+    """The loss of training with masks through another projection; the affinity loss works on the points themselves.
 
     Parameters
     ----------
-    projection : "plain", the discretised one: BCE has no gradient, so that all that moves points is the affinity loss, which
-        works on the points themselves. "depth", Lin et al.'s: the same, and the L1 loss of depth maps, made of the targets,
-        moves points toward and away from the camera. "gaussian", the paper's, is what `train.train` does.
-
-    Returns
-    -------
-    The network, the step after which lambda dropped, and {"bce_gradient": at the first step, with this projection and ours}.
+    projection : "plain", the discretised one: BCE has no gradient, so that all that moves points is the affinity loss.
+        "depth", Lin et al.'s: the same, and the L1 loss of depth maps, made of the targets, moves points toward and away from
+        the camera. "gaussian", the paper's, is what `train.train` has by itself.
     """
     silhouette = None if projection == GAUSSIAN else silhouette_sums
-    state = start(data, config)
-    device = next(state.network.parameters()).device
-    drawing = Drawing(
-        config.seed,
-        config.batch_size,
-        config.frame,
-        config.views,
-        targets=projection == DEPTH,
-        balance=config.balance,
-        augment=config.augment,
-    )
-    gradients: dict[str, float] = {}
-    while state.step < config.steps:
-        batch = draw_batch(data, drawing, state.step)
-        weight = state.schedule.weight
-        points = state.network(images_of(batch, device))
-        if not gradients:
-            gradients["own"] = bce_gradient(points, batch, config.sigma_sq, silhouette)
-            gradients[GAUSSIAN] = bce_gradient(points, batch, config.sigma_sq, None)
+
+    def objective(points: Tensor, batch: Batch, weight: float) -> tuple[Tensor, float, float]:
         loss, bce, outliers = mask_loss(points, batch, config.sigma_sq, weight, config.affinity, silhouette)
-        if projection == DEPTH:
-            loss = loss + depth_loss(points, batch)
-        value = float(loss.detach())
-        if not torch.isfinite(loss):
-            raise TsoError(f"the loss became {value} in step {state.step + 1} (projection {projection})")
-        state.optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        state.optimiser.step()
-        state.history.append((value, bce, outliers, weight))
-        state.update_average(config.averaging)
-        state.schedule.observe(value, state.step)
-        if progress:
-            progress(state.step, config.steps, f"loss {value:.4g}")
-    network = state.averaged().cpu().to(memory_format=torch.contiguous_format).eval()  # type: ignore[call-overload]
-    return network, state.schedule.dropped_at, {"bce_gradient": gradients}
+        return (loss + depth_loss(points, batch) if projection == DEPTH else loss), bce, outliers
+
+    return objective
+
+
+def first_gradients(data: TrainingData, config: TrainConfig) -> dict[str, float]:
+    """`bce_gradient` at the first step of a training: "own", of a discrete projection, and "gaussian", of the paper's."""
+    state = start(data, config)
+    batch = draw_step(data, None, config, Processes(), 0)[0]
+    with torch.no_grad():
+        points = state.network(images_of(batch, next(state.network.parameters()).device))
+    named = {"own": silhouette_sums, GAUSSIAN: None}
+    return {name: bce_gradient(points, batch, config.sigma_sq, silhouette) for name, silhouette in named.items()}

@@ -14,10 +14,11 @@ from ..files.reading import shown
 from ..network import BaseNetwork, NetworkConfig
 from ..train import TrainConfig, network_config, train
 from ..train.data import TrainingData
+from ..train.loop import Objective
 from ..train.state import TrainingState, load_training, save_training, state_path
 from .judging import CONVENTION, JUDGED_VIEWS, Predicted, judge, predict
 from .material import ALL, TEST_VIEWS, TRAINING_VIEWS, Material, Source
-from .other_projections import DEPTH, GAUSSIAN, train_projected
+from .other_projections import DEPTH, GAUSSIAN, first_gradients, projected_objective
 from .protocol import Report
 
 Record = dict[str, Any]
@@ -173,10 +174,11 @@ def _run(
 
     extra: Record = {}
     start = time.perf_counter()
-    if setting.projection == GAUSSIAN:
-        network, dropped = _trained(data, config, unfinished, progress)
-    else:
-        network, dropped, extra = train_projected(data, config, setting.projection, progress)
+    objective = None
+    if setting.projection != GAUSSIAN:
+        objective = projected_objective(config, setting.projection)
+        extra["bce_gradient"] = first_gradients(data, config)
+    network, dropped = _trained(data, config, unfinished, progress, objective)
     seconds = time.perf_counter() - start
     unseen = material.data(setting.category, False)
     predicted = predict(network, unseen, config.frame)
@@ -203,7 +205,11 @@ def _run(
 
 
 def _trained(
-    data: TrainingData, config: TrainConfig, unfinished: Path | None, progress: Callable[[int, int, str], None]
+    data: TrainingData,
+    config: TrainConfig,
+    unfinished: Path | None,
+    progress: Callable[[int, int, str], None],
+    objective: Objective | None,
 ) -> tuple[BaseNetwork, int | None]:
     """The trained network, gone on with where its state lies beside ``unfinished``; and when lambda dropped."""
     state: TrainingState | None = None
@@ -221,7 +227,7 @@ def _trained(
         if unfinished is not None and current.step < config.steps:
             save_training(unfinished, current, described)
 
-    result = train(data, config, state, progress=progress, save=save, save_every=SAVE_EVERY)
+    result = train(data, config, state, objective=objective, progress=progress, save=save, save_every=SAVE_EVERY)
     if result.stop_reason == "interrupted":
         raise KeyboardInterrupt
     return result.network, result.lambda_dropped_at

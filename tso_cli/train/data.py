@@ -23,6 +23,8 @@ from .backgrounds import Backgrounds
 Floats = NDArray[np.float32]
 # Prepared views kept in memory, 16 KiB each; the rest is read again when it is needed.
 CACHE_BYTES = 1 << 30
+# Objects whose first picture tells whether a resumed run sees the same data.
+FINGERPRINTED = 16
 
 
 class TrainingData:
@@ -57,7 +59,8 @@ class TrainingData:
         for item in objects:
             if not item.views:
                 raise InputError(f"{item.name}: has no view, expected at least one")
-            _require_perspective(item.views[0].name, item.views[0].camera)
+        first = objects[0].views[0]  # the others when they are loaded: a camera may take reading a model
+        _require_perspective(first.name, first.camera)
         self.objects, self.description = objects, description
         if backgrounds is not None and background != "keep":
             raise InputError(f"backgrounds with background {background!r}, expected 'keep': they stay in the picture")
@@ -72,15 +75,23 @@ class TrainingData:
         self._lock = threading.Lock()
 
     def fingerprint(self) -> str:
-        """Changes when the objects or their first cameras do: a resumed run must see the same data."""
+        """Changes when the objects do, or the first view of a few of them: a resumed run must see the same data."""
         behind = self.backgrounds.source if self.backgrounds else ""
         digest = hashlib.sha256(f"{self.crop_share}/{self.background}/{behind}".encode())
         for item in self.objects:
             digest.update(f"{item.name}/{len(item.views)}".encode())
-            camera = item.views[0].camera
-            for matrix in (camera.K, camera.R, camera.t):
-                digest.update(matrix.tobytes())
+        for index in self.spread(FINGERPRINTED):
+            try:
+                first = self.prepared(index, 0)
+            except InputError:
+                continue  # left out, or an error, when its turn comes
+            for array in (first.image, first.mask, first.camera.K, first.camera.R, first.camera.t):
+                digest.update(array.tobytes())
         return digest.hexdigest()[:16]
+
+    def spread(self, most: int) -> list[int]:
+        """Indices of at most ``most`` objects, evenly from the first to the last."""
+        return np.unique(np.linspace(0, len(self.objects) - 1, min(most, len(self.objects))).round().astype(int)).tolist()
 
     def has_targets(self) -> bool:
         """Whether every object knows points of its surface."""

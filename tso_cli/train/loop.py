@@ -30,8 +30,12 @@ from .losses import AffinitySchedule, mask_loss_by_category, point_loss
 from .processes import Processes
 from .state import TrainingState, new_state
 
+# A training ends with a judgement of this many of its objects: of thousands it would take minutes.
+JUDGED_OBJECTS = 256
 Progress = Callable[[int, int, str], None]
 Save = Callable[[TrainingState, NetworkConfig], None]
+# From clouds [B, N, 3], their batch and lambda: the loss and two parts of it for the record.
+Objective = Callable[[Tensor, Batch, float], tuple[Tensor, float, float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +100,7 @@ def train(
     state: TrainingState | None = None,
     *,
     masked: TrainingData | None = None,
+    objective: Objective | None = None,
     processes: Processes | None = None,
     progress: Progress | None = None,
     save: Save | None = None,
@@ -107,6 +112,7 @@ def train(
     ----------
     state : where to go on (`state.load_training`); None starts anew.
     masked : the images of which each has one mask alone ("joint" only).
+    objective : a loss in place of that of supervision with masks; its batches hold the targets too.
     processes : those that train together; the step, and all that is random in it, is the same for any number of them.
     progress : called after every step with (step, steps, note).
     save : called with the state every ``save_every`` steps (0: never) and at the end, in the first process.
@@ -129,7 +135,7 @@ def train(
         save = progress = None
 
     def draw(step: int) -> list[Batch]:
-        return draw_step(data, masked, config, processes, step)
+        return draw_step(data, masked, config, processes, step, targets=objective is not None)
 
     with _interrupt_flag() as interrupted, _ahead(draw, state.step, config.steps, config.workers) as next_batches:
         while state.step < config.steps and not processes.any(interrupted(), device):
@@ -137,7 +143,11 @@ def train(
             weight = state.schedule.weight if config.supervision != "points" else 0.0
             with torch.autocast(device.type, torch.bfloat16, enabled=config.precision == "bfloat16"):
                 clouds = [state.network(images_of(batch, device)) for batch in batches]
-            loss, first, second = batch_loss([cloud.float() for cloud in clouds], batches, config, weight)
+            clouds = [cloud.float() for cloud in clouds]
+            if objective:
+                loss, first, second = objective(clouds[0], batches[0], weight)
+            else:
+                loss, first, second = batch_loss(clouds, batches, config, weight)
             state.optimiser.zero_grad(set_to_none=True)
             loss.backward()
             row = torch.tensor([float(loss.detach()), first, second], dtype=torch.float64, device=device)
@@ -197,14 +207,22 @@ def _require_data(data: TrainingData, masked: TrainingData | None, config: Train
 
 
 def draw_step(
-    data: TrainingData, masked: TrainingData | None, config: TrainConfig, processes: Processes, step: int
+    data: TrainingData,
+    masked: TrainingData | None,
+    config: TrainConfig,
+    processes: Processes,
+    step: int,
+    targets: bool = False,
 ) -> list[Batch]:
-    """This process's share of a step: one batch, or with "joint" one with points and one with masks."""
+    """This process's share of a step: one batch, or with "joint" one with points and one with masks.
+
+    Batches for masks hold the ``targets`` where they are asked for.
+    """
     part = (processes.rank, processes.count)
     size = config.batch_size // (2 if masked else 1)
     drawing = Drawing(config.seed, size, config.frame, balance=config.balance, augment=config.augment)
     if config.supervision == "masks":
-        return [draw_batch(data, replace(drawing, views=config.views, targets=False), step, part)]
+        return [draw_batch(data, replace(drawing, views=config.views, targets=targets), step, part)]
     batches = [draw_batch(data, drawing, step, part)]
     if masked:
         batches.append(draw_batch(masked, replace(drawing, views=1, own_view=True, targets=False), step, part))
@@ -248,21 +266,25 @@ def _ahead(draw: Callable[[int], list[Batch]], first: int, steps: int, workers: 
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def evaluate(network: BaseNetwork, data: TrainingData, frame: str, views: int = 4) -> tuple[float, float]:
+def evaluate(
+    network: BaseNetwork, data: TrainingData, frame: str, views: int = 4, most: int = JUDGED_OBJECTS
+) -> tuple[float, float, int]:
     """Chamfer distance (forward, backward; squared, mean over points, not multiplied) of predictions to the targets.
 
-    The mean over all objects and the first ``views`` views of each; clouds are compared as they are, longest side 1.
+    The mean over the first ``views`` views of at most ``most`` objects, evenly spread over all; clouds are compared as they
+    are, longest side 1. The third value is the number of objects.
     """
     totals = []
     device = next(network.parameters()).device
     with torch.no_grad():
-        for index, item in enumerate(data.objects):
-            batch = assemble(data, [Draw(index, view) for view in range(min(views, len(item.views)))], frame)
+        for index in data.spread(most):
+            count = min(views, len(data.objects[index].views))
+            batch = assemble(data, [Draw(index, view) for view in range(count)], frame)
             points = network(torch.as_tensor(batch.images, device=device))
             forward, backward = chamfer(points, torch.as_tensor(np.stack(batch.targets), device=device))
             totals.append((float(forward.mean()), float(backward.mean())))
     forward_mean, backward_mean = np.mean(totals, axis=0)
-    return float(forward_mean), float(backward_mean)
+    return float(forward_mean), float(backward_mean), len(totals)
 
 
 @contextmanager
