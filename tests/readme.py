@@ -68,12 +68,17 @@ def points_table(record: dict) -> str:
 def network_table(record: dict) -> str:
     """The base network and its rivals as Markdown."""
     names = {"network": "network", "mean_view": "mean, view", "mean_aligned": "mean, aligned", "nearest": "nearest"}
-    rows = ["| list | category | shapes | " + " | ".join(names.values()) + " | network / mean, view | network / nearest |"]
-    rows.append("|---" * (len(names) + 5) + "|")
+    ratios = {"over_mean_view": "mean, view", "over_mean_aligned": "mean, aligned", "over_nearest": "nearest"}
+    rows = [
+        "| list | category | shapes | "
+        + " | ".join([*names.values(), *(f"network / {label}" for label in ratios.values())])
+        + " |"
+    ]
+    rows.append("|---" * (len(names) + 6) + "|")
     for part, summary in record["summary"].items():
         for category, own in summary.items():
             values = [f"{1e3 * own[name]:.2f}" for name in names]
-            values += [f"{own['over_mean_view']:.2f}", f"{own['over_nearest']:.2f}"]
+            values += [f"{own[name]:.2f}" for name in ratios]
             rows.append(f"| {part} | {category} | {own['shapes']} | " + " | ".join(values) + " |")
     return "\n".join(rows)
 
@@ -82,32 +87,38 @@ def variants_table(record: dict) -> str:
     """The paper's table of test-stage optimisation, ours and theirs, as Markdown."""
     names = {"before": "before", "encoder": "E", "encoder-decoder": "E and D", "points": "p"}
     rows = [
-        "| shapes | variant | forward | backward | sum | after / before | made worse | visible | occluded | IoU | seconds |"
+        "| shapes | variant | forward | backward | sum | after / before | 95 % interval | unscaled | made worse | visible | "
+        "occluded | IoU | seconds |"
     ]
-    rows.append("|---" * 11 + "|")
+    rows.append("|---" * 13 + "|")
     for category, summary in record["summary"].items():
         for name, label in names.items():
             own = summary["capnet"][name]
             cells = [f"{category}, {summary['shapes']}", label]
             cells += [f"{1e3 * own[key]:.2f}" for key in ("forward", "backward", "chamfer")]
-            cells += [f"{own['ratio_of_means']:.3f}", f"{own['worse']} of {summary['cases']}"] if name != "before" else ["", ""]
+            if name == "before":
+                cells += [""] * 4
+            else:
+                cells += [f"{own['ratio_of_means']:.3f}", " to ".join(f"{end:.3f}" for end in own["interval"])]
+                cells += [f"{summary['plain'][name]['ratio_of_means']:.3f}", f"{own['worse']} of {summary['cases']}"]
             cells += [f"{1e3 * own[key]:.2f}" for key in ("visible", "occluded")]
             cells += [f"{summary['iou'][name]:.3f}", f"{summary['median_seconds'][name]:.2f}" if name != "before" else ""]
             rows.append("| " + " | ".join(cells) + " |")
     for name, label in names.items():
         forward, backward, total = record["paper"][name]
         ratio = "" if name == "before" else f"{total / record['paper']['before'][2]:.3f}"
-        rows.append(f"| *the paper* | {label} | {forward:.2f} | {backward:.2f} | {total:.2f} | {ratio} | | | | | |")
+        rows.append(f"| *the paper* | {label} | {forward:.2f} | {backward:.2f} | {total:.2f} | {ratio} | | | | | | | |")
     return "\n".join(rows)
 
 
 def settings_table(record: dict) -> str:
-    """What networks trained with different settings reached, as Markdown."""
+    """What networks trained with different settings reached, and in the paper, as Markdown."""
     flat = {setting: _flat(own) for setting, own in record["summary"].items()}
     columns = list(dict.fromkeys(key for own in flat.values() for key in own))
+    flat |= {f"*{setting}, the paper*": _flat(own) for setting, own in record["paper"].items()}
     rows = ["| | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
     for setting, own in flat.items():
-        cells = ["" if own.get(key) is None else f"{own[key]:.3g}" for key in columns]
+        cells = ["" if own.get(key) is None else f"{own[key]:.2f}" for key in columns]
         rows.append(f"| {setting} | " + " | ".join(cells) + " |")
     return "\n".join(rows)
 

@@ -95,13 +95,6 @@ def test_models_are_read_once_and_only_when_needed(
     assert len(reads) == 1
 
 
-def test_an_object_can_be_a_single_photo(tmp_path: Path, entries: list[dict[str, Any]]) -> None:
-    data = open_pix3d(tmp_path, by_picture=True)
-    assert [item.name for item in data.objects] == ["chair/0000", "chair/0001", "chair/0002"]
-    assert [len(item.views) for item in data.objects] == [1, 1, 1]
-    assert agreement(data.objects[2]) > 0.75
-
-
 def test_views_can_go_to_another_process(tmp_path: Path, entries: list[dict[str, Any]]) -> None:
     view = pickle.loads(pickle.dumps(open_pix3d(tmp_path).objects[0].views))[1]
     np.testing.assert_array_equal(view.load()[0].shape, (*PIX3D_SIZE[::-1], 3))

@@ -136,6 +136,7 @@ def test_camera_files_are_kept_for_few_objects_at_a_time(folder: Path, monkeypat
     [
         ("target", r"b/target\.ply: does not exist"),
         ("cameras", r"b/cameras\.json: is not"),
+        ("no cameras", r"b/cameras\.json: does not exist"),
         ("mask", r"views\[1\] names no mask"),
     ],
 )
@@ -145,6 +146,8 @@ def test_an_unusable_object_of_a_data_set_is_skipped_or_an_error(folder: Path, w
         (folder / "b/target.ply").unlink()
     elif what == "cameras":
         path.write_text("{")
+    elif what == "no cameras":
+        path.unlink()
     else:
         document = json.loads(path.read_text())
         del document["views"][1]["mask"]

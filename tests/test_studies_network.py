@@ -11,8 +11,9 @@ import pytest
 from tso_cli.cli import main
 from tso_cli.files.checkpoints import save_network
 from tso_cli.network import NetworkConfig, build_network
-from tso_cli.studies import network as study
-from tso_cli.studies.network import TURNS, aligned_mean, mean_shape, nearest_of
+from tso_cli.studies import mean_shape as means
+from tso_cli.studies.mean_shape import TURNS, aligned_mean, mean_shape, pair_chamfer
+from tso_cli.studies.network import nearest_of
 
 from .training import make_thin
 
@@ -25,7 +26,7 @@ def cloud(seed: int, stretch: tuple[float, float, float] = (1.0, 0.6, 0.3)) -> n
 
 def test_the_mean_of_one_shape_is_that_shape() -> None:
     truth = cloud(0)
-    assert study._chamfer(mean_shape([truth] * 4), truth) < 0.2 * study._chamfer(cloud(1), truth)
+    assert pair_chamfer(mean_shape([truth] * 4), truth) < 0.2 * pair_chamfer(cloud(1), truth)
 
 
 def test_the_mean_is_nearer_to_all_than_any_one_of_them() -> None:
@@ -33,7 +34,7 @@ def test_the_mean_is_nearer_to_all_than_any_one_of_them() -> None:
     mean = mean_shape(clouds)
 
     def total(one: np.ndarray) -> float:
-        return sum(study._chamfer(one, other) for other in clouds)
+        return sum(pair_chamfer(one, other) for other in clouds)
 
     assert total(mean) < min(total(one) for one in clouds)
 
@@ -46,7 +47,7 @@ def test_a_shape_that_faces_another_way_is_found_by_its_quarter_turn() -> None:
 
 
 def test_shapes_are_turned_to_each_other_before_their_mean_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(study, "MEAN_STEPS", 60)
+    monkeypatch.setattr(means, "MEAN_STEPS", 60)
     clouds = [cloud(i) @ TURNS[i % 4] for i in range(4)]
     mean, careless = aligned_mean(clouds), mean_shape(clouds)
     assert nearest_of([mean], cloud(9)) < 0.5 * nearest_of([careless], cloud(9))
@@ -57,7 +58,7 @@ def test_the_command_judges_validation_and_test_and_draws_a_chart(
 ) -> None:
     pytest.importorskip("open3d")
     make_thin(monkeypatch)
-    monkeypatch.setattr(study, "MEAN_STEPS", 3)
+    monkeypatch.setattr(means, "MEAN_STEPS", 3)
     checkpoint = tmp_path / "thin.safetensors"
     save_network(checkpoint, build_network(1024), NetworkConfig())
     split = tmp_path / "split.json"

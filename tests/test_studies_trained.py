@@ -17,6 +17,7 @@ from tso_cli.render import look_at
 from tso_cli.studies import affinity, failures, material, supervision, trained, views, weight
 from tso_cli.studies.judging import Predicted, camera_axes, judge, object_axes, predict
 from tso_cli.studies.material import ALL, Material, Source
+from tso_cli.studies.mean_shape import MEAN_SHAPE, constant_answer, pair_chamfer
 from tso_cli.studies.trained import Budget, Keeping, study_networks
 from tso_cli.train.batches import Draw, assemble
 from tso_cli.train.data import TrainingData
@@ -60,7 +61,7 @@ def source(split_file: Path) -> Source:
 
 
 def study(source: Source, keeping: Keeping | None = None, report: Any = None, budget: Budget = BUDGET) -> dict[str, Any]:
-    settings = views.settings(source.categories)[:3]
+    settings = [setting for setting in views.settings(source.categories) if not (setting.constant or setting.repeat)][:3]
     return study_networks("views", source, budget, settings, lambda runs: {"claims": []}, None, keeping, report)
 
 
@@ -243,16 +244,23 @@ def held(record: dict[str, Any]) -> list[bool]:
 
 
 def test_conclusions_follow_from_the_figures():
-    names = (supervision.POINTS, supervision.MASKS, supervision.DISCRETISED, supervision.LIN)
-    runs = [fabricated(name, "car", value) for name, value in zip(names, (2.0, 2.9, 4.0, 3.0), strict=True)]
-    assert held(supervision.conclude(runs)) == [True, True]
+    names = (supervision.POINTS, supervision.MASKS, supervision.DISCRETISED, supervision.LIN, MEAN_SHAPE)
+    runs = [fabricated(name, "car", value) for name, value in zip(names, (2.0, 2.9, 4.0, 3.0, 3.05), strict=True)]
+    assert held(supervision.conclude(runs)) == [True, True, True]
     runs[1] = fabricated(supervision.MASKS, "car", 3.1)
-    assert held(supervision.conclude(runs)) == [False, False]
+    record = supervision.conclude(runs)
+    assert held(record) == [False, False, False]
+    assert record["claims"][0]["found"] == "2.00 and 3.10 against 3.05; not masks on car"
 
     by_count = dict(zip(views.COUNTS, (4.0, 2.0, 2.1, 2.0, 2.0, 2.0, 2.1), strict=True))
-    assert held(views.conclude([fabricated(f"V = {n}", "car", value) for n, value in by_count.items()])) == [True, True]
-    by_count |= {2: 4.1}
-    assert held(views.conclude([fabricated(f"V = {n}", "car", value) for n, value in by_count.items()])) == [False, False]
+    runs = [fabricated(f"V = {n}", "car", value) for n, value in by_count.items()] + [fabricated(MEAN_SHAPE, "car", 5.0)]
+    assert held(views.conclude(runs)) == [True, True, True]
+    # One seed of two masks that is no better than one of one mask is enough to doubt it.
+    record = views.conclude([*runs, fabricated("V = 2, seed + 1", "car", 4.1), fabricated("V = 1, seed + 1", "car", 5.0)])
+    assert held(record) == [False, False, True]
+    assert record["summary"]["car"]["2"] == pytest.approx(3.05) and record["seeds"]["car"]["2"] == pytest.approx([2.0, 4.1])
+    runs[-1] = fabricated(MEAN_SHAPE, "car", 3.9)
+    assert held(views.conclude(runs)) == [True, True, False]
 
     runs = [fabricated(setting.name, "chair", 5.0 + i) for i, setting in enumerate(weight.settings(["chair"]))]
     assert held(weight.conclude(runs)) == [False, False]
@@ -277,6 +285,31 @@ def test_the_failures_show_where_the_figures_say_so():
     planes[0] = fabricated(failures.ALONE_WIDE, "airplane", 2.0, **sizes(1.2))
     cars[0] = fabricated(failures.ONE, "car", 3.0, **errors(0.9e-3))
     assert held(failures.conclude(planes + cars)) == [False, False, False]
+
+
+def test_the_failures_are_asked_of_aeroplanes_or_cars_alone(split_file, tmp_path, capsys):
+    output = tmp_path / "failures.json"
+    with pytest.raises(SystemExit) as stopped:
+        main(
+            ["study", "failures", "--meshes", str(MESHES), "--split", str(split_file), "--category", "chair", "-o", str(output)]
+        )
+    assert stopped.value.code == 2
+    assert "the failures are of airplane and car, found chair, expected one of the two" in capsys.readouterr().err
+    assert not output.exists()
+
+
+def test_the_answer_without_a_network_is_one_cloud_for_all_and_better_than_any_shape_alone(source):
+    data = Material(source)
+    training, judged = data.data("car", True), data.data("car", False)
+    answers = constant_answer(training, judged, "canonical")
+    assert len({shape.points.tobytes() for shape in answers}) == 1 and answers[0].points.shape == (4, 1024, 3)
+    own = [training.target(i) for i in range(len(training.objects))]
+    mean = answers[0].points[0].astype(np.float32)
+    alone = [np.mean([pair_chamfer(one, other) for other in own]) for one in own]
+    assert np.mean([pair_chamfer(mean, other) for other in own]) < min(alone)
+    turned = constant_answer(training, judged, "view")
+    assert not np.allclose(turned[0].points, answers[0].points)
+    np.testing.assert_array_equal(turned[0].points[0], turned[0].points[1])
 
 
 @pytest.mark.parametrize("name", ["supervision", "views", "lambda", "affinity", "failures"])

@@ -268,10 +268,28 @@ def test_a_claim_holds_only_where_the_figures_say_so():
     assert [claim["holds"] for claim in as_in_the_paper] == [True, True, True, True, False]
     hidden_lost = claims(summarise([case_of("car", 1.0, gains, occluded=1.2)]))
     assert [claim["holds"] for claim in hidden_lost][2] is False
-    one_fails = [case_of("car", 9.0, gains | {"encoder": 8.0}), case_of("chair", 1.0, gains | {"encoder": 1.1})]
+    one_fails = [case_of("car", 9.0 + i, gains | {"encoder": 8.0 + i}) for i in range(9)]
+    one_fails.append(case_of("chair", 1.0, gains | {"encoder": 1.1}))
     found = claims(summarise(one_fails))[0]
     assert found["holds"]
     assert "not E on chair" in found["found"]
+
+
+def test_a_gain_that_hangs_on_which_shapes_there_were_does_not_count():
+    gains = {"encoder-decoder": 0.94, "points": 0.97}
+    # On average a gain of 1 %, but of shapes that gain or lose 20 %.
+    cases = [case_of("car", 1.0 + 0.001 * i, gains | {"encoder": 0.79 if i % 2 else 1.19}) for i in range(12)]
+    summary = summarise(cases)
+    low, high = summary["all"]["capnet"]["encoder"]["interval"]
+    assert low < summary["all"]["capnet"]["encoder"]["ratio_of_means"] < 1.0 < high
+    assert not claims(summary)[0]["holds"]
+    assert 0.93 < summary["all"]["capnet"]["encoder-decoder"]["interval"][1] < 0.95
+
+
+def test_the_interval_is_over_shapes_and_not_over_their_views():
+    cases = [case_of("car", 1.0 + 0.001 * i, dict.fromkeys(VARIANTS, 0.8 if i % 2 else 1.1)) for i in range(8)]
+    once, often = (summarise(cases * times)["all"]["capnet"]["points"]["interval"] for times in (1, 5))
+    assert often == pytest.approx(once)
 
 
 def tso(*arguments) -> int:

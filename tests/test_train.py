@@ -297,7 +297,7 @@ def test_a_loss_that_is_no_number_stops_the_training_in_one_line(
     state = start(data, config())
     with torch.no_grad():
         list(state.network.parameters())[-1].fill_(float("nan"))
-    monkeypatch.setattr("tso_cli.train.loop.point_loss", lambda points, batch: (points.sum(), 0.0, 0.0))
+    monkeypatch.setattr("tso_cli.train.step.point_loss", lambda points, batch: (points.sum(), 0.0, 0.0))
     with pytest.raises(TsoError, match=r"became nan in step 1 .*nothing was written"):
         train(data, config(), state)
 
@@ -453,6 +453,31 @@ def test_joint_training_at_the_command_line_takes_each_data_set_by_its_own_split
     assert code == 0
     document = json.loads(capsys.readouterr().out)
     assert document["training_set"] == "boxes: 1 objects" and document["supervision"] == "joint"
+    assert load_network(tmp_path / "a.safetensors")[1].settings["views"] == 1
+
+
+def test_of_the_categories_that_are_not_wanted_a_split_may_name_what_is_not_there(
+    thin: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for item in (*make_objects(2, category="box"), *make_objects(1, category="crate")):
+        image, mask = item.views[0].load()
+        views = [(image, (mask * 255).astype(np.uint8), item.views[0].camera)]
+        assert item.target is not None
+        write_object(tmp_path / "data" / item.category / item.name, views, item.target(), item.target(), {"seed": 0})
+    (tmp_path / "data/box/box1/target.ply").unlink()
+    split = tmp_path / "split.json"
+    split.write_text(json.dumps({"train": ["box/box0", "crate/absent"], "test": ["box/box1"]}))
+    common = [tmp_path / "data", "--split", split, "--steps", 1, "--batch-size", 1, "--points", 32]
+    assert run(*common, "--category", "box", "-o", tmp_path / "a.safetensors", "--json") == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["training_set"] == "data: 1 objects"
+    assert list(document["left_out"]) == ["box/box1"]
+    for category, message in (("crate", "split.json: names crate/absent, expected"), ("tin", "has no category 'tin'")):
+        assert run(*common, "--category", category, "-o", tmp_path / "b.safetensors") == 2
+        assert message in capsys.readouterr().err
+    split.write_text(json.dumps({"test": ["box/box0"]}))
+    assert run(*common, "-o", tmp_path / "b.safetensors") == 2
+    assert "split.json: has no list 'train', expected one beside 'test'" in capsys.readouterr().err
 
 
 def test_data_without_points_are_trained_on_by_their_masks_and_not_judged(
@@ -460,8 +485,8 @@ def test_data_without_points_are_trained_on_by_their_masks_and_not_judged(
 ) -> None:
     bare = TrainingData([replace(item, target=None) for item in make_objects(2)], "boxes without points")
     monkeypatch.setattr("tso_cli.commands.train.load", lambda wanted, quiet: bare)
-    common = [tmp_path, "--steps", 2, "--batch-size", 2, "--points", 32, "--views", 2]
-    assert run(*common, "-o", tmp_path / "a.safetensors", "--supervision", "masks") == 0
+    common = [tmp_path, "--steps", 2, "--batch-size", 2, "--points", 32]
+    assert run(*common, "-o", tmp_path / "a.safetensors", "--supervision", "masks", "--views", 2) == 0
     assert "2 steps" in capsys.readouterr().out
     assert run(*common, "-o", tmp_path / "b.safetensors") == 2
     assert "box0: has no points to learn from" in capsys.readouterr().err
@@ -507,6 +532,11 @@ def test_the_command_refuses_in_one_line_and_writes_nothing(
         ([folder, "-o", tmp_path / "a.safetensors", "--frame", "world"], "world"),
         ([folder, "-o", tmp_path / "a.safetensors", "--mask-data", folder], "expected joint with --mask-data"),
         ([folder, "-o", tmp_path / "a.safetensors", "--supervision", "joint"], "joint, expected --mask-data FOLDER with it"),
+        ([folder, "-o", tmp_path / "a.safetensors", "--views", 2], "--views is for --supervision masks, found points"),
+        ([folder, "-o", tmp_path / "a.safetensors", "--mask-split", folder], "--mask-split is for --supervision joint"),
+        ([folder, "-o", tmp_path / "a.safetensors", "--lambda", 2], "--lambda is for --supervision masks or joint"),
+        ([folder, "--supervision", "masks", "--category-sigma-sq", "crate=1"], "sigma^2 is given for 'crate', expected one of"),
+        ([folder, "-o", tmp_path / "a.safetensors", "--log-file", tmp_path / "a.safetensors"], "expected a file of its own"),
     ]
     before = sorted(tmp_path.iterdir())
     for arguments, expected in cases:

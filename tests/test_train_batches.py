@@ -118,6 +118,33 @@ def test_data_without_one_usable_picture_are_refused() -> None:
         assemble(TrainingData(objects, "boxes"), [Draw(1, 1)], "view")
 
 
+def test_an_object_whose_points_cannot_be_read_is_named_once_and_another_takes_its_place() -> None:
+    def damaged() -> np.ndarray:
+        raise InputError("target.ply: ends after 6 of 1024 rows, expected all")
+
+    objects = make_objects(2)
+    objects[0] = replace(objects[0], target=damaged)
+    data = TrainingData(objects, "boxes")
+    with pytest.warns(UserWarning, match="target.ply: ends after 6 of 1024 rows") as warned:
+        replaced = assemble(data, [Draw(0, 1), Draw(0, 2)], "view")
+    assert len(warned) == 1 and list(data.unusable) == ["box0"]
+    np.testing.assert_array_equal(replaced.images, assemble(data, [Draw(1, 1), Draw(1, 2)], "view").images)
+    # Its pictures are as good as any where no points are asked for.
+    masks = assemble(data, [Draw(0, 1)], "view", targets=False)
+    np.testing.assert_array_equal(masks.images[0], data.prepared(0, 1).image)
+    with pytest.raises(InputError, match="ends after 6"):
+        assemble(TrainingData(objects, "boxes", strict=True), [Draw(0, 0)], "view")
+
+
+def test_of_a_flood_of_unusable_pictures_ten_are_warned_of_and_all_are_known() -> None:
+    objects = make_objects(6, 4)
+    objects[:5] = [replace(item, views=[broken(view) for view in item.views]) for item in objects[:5]]
+    data = TrainingData(objects, "boxes")
+    with pytest.warns(UserWarning, match="left out") as warned:
+        assemble(data, [Draw(0, 0)], "view")
+    assert len(warned) == 10 and len(data.unusable) == 20
+
+
 def test_an_object_is_put_on_its_background_and_nothing_behind_it_shines_through() -> None:
     data = TrainingData(make_objects(1), "box", background="keep", backgrounds=Backgrounds("textures"))
     batch = assemble(data, [Draw(0, 0, behind=1), Draw(0, 0, behind=2), Draw(0, 0, mirror=True, behind=1)], "view")
@@ -142,6 +169,25 @@ def test_backgrounds_are_crops_of_the_photos_of_a_folder(tmp_path: Path) -> None
         Backgrounds(str(tmp_path / "empty"))
     with pytest.raises(InputError, match="not a folder, expected one with photos for backgrounds, or 'textures'"):
         Backgrounds(str(tmp_path / "none"))
+
+
+def test_a_photo_that_cannot_be_read_is_named_once_and_the_next_one_stands_behind_the_object(tmp_path: Path) -> None:
+    write_image(tmp_path / "red.png", np.full((40, 90, 3), (255, 0, 0), np.uint8))
+    (tmp_path / "broken.png").write_bytes(b"no picture")
+    behind = Backgrounds(str(tmp_path))
+    with pytest.warns(UserWarning, match="broken.png: is not a readable image") as warned:
+        crops = [behind.sample(np.random.default_rng(seed)) for seed in range(9)]
+    assert min(crop[0].min() for crop in crops) > 0.99
+    assert len(warned) == 1 and list(behind.unusable) == [str(tmp_path / "broken.png")]
+    with pytest.raises(InputError, match="broken.png"):
+        for seed in range(9):
+            Backgrounds(str(tmp_path), strict=True).sample(np.random.default_rng(seed))
+    (tmp_path / "red.png").unlink()
+    with (
+        pytest.warns(UserWarning, match="broken.png"),
+        pytest.raises(InputError, match="no photo can be used, the first: .*broken.png"),
+    ):
+        Backgrounds(str(tmp_path)).sample(np.random.default_rng(0))
 
 
 def test_a_category_with_its_own_kernel_is_compared_with_it_and_the_others_are_not() -> None:

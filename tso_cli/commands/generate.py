@@ -22,8 +22,9 @@ from . import options
 def command(output: Path, chair: int, car: int, airplane: int, seed: int, overwrite: bool, as_json: bool) -> None:
     """Draw chairs, cars and aeroplanes by rule and write them as meshes.
 
-    No two are alike, each is reproducible from the seed, and asking for more keeps those there were. They are there to train
-    on beside real shapes where those are few, not to be judged on. y is up; chairs and cars face +z, aeroplanes fly toward -x.
+    No two are alike, each is reproducible from the seed, and asking for more (with --overwrite) gives the same ones first. They
+    are there to train on beside real shapes where those are few, not to be judged on. y is up; chairs and cars face +z,
+    aeroplanes fly toward -x.
     `tso render` makes pictures of them.
     """
     from .. import __version__

@@ -40,7 +40,13 @@ class Size(click.ParamType):
 @click.option("--copies", type=int, default=0, show_default=True, help="Warped copies of each mesh beside it, for training.")
 @click.option("--paint", is_flag=True, help="Random colours on the parts of each mesh, for training.")
 @click.option("--split", type=options.FilePath(), help="Render only what this split names; .json.")
-@click.option("--part", default="train", show_default=True, help="Which list of the split: train, validation or test.")
+@click.option(
+    "--part",
+    type=click.Choice(["train", "validation", "test"]),
+    default="train",
+    show_default=True,
+    help="Which list of the split.",
+)
 @options.seed
 @options.overwrite
 @options.as_json
@@ -66,11 +72,9 @@ def command(
     chosen = RenderSettings(**settings)
     only = None
     if split is not None:
-        from ..datasets.opening import read_split
+        from ..datasets.opening import read_part
 
-        only = read_split(split).get(part)
-        if only is None:
-            raise InputError(f"--part is {part!r}, expected train, validation or test")
+        only = read_part(split, part)
     summary = render_folder(source, output, chosen, seed, overwrite, options.ProgressBar("rendering"), only)
     for message in summary.failed.values():
         options.log(message)

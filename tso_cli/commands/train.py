@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .. import __version__
 from ..errors import InputError
 from . import options
+from .train_result import print_result, result_document
 from .training_data import Wanted, load
 
 if TYPE_CHECKING:
@@ -55,7 +55,16 @@ class CategoryValue(click.ParamType):
 @click.option("--mask-data", type=options.FilePath(), help="Images that have one mask each, for --supervision joint.")
 @click.option("--mask-split", type=options.FilePath(), help='Of --mask-data take the list "train" of this split alone.')
 @click.option(
-    "--init", "initial", type=options.FilePath(), help="Start from the weights of this checkpoint; default: the shipped one."
+    "--mask-category",
+    "mask_categories",
+    multiple=True,
+    help="Of --mask-data take this category; may be repeated.  [default: all]",
+)
+@click.option(
+    "--init",
+    "initial",
+    type=options.FilePath(),
+    help='Start from the weights of this checkpoint; "default" is the shipped one.  [default: random weights]',
 )
 @click.option(
     "--frame",
@@ -64,7 +73,9 @@ class CategoryValue(click.ParamType):
     show_default=True,
     help="Axes of the predicted points: the camera's, or the objects' own.",
 )
-@click.option("--views", type=int, default=4, show_default=True, help="Masks that supervise each object a step.")
+@click.option(
+    "--views", type=int, default=4, show_default=True, help="Masks that supervise each object a step, of --supervision masks."
+)
 @click.option("--steps", type=int, help=f"Adam steps in all.  [default: {STEPS}; {EXAMPLE_STEPS} without DATA]")
 @click.option("--batch-size", type=int, default=16, show_default=True, help="Objects a step.")
 @click.option("--learning-rate", type=float, help=f"Of Adam.  [default: {PAPER_RATE:g}; {EXAMPLE_RATE:g} without DATA]")
@@ -148,6 +159,7 @@ def command(
     strict: bool,
     mask_data: Path | None,
     mask_split: Path | None,
+    mask_categories: tuple[str, ...],
     initial: Path | None,
     output: Path,
     steps: int | None,
@@ -188,12 +200,13 @@ def command(
         if (config.supervision == "joint") != (mask_data is not None):
             expected = "--mask-data FOLDER with it" if mask_data is None else "joint with --mask-data"
             raise InputError(f"--supervision is {config.supervision}, expected {expected}")
+        _refuse_unused(ctx, config.supervision)
         if processes.first:
             _check_outputs(output, log_file, resume, overwrite)
         processes.wait()
         wanted = Wanted(data, split_file, categories, strict, crop_share, background, behind)
         training = load(wanted, quiet=not processes.first)
-        of_masks = Wanted(mask_data, mask_split, (), strict, crop_share, background)
+        of_masks = Wanted(mask_data, mask_split, mask_categories, strict, crop_share, background)
         masked = load(of_masks, quiet=not processes.first) if mask_data else None
         state = _begin(training, config, output, initial, resume, quiet=not processes.first)
         prepared, begun = time.perf_counter(), state.step
@@ -201,7 +214,7 @@ def command(
     if not processes.first:
         return
     trained = time.perf_counter()
-    document = _document(result, config, output, training, data is None)
+    document = result_document(result, config, output, training, data is None)
     document["seconds"] = {"prepare": prepared - started, "train": trained - prepared, "judge": time.perf_counter() - trained}
     from ..train.speed import images_per_second
 
@@ -209,15 +222,17 @@ def command(
         "training": (result.steps - begun) * config.batch_size / (trained - prepared),
         **images_per_second(state, config, training, masked),
     }
-    document["left_out"] = training.unusable | (masked.unusable if masked else {})
-    if document["left_out"]:
-        options.log(
-            f"tso: {len(document['left_out'])} pictures could not be used and were left out (--strict stops at the first)"
-        )
+    both = [training, masked] if masked else [training]
+    unusable = {item: why for own in both for item, why in own.unusable.items()}
+    if training.backgrounds:
+        unusable |= training.backgrounds.unusable
+    if unusable:
+        options.log(f"tso: {len(unusable)} pictures could not be used and were left out (--strict stops at the first)")
+    document["left_out"] = {item: why for own in both for item, why in own.skipped.items()} | unusable
     if as_json:
         options.echo_json(document)
     else:
-        _print_result(document)
+        print_result(document)
     if result.stop_reason == "interrupted":
         options.log(
             f"tso: interrupted after {result.steps} of {config.steps} steps; {output} and its state were written. "
@@ -277,6 +292,17 @@ def _run(
     )
 
 
+def _refuse_unused(ctx: click.Context, supervision: str) -> None:
+    """Options that the supervision has no use for, if they were given."""
+    of = {"views": ("masks",), **dict.fromkeys(("affinity_weight", "affinity", "category_sigma_sq"), ("masks", "joint"))}
+    of |= dict.fromkeys(("mask_split", "mask_categories"), ("joint",))
+    for option in ctx.command.params:
+        kinds = of.get(option.name or "")
+        given = ctx.get_parameter_source(option.name or "") is click.core.ParameterSource.COMMANDLINE
+        if kinds and given and supervision not in kinds:
+            raise InputError(f"{option.opts[0]} is for --supervision {' or '.join(kinds)}, found {supervision}")
+
+
 def _check_outputs(output: Path, log_file: Path | None, resume: bool, overwrite: bool) -> None:
     from ..files.output import check_output
 
@@ -288,65 +314,5 @@ def _check_outputs(output: Path, log_file: Path | None, resume: bool, overwrite:
         check_output(path, overwrite or resume)
     if log_file is not None:
         check_output(log_file, overwrite or resume)
-
-
-def _document(
-    result: TrainResult, config: TrainConfig, output: Path, training: TrainingData, on_examples: bool
-) -> dict[str, Any]:
-    from ..train import evaluate
-    from ..train.sources import shipped_examples
-    from ..train.state import state_path
-
-    def judged(data: TrainingData) -> dict[str, float | int]:
-        forward, backward, shapes = evaluate(result.network, data, config.frame)
-        return {"forward": forward, "backward": backward, "chamfer": forward + backward, "shapes": shapes}
-
-    last = result.history[-100:].mean(0)
-    document: dict[str, Any] = {
-        "output": output,
-        "state": state_path(output),
-        "stop_reason": result.stop_reason,
-        "steps": result.steps,
-        "loss": float(last[0]),
-        "lambda_dropped_at": result.lambda_dropped_at,
-        "training_set": training.description,
-    }
-    # Masks may be all there is to learn from.
-    if training.has_targets():
-        document["chamfer_training"] = judged(training)
-    if on_examples:
-        document["chamfer_unseen_examples"] = judged(shipped_examples(training.crop_share, training.background))
-    document |= {
-        "convention": "squared distances, mean over points, longest side 1; forward is target -> prediction",
-        "supervision": config.supervision,
-        "frame": config.frame,
-        "points": config.points,
-        "sigma_sq": config.sigma_sq,
-        "learning_rate": config.learning_rate,
-        "batch_size": config.batch_size,
-        "device": config.device,
-        "seed": config.seed,
-        "version": __version__,
-    }
-    return document
-
-
-def _print_result(document: dict[str, Any]) -> None:
-    seconds = document["seconds"]
-    click.echo(f"{document['output']}: {document['steps']} steps in {seconds['train']:.0f} s, {document['training_set']}")
-    for key, label in (("chamfer_training", "training shapes"), ("chamfer_unseen_examples", "unseen examples")):
-        if key in document:
-            values = {name: 1000.0 * document[key][name] for name in ("forward", "backward", "chamfer")}
-            click.echo(
-                f"Chamfer x1000, {document[key]['shapes']} {label}: {values['chamfer']:.2f} "
-                f"(forward {values['forward']:.2f}, backward {values['backward']:.2f})"
-            )
-    speed = document["images_per_second"]
-    click.echo(
-        f"{speed['training']:.0f} images/s in training; a step without the optimiser {speed['step']:.0f}, the bare network's "
-        f"forward and backward {speed['bare']:.0f}: data, projector and losses add {round(100.0 * speed['added'])} %"
-    )
-    click.echo(
-        f"(squared distances, mean over points, longest side 1; N {document['points']}, seed {document['seed']}, "
-        f"sigma^2 {document['sigma_sq']:g}, {document['device']})"
-    )
+        if log_file.resolve() in (output.resolve(), state.resolve()):
+            raise InputError(f"--log-file {log_file}: is the checkpoint or its state, expected a file of its own")

@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from ..train.data import TrainingData
 
 
+# Items left out that are named on stderr; of a hundred thousand many may be bad.
+NAMED = 10
+
+
 @dataclass(frozen=True)
 class Wanted:
     """What to train or judge on.
@@ -51,15 +55,15 @@ def load(wanted: Wanted, quiet: bool = False) -> TrainingData:
         return from_meshes(meshes, described, wanted.crop_share, wanted.background, progress=bar)
     dataset = chosen(wanted)
     if not quiet:
-        for item, reason in list(dataset.skipped.items())[:10]:
+        for item, reason in list(dataset.skipped.items())[:NAMED]:
             options.log(f"tso: {reason if item in reason else f'{item}: {reason}'}; left out")
         if dataset.skipped:
-            options.log(f"tso: {len(dataset.skipped)} items left out in all (--strict stops at the first)")
+            options.log(f"tso: {len(dataset.skipped)} items left out in all (--strict stops at the first, --json names all)")
     behind = None
     if wanted.behind is not None:
         from ..train.backgrounds import Backgrounds
 
-        behind = Backgrounds(wanted.behind)
+        behind = Backgrounds(wanted.behind, wanted.strict)
     return from_dataset(dataset, wanted.crop_share, wanted.background, wanted.strict, behind)
 
 
@@ -67,12 +71,10 @@ def chosen(wanted: Wanted) -> Dataset:
     """The objects of the data set that are wanted."""
     from dataclasses import replace
 
-    from ..datasets.opening import open_dataset, read_split
+    from ..datasets.opening import open_dataset, read_part
 
     assert wanted.folder is not None
     dataset = open_dataset(wanted.folder, wanted.strict)
-    if wanted.split is not None:
-        dataset = dataset.select(read_split(wanted.split)[wanted.part], str(wanted.split))
     if wanted.categories:
         held = sorted({item.category for item in dataset.objects})
         unknown = [name for name in wanted.categories if name not in held]
@@ -80,4 +82,9 @@ def chosen(wanted: Wanted) -> Dataset:
             raise InputError(f"{wanted.folder}: has no category {unknown[0]!r}, expected one of {', '.join(held)}")
         objects = [item for item in dataset.objects if item.category in wanted.categories]
         dataset = replace(dataset, objects=objects)
+    if wanted.split is not None:
+        names = read_part(wanted.split, wanted.part)
+        # Of the other categories the split may name what is not here.
+        own = [name for name in names if not wanted.categories or name.split("/")[0] in wanted.categories]
+        dataset = dataset.select(own, str(wanted.split))
     return dataset

@@ -14,9 +14,9 @@ from .r2n2 import RENDERED as R2N2
 from .rendered import holds_object, open_rendered
 from .shapenet import RENDERED as SHAPENET
 from .shapenet import open_shapenet
-from .splits import read_split
+from .splits import read_part, read_split
 
-__all__ = ["open_dataset", "read_split"]
+__all__ = ["open_dataset", "read_part", "read_split"]
 
 Opener = Callable[[Path, bool, common.Progress | None], Dataset]
 LAYOUTS = (

@@ -67,9 +67,7 @@ class _Models:
         return common.surface_target((vertices - centre) / scale, faces)
 
 
-def open_pix3d(
-    folder: Path | str, strict: bool = False, progress: common.Progress | None = None, by_picture: bool = False
-) -> Dataset:
+def open_pix3d(folder: Path | str, strict: bool = False, progress: common.Progress | None = None) -> Dataset:
     """The objects of Pix3D; they are named after their models, CATEGORY/FOLDER/FILE, and every photo is a view.
 
     Parameters
@@ -77,7 +75,6 @@ def open_pix3d(
     folder : ROOT.
     strict : the first entry that cannot be used is an error; entries with part of the object out of sight are not meant.
     progress : called after every entry.
-    by_picture : an object for each photo instead, CATEGORY/NUMBER: for splits by photo, where a model may be on both sides.
 
     Returns
     -------
@@ -112,7 +109,7 @@ def open_pix3d(
             if flags:
                 skipped.reasons[called] = f"{where}: the object is {flags[0].replace('_', ' ')}"
             else:
-                entries.setdefault(_name(entry.image if by_picture else entry.model, entry.category), []).append(entry)
+                entries.setdefault(_name(entry.model, entry.category), []).append(entry)
         except InputError as error:
             skipped.add(called, str(error))
         if progress is not None:

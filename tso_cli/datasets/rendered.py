@@ -190,9 +190,12 @@ def _no_target(path: Path) -> str:
 
 
 def _walk(folder: Path) -> Iterator[tuple[str, Path, bool]]:
-    """Name and folder of every object, and whether it has its target; what is hidden is unfinished and left out."""
+    """Name and folder of every object, and whether it has its target; what is hidden is unfinished and left out.
+
+    Any file of an object makes a folder one: what it lacks is said when it is opened.
+    """
     for path, folders, files in os.walk(folder):
         folders[:] = [name for name in folders if not name.startswith(".")]
-        if CAMERAS in files:
+        if not {CAMERAS, TARGET, RECORD}.isdisjoint(files):
             inside = Path(path).relative_to(folder).as_posix()
             yield folder.resolve().name if inside == "." else inside, Path(path), TARGET in files

@@ -53,6 +53,14 @@ def read_split(path: Path | str) -> dict[str, list[str]]:
     return split
 
 
+def read_part(path: Path | str, part: str) -> list[str]:
+    """Names of the objects of one ``part``; InputError as from `read_split`, or if the split has no such list."""
+    split = read_split(path)
+    if part not in split:
+        raise InputError(f"{path}: has no list {part!r}, expected one beside {', '.join(map(repr, split))}")
+    return split[part]
+
+
 def _from_json(path: Path) -> dict[str, list[str]]:
     form = '{"train": [...], "validation": [...], "test": [...]}'
     try:

@@ -53,7 +53,7 @@ def write_shapes(
 ) -> list[Path]:
     """Write ``counts[category]`` shapes of each category to ``output``/CATEGORY/gen_00000.ply and so on.
 
-    A shape depends on ``seed``, its category and its number alone: asking for more keeps those there were.
+    A shape depends on ``seed``, its category and its number alone: asking for more gives the same ones first.
 
     Parameters
     ----------

@@ -38,7 +38,6 @@ def draw_network_study(path: Path, record: dict[str, Any], overwrite: bool = Fal
         axis.set_title(part)
         axis.spines[["top", "right"]].set_visible(False)
     axes[0].set_ylabel("Chamfer to the truth x1000, mean")
-    axes[0].set_yscale("log")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", frameon=False, ncols=4)
     with atomic_output(path) as temporary:

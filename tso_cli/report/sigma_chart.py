@@ -19,11 +19,11 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 
 @dataclass(frozen=True, eq=False)
 class Projections:
-    """A shape's mask [H, W] in [0, 1] and the true cloud's silhouette at some values of sigma^2."""
+    """A shape's mask [H, W] in [0, 1] and projections of the true cloud: what each is called -> [H, W]."""
 
     shape: str
     mask: NDArray[np.float32]
-    silhouettes: dict[float, NDArray[np.float32]]
+    silhouettes: dict[str, NDArray[np.float32]]
 
 
 def draw_sigma_study(path: Path, record: dict[str, Any], overwrite: bool = False, maps: Sequence[Projections] = ()) -> None:
@@ -72,7 +72,7 @@ def _draw_curves(axis: Any, record: dict[str, Any]) -> None:
 
 def _draw_maps(axes: Any, maps: Sequence[Projections]) -> None:
     for i, (row, own) in enumerate(zip(axes, maps, strict=True)):
-        pictures = [("mask", own.mask), *((f"sigma^2 {sigma_sq:g}", map_) for sigma_sq, map_ in own.silhouettes.items())]
+        pictures = [("mask", own.mask), *own.silhouettes.items()]
         for axis, (title, picture) in zip(row, pictures, strict=True):
             axis.imshow(picture, cmap="gray", vmin=0.0, vmax=1.0, interpolation="nearest")
             if i == 0:

@@ -80,6 +80,10 @@ def draw_views(path: Path, record: dict[str, Any], overwrite: bool = False) -> N
         for i, (category, values) in enumerate(record["summary"].items()):
             counts = [int(count) for count in values]
             axis.plot(counts, list(values.values()), "o-", color=COLOURS[i], label=category)
+            for count, single in record["seeds"][category].items():
+                axis.plot([int(count)] * len(single), single, "_", color=COLOURS[i], ms=10)
+            constant = record["constant"][category]
+            axis.axhline(constant, color=COLOURS[i], lw=0.8, ls=":", label=f"{category}, mean training shape")
             theirs = {int(count): value for count, value in record["paper"].get(category, {}).items()}
             if theirs:
                 axis.plot(
@@ -103,13 +107,11 @@ def draw_weight(path: Path, record: dict[str, Any], overwrite: bool = False) -> 
         axis = figure.subplots()
         for i, (form, values) in enumerate(record["summary"].items()):
             axis.plot(range(len(weights)), list(values.values()), "o-", color=COLOURS[i], label=f"form {form!r}")
-        theirs = {float(weight): value for weight, value in record["paper"]["chair"].items()}
-        axis.plot(
-            [place[weight] for weight in theirs], list(theirs.values()), "D--", color=INK, mfc="white", ms=5, lw=1,
-            label="paper (chair)",
-        )  # fmt: skip
+        for name, values in record["paper"].items():
+            at = [place[float(weight)] for weight in values]
+            axis.plot(at, list(values.values()), "D--", color=INK, mfc="white", ms=5, lw=1, label=f"paper ({name})")
         axis.set_xticks(range(len(weights)), [f"{weight:g}" for weight in weights])
-        axis.set_yscale("log")
+        axis.set_ylim(bottom=0.0)
         axis.set_xlabel("lambda, weight of the affinity loss")
         axis.set_ylabel(LABEL)
         axis.set_title(f"{', '.join(record['settings']['shapes'])}: {_budget(record)}")

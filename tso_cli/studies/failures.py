@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import InputError
 from ..files.packing import pack
 from ..geometry import Array
 from ..metrics import chamfer
@@ -29,7 +30,12 @@ SHOWN_STEP = 1.0 / 16_384.0
 
 
 def settings(categories: Sequence[str]) -> list[Setting]:
-    """Networks of aeroplanes, alone and among the others, under both kernels; of cars under one and four masks."""
+    """Networks of aeroplanes, alone and among the others, under both kernels; of cars under one and four masks.
+
+    Raises InputError if neither is among ``categories``.
+    """
+    if not {PLANE, CAR} & set(categories):
+        raise InputError(f"the failures are of {PLANE} and {CAR}, found {', '.join(categories)}, expected one of the two")
     found = []
     masks = {"supervision": "masks"}
     if PLANE in categories:

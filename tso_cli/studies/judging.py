@@ -43,14 +43,15 @@ class Predicted:
     frame: str
 
 
-def predict(network: BaseNetwork, data: TrainingData, frame: str, views: int = JUDGED_VIEWS) -> list[Predicted]:
-    """The clouds that ``network`` predicts from the first ``views`` views of every shape."""
-    device = next(network.parameters()).device
+def predict(network: BaseNetwork | None, data: TrainingData, frame: str, views: int = JUDGED_VIEWS) -> list[Predicted]:
+    """The clouds that ``network`` predicts from the first ``views`` views of every shape; without a network no points."""
+    device = next(network.parameters()).device if network else torch.device("cpu")
     found = []
     with torch.no_grad():
         for index, item in enumerate(data.objects):
             batch = assemble(data, [Draw(index, view) for view in range(min(views, len(item.views)))], frame)
-            points = network(torch.as_tensor(batch.images, device=device)).cpu().numpy().astype(np.float64)
+            images = torch.as_tensor(batch.images, device=device)
+            points = (network(images) if network else images.new_empty(len(images), 0, 3)).cpu().numpy().astype(np.float64)
             targets = np.stack(batch.targets).astype(np.float64)
             found.append(Predicted(index, item.name, item.category, points, targets, frame))
     return found

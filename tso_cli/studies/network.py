@@ -17,17 +17,12 @@ from ..files.checkpoints import load_network
 from ..losses import chamfer
 from ..network import NetworkConfig
 from ..train.batches import Draw, assemble
-from ..train.data import TrainingData
 from .material import Material, Source
+from .mean_shape import TURNS, aligned_mean, mean_shape, pair_chamfer, view_targets
 from .protocol import Report
 
 Floats = NDArray[np.float32]
-POINTS = 1024
-# Adam on the points of the mean shape; enough for its loss to stop falling in the third digit.
-MEAN_STEPS, MEAN_RATE, MEAN_BATCH = 300, 3e-3, 16
 PARTS = ("validation", "test")
-# Quarter turns about y: shapes of one category may face any of four ways.
-TURNS = tuple(np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]], dtype=np.float32) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1)))
 
 
 def study_network(checkpoint: Path, source: Source, report: Report | None = None) -> dict[str, Any]:
@@ -55,7 +50,7 @@ def study_network(checkpoint: Path, source: Source, report: Report | None = None
     shapes: list[dict[str, Any]] = []
     for category in source.categories:
         training = materials[PARTS[0]].data(category, training=True)
-        mean_view = mean_shape(_view_targets(training), source.seed)
+        mean_view = mean_shape(view_targets(training), source.seed)
         own = [training.target(i) for i in range(len(training.objects))]
         mean_aligned = aligned_mean(own, source.seed)
         for part in PARTS:
@@ -88,42 +83,9 @@ def study_network(checkpoint: Path, source: Source, report: Report | None = None
     }
 
 
-def mean_shape(targets: Sequence[Floats], seed: int = 0) -> Floats:
-    """The cloud of 1,024 points with the least mean Chamfer distance to ``targets`` (of [1024, 3]), found by Adam."""
-    rng = np.random.default_rng([seed, 11])
-    stacked = torch.from_numpy(np.stack(targets))
-    pool = stacked.reshape(-1, 3)
-    points = pool[torch.from_numpy(rng.permutation(len(pool))[:POINTS])].clone().requires_grad_(True)
-    optimiser = torch.optim.Adam([points], lr=MEAN_RATE)
-    for step in range(MEAN_STEPS):
-        optimiser.param_groups[0]["lr"] = MEAN_RATE * (1.0 - step / MEAN_STEPS)
-        chosen = stacked[torch.from_numpy(rng.permutation(len(stacked))[:MEAN_BATCH])]
-        forward, backward = chamfer(points.expand(len(chosen), -1, -1), chosen)
-        loss = (forward + backward).mean()
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-    mean: Floats = points.detach().numpy()
-    return mean
-
-
-def aligned_mean(targets: Sequence[Floats], seed: int = 0) -> Floats:
-    """The mean shape of ``targets`` in the quarter turns that fit it best; they and it are found by turns, three times."""
-    turned, mean = list(targets), targets[0]
-    for _ in range(3):
-        turned = [min((target @ turn for turn in TURNS), key=lambda cloud: _chamfer(mean, cloud)) for target in targets]
-        mean = mean_shape(turned, seed)
-    return mean
-
-
 def nearest_of(clouds: Sequence[Floats], truth: Floats) -> float:
     """Chamfer distance from ``truth`` to the nearest of ``clouds``, in the best of four quarter turns."""
-    return min(_chamfer(cloud, truth @ turn) for cloud in clouds for turn in TURNS)
-
-
-def _chamfer(one: Floats, other: Floats) -> float:
-    forward, backward = chamfer(torch.from_numpy(one)[None], torch.from_numpy(other)[None])
-    return float(forward + backward)
+    return min(pair_chamfer(cloud, truth @ turn) for cloud in clouds for turn in TURNS)
 
 
 def _distances(clouds: Sequence[Floats] | Tensor, targets: Sequence[Floats]) -> float:
@@ -136,12 +98,6 @@ def _predicted(network: torch.nn.Module, images: Floats) -> Tensor:
     with torch.no_grad():
         points: Tensor = network(torch.from_numpy(images))
     return points
-
-
-def _view_targets(data: TrainingData, views: int = 8) -> list[Floats]:
-    """Targets as the first cameras of each object see them."""
-    draws = [Draw(index, view) for index, item in enumerate(data.objects) for view in range(min(views, len(item.views)))]
-    return assemble(data, draws, "view").targets
 
 
 def _summary(rows: list[dict[str, Any]], training: int) -> dict[str, Any]:

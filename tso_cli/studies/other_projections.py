@@ -10,9 +10,9 @@ from ..projection import CameraBatch, Projected, project
 from ..train import TrainConfig, start
 from ..train.batches import Batch
 from ..train.data import TrainingData
-from ..train.loop import Objective, draw_step, images_of
 from ..train.losses import Silhouette, mask_loss
 from ..train.processes import Processes
+from ..train.step import Objective, draw_step, images_of
 
 GAUSSIAN, PLAIN, DEPTH = "gaussian", "plain", "depth"
 PROJECTIONS = (PLAIN, DEPTH)

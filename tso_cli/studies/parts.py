@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..datasets.splits import read_split
+from ..datasets.splits import read_part
 from ..errors import InputError
 from ..files.meshes import Mesh, find_meshes, read_mesh
 from ..geometry import Array
@@ -69,7 +69,7 @@ def shapes_of_part(
     InputError
         The part or a category has no shape in the split, or a mesh is missing.
     """
-    names = read_split(split_file).get(part, [])
+    names = read_part(split_file, part)
     if not names:
         raise InputError(f"{split_file}: names no shape for {part}, expected some")
     found = sorted({name.split("/")[0] for name in names})

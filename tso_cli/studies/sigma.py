@@ -7,10 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from numpy.typing import NDArray
 
 from .. import __version__
+from ..camera import NEAR, Camera
 from ..device import one_thread
 from ..errors import InputError
+from ..kernels.discrete import UPSAMPLING, discrete_depth, discrete_mask
 from ..projection import silhouette_of
 from ..render import RenderSettings
 from ..report.sigma_chart import Projections
@@ -22,7 +26,7 @@ SIGMAS = tuple(round(0.05 * 2.0 ** (k / 2), 3) for k in range(13))
 # The paper's choices.
 PAPER = {"chair": 0.4, "car": 0.4, "airplane": 0.1}
 SHOWN = (0.05, 0.1, 0.4, 0.8, 3.2)
-"""sigma^2 of the pictures."""
+"""sigma^2 of the pictures, which stand beside the discrete projections."""
 SIZE = 64
 
 
@@ -110,8 +114,23 @@ def mask_errors(seen: SeenShape, sigmas: Sequence[float]) -> dict[str, list[floa
 
 def _maps(shape: Shape, seen: SeenShape) -> Projections:
     view = seen.views[0]
-    silhouettes = {sigma_sq: silhouette_of(seen.target, view.camera, sigma_sq) for sigma_sq in SHOWN}
-    return Projections(shape.name, view.mask.astype(np.float32) / 255.0, silhouettes)
+    maps = {f"sigma^2 {sigma_sq:g}": silhouette_of(seen.target, view.camera, sigma_sq) for sigma_sq in SHOWN}
+    return Projections(shape.name, view.mask.astype(np.float32) / 255.0, {**_discrete_maps(seen, view.camera), **maps})
+
+
+def _discrete_maps(seen: SeenShape, camera: Camera) -> dict[str, NDArray[np.float32]]:
+    """The two projections of the paper's figure that are not ours: points rounded to pixels, and Lin et al.'s depth map.
+
+    Of the latter the nearest point that shows is white and the furthest grey.
+    """
+    pixels, depth = (torch.as_tensor(values).unsqueeze(0) for values in camera.project(seen.target))
+    valid = depth > NEAR
+    rounded = discrete_mask(pixels, valid, camera.height, camera.width)
+    shown, hit = discrete_depth(pixels, depth, valid, camera.height, camera.width)
+    near, far = shown[hit].min(), shown[hit].max()
+    grey = torch.where(hit, 1.0 - 0.6 * (shown - near) / (far - near).clamp_min(1e-9), 0.0)
+    maps = {"discretised": rounded, f"Lin et al., U = {UPSAMPLING}": grey}
+    return {name: found[0].numpy().astype(np.float32) for name, found in maps.items()}
 
 
 def _summarise(records: list[dict[str, Any]], sigmas: Sequence[float]) -> dict[str, Any]:

@@ -14,10 +14,11 @@ from ..files.reading import shown
 from ..network import BaseNetwork, NetworkConfig
 from ..train import TrainConfig, network_config, train
 from ..train.data import TrainingData
-from ..train.loop import Objective
 from ..train.state import TrainingState, load_training, save_training, state_path
+from ..train.step import Objective
 from .judging import CONVENTION, JUDGED_VIEWS, Predicted, judge, predict
 from .material import ALL, TEST_VIEWS, TRAINING_VIEWS, Material, Source
+from .mean_shape import constant_answer
 from .other_projections import DEPTH, GAUSSIAN, first_gradients, projected_objective
 from .protocol import Report
 
@@ -65,6 +66,8 @@ class Setting:
     name : what tables call it.
     category : what it is trained and judged on; `ALL` for the categories of the study at once, each equally often.
     changes : its own settings of `train.TrainConfig`.
+    constant : no network: the mean training shape, whatever the picture shows.
+    repeat : which of several networks that differ in their seed alone.
     projection : "gaussian" (the paper's), or one of `other_projections.PROJECTIONS`.
     """
 
@@ -72,6 +75,8 @@ class Setting:
     category: str
     changes: dict[str, Any] = field(default_factory=dict)
     projection: str = GAUSSIAN
+    constant: bool = False
+    repeat: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,8 +169,12 @@ def _run(
     report: Report | None,
     told: str,
 ) -> Record:
-    """Train and judge one network."""
-    config = budget.config(**{"balance": setting.category == ALL, **setting.changes})
+    """Train and judge one network, or judge the constant answer."""
+    if setting.constant:
+        answer = constant_answer(material.data(setting.category, True), material.data(setting.category, False), budget.frame)
+        return {"setting": setting.name, "category": setting.category, "judged": judge(answer)}
+    seed = budget.seed + setting.repeat
+    config = budget.config(**{"seed": seed, "balance": setting.category == ALL, **setting.changes})
     data = material.data(setting.category, True, dense=setting.projection == DEPTH)
 
     def progress(done: int, total: int, note: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -25,16 +26,22 @@ class Backgrounds:
     Parameters
     ----------
     source : a folder of photos, or "textures" for generated ones (smooth noise at several scales over a gradient).
+    strict : a photo that cannot be read is an error; else it is named once and the next one takes its place.
+
+    Attributes
+    ----------
+    unusable : photo -> why it could not be used.
 
     Raises
     ------
     InputError
-        The folder is missing or holds no picture; a picture that is drawn cannot be read.
+        The folder is missing or holds no picture; or none of them can be read, with ``strict`` the first that is drawn.
     """
 
-    def __init__(self, source: str) -> None:
-        self.source = source
-        self._photos: dict[Path, Floats] = {}
+    def __init__(self, source: str, strict: bool = False) -> None:
+        self.source, self.strict = source, strict
+        self.unusable: dict[str, str] = {}
+        self._photos: dict[Path, NDArray[np.uint8]] = {}
         self._paths: list[Path] = []
         if source == TEXTURES:
             return
@@ -49,23 +56,39 @@ class Backgrounds:
         """One background: a random square of a random photo, or a new texture."""
         if not self._paths:
             return texture(rng)
-        photo = self._photo(self._paths[int(rng.integers(len(self._paths)))])
+        photo = self._readable(int(rng.integers(len(self._paths))))
         height, width = photo.shape[:2]
         side = rng.uniform(0.4, 1.0) * min(height, width)
         left, top = rng.uniform(0.0, width - side) - 0.5, rng.uniform(0.0, height - side) - 0.5
-        crop, _ = area_resize(photo, (left, top, left + side, top + side), IMAGE_SIZE, IMAGE_SIZE)
+        crop, _ = area_resize(photo / np.float32(255.0), (left, top, left + side, top + side), IMAGE_SIZE, IMAGE_SIZE)
         if rng.random() < 0.5:
             crop = crop[:, ::-1]
         return np.ascontiguousarray(np.clip(crop, 0.0, 1.0).transpose(2, 0, 1), dtype=np.float32)
 
-    def _photo(self, path: Path) -> Floats:
+    def _readable(self, index: int) -> NDArray[np.uint8]:
+        """The photo at ``index``, or the next one that can be read."""
+        for offset in range(len(self._paths)):
+            path = self._paths[(index + offset) % len(self._paths)]
+            if str(path) in self.unusable:
+                continue
+            try:
+                return self._photo(path)
+            except InputError as error:
+                if self.strict:
+                    raise
+                self.unusable[str(path)] = str(error)
+                warnings.warn(f"{error}; left out", stacklevel=2)
+        raise InputError(f"{self.source}: no photo can be used, the first: {next(iter(self.unusable.values()))}")
+
+    def _photo(self, path: Path) -> NDArray[np.uint8]:
         found = self._photos.get(path)
         if found is None:
             pixels = read_image(path)[..., :3].astype(np.float32) / np.float32(255.0)
             height, width = pixels.shape[:2]
             shrink = min(1.0, PHOTO_SIDE / max(height, width))
             size = max(1, round(width * shrink)), max(1, round(height * shrink))
-            found = area_resize(pixels, (-0.5, -0.5, width - 0.5, height - 0.5), *size)[0].astype(np.float32)
+            shrunk = area_resize(pixels, (-0.5, -0.5, width - 0.5, height - 0.5), *size)[0]
+            found = np.rint(255.0 * np.clip(shrunk, 0.0, 1.0)).astype(np.uint8)
             if len(self._photos) < MOST_PHOTOS:
                 self._photos[path] = found
         return found

@@ -133,7 +133,7 @@ def assemble(data: TrainingData, draws: list[Draw], frame: str, targets: bool = 
     images, points, masks, known = [], [], [], []
     K, R, t, categories = [], [], [], []
     for draw in draws:
-        index, given, picture = data.usable(draw.index, draw.given)
+        index, given, picture = data.usable(draw.index, draw.given, targets)
         # rows of X times this are rows of y; identity in the canonical frame
         turn = np.eye(3) if frame == "canonical" else (CANONICAL_ROTATION @ picture.camera.R).T
         flip = MIRROR if draw.mirror else np.eye(3)

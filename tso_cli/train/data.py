@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +23,8 @@ from .backgrounds import Backgrounds
 Floats = NDArray[np.float32]
 # Prepared views kept in memory, 16 KiB each; the rest is read again when it is needed.
 CACHE_BYTES = 1 << 30
+# Pictures left out that are warned of; the command counts them all.
+NAMED = 10
 # Objects whose first picture tells whether a resumed run sees the same data.
 FINGERPRINTED = 16
 
@@ -42,7 +44,8 @@ class TrainingData:
     Attributes
     ----------
     categories : indices of the objects of each category, one array a category.
-    unusable : picture -> why it could not be used.
+    unusable : picture, or object without points to be read -> why it could not be used.
+    skipped : what the data set left out before -> why.
     """
 
     def __init__(
@@ -53,6 +56,7 @@ class TrainingData:
         background: str = "black",
         strict: bool = False,
         backgrounds: Backgrounds | None = None,
+        skipped: Mapping[str, str] | None = None,
     ) -> None:
         if not objects:
             raise InputError("the training set holds no object, expected at least one")
@@ -68,7 +72,9 @@ class TrainingData:
         names = sorted({item.category for item in objects})
         self.categories = [np.array([i for i, o in enumerate(objects) if o.category == name]) for name in names]
         self.unusable: dict[str, str] = {}
+        self.skipped = dict(skipped or {})
         self._bad: set[tuple[int, int]] = set()
+        self._pointed: dict[int, bool] = {}
         self._cache: dict[tuple[int, int], _Packed] = {}
         self._targets: dict[int, Floats] = {}
         self._cached_bytes = 0
@@ -126,18 +132,21 @@ class TrainingData:
             self._keep(self._cache, key, packed, packed.nbytes)
         return packed.unpacked()
 
-    def usable(self, index: int, view: int) -> tuple[int, int, NetworkInput]:
+    def usable(self, index: int, view: int, points: bool = False) -> tuple[int, int, NetworkInput]:
         """``prepared``, or where that picture cannot be used the next one that can, of the same object or of the next.
 
-        Returns the index of the object, the number of the view, and the view.
+        With ``points`` an object whose target cannot be read is passed over too. Returns the index of the object, the number
+        of the view, and the view.
 
         Raises
         ------
         InputError
-            With ``strict`` at the first picture that cannot be used; else if none can.
+            With ``strict`` at the first picture or target that cannot be used; else if none can.
         """
         for other in range(len(self.objects)):
             at = (index + other) % len(self.objects)
+            if points and not self._has_points(at):
+                continue
             count = len(self.objects[at].views)
             for offset in range(count):
                 key = (at, (view + offset) % count)
@@ -148,16 +157,28 @@ class TrainingData:
                 except InputError as error:
                     if self.strict:
                         raise
-                    self._leave_out(key, str(error))
+                    self._bad.add(key)
+                    self._leave_out(self.objects[at].views[key[1]].name, str(error))
         raise InputError(f"{self.description}: no picture can be used, the first: {next(iter(self.unusable.values()))}")
 
-    def _leave_out(self, key: tuple[int, int], reason: str) -> None:
+    def _has_points(self, index: int) -> bool:
+        if index not in self._pointed:
+            try:
+                self.target(index)
+                self._pointed[index] = True
+            except InputError as error:
+                if self.strict:
+                    raise
+                self._pointed[index] = False
+                self._leave_out(self.objects[index].name, str(error))
+        return self._pointed[index]
+
+    def _leave_out(self, name: str, reason: str) -> None:
         with self._lock:
-            if key in self._bad:
-                return
-            self._bad.add(key)
-            self.unusable[self.objects[key[0]].views[key[1]].name] = reason
-        warnings.warn(f"{reason}; left out", stacklevel=3)
+            known = name in self.unusable
+            self.unusable[name] = reason
+        if not known and len(self.unusable) <= NAMED:
+            warnings.warn(f"{reason}; left out", stacklevel=3)
 
     def _keep(self, store: dict[Any, Any], key: object, value: object, size: int) -> None:
         with self._lock:

@@ -9,33 +9,31 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import FrameType
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from .. import __version__
 from .. import device as devices
 from ..errors import InputError, TsoError
 from ..losses import chamfer
 from ..network import BaseNetwork, NetworkConfig, build_network
-from .batches import Batch, Draw, Drawing, assemble, draw_batch
+from .batches import Batch, Draw, assemble
 from .config import TrainConfig
 from .data import TrainingData
-from .losses import AffinitySchedule, mask_loss_by_category, point_loss
+from .losses import AffinitySchedule
 from .processes import Processes
 from .state import TrainingState, new_state
+from .step import Objective, batch_loss, draw_step, images_of
 
 # A training ends with a judgement of this many of its objects: of thousands it would take minutes.
 JUDGED_OBJECTS = 256
 Progress = Callable[[int, int, str], None]
 Save = Callable[[TrainingState, NetworkConfig], None]
-# From clouds [B, N, 3], their batch and lambda: the loss and two parts of it for the record.
-Objective = Callable[[Tensor, Batch, float], tuple[Tensor, float, float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +63,11 @@ def network_config(data: TrainingData, config: TrainConfig, steps: int) -> Netwo
     settings |= {"averaging": config.averaging, "balance": config.balance, "augment": config.augment}
     settings |= {"precision": config.precision}
     if config.supervision != "points":
-        settings |= {"views": config.views, "lambda": config.affinity_weight, "affinity": config.affinity}
+        settings |= {
+            "views": config.views if config.supervision == "masks" else 1,
+            "lambda": config.affinity_weight,
+            "affinity": config.affinity,
+        }
         settings |= {"saturation_steps": config.saturation_steps, "category_sigma_sq": dict(config.category_sigma_sq)}
     if config.supervision == "joint":
         settings |= {"joint_weight": config.joint_weight}
@@ -192,6 +194,10 @@ def _require_data(data: TrainingData, masked: TrainingData | None, config: Train
             f"supervision is {config.supervision!r} {'without' if joint else 'with'} images that have one mask each, expected "
             f"{'some' if joint else 'none'}"
         )
+    held = {item.category for part in (data, masked) if part for item in part.objects}
+    for name in config.category_sigma_sq:
+        if name not in held:
+            raise InputError(f"sigma^2 is given for {name!r}, expected one of the categories {', '.join(sorted(held))}")
     shares = processes.count * (2 if joint else 1)
     if config.batch_size % shares:
         raise InputError(f"batch size is {config.batch_size}, expected a multiple of {shares}")
@@ -204,46 +210,6 @@ def _require_data(data: TrainingData, masked: TrainingData | None, config: Train
     elif not data.has_targets():
         lacking = next(item.name for item in data.objects if item.target is None)
         raise InputError(f"{lacking}: has no points to learn from, expected some (or --supervision masks)")
-
-
-def draw_step(
-    data: TrainingData,
-    masked: TrainingData | None,
-    config: TrainConfig,
-    processes: Processes,
-    step: int,
-    targets: bool = False,
-) -> list[Batch]:
-    """This process's share of a step: one batch, or with "joint" one with points and one with masks.
-
-    Batches for masks hold the ``targets`` where they are asked for.
-    """
-    part = (processes.rank, processes.count)
-    size = config.batch_size // (2 if masked else 1)
-    drawing = Drawing(config.seed, size, config.frame, balance=config.balance, augment=config.augment)
-    if config.supervision == "masks":
-        return [draw_batch(data, replace(drawing, views=config.views, targets=targets), step, part)]
-    batches = [draw_batch(data, drawing, step, part)]
-    if masked:
-        batches.append(draw_batch(masked, replace(drawing, views=1, own_view=True, targets=False), step, part))
-    return batches
-
-
-def batch_loss(clouds: list[Tensor], batches: list[Batch], config: TrainConfig, weight: float) -> tuple[Tensor, float, float]:
-    """The loss and its two parts: forward and backward, BCE and affinity, or Chamfer and BCE."""
-    projected = (config.sigma_sq, config.category_sigma_sq, weight, config.affinity)
-    if config.supervision == "masks":
-        return mask_loss_by_category(clouds[0], batches[0], *projected)
-    loss, forward, backward = point_loss(clouds[0], batches[0])
-    if config.supervision == "points":
-        return loss, forward, backward
-    mask, bce, _ = mask_loss_by_category(clouds[1], batches[1], *projected)
-    return config.joint_weight * loss + mask, forward + backward, bce
-
-
-def images_of(batch: Batch, device: torch.device) -> Tensor:
-    """The images of a batch [B, 3, 64, 64] on ``device``, channels last as the network's weights."""
-    return torch.as_tensor(batch.images, device=device).contiguous(memory_format=torch.channels_last)
 
 
 @contextmanager

@@ -32,7 +32,7 @@ def from_dataset(
 ) -> TrainingData:
     """A data set as training data; pictures are read when they are first needed."""
     described = f"{dataset.description}: {len(dataset.objects)} objects"
-    return TrainingData(dataset.objects, described, crop_share, background, strict, backgrounds)
+    return TrainingData(dataset.objects, described, crop_share, background, strict, backgrounds, dataset.skipped)
 
 
 def from_meshes(

@@ -11,9 +11,9 @@ import torch
 from .batches import Batch
 from .config import TrainConfig
 from .data import TrainingData
-from .loop import batch_loss, draw_step, images_of
 from .processes import Processes
 from .state import TrainingState
+from .step import batch_loss, draw_step, images_of
 
 ROUNDS = 5
 

@@ -17,7 +17,11 @@ from .. import options
 answer = click.option(
     "-o", "--output", type=options.FilePath(), help="Write the record here (.json) and a chart beside it (.png)."
 )
-resume = click.option("--resume", is_flag=True, help="Go on from the record at -o, kept after every shape, if there is one.")
+
+
+def resume(kept: str) -> Callable[..., Any]:
+    """--resume, for a study whose record is ``kept`` then."""
+    return click.option("--resume", is_flag=True, help=f"Go on from the record at -o, kept {kept}, if there is one.")
 
 
 def check_outputs(output: Path | None, overwrite: bool, resume: bool = False) -> None:

@@ -17,10 +17,10 @@ from .shared import Reporter, answer, check_outputs, keep
     "--split",
     "split_file",
     type=options.FilePath(),
-    help="JSON file.  [default: the shipped one, of 3 categories]",
+    help="JSON file, or a folder of lists.  [default: that of the shipped network]",
 )
 @click.option("--part", type=click.Choice(["test", "validation", "train"]), default="test", show_default=True)
-@click.option("--category", "categories", multiple=True, help="May be repeated.  [default: all of --split]")
+@click.option("--category", "categories", multiple=True, help="May be repeated.  [default: 3, or all of --split]")
 @click.option("--limit", type=click.IntRange(min=1), help="At most so many shapes of each category.")
 @click.option("--views", type=click.IntRange(min=1), default=4, show_default=True, help="Random views of each shape.")
 @answer

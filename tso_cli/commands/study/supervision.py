@@ -15,7 +15,7 @@ def supervision(**arguments: Any) -> None:
     """What a network learns from: 3D points, masks through the paper's projection, or two discrete projections in its place.
 
     A network of each kind for each category, and two for all categories at once, is trained on the list train of the split
-    and judged on shapes it never saw. Reduced size: 350 steps of 8, 32 shapes a category.
+    and judged on shapes it never saw, beside the mean training shape. Reduced size: 1,000 steps of 8, 32 shapes a category.
     """
     from ...report.training_charts import draw_supervision
     from ...studies import supervision

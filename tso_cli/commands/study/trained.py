@@ -40,7 +40,7 @@ def training_options(function: Function) -> Function:
             click.option(
                 "--full",
                 is_flag=True,
-                help="The paper's scale: 20,000 steps of 16 at a rate of 5e-5, all shapes and categories.",
+                help="At the paper's rate, 5e-5: 20,000 steps of 16 on all shapes, without what makes few steps go further.",
             ),
             click.option("--steps", type=click.IntRange(min=1), help="Of every network.  [default: reduced, see above]"),
             click.option("--batch-size", type=click.IntRange(min=1), help="[default: 8; 16 with --full]"),
@@ -55,7 +55,7 @@ def training_options(function: Function) -> Function:
                 help="Axes of the predicted points: the objects' own, as in the paper, or the camera's.",
             ),
             answer,
-            resume,
+            resume("after every network, and every 500 steps within one"),
             options.device,
             options.seed,
             options.overwrite,

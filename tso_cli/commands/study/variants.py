@@ -19,14 +19,14 @@ from .shared import Reporter, answer, check_outputs, earlier_record, keep, resum
     "--split",
     "split_file",
     type=options.FilePath(),
-    help="JSON file.  [default: the shipped one, of 3 categories]",
+    help="JSON file, or a folder of lists.  [default: that of the shipped network]",
 )
 @click.option("--part", type=click.Choice(["test", "validation"]), default="test", show_default=True)
-@click.option("--category", "categories", multiple=True, help="May be repeated.  [default: all of --split]")
+@click.option("--category", "categories", multiple=True, help="May be repeated.  [default: 3, or all of --split]")
 @click.option("--limit", type=click.IntRange(min=1), help="At most so many shapes of each category.")
 @click.option("--views", type=click.IntRange(min=1), default=4, show_default=True, help="Random views of each shape.")
 @answer
-@resume
+@resume("after every shape")
 @click.option("--steps", type=click.IntRange(min=0), default=50, show_default=True)
 @options.device
 @options.seed

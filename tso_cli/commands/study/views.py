@@ -12,9 +12,9 @@ from .trained import run, training_options
 @click.command("views")
 @training_options
 def views(**arguments: Any) -> None:
-    """How many masks of each object supervise a step: 1, 2, 3, 4, 5, 6 and 8.
+    """How many masks of each object supervise a step: 1, 2, 3, 4, 5, 6 and 8; of 1 and 2 three networks each.
 
-    Reduced size: cars alone, 800 steps of 8.
+    Reduced size: cars alone, 2,000 steps of 8.
     """
     from ...report.training_charts import draw_views
     from ...studies import views
@@ -29,8 +29,8 @@ def _table(record: dict[str, Any]) -> str:
     counts = list(next(iter(summary.values())))
     rows: list[list[Any]] = []
     for category, own in summary.items():
-        rows.append([category, *own.values()])
-        if category in record["paper"]:
-            theirs = {str(count): value for count, value in record["paper"][category].items()}
-            rows.append([f"{category}, paper", *(theirs[count] for count in counts)])
-    return text_table(["masks", *counts], rows, decimals=2)
+        rows.append([category, *own.values(), record["constant"][category]])
+        theirs = record["paper"].get(category)
+        if theirs:
+            rows.append([f"{category}, paper", *(theirs[count] for count in counts), None])
+    return text_table(["masks", *counts, "mean shape"], rows, decimals=2)

@@ -25,8 +25,8 @@ def weight(**arguments: Any) -> None:
 def _table(record: dict[str, Any]) -> str:
     from ...report.table import text_table
 
-    summary, paper = record["summary"], record["paper"]["chair"]
+    summary, paper = record["summary"], record["paper"]
     weights = list(next(iter(summary.values())))
     rows: list[list[Any]] = [[f"form {form!r}", *own.values()] for form, own in summary.items()]
-    rows.append(["paper (chair)", *(paper.get(weight) for weight in weights)])
+    rows += [[f"paper ({name})", *(own.get(weight) for weight in weights)] for name, own in paper.items()]
     return text_table(["lambda", *weights], rows, decimals=2)

@@ -1,0 +1,58 @@
+"""One step of a training: what it sees, and what its clouds are asked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from .batches import Batch, Drawing, draw_batch
+from .config import TrainConfig
+from .data import TrainingData
+from .losses import mask_loss_by_category, point_loss
+from .processes import Processes
+
+# From clouds [B, N, 3], their batch and lambda: the loss and two parts of it for the record.
+Objective = Callable[[Tensor, Batch, float], tuple[Tensor, float, float]]
+
+
+def draw_step(
+    data: TrainingData,
+    masked: TrainingData | None,
+    config: TrainConfig,
+    processes: Processes,
+    step: int,
+    targets: bool = False,
+) -> list[Batch]:
+    """This process's share of a step: one batch, or with "joint" one with points and one with masks.
+
+    Batches for masks hold the ``targets`` where they are asked for.
+    """
+    part = (processes.rank, processes.count)
+    size = config.batch_size // (2 if masked else 1)
+    drawing = Drawing(config.seed, size, config.frame, balance=config.balance, augment=config.augment)
+    if config.supervision == "masks":
+        return [draw_batch(data, replace(drawing, views=config.views, targets=targets), step, part)]
+    batches = [draw_batch(data, drawing, step, part)]
+    if masked:
+        batches.append(draw_batch(masked, replace(drawing, views=1, own_view=True, targets=False), step, part))
+    return batches
+
+
+def batch_loss(clouds: list[Tensor], batches: list[Batch], config: TrainConfig, weight: float) -> tuple[Tensor, float, float]:
+    """The loss and its two parts: forward and backward, BCE and affinity, or Chamfer and BCE."""
+    projected = (config.sigma_sq, config.category_sigma_sq, weight, config.affinity)
+    if config.supervision == "masks":
+        return mask_loss_by_category(clouds[0], batches[0], *projected)
+    loss, forward, backward = point_loss(clouds[0], batches[0])
+    if config.supervision == "points":
+        return loss, forward, backward
+    mask, bce, _ = mask_loss_by_category(clouds[1], batches[1], *projected)
+    return config.joint_weight * loss + mask, forward + backward, bce
+
+
+def images_of(batch: Batch, device: torch.device) -> Tensor:
+    """The images of a batch [B, 3, 64, 64] on ``device``, channels last as the network's weights."""
+    return torch.as_tensor(batch.images, device=device).contiguous(memory_format=torch.channels_last)
