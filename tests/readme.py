@@ -113,21 +113,65 @@ def variants_table(record: dict) -> str:
 
 def settings_table(record: dict) -> str:
     """What networks trained with different settings reached, and in the paper, as Markdown."""
-    flat = {setting: _flat(own) for setting, own in record["summary"].items()}
-    columns = list(dict.fromkeys(key for own in flat.values() for key in own))
-    flat |= {f"*{setting}, the paper*": _flat(own) for setting, own in record["paper"].items()}
+    return _table({**record["summary"], **{f"*{name}, the paper*": own for name, own in record["paper"].items()}})
+
+
+def views_table(record: dict) -> str:
+    """Chamfer over the number of masks, with each seed's where there are several, the constant answer, and the paper's."""
+    rows = {}
+    for category, values in record["summary"].items():
+        rows[category] = {**values, "mean training shape": record["constant"][category]}
+        seeds = record["seeds"][category]
+        rows[f"{category}, by seed"] = {
+            count: ", ".join(f"{value:.2f}" for value in own) for count, own in seeds.items() if len(own) > 1
+        }
+        if category in record["paper"]:
+            rows[f"*{category}, the paper*"] = record["paper"][category]
+    return _table(rows)
+
+
+def affinity_table(record: dict) -> str:
+    """Outliers in per cent and Chamfer with and without the affinity loss, as Markdown."""
+    return _table(
+        {
+            setting: {
+                f"{category}: {label}": factor * values[key]
+                for category, values in own.items()
+                for key, label, factor in (("outliers", "outliers, %", 100.0), ("chamfer", "Chamfer", 1.0))
+            }
+            for setting, own in record["summary"].items()
+        }
+    )
+
+
+def failures_table(record: dict) -> str:
+    """Sizes of aeroplanes, then errors of cars, as Markdown."""
+    planes = {name: own for name, own in record["summary"].items() if "span" in own}
+    cars = {
+        name: {
+            "error in depth x1000": 1e3 * own["depth"],
+            "across x1000": 1e3 * own["across"],
+            "extent in depth": own["extent"],
+            "Chamfer": own["chamfer"],
+        }
+        for name, own in record["summary"].items()
+        if "depth" in own
+    }
+    sizes = {
+        name: {key.replace("_", " ").replace("chamfer", "Chamfer"): v for key, v in own.items()} for name, own in planes.items()
+    }
+    return f"{_table(sizes)}\n\n{_table(cars)}"
+
+
+def _table(found: dict[str, dict]) -> str:
+    """A row for each name; columns in the order of the first row."""
+    columns = list(dict.fromkeys(key for own in found.values() for key in own))
     rows = ["| | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
-    for setting, own in flat.items():
-        cells = ["" if own.get(key) is None else f"{own[key]:.2f}" for key in columns]
-        rows.append(f"| {setting} | " + " | ".join(cells) + " |")
+    for name, own in found.items():
+        values = [own.get(key) for key in columns]
+        cells = ["" if value is None else value if isinstance(value, str) else f"{value:.2f}" for value in values]
+        rows.append(f"| {name} | " + " | ".join(cells) + " |")
     return "\n".join(rows)
-
-
-def _flat(values: dict, above: str = "") -> dict[str, float]:
-    found = {}
-    for key, value in values.items():
-        found |= _flat(value, f"{above}{key} ") if isinstance(value, dict) else {f"{above}{key}": value}
-    return found
 
 
 def sigma_table(record: dict) -> str:
@@ -155,10 +199,10 @@ TABLES = {
     "tso": variants_table,
     "sigma": sigma_table,
     "supervision": settings_table,
-    "views": settings_table,
+    "views": views_table,
     "lambda": settings_table,
-    "affinity": settings_table,
-    "failures": settings_table,
+    "affinity": affinity_table,
+    "failures": failures_table,
 }
 
 
