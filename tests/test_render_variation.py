@@ -98,7 +98,10 @@ def test_copies_are_rendered_beside_the_mesh_and_belong_to_it_in_a_split(
     assert run(*command) == 2
     assert "has no mesh no_chair" in capsys.readouterr().err
     assert run(*command, "--part", "practice") == 2
-    assert "--part is 'practice', expected train, validation or test" in capsys.readouterr().err
+    assert "'practice' is not one of 'train', 'validation', 'test'" in capsys.readouterr().err
+    split.write_text(json.dumps({"train": ["kfurn_chair"]}))
+    assert run(*command, "--part", "test") == 2
+    assert "split.json: has no list 'test', expected one beside 'train'" in capsys.readouterr().err
 
 
 def test_a_split_takes_the_copies_of_what_it_names_and_misses_nothing() -> None:
