@@ -342,17 +342,17 @@ def test_a_photo_turned_by_its_exif_note_says_the_same_as_one_stored_upright(fol
 
 
 def test_an_interrupt_writes_the_best_so_far(folder, capsys, monkeypatch):
-    from tso_cli import refinement
+    from tso_cli.objective import MaskObjective
 
     steps = iter(range(100))
-    true_call = refinement.MaskObjective.__call__
+    true_call = MaskObjective.__call__
 
     def interrupted(self, moved):
         if next(steps) == 7:
             raise KeyboardInterrupt
         return true_call(self, moved)
 
-    monkeypatch.setattr(refinement.MaskObjective, "__call__", interrupted)
+    monkeypatch.setattr(MaskObjective, "__call__", interrupted)
     assert tso("refine", "initial.ply", "mask.png") == 130
     assert "interrupted at step 6 of 50" in capsys.readouterr().err
     assert Path("initial.refined.ply").exists()

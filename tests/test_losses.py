@@ -223,4 +223,6 @@ def test_the_regulariser_is_the_chamfer_distance_to_the_start():
     start = torch.rand(200, 3, generator=generator, dtype=torch.float64)
     for step in (0.0, 0.01, 0.2):
         moved = start + step * torch.randn(start.shape, generator=generator, dtype=torch.float64)
-        assert ChamferToInitial(start)(moved).item() == pytest.approx(sum(oracles.chamfer(moved, start)).item(), abs=1e-15)
+        assert ChamferToInitial(start[None])(moved[None]).item() == pytest.approx(
+            sum(oracles.chamfer(moved, start)).item(), abs=1e-15
+        )

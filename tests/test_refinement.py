@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import tso_cli
-from tso_cli import objective, refinement
+from tso_cli import objective
 from tso_cli.camera import Camera
 from tso_cli.errors import InputError, TsoError
 from tso_cli.files.cameras import read_camera
@@ -17,7 +17,8 @@ from tso_cli.files.clouds import read_cloud
 from tso_cli.files.images import read_mask
 from tso_cli.losses import chamfer
 from tso_cli.network import build_network
-from tso_cli.refinement import RefineConfig, refine
+from tso_cli.objective import MaskObjective
+from tso_cli.refinement import RefineConfig, refine, refine_batch, run
 from tso_cli.scene import View
 
 CHAIR = Path(__file__).parents[1] / "examples" / "chair"
@@ -144,12 +145,12 @@ def test_an_interrupt_keeps_the_best_so_far(chair):
 def test_a_loss_that_stops_being_a_number_keeps_the_best_before_it(chair, monkeypatch):
     points, mask, camera = chair
     calls = iter(range(1000))
-    true_call = refinement.MaskObjective.__call__
+    true_call = MaskObjective.__call__
 
     def failing(self, moved):
         return true_call(self, moved) * (torch.nan if next(calls) >= 3 else 1.0)
 
-    monkeypatch.setattr(refinement.MaskObjective, "__call__", failing)
+    monkeypatch.setattr(MaskObjective, "__call__", failing)
     result = refine(points, mask, camera)
     assert (result.stop_reason, result.steps, result.best_step) == ("non_finite", 2, 2)
     assert np.isfinite(result.points).all()
@@ -194,13 +195,13 @@ def test_a_network_mode_moves_only_its_own_weights_and_leaves_the_network_as_it_
     network = build_network(points=64)
     before = {name: value.clone() for name, value in network.state_dict().items()}
     seen = {}
-    true_descend = refinement._descend
+    true_descend = run.descend
 
     def spy(produce, parameters, *rest):
         seen["count"] = sum(p.numel() for p in parameters)
         return true_descend(produce, parameters, *rest)
 
-    monkeypatch.setattr(refinement, "_descend", spy)
+    monkeypatch.setattr(run, "descend", spy)
     mask = np.zeros((64, 64), np.float32)
     mask[22:42, 25:40] = 1.0
     image = torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0))
@@ -257,3 +258,47 @@ def test_a_device_that_is_not_there_is_refused(chair):
         pytest.skip("this machine has CUDA")
     with pytest.raises(InputError, match="cuda: not available"):
         refine(*chair, RefineConfig(device="cuda"))
+
+
+def test_a_batch_of_clouds_of_different_sizes_comes_to_what_each_comes_to_alone(chair):
+    points, mask, camera = chair
+    larger = np.concatenate([points, points * 0.99])
+    far = points + 100.0
+    scenes = [
+        (points, View(mask, camera)),
+        (points[::3], [View(mask, camera), View(mask, camera)]),
+        (larger, View(mask, camera)),
+        (far, View(mask, _shifted(camera, 100.0))),
+        (points[::2] * 0.9, View(mask, camera, np.arange(256)[:, None] + np.zeros((256, 256)) < 200)),
+    ]
+    for found, (own, views) in zip(refine_batch(scenes), scenes, strict=True):
+        alone = refine(own, views)
+        np.testing.assert_allclose(found.points, alone.points, atol=2e-5)
+        assert found.loss_after == pytest.approx(alone.loss_after, rel=1e-5)
+        assert (found.steps, found.stop_reason) == (50, "max_steps")
+        assert found.best_step == pytest.approx(alone.best_step, abs=2)
+        assert (found.iou_before, found.iou_after) == pytest.approx((alone.iou_before, alone.iou_after), abs=1e-3)
+        assert found.chamfer_to_initial == pytest.approx(alone.chamfer_to_initial, rel=1e-3)
+
+
+def test_in_a_batch_one_that_cannot_be_refined_stops_no_other(chair, monkeypatch):
+    points, mask, camera = chair
+    behind = Camera(camera.K, camera.R, camera.t - [0.0, 0.0, 9.0], camera.width, camera.height)
+    scenes = [(points, View(mask, camera)), (points, View(mask, behind)), (np.full((5, 3), np.nan), View(mask, camera))]
+    good, unseen, nothing = refine_batch(scenes, RefineConfig(steps=3))
+    assert good.loss_after < good.loss_before
+    assert isinstance(unseen, InputError)
+    assert "behind the camera" in str(unseen)
+    assert "points of scene 2" in str(nothing)
+    calls = iter(range(1000))
+    true_call = MaskObjective.__call__
+
+    def failing(self, moved):
+        return true_call(self, moved) * torch.tensor([1.0, torch.nan if next(calls) >= 3 else 1.0])
+
+    monkeypatch.setattr(MaskObjective, "__call__", failing)
+    whole, broken = refine_batch([scenes[0], scenes[0]])
+    assert (whole.stop_reason, whole.steps) == ("max_steps", 50)
+    assert (broken.stop_reason, broken.steps, broken.best_step) == ("non_finite", 2, 2)
+    assert np.isfinite(broken.points).all()
+    np.testing.assert_allclose(whole.points, refine_batch([scenes[0]] * 2)[0].points, atol=1e-5)

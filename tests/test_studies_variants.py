@@ -10,13 +10,13 @@ import pytest
 from PIL import Image
 
 from tso_cli import network as networks
-from tso_cli import refinement
 from tso_cli.cli import main
 from tso_cli.errors import InputError
 from tso_cli.files.checkpoints import save_network
 from tso_cli.files.meshes import Mesh
 from tso_cli.geometry import normalise_longest_side, sample_surface
 from tso_cli.network import NetworkConfig, build_network
+from tso_cli.objective import MaskObjective
 from tso_cli.render import RayScene, RenderSettings, look_at
 from tso_cli.studies import variants
 from tso_cli.studies.parts import see, shapes_of_part
@@ -325,7 +325,7 @@ def test_the_command_sets_its_table_beside_the_papers_and_draws_a_chart(command,
 def test_ctrl_c_keeps_the_shapes_done_and_the_command_goes_on_from_them(command, capsys, monkeypatch):
     arguments, output = command
     calls = iter(range(1000))
-    true_call = refinement.MaskObjective.__call__
+    true_call = MaskObjective.__call__
 
     def interrupted(self, moved):
         if next(calls) == 7:  # the first shape takes two for each variant
@@ -333,7 +333,7 @@ def test_ctrl_c_keeps_the_shapes_done_and_the_command_goes_on_from_them(command,
         return true_call(self, moved)
 
     with monkeypatch.context() as patch:
-        patch.setattr(refinement.MaskObjective, "__call__", interrupted)
+        patch.setattr(MaskObjective, "__call__", interrupted)
         assert tso(*arguments) == 130
     record = json.loads(output.read_text())
     assert not record["complete"]

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from .refinement import RefineConfig as RefineConfig
     from .refinement import RefineResult as RefineResult
     from .refinement import refine as refine
+    from .refinement import refine_batch as refine_batch
 
 _WHERE = {
     "Camera": "camera",
@@ -23,8 +24,9 @@ _WHERE = {
     "RefineConfig": "refinement",
     "RefineResult": "refinement",
     "refine": "refinement",
+    "refine_batch": "refinement",
 }
-__all__ = ["Camera", "GateError", "InputError", "RefineConfig", "RefineResult", "TsoError", "refine"]
+__all__ = ["Camera", "GateError", "InputError", "RefineConfig", "RefineResult", "TsoError", "refine", "refine_batch"]
 
 
 def __getattr__(name: str) -> Any:

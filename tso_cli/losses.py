@@ -164,19 +164,34 @@ def chamfer(prediction: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class ChamferToInitial:
-    """The regulariser d(y, y^) of Eq. 7: Chamfer between the initial cloud and the cloud being moved.
+    """The regulariser d(y, y^) of Eq. 7: Chamfer between initial clouds and the same clouds being moved.
 
     Parameters
     ----------
-    initial : [N, 3]
+    initial : [B, N, 3]
+    counts : [B], how many points of each row are there; None for all.
     """
 
-    def __init__(self, initial: Tensor) -> None:
+    def __init__(self, initial: Tensor, counts: Tensor | None = None) -> None:
         self.initial = initial.detach()
-        self._nearest = StaticNearest(self.initial)
+        self.counts = torch.full((len(initial),), initial.shape[1]) if counts is None else counts
+        self._compiled = compiled_pays(self.initial)
+        if self._compiled:
+            from .kernels.compiled_static import StaticTrees
+
+            self._trees = StaticTrees(self.initial, self.counts)
+        else:
+            rows = zip(self.initial, self.counts.tolist(), strict=True)
+            self._nearest = [StaticNearest(cloud[:count]) for cloud, count in rows]
 
     def __call__(self, points: Tensor) -> Tensor:
-        """Both directions summed, squared distances, mean over points; differentiable in ``points`` [N, 3]."""
-        to_points, to_initial = self._nearest(points)
-        forward = (self.initial - points[to_points]).square().sum(1).mean()
-        return forward + (points - self.initial[to_initial]).square().sum(1).mean()
+        """Both directions summed [B], squared distances, mean over points; differentiable in ``points`` [B, N, 3]."""
+        if self._compiled:
+            return self._trees.chamfer(points)
+        terms = []
+        for start, moved, nearest in zip(self.initial, points, self._nearest, strict=True):
+            start, moved = start[: len(nearest.start)], moved[: len(nearest.start)]
+            to_points, to_initial = nearest(moved)
+            forward = (start - moved[to_points]).square().sum(1).mean()
+            terms.append(forward + (moved - start[to_initial]).square().sum(1).mean())
+        return torch.stack(terms)

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from .camera import Camera
 from .errors import InputError
 from .losses import silhouette_bce
 from .projection import CameraBatch, coarsened, default_sigma_sq, project, silhouette_sums
@@ -22,74 +23,103 @@ RESOLVED_SIGMA_SQ = 0.4
 
 @dataclass(frozen=True, eq=False)
 class WorkingView:
-    """A view as the loop sees it: tensors with leading batch axes of one cloud and one view."""
+    """A view as the loop sees it.
 
-    mask: Tensor  # [1, h, w]
-    known: Tensor | None  # [1, h, w] weight
-    camera: CameraBatch
+    Attributes
+    ----------
+    mask : [h, w]; known : [h, w] weight of each pixel, None where all count.
+    camera : from normalised points to its pixels; sigma_sq : px^2 there.
+    """
+
+    mask: NDArray[np.float64]
+    known: NDArray[np.float64] | None
+    camera: Camera
     sigma_sq: float
 
+    @property
+    def kind(self) -> tuple[int, int, str, float]:
+        """What views must have in common to be worked on together."""
+        return self.camera.width, self.camera.height, self.camera.model, self.sigma_sq
 
-def working_view(view: View, sigma_sq: float, centre: NDArray[np.float64], scale: float, like: Tensor) -> WorkingView:
+
+def working_view(view: View, sigma_sq: float | None, centre: NDArray[np.float64], scale: float) -> WorkingView:
     """Prepare ``view`` for a cloud normalised by ``(X - centre) / scale``.
 
     A silhouette whose kernel spans many pixels holds nothing finer than that kernel, so its mask is averaged (by area) down
     to pixels of about the kernel's size. The default sigma^2 grows with the image, so every image is worked on at 64 px along
     its longer side; a smaller sigma^2 keeps more. Nothing is ever scaled up.
+
+    Raises
+    ------
+    InputError
+        sigma_sq (px^2; None for the view's default) is under 0.01, or its square root over a quarter of the image.
     """
+    if sigma_sq is None:
+        sigma_sq = default_sigma_sq(view.camera.width, view.camera.height)
+    widest = (max(view.camera.width, view.camera.height) / 4.0) ** 2
+    if not 0.01 <= sigma_sq <= widest:
+        raise InputError(f"{view.name}: sigma_sq is {sigma_sq:g} px^2, expected 0.01 to {widest:g} for a mask of this size")
     camera, sigma_sq = coarsened(view.camera, sigma_sq, RESOLVED_SIGMA_SQ)
     mask, known = view.mask.astype(np.float64), view.known
     weight: NDArray[np.float64] | None = None if known is None else known.astype(np.float64)
     if camera is not view.camera:
         box = (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5)
         mask, weight = area_resize(mask, box, camera.width, camera.height, weights=weight)
-    batch = CameraBatch.of([camera.for_normalised(centre, scale)], like)
-    return WorkingView(
-        torch.as_tensor(mask, dtype=like.dtype, device=like.device).unsqueeze(0),
-        None if known is None else torch.as_tensor(weight, dtype=like.dtype, device=like.device).unsqueeze(0),
-        batch,
-        sigma_sq,
-    )
+    return WorkingView(mask, None if known is None else weight, camera.for_normalised(centre, scale), sigma_sq)
 
 
 class MaskObjective:
-    """Sum over views of the silhouette's binary cross-entropy (Eq. 4) for one cloud.
+    """Sum over views of the silhouette's binary cross-entropy (Eq. 4), for B clouds that are asked by views of their own.
 
     Parameters
     ----------
-    views : V views of the object.
-    centre, scale : the normalisation of the clouds it will be called with.
-    sigma_sq : px^2 of each view's mask; None for each view's default.
-    like : tensor whose precision and device are used.
-
-    Raises
-    ------
-    InputError
-        sigma_sq is under 0.01 px^2, or its square root over a quarter of the image.
+    views : [B][V] views of each cloud; view v is of one kind (:attr:`WorkingView.kind`) for all clouds.
+    counts : [B] points of each cloud, those behind them are not there.
+    like : [B, N, 3] tensor whose precision and device are used.
     """
 
-    def __init__(
-        self,
-        views: Sequence[View],
-        centre: NDArray[np.float64],
-        scale: float,
-        sigma_sq: float | None,
-        like: Tensor,
-    ) -> None:
-        self.views = []
-        for view in views:
-            own = default_sigma_sq(view.camera.width, view.camera.height) if sigma_sq is None else sigma_sq
-            widest = (max(view.camera.width, view.camera.height) / 4.0) ** 2
-            if not 0.01 <= own <= widest:
-                raise InputError(f"{view.name}: sigma_sq is {own:g} px^2, expected 0.01 to {widest:g} for a mask of this size")
-            self.views.append(working_view(view, own, centre, scale, like))
+    def __init__(self, views: Sequence[Sequence[WorkingView]], counts: Tensor, like: Tensor) -> None:
+        self.views = [_Together.of(column, like) for column in zip(*views, strict=True)]
+        size = like.shape[1]
+        full = bool((counts == size).all())
+        self._there = None if full else (torch.arange(size) < counts.unsqueeze(1)).to(like.device).unsqueeze(1)  # [B, 1, N]
 
     def __call__(self, points: Tensor) -> Tensor:
-        """The loss of ``points`` [N, 3], a scalar."""
-        total = points.new_zeros(())
+        """The loss [B] of the clouds ``points`` [B, N, 3]."""
+        total = points.new_zeros(len(points))
         for view in self.views:
-            projected = project(points.unsqueeze(0), view.camera)
-            sums = silhouette_sums(projected, view.camera, view.sigma_sq)[:, 0]
+            projected = project(points, view.cameras)
+            if self._there is not None:
+                projected = projected._replace(valid=projected.valid & self._there)
+            sums = silhouette_sums(projected, view.cameras, view.sigma_sq)[:, 0]
             points_px, valid = projected.points_px[:, 0], projected.valid[:, 0]
-            total = total + silhouette_bce(sums, view.mask, points_px, valid, view.sigma_sq, view.known)[0]
+            total = total + silhouette_bce(sums, view.mask, points_px, valid, view.sigma_sq, view.known)
         return total
+
+
+@dataclass(frozen=True, eq=False)
+class _Together:
+    """One view of each of B clouds."""
+
+    mask: Tensor  # [B, h, w]
+    known: Tensor | None  # [B, h, w]
+    cameras: CameraBatch  # [B, 1]
+    sigma_sq: float
+
+    @classmethod
+    def of(cls, views: Sequence[WorkingView], like: Tensor) -> _Together:
+        def stacked(arrays: list[NDArray[np.float64]]) -> Tensor:
+            return torch.as_tensor(np.stack(arrays), dtype=like.dtype, device=like.device)
+
+        first = views[0]
+        if any(view.kind != first.kind for view in views):
+            raise ValueError("views that are worked on together share size, model and sigma^2")
+        known = None
+        if any(view.known is not None for view in views):
+            known = stacked([np.ones_like(view.mask) if view.known is None else view.known for view in views])
+        return cls(
+            stacked([view.mask for view in views]),
+            known,
+            CameraBatch.of([view.camera for view in views], like).one_each(),
+            first.sigma_sq,
+        )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -48,6 +48,10 @@ class CameraBatch:
             for name in ("K", "R", "t")
         )
         return cls(K, R, t, first.width, first.height, first.model)
+
+    def one_each(self) -> CameraBatch:
+        """V cameras as those of V clouds, which have one each: [V, 1, ...]."""
+        return replace(self, K=self.K.unsqueeze(1), R=self.R.unsqueeze(1), t=self.t.unsqueeze(1))
 
 
 class Projected(NamedTuple):

@@ -24,7 +24,7 @@ def cross_entropy(sums: Tensor, mask: Tensor, known: Tensor | None, uncovered: f
     total, slope = sums.new_empty(len(sums)), torch.empty_like(sums, memory_format=torch.contiguous_format)
     weight = torch.ones(1, 1, 1, dtype=sums.dtype).expand_as(sums) if known is None else known
     share(len(sums), 8 * sums.numel(), _cross_entropy, sums, weight, mask, uncovered, total, slope)
-    return _WithSlope.apply(sums, total, slope)
+    return WithSlope.apply(sums, total, slope)
 
 
 def pull_to_pixels(pixels: Tensor, weight: Tensor, points_px: Tensor, valid: Tensor, factor: float) -> Tensor:
@@ -32,17 +32,17 @@ def pull_to_pixels(pixels: Tensor, weight: Tensor, points_px: Tensor, valid: Ten
     total, slope = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
     index = nearest_points(pixels, points_px, valid)
     share(len(pixels), 2 * pixels.numel(), _pull_to_pixels, index, weight, points_px, factor, total, slope)
-    return _WithSlope.apply(points_px, total, slope)
+    return WithSlope.apply(points_px, total, slope)
 
 
 def pull_to_mask(points_px: Tensor, valid: Tensor, inside: Tensor) -> Tensor:
     """Sum [M] over the points that fall on background of the squared distance to the nearest pixel that is ``inside``."""
     total, slope = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
     share(len(inside), 8 * inside.numel() + 32 * valid.numel(), _pull_to_mask, points_px, valid, inside, total, slope)
-    return _WithSlope.apply(points_px, total, slope)
+    return WithSlope.apply(points_px, total, slope)
 
 
-class _WithSlope(torch.autograd.Function):
+class WithSlope(torch.autograd.Function):
     """``value`` [M] as a function of ``variable`` [M, ...] whose derivative is ``slope``."""
 
     @staticmethod

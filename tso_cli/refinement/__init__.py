@@ -1,0 +1,8 @@
+"""Test-stage optimisation: one loop, whose variants differ only in which parameters move."""
+
+from __future__ import annotations
+
+from .config import MODES, RefineConfig, RefineResult
+from .run import refine, refine_batch
+
+__all__ = ["MODES", "RefineConfig", "RefineResult", "refine", "refine_batch"]

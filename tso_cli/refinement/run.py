@@ -1,0 +1,272 @@
+"""Test-stage optimisation (Eq. 7 of the paper): clouds, masks and cameras -> the loop -> results."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from .. import device as devices
+from ..camera import Camera
+from ..errors import InputError, TsoError
+from ..losses import ChamferToInitial
+from ..metrics import iou
+from ..objective import MaskObjective, WorkingView, working_view
+from ..placement import place, require_overlap
+from ..projection import default_sigma_sq, silhouette_of
+from ..scene import View
+from .config import PAPER_GAMMA, PAPER_LEARNING_RATE, RefineConfig, RefineResult
+from .loop import Descent, Progress, descend
+from .starts import Cloud, NetworkStart, PointsStart
+from .views import as_views
+
+if TYPE_CHECKING:
+    from ..network import BaseNetwork
+
+Array = NDArray[np.float64]
+
+# Clouds up to this size are moved by one CPU thread.
+SMALL_CLOUD = 8192
+# Clouds of one batch hold no more points than this together, and none less than half as many as the largest.
+BATCH_POINTS = 1 << 20
+
+
+def refine(
+    points: Any,
+    masks: Any,
+    cameras: Camera | Sequence[Camera] | None = None,
+    config: RefineConfig | None = None,
+    *,
+    network: BaseNetwork | None = None,
+    image: Any = None,
+    progress: Progress | None = None,
+) -> RefineResult:
+    """Move a cloud, or the network that predicts it, until its projection agrees with the masks.
+
+    Parameters
+    ----------
+    points : [N, 3] array or tensor; None in the network modes, where the network's prediction is the start.
+    masks : one [H, W] array in [0, 1], a sequence of them, or :class:`tso_cli.scene.View` objects, which bring their own camera
+        and ignore map.
+    cameras : one for each mask; None for the canonical camera.
+    config : settings, by default the paper's.
+    network : for the modes "encoder" and "encoder-decoder"; it is copied, never changed.
+    image : [3, 64, 64] network input in [0, 1], array or tensor.
+    progress : called after every step with (step, steps, loss).
+
+    Returns
+    -------
+    RefineResult; its points are the best iterate of BCE + gamma * Chamfer, the start being a candidate.
+
+    Raises
+    ------
+    InputError
+        Points, masks or cameras that cannot be used or do not meet, or a mode that lacks its network.
+    TsoError
+        The loss of the start, or after the first step, is not a finite number.
+    """
+    config = config or RefineConfig()
+    seconds: dict[str, float] = {}
+    views = as_views(masks, cameras)
+    device = devices.resolve(config.device)
+    with _timed(seconds, "prepare"):
+        start: PointsStart | NetworkStart
+        if config.mode == "points":
+            if points is None:
+                raise InputError("mode points needs points, found none")
+            cloud = Cloud(points, "points")
+            start = PointsStart([cloud], device)
+        else:
+            start = NetworkStart(network, image, config.mode, device)
+            cloud = start.cloud
+        item = _Item.of(cloud, views, config)
+    (found,) = _refined([item], start, config, seconds, progress)
+    if isinstance(found, TsoError):
+        raise found
+    return found
+
+
+def refine_batch(
+    scenes: Sequence[tuple[Any, Any]], config: RefineConfig | None = None, *, progress: Progress | None = None
+) -> list[RefineResult | TsoError]:
+    """Move many clouds, each until its projection agrees with its own masks: the results of `refine`, of all at once.
+
+    Small clouds fill the machine together where they could not alone.
+
+    Parameters
+    ----------
+    scenes : (points [N, 3], views) of each; the views are a :class:`tso_cli.scene.View` or a sequence of them.
+    config : settings for all; mode "points".
+    progress : called with (steps done, steps in all, mean loss), counted over the batches that the clouds are put into.
+
+    Returns
+    -------
+    For each scene its result, or the error that `refine` would have raised: one that cannot be refined stops no other.
+    ``seconds`` are those of the batch, divided by its size.
+
+    Raises
+    ------
+    InputError
+        The mode is not "points", or the device is not there.
+    """
+    config = config or RefineConfig()
+    if config.mode != "points":
+        raise InputError(f"mode is {config.mode!r}, expected points for a batch")
+    device = devices.resolve(config.device)
+    found: list[RefineResult | TsoError | None] = [None] * len(scenes)
+    items: dict[int, _Item] = {}
+    for number, (points, masks) in enumerate(scenes):
+        try:
+            items[number] = _Item.of(Cloud(points, f"points of scene {number}"), as_views(masks), config)
+        except TsoError as error:
+            found[number] = error
+    batches = _batches(items)
+    done, total = 0, len(batches) * config.steps
+    for batch in batches:
+        seconds: dict[str, float] = {}
+
+        def told(step: int, steps: int, loss: float, before: int = done) -> None:
+            if progress:
+                progress(before + step, total, loss)
+
+        own = [items[number] for number in batch]
+        with _timed(seconds, "prepare"):
+            start = PointsStart([item.cloud for item in own], device)
+        for number, result in zip(batch, _refined(own, start, config, seconds, told), strict=True):
+            found[number] = result
+        done += config.steps
+    return [result for result in found if result is not None]
+
+
+@dataclass(frozen=True, eq=False)
+class _Item:
+    """A cloud and what asks it."""
+
+    cloud: Cloud
+    views: tuple[View, ...]
+    working: tuple[WorkingView, ...]
+
+    @classmethod
+    def of(cls, cloud: Cloud, views: tuple[View, ...], config: RefineConfig) -> _Item:
+        for view in views:
+            require_overlap(place(cloud.initial, view), view)
+        working = tuple(working_view(view, config.sigma_sq, cloud.centre, cloud.scale) for view in views)
+        return cls(cloud, views, working)
+
+
+def _batches(items: dict[int, _Item]) -> list[list[int]]:
+    """Numbers of the items that are worked on together: views of one kind, sizes within a factor of two, bounded memory."""
+    groups: dict[Any, list[int]] = {}
+    for number, item in items.items():
+        groups.setdefault(tuple(view.kind for view in item.working), []).append(number)
+    batches: list[list[int]] = []
+    for group in groups.values():
+        largest = 0
+        for number in sorted(group, key=lambda number: -len(items[number].cloud.initial)):
+            size = len(items[number].cloud.initial)
+            if not largest or 2 * size < largest or (len(batches[-1]) + 1) * largest > BATCH_POINTS:
+                batches.append([])
+                largest = size
+            batches[-1].append(number)
+    return batches
+
+
+def _refined(
+    items: list[_Item],
+    start: PointsStart | NetworkStart,
+    config: RefineConfig,
+    seconds: dict[str, float],
+    progress: Progress | None,
+) -> list[RefineResult | TsoError]:
+    """The loop, and the results of all items."""
+    with _timed(seconds, "prepare"):
+        first = start.produce().detach().clone()
+        mask_term = MaskObjective([item.working for item in items], start.counts, first)
+        chamfer = ChamferToInitial(first, start.counts)
+    gamma = PAPER_GAMMA[config.mode] if config.gamma is None else config.gamma
+    learning_rate = config.learning_rate or PAPER_LEARNING_RATE[config.mode]
+
+    def objective(moved: Tensor) -> Tensor:
+        loss = mask_term(moved)
+        return loss + gamma * chamfer(moved) if gamma else loss
+
+    small = first[..., 0].numel() <= SMALL_CLOUD
+    with _timed(seconds, "optimise"), devices.one_thread(small and isinstance(start, PointsStart)):
+        descent = descend(start.produce, start.parameters, objective, config.steps, learning_rate, progress)
+    with _timed(seconds, "judge"), devices.one_thread(small):
+        moved_by = chamfer(descent.best).tolist()
+        offsets = (descent.best.double() - first.double()).cpu().numpy()
+        judged = [_judged(item, offset[: len(item.cloud.initial)], config) for item, offset in zip(items, offsets, strict=True)]
+    seconds = {phase: value / len(items) for phase, value in seconds.items()}
+    return [
+        _result(item, descent, number, own, moved_by[number], first.device, config, learning_rate, gamma, seconds)
+        for number, (item, own) in enumerate(zip(items, judged, strict=True))
+    ]
+
+
+def _judged(item: _Item, offset: Array, config: RefineConfig) -> tuple[Array, float, float]:
+    """The refined points, and the IoU before and after, mean over views."""
+    # What did not move keeps every bit of the input.
+    refined: Array = item.cloud.initial + item.cloud.scale * offset
+    before, after = (
+        float(np.mean([iou(silhouette_of(points, view.camera, config.sigma_sq), view.mask, view.known) for view in item.views]))
+        for points in (item.cloud.initial, refined)
+    )
+    return refined, before, after
+
+
+def _result(
+    item: _Item,
+    descent: Descent,
+    number: int,
+    judged: tuple[Array, float, float],
+    moved_by: float,
+    device: torch.device,
+    config: RefineConfig,
+    learning_rate: float,
+    gamma: float,
+    seconds: dict[str, float],
+) -> RefineResult | TsoError:
+    losses = descent.losses[:, number]
+    finite = np.isfinite(losses)
+    steps = int(finite.sum()) - 1
+    if steps < 0:
+        return TsoError("the loss of the start is no finite number")
+    if steps == 0 and not finite.all():
+        return TsoError("the loss is no finite number after the first step (a smaller learning rate?)")
+    points, before, after = judged
+    first_camera = item.views[0].camera
+    return RefineResult(
+        points=points,
+        initial=item.cloud.initial,
+        mode=config.mode,
+        steps=steps,
+        best_step=int(descent.best_step[number]),
+        stop_reason="non_finite" if not finite.all() else "interrupted" if descent.interrupted else "max_steps",
+        losses=losses[finite].tolist(),
+        loss_before=float(losses[0]),
+        loss_after=float(losses[descent.best_step[number]]),
+        iou_before=before,
+        iou_after=after,
+        chamfer_to_initial=moved_by,
+        learning_rate=learning_rate,
+        gamma=gamma,
+        sigma_sq=config.sigma_sq or default_sigma_sq(first_camera.width, first_camera.height),
+        device=str(device),
+        seed=config.seed,
+        seconds=seconds,
+    )
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], phase: str) -> Iterator[None]:
+    start = time.perf_counter()
+    yield
+    seconds[phase] = seconds.get(phase, 0.0) + time.perf_counter() - start

@@ -1,0 +1,92 @@
+"""What moves: the points of clouds, or the weights of the network that predicts one."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ..errors import InputError
+from ..geometry import as_points, bounding_box_normalisation
+
+if TYPE_CHECKING:
+    from ..network import BaseNetwork
+
+Array = NDArray[np.float64]
+
+
+class Cloud:
+    """A cloud in the units of its file, and its normalisation to longest side 1.
+
+    Attributes
+    ----------
+    initial : [N, 3] float64.
+    centre [3], scale : (X - centre) / scale is normalised.
+    """
+
+    def __init__(self, points: Any, name: str) -> None:
+        if isinstance(points, Tensor):
+            points = points.detach().cpu().numpy()
+        self.initial: Array = as_points(points, name)
+        self.centre, self.scale = bounding_box_normalisation(self.initial, name)
+
+    def normalised(self) -> Array:
+        """[N, 3]."""
+        normalised: Array = (self.initial - self.centre) / self.scale
+        return normalised
+
+
+class PointsStart:
+    """The points of B clouds move.
+
+    Attributes
+    ----------
+    parameters : one tensor [B, N, 3], N the size of the largest cloud; what lies behind a smaller one is 0.
+    counts : [B] sizes of the clouds.
+    """
+
+    def __init__(self, clouds: Sequence[Cloud], device: torch.device) -> None:
+        self.counts = torch.tensor([len(cloud.initial) for cloud in clouds])
+        padded = np.zeros((len(clouds), int(self.counts.max()), 3), np.float32)
+        for row, cloud in zip(padded, clouds, strict=True):
+            row[: len(cloud.initial)] = cloud.normalised()
+        self.parameters = [torch.tensor(padded, device=device, requires_grad=True)]
+
+    def produce(self) -> Tensor:
+        """The clouds [B, N, 3] as they are now."""
+        return self.parameters[0]
+
+
+class NetworkStart:
+    """A copy of the network moves, and with it the cloud it predicts from the image.
+
+    Attributes
+    ----------
+    cloud : the prediction.
+    parameters : the weights that ``mode`` moves. counts : [1].
+    """
+
+    def __init__(self, network: BaseNetwork | None, image: Any, mode: str, device: torch.device) -> None:
+        if network is None or image is None:
+            raise InputError(f"mode {mode} needs a network and an image")
+        self._network = copy.deepcopy(network).float().to(device).eval()
+        self._image = torch.as_tensor(image, dtype=torch.float32, device=device).unsqueeze(0)
+        moving = self._network.encoder if mode == "encoder" else self._network
+        self._network.requires_grad_(False)
+        moving.requires_grad_(True)
+        self.parameters: list[Tensor] = list(moving.parameters())
+        with torch.no_grad():
+            predicted = self._network(self._image)[0]
+        self.cloud = Cloud(predicted, "the network's prediction")
+        self.counts = torch.tensor([len(self.cloud.initial)])
+        self._centre = torch.as_tensor(self.cloud.centre, dtype=torch.float32, device=device)
+
+    def produce(self) -> Tensor:
+        """The cloud [1, N, 3] that the network predicts now, normalised as it was at the start."""
+        cloud: Tensor = (self._network(self._image) - self._centre) / self.cloud.scale
+        return cloud
