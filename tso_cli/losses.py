@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from .kernels.choice import compiled_pays
 from .kernels.nearest import StaticNearest, nearest_both_ways, nearest_marked, nearest_points
-from .kernels.splat import NEGLIGIBLE
+from .kernels.splat import NEGLIGIBLE, cheapest, splat, window_radius
 
 # Windows are square: a sum below this may come from the corner of one while a nearer point lies beyond its side.
 UNCOVERED = NEGLIGIBLE
@@ -45,28 +46,71 @@ def silhouette_bce(
     -------
     [M] sum over pixels, weighted by 64^2 / (W H) so that settings hold at any resolution.
     """
-    waiting = (sums <= UNCOVERED) & (mask > 0.0)
-    if known is not None:
-        waiting &= known > 0.0
-    weight = mask if known is None else mask * known
-    total = _cross_entropy(sums, mask, known, compiled_pays(points_px))
-    total = total + _far_pixels(waiting, weight, points_px, valid, 0.5 / sigma_sq)
-    return total * (REFERENCE_PIXELS / (mask.shape[-1] * mask.shape[-2]))
+    target = PixelWeights.of(mask, known)
+    total = _cross_entropy(sums, target, compiled_pays(points_px))
+    waiting = (sums <= UNCOVERED) & (target.wanted > 0.0)
+    return (total + _far_pixels(waiting, target.wanted, points_px, valid, 0.5 / sigma_sq)) * _per_reference_pixel(mask)
 
 
-def _cross_entropy(sums: Tensor, mask: Tensor, known: Tensor | None, compiled: bool) -> Tensor:
+class PixelWeights(NamedTuple):
+    """What a mask asks of each pixel."""
+
+    wanted: Tensor  # [M, H, W] weight of being covered
+    unwanted: Tensor  # [M, H, W] weight of being left free
+
+    @classmethod
+    def of(cls, mask: Tensor, known: Tensor | None = None) -> PixelWeights:
+        """``mask`` [M, H, W] in [0, 1], ``known`` [M, H, W] the weight of each pixel; None counts all alike."""
+        if known is None:
+            return cls(mask, 1.0 - mask)
+        return cls(mask * known, (1.0 - mask) * known)
+
+
+def mask_loss(points_px: Tensor, valid: Tensor, target: PixelWeights, sigma_sq: float, kernel: str = "auto") -> Tensor:
+    """:func:`silhouette_bce` of projected points and their own sums; in compiled code all of it is one function.
+
+    Parameters
+    ----------
+    points_px, valid : [M, N, 2] column and row, [M, N] bool.
+    target : weights of the pixels, [M, H, W].
+    sigma_sq : px^2.
+    kernel : as in :func:`tso_cli.kernels.splat.splat`.
+
+    Returns
+    -------
+    [M], differentiable in ``points_px``.
+    """
+    height, width = target.wanted.shape[-2:]
+    if kernel == "auto":
+        kernel = cheapest(points_px, height, width, sigma_sq)
+    if kernel == "compiled":
+        from .kernels.compiled_mask import mask_loss as compiled_loss
+
+        total = compiled_loss(points_px, valid, target.wanted, target.unwanted, sigma_sq, window_radius(sigma_sq), UNCOVERED)
+    else:
+        sums = splat(points_px, valid, height, width, sigma_sq, kernel)
+        waiting = (sums <= UNCOVERED) & (target.wanted > 0.0)
+        total = _cross_entropy(sums, target, False) + _far_pixels(waiting, target.wanted, points_px, valid, 0.5 / sigma_sq)
+    return total * _per_reference_pixel(target.wanted)
+
+
+def _per_reference_pixel(image: Tensor) -> float:
+    """What the pixels of an image count for, in pixels of a 64x64 mask."""
+    return REFERENCE_PIXELS / (image.shape[-1] * image.shape[-2])
+
+
+def _cross_entropy(sums: Tensor, target: PixelWeights, compiled: bool) -> Tensor:
     """Sum [M] over pixels of the cross-entropy; mask pixels whose sum is negligible add nothing."""
     if compiled:
         from .kernels.compiled_losses import cross_entropy
 
-        return cross_entropy(sums, mask, known, UNCOVERED)
+        return cross_entropy(sums, *target, UNCOVERED)
     covered = sums > UNCOVERED
     s = torch.where(covered, sums, 1.0)
     log_tanh = torch.log(-torch.expm1(-2.0 * s)) - torch.log1p(torch.exp(-2.0 * s))
-    miss = torch.where(covered, -log_tanh, 0.0) * mask
-    stray = (torch.nn.functional.softplus(2.0 * sums) - math.log(2.0)) * (1.0 - mask)
-    loss = miss + stray if known is None else (miss + stray) * known
-    return loss.sum((-1, -2))
+    miss = torch.where(covered, -log_tanh, 0.0)
+    stray = torch.nn.functional.softplus(2.0 * sums) - math.log(2.0)
+    return (miss * target.wanted + stray * target.unwanted).sum((-1, -2))
 
 
 def _far_pixels(pixels: Tensor, weight: Tensor, points_px: Tensor, valid: Tensor, factor: float) -> Tensor:
@@ -113,7 +157,7 @@ def affinity(
         silhouette, compiled = torch.tanh(sums), compiled_pays(points_px)
         term = _far_values(silhouette, mask, *nearest_marked(inside, compiled))
         term = term + _far_values(mask, silhouette, *nearest_marked(predicted, compiled))
-    return term * (REFERENCE_PIXELS / (mask.shape[-1] * mask.shape[-2])) ** 2
+    return term * _per_reference_pixel(mask) ** 2
 
 
 def _far_values(source: Tensor, goal: Tensor, rows: Tensor, columns: Tensor) -> Tensor:

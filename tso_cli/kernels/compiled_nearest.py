@@ -20,10 +20,15 @@ def nearest_points(pixels: Tensor, points_px: Tensor, valid: Tensor) -> Tensor:
     """As :func:`tso_cli.kernels.nearest.nearest_points`; among points equally near the first of the cloud."""
     images, height, width = pixels.shape
     out = torch.empty(images, height, width, dtype=torch.int64)
-    edge = max(1.0, math.sqrt(POINTS_PER_CELL * height * width / max(1, points_px.shape[1])))
+    edge = cell_edge(height, width, points_px.shape[1])
     steps = 8 * images * (height * width + points_px.shape[1])
     share(images, steps, _nearest_points, pixels, points_px, valid, edge, out)
     return out
+
+
+def cell_edge(height: int, width: int, count: int) -> float:
+    """Edge in pixels of the cells that ``count`` points of an image are sorted into."""
+    return max(1.0, math.sqrt(POINTS_PER_CELL * height * width / max(1, count)))
 
 
 def nearest_marked(marked: Tensor) -> tuple[Tensor, Tensor]:
@@ -51,42 +56,50 @@ def _cell(x, y, edge, rows, columns):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _nearest_points(first, last, pixels, points, valid, edge, out):  # type: ignore[no-untyped-def]
-    """Fill ``out`` [M, H, W] for the images ``first`` to ``last``: points sorted into cells, cells searched ring by ring."""
-    count, height, width = points.shape[1], pixels.shape[1], pixels.shape[2]
+def sort_into_cells(points, valid, height, width, edge):  # type: ignore[no-untyped-def]
+    """Sort the points [N, 2] of an image into a grid of cells.
+
+    Returns the grid's rows and columns; ``begin``, by which the points of cell c are those from begin[c] to begin[c + 1]; and
+    their coordinates and numbers in that order.
+    """
+    count = len(points)
     rows, columns = int(math.ceil(height / edge)), int(math.ceil(width / edge))
-    # The points of cell c are those from begin[c] to begin[c + 1]; while they are put there, one place further on.
-    begin = np.empty(rows * columns + 2, np.int64)
+    # While points are put into their cells, the start of cell c stands one place further on.
+    begin = np.zeros(rows * columns + 2, np.int64)
     xs, ys, order = np.empty(count, np.float64), np.empty(count, np.float64), np.empty(count, np.int64)
     cells = np.empty(count, np.int64)
-    for image in range(first, last):
-        begin[:] = 0
-        alive = False
-        for n in range(count):
-            x, y = points[image, n, 0], points[image, n, 1]
-            cells[n] = -1
-            if valid[image, n] and np.isfinite(x) and np.isfinite(y):
-                row, column = _cell(x, y, edge, rows, columns)
-                cells[n] = row * columns + column
-                begin[cells[n] + 2] += 1
-                alive = True
-        for cell in range(rows * columns):
-            begin[cell + 2] += begin[cell + 1]
-        for n in range(count):
-            if cells[n] >= 0:
-                place = begin[cells[n] + 1]
-                begin[cells[n] + 1] += 1
-                xs[place], ys[place], order[place] = points[image, n, 0], points[image, n, 1], n
-        for i in range(height):
-            for j in range(width):
-                out[image, i, j] = -1
-                if pixels[image, i, j] and alive:
-                    out[image, i, j] = _search(float(j), float(i), edge, rows, columns, begin, xs, ys, order)
+    for n in range(count):
+        x, y = points[n, 0], points[n, 1]
+        cells[n] = -1
+        if valid[n] and np.isfinite(x) and np.isfinite(y):
+            row, column = _cell(x, y, edge, rows, columns)
+            cells[n] = row * columns + column
+            begin[cells[n] + 2] += 1
+    for cell in range(rows * columns):
+        begin[cell + 2] += begin[cell + 1]
+    for n in range(count):
+        if cells[n] >= 0:
+            place = begin[cells[n] + 1]
+            begin[cells[n] + 1] += 1
+            xs[place], ys[place], order[place] = points[n, 0], points[n, 1], n
+    return rows, columns, begin, xs, ys, order
 
 
 @compiled
-def _search(x, y, edge, rows, columns, begin, xs, ys, order):  # type: ignore[no-untyped-def]
-    """The first of the points nearest to (x, y), which lies inside the image."""
+def _nearest_points(first, last, pixels, points, valid, edge, out):  # type: ignore[no-untyped-def]
+    """Fill ``out`` [M, H, W] for the images ``first`` to ``last``."""
+    height, width = pixels.shape[1:]
+    for image in range(first, last):
+        cells = sort_into_cells(points[image], valid[image], height, width, edge)
+        for i in range(height):
+            for j in range(width):
+                out[image, i, j] = nearest_in_cells(float(j), float(i), edge, cells) if pixels[image, i, j] else -1
+
+
+@compiled
+def nearest_in_cells(x, y, edge, cells):  # type: ignore[no-untyped-def]
+    """The first of the points nearest to (x, y), which lies inside the image, by cells ring by ring; -1 without points."""
+    rows, columns, begin, xs, ys, order = cells
     row, column = _cell(x, y, edge, rows, columns)
     best, chosen = np.inf, -1
     ring = 0
