@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from tso_cli.camera import Camera
+from tso_cli.kernels import choice
 from tso_cli.projection import CameraBatch, project, silhouette_of, silhouette_sums
 
 
@@ -19,6 +20,13 @@ def _camera(model: str = "perspective", seed: int = 0, width: int = 40, height: 
     return Camera(K, rotation, rng.normal(size=3) * 0.1 + [0.0, 0.0, 3.0], width, height, model)
 
 
+@pytest.fixture(params=["plain", "compiled"])
+def form(request, monkeypatch):
+    """In plain torch, and as compiled loops."""
+    monkeypatch.setattr(choice, "POINTS_WORTH_COMPILING", 0 if request.param == "compiled" else 1 << 60)
+
+
+@pytest.mark.usefixtures("form")
 @pytest.mark.parametrize("model", ["perspective", "orthographic"])
 def test_projection_is_K_times_R_p_plus_t(model):
     camera = _camera(model)
@@ -34,6 +42,7 @@ def test_projection_is_K_times_R_p_plus_t(model):
     np.testing.assert_allclose(camera.project(points)[0], found, atol=1e-9)
 
 
+@pytest.mark.usefixtures("form")
 @pytest.mark.parametrize("model", ["perspective", "orthographic"])
 def test_the_gradient_from_pixels_to_points_is_that_of_finite_differences(model):
     cameras = [_camera(model, seed) for seed in (0, 1)]
@@ -47,6 +56,7 @@ def test_the_gradient_from_pixels_to_points_is_that_of_finite_differences(model)
     assert torch.autograd.gradcheck(silhouette, (points,), eps=1e-6, atol=1e-6)
 
 
+@pytest.mark.usefixtures("form")
 def test_points_at_or_behind_the_camera_are_marked_and_get_no_gradient():
     camera = Camera.canonical(64, 64)
     # the canonical camera stands at z = 2 and looks toward -z
@@ -61,6 +71,7 @@ def test_points_at_or_behind_the_camera_are_marked_and_get_no_gradient():
     assert points.grad[0, 1:].abs().max() == 0.0
 
 
+@pytest.mark.usefixtures("form")
 def test_every_cloud_of_a_batch_can_have_its_own_cameras():
     cameras = [[_camera(seed=s) for s in pair] for pair in ((0, 1), (2, 3), (4, 5))]
     points = torch.tensor(np.random.default_rng(3).uniform(-0.4, 0.4, (3, 9, 3)))
@@ -71,6 +82,18 @@ def test_every_cloud_of_a_batch_can_have_its_own_cameras():
     together = project(points, batch).points_px
     for i, row in enumerate(rows):
         torch.testing.assert_close(together[i], project(points[i : i + 1], row).points_px[0])
+
+
+@pytest.mark.usefixtures("form")
+def test_a_camera_that_moves_gets_its_gradient_too():
+    points = torch.tensor(np.random.default_rng(4).uniform(-0.4, 0.4, (1, 5, 3)))
+    batch = CameraBatch.of([_camera()], points)
+    moving = [batch.K.requires_grad_(), batch.R.requires_grad_(), batch.t.requires_grad_()]
+
+    def pixels(K, R, t):
+        return project(points, CameraBatch(K, R, t, 40, 30)).points_px
+
+    assert torch.autograd.gradcheck(pixels, moving)
 
 
 def test_the_canonical_camera_sees_a_view_aligned_cloud_upright():

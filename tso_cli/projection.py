@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from .camera import NEAR, Camera
+from .kernels.choice import compiled_pays
 from .kernels.splat import splat
 
 # A silhouette blurred by this variance (px^2) changes little from one pixel to the next.
@@ -71,9 +72,16 @@ def project(points: Tensor, cameras: CameraBatch, near: float = NEAR) -> Project
     near : points with depth <= near are marked invalid under the perspective model; their pixel coordinates are finite and
         get no gradient.
     """
+    near = -math.inf if cameras.model == "orthographic" else near
+    if compiled_pays(points) and not any(tensor.requires_grad for tensor in (cameras.K, cameras.R, cameras.t)):
+        from .kernels.compiled_projection import project as compiled_project
+
+        every = (len(points), cameras.K.shape[-3])
+        K, R, t = cameras.K.expand(*every, 3, 3), cameras.R.expand(*every, 3, 3), cameras.t.expand(*every, 3)
+        return Projected(*compiled_project(points, K, R, t, near))
     camera = points.unsqueeze(-3) @ cameras.R.transpose(-1, -2) + cameras.t.unsqueeze(-2)  # [B, V, N, 3]
     plane, depth = camera[..., :2], camera[..., 2]
-    if cameras.model == "orthographic":
+    if near == -math.inf:
         valid = torch.ones_like(depth, dtype=torch.bool)
     else:
         valid = depth > near

@@ -71,17 +71,59 @@ def project_rows(context, source, at, stride, rows, down, left, start, across, r
     return result(source, number, number, number, down, left, number, across, right, number), build
 
 
+@intrinsic
+def keep_nearest(context, queries, at, data, place, best, chosen):  # type: ignore[no-untyped-def]
+    """Hold the points ``data`` [3, D], ``place`` and the seven after it, against eight ``queries`` [3, Q] from ``at`` on.
+
+    Where one is nearer than ``best`` [8], squared, that becomes its distance and ``chosen`` [8] its place. Nothing checks that it
+    lies inside the arrays.
+    """
+
+    def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        own = _Lanes(context, builder, queries.dtype, 8)
+        arrays = dict(zip("qdbc", (0, 2, 4, 5), strict=True))
+
+        def pointer(name: str, index: Any, axis: int = 0, one: bool = False) -> Any:
+            array = make_array(signature.args[arrays[name]])(context, builder, arguments[arrays[name]])
+            if axis:
+                row = cgutils.unpack_tuple(builder, array.shape)[-1]
+                index = builder.add(index, builder.mul(row, ir.Constant(row.type, axis)))
+            data = builder.gep(array.data, [index])
+            return data if one else builder.bitcast(data, ir.VectorType(data.type.pointee, 8).as_pointer())
+
+        zero = ir.Constant(ir.IntType(64), 0)
+        squares = [own.load(pointer("q", arguments[1], axis)) for axis in range(3)]
+        least, number = own.load(pointer("b", zero)), builder.load(pointer("c", zero), align=8)
+        for k in range(8):
+            index = builder.add(arguments[3], ir.Constant(ir.IntType(64), k))
+            total = own.zeros
+            for axis in range(3):
+                there = own.spread(builder.load(pointer("d", index, axis, one=True)))
+                away = builder.fsub(squares[axis], there)
+                total = own.multiply_add(away, away, total) if axis else builder.fmul(away, away)
+            nearer = builder.fcmp_ordered("<", total, least)
+            least = builder.select(nearer, total, least)
+            number = builder.select(nearer, own.spread(index, number.type), number)
+        builder.store(least, pointer("b", zero), align=8)
+        builder.store(number, pointer("c", zero), align=8)
+        return context.get_dummy_value()
+
+    number = types.intp
+    return types.void(queries, number, data, number, best, chosen), build
+
+
 class _Lanes:
     """Vectors of 16 numbers of one type, and what is done with them."""
 
-    def __init__(self, context: Any, builder: Any, number: Any) -> None:
+    def __init__(self, context: Any, builder: Any, number: Any, lanes: int = LANES) -> None:
         self._builder = builder
         self._context = context
         self._number = context.get_value_type(number)
-        self._vector = ir.VectorType(self._number, LANES)
-        self._suffix = f"v{LANES}f{number.bitwidth}"
+        self._lanes = lanes
+        self._vector = ir.VectorType(self._number, lanes)
+        self._suffix = f"v{lanes}f{number.bitwidth}"
         self.alignment = number.bitwidth // 8
-        self.zeros = ir.Constant(self._vector, [0.0] * LANES)
+        self.zeros = ir.Constant(self._vector, [0.0] * lanes)
 
     def place(self, array: Any, value: Any, index: Any, one: bool = False) -> Any:
         data = make_array(array)(self._context, self._builder, value).data
@@ -91,11 +133,12 @@ class _Lanes:
     def load(self, pointer: Any) -> Any:
         return self._builder.load(pointer, align=self.alignment)
 
-    def spread(self, value: Any) -> Any:
-        integer = ir.IntType(32)
-        unknown = ir.Constant(self._vector, ir.Undefined)
+    def spread(self, value: Any, vector: Any = None) -> Any:
+        integer, vector = ir.IntType(32), vector or self._vector
+        unknown = ir.Constant(vector, ir.Undefined)
         first = self._builder.insert_element(unknown, value, ir.Constant(integer, 0))
-        return self._builder.shuffle_vector(first, unknown, ir.Constant(ir.VectorType(integer, LANES), [0] * LANES))
+        places = ir.Constant(ir.VectorType(integer, self._lanes), [0] * self._lanes)
+        return self._builder.shuffle_vector(first, unknown, places)
 
     def multiply_add(self, weight: Any, value: Any, total: Any) -> Any:
         product = self._builder.fmul(weight, value, flags=["contract"])
