@@ -154,13 +154,20 @@ def affinity(
     if form == "points":
         term = _stray_points(points_px, valid, inside) + _far_pixels(inside & ~predicted, mask, points_px, valid, 1.0)
     else:
-        silhouette, compiled = torch.tanh(sums), compiled_pays(points_px)
-        term = _far_values(silhouette, mask, *nearest_marked(inside, compiled))
-        term = term + _far_values(mask, silhouette, *nearest_marked(predicted, compiled))
+        term = _far_values(torch.tanh(sums), mask, inside, predicted, compiled_pays(points_px))
     return term * _per_reference_pixel(mask) ** 2
 
 
-def _far_values(source: Tensor, goal: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+def _far_values(silhouette: Tensor, mask: Tensor, inside: Tensor, predicted: Tensor, compiled: bool) -> Tensor:
+    """Sum [M] over pixels of squared distance to the nearest pixel of the other image, times the values at both."""
+    if compiled:
+        from .kernels.compiled_losses import pull_silhouette
+
+        return pull_silhouette(silhouette, mask, inside, predicted)
+    return _far_from(silhouette, mask, *nearest_marked(inside)) + _far_from(mask, silhouette, *nearest_marked(predicted))
+
+
+def _far_from(source: Tensor, goal: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
     """Sum [M] over pixels of squared distance to the nearest marked pixel (at rows, columns) * source * goal there."""
     height, width = source.shape[-2:]
     away_y = rows - torch.arange(height, device=rows.device).unsqueeze(1)

@@ -75,8 +75,8 @@ def project_rows(context, source, at, stride, rows, down, left, start, across, r
 def keep_nearest(context, queries, at, data, place, best, chosen):  # type: ignore[no-untyped-def]
     """Hold the points ``data`` [3, D], ``place`` and the seven after it, against eight ``queries`` [3, Q] from ``at`` on.
 
-    Where one is nearer than ``best`` [8], squared, that becomes its distance and ``chosen`` [8] its place. Nothing checks that it
-    lies inside the arrays.
+    Where one is nearer than ``best`` [8], squared, that becomes its distance and ``chosen`` [8] its place. Nothing checks that
+    it lies inside the arrays.
     """
 
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]

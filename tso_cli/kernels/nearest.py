@@ -79,18 +79,8 @@ def nearest_points(pixels: Tensor, points_px: Tensor, valid: Tensor) -> Tensor:
     return index
 
 
-def nearest_marked(marked: Tensor, compiled: bool = False) -> tuple[Tensor, Tensor]:
-    """Row and column [M, H, W] of the marked pixel nearest to each pixel, -1 in images without one.
-
-    Parameters
-    ----------
-    marked : [M, H, W] bool.
-    compiled : by compiled loops (on the CPU) or by one distance transform per image.
-    """
-    if compiled:
-        from .compiled_nearest import nearest_marked as transform
-
-        return transform(marked)
+def nearest_marked(marked: Tensor) -> tuple[Tensor, Tensor]:
+    """Row and column [M, H, W] of the pixel ``marked`` [M, H, W] nearest to each pixel, -1 in images without one."""
     from scipy.ndimage import distance_transform_edt
 
     index = torch.full((2, *marked.shape), -1, dtype=torch.int64)
