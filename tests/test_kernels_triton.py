@@ -5,16 +5,22 @@ from __future__ import annotations
 import importlib.util
 import math
 
+import numpy as np
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from tso_cli import losses
+from tso_cli.adam import Adam
+from tso_cli.camera import Camera
 from tso_cli.kernels import nearest as nearest_module
 from tso_cli.kernels import splat as splat_module
 from tso_cli.kernels.nearest import nearest_both_ways, nearest_in_rows, nearest_marked, nearest_points
 from tso_cli.kernels.reference import splat_exact
 from tso_cli.kernels.splat import cheapest, splat
 from tso_cli.losses import ChamferToInitial, silhouette_bce
+from tso_cli.objective import MaskObjective, working_view
+from tso_cli.scene import View
 
 ON_GPU = torch.cuda.is_available()
 DEVICE = "cuda" if ON_GPU else "cpu"
@@ -169,6 +175,34 @@ def _losses_and_gradients(start, counts, moved, points, valid, mask, weight):
     sums = splat(points, valid, *mask.shape[1:], 0.4)
     values = ChamferToInitial(start, counts)(moved), silhouette_bce(sums, mask, points, valid, 0.4)
     return *(value.detach() for value in values), *torch.autograd.grad((sum(values) * weight).sum(), [moved, points])
+
+
+class _Operations(TorchDispatchMode):
+    """Remembers the names of torch's operations, those of the backward pass too."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.names: set[str] = set()
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        self.names.add(func.overloadpacket.__name__)
+        return func(*args, **(kwargs or {}))
+
+
+@needs_triton
+def test_a_step_of_many_clouds_never_waits_for_the_gpu(triton_kernels):
+    views = []
+    for size in (9, 12, 14):
+        mask = np.zeros((32, 32), np.float32)
+        mask[8 : 8 + size, 8:24] = 1.0
+        views.append([working_view(View(mask, Camera.canonical(32, 32)), None, np.zeros(3), 1.0)])
+    counts, moved = torch.tensor([60, 60, 45]), (_random(17, 3, 60, 3) - 0.5).requires_grad_()
+    term, held, optimiser = MaskObjective(views, counts, moved), ChamferToInitial(moved, counts), Adam([moved], 1e-3)
+    with _Operations() as operations:
+        optimiser.step((term(moved) + held(moved)).sum())
+    assert "mul" in operations.names
+    # what reads a value, or needs to know how many there are
+    assert not operations.names & {"_local_scalar_dense", "nonzero", "masked_select", "unique", "_to_copy"}
 
 
 @needs_triton
