@@ -150,7 +150,9 @@ def coarsened(camera: Camera, sigma_sq: float, wanted: float) -> tuple[Camera, f
 
     Both are returned as they are where sigma_sq is smaller: nothing is ever scaled up.
     """
-    shrink = min(1.0, math.sqrt(wanted / sigma_sq))
+    if sigma_sq <= wanted:
+        return camera, sigma_sq
+    shrink = math.sqrt(wanted / sigma_sq)
     coarse = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
     if (coarse.width, coarse.height) == (camera.width, camera.height):
         return camera, sigma_sq

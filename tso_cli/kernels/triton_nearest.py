@@ -10,8 +10,8 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-# Queries of one program, and points that each of them is compared with at once.
-QUERIES = 64
+# Queries of one program, and points that each of them is compared with at once: all pairs are held in registers.
+QUERIES = 32
 DATA = 64
 
 
