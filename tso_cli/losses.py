@@ -8,8 +8,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from .kernels.choice import compiled_pays
-from .kernels.nearest import StaticNearest, nearest_both_ways, nearest_marked, nearest_points
+from .kernels.choice import compiled_pays, whole_batches
+from .kernels.nearest import StaticNearest, nearest_both_ways, nearest_in_rows, nearest_marked, nearest_points
 from .kernels.splat import NEGLIGIBLE, cheapest, splat, window_radius
 
 # Windows are square: a sum below this may come from the corner of one while a nearer point lies beyond its side.
@@ -119,12 +119,15 @@ def _far_pixels(pixels: Tensor, weight: Tensor, points_px: Tensor, valid: Tensor
         from .kernels.compiled_losses import pull_to_pixels
 
         return pull_to_pixels(pixels, weight, points_px, valid, factor)
-    index = nearest_points(pixels, points_px, valid)
-    image, row, column = torch.nonzero(index >= 0, as_tuple=True)
-    centres = torch.stack([column, row], 1).to(points_px.dtype)
-    squared = (centres - points_px[image, index[image, row, column]]).square().sum(1)
-    terms = squared * weight[image, row, column] * factor
-    return terms.new_zeros(len(pixels)).index_add(0, image, terms)
+    index = nearest_points(pixels, points_px, valid).flatten(1)
+    width, count = pixels.shape[2], points_px.shape[1]
+    number = torch.arange(index.shape[1], device=index.device)
+    pulls = index >= 0
+    # A pixel without a point is given one in turn: the zeros of all of them, added to one point, would wait for each other.
+    taken = torch.where(pulls, index, number % count)
+    centres = torch.stack([number % width, number // width], 1)
+    squared = (centres - torch.take_along_dim(points_px, taken.unsqueeze(-1), 1)).square().sum(-1)
+    return torch.where(pulls, squared * weight.flatten(1) * factor, 0.0).sum(-1)
 
 
 def affinity(
@@ -231,6 +234,10 @@ class ChamferToInitial:
             from .kernels.compiled_static import StaticTrees
 
             self._trees = StaticTrees(self.initial, self.counts)
+        elif whole_batches(self.initial):
+            there = torch.arange(initial.shape[1]) < self.counts.unsqueeze(1)
+            self._there = there.to(initial.device)
+            self._share = (there / self.counts.unsqueeze(1)).to(self.initial)
         else:
             rows = zip(self.initial, self.counts.tolist(), strict=True)
             self._nearest = [StaticNearest(cloud[:count]) for cloud, count in rows]
@@ -239,6 +246,12 @@ class ChamferToInitial:
         """Both directions summed [B], squared distances, mean over points; differentiable in ``points`` [B, N, 3]."""
         if self._compiled:
             return self._trees.chamfer(points)
+        if whole_batches(points):
+            to_points = nearest_in_rows(self.initial, points, self._there, self._there).clamp_min_(0)
+            to_initial = nearest_in_rows(points, self.initial, self._there, self._there).clamp_min_(0)
+            forward = self.initial - torch.take_along_dim(points, to_points.unsqueeze(-1), 1)
+            backward = points - torch.take_along_dim(self.initial, to_initial.unsqueeze(-1), 1)
+            return ((forward.square() + backward.square()).sum(-1) * self._share).sum(-1)
         terms = []
         for start, moved, nearest in zip(self.initial, points, self._nearest, strict=True):
             start, moved = start[: len(nearest.start)], moved[: len(nearest.start)]
