@@ -116,7 +116,7 @@ def _multiplied(queries: Tensor, data: Tensor) -> Tensor:
     data = data - centre
     half = data.square().sum(1) / 2.0
     found = []
-    for part in (queries.double() - centre).split(PAIRS_PER_PRODUCT // len(data)):
+    for part in (queries.double() - centre).split(max(1, PAIRS_PER_PRODUCT // len(data))):
         # numpy's argmin is three times as fast as torch's
         index = torch.from_numpy(torch.addmm(half, part, data.T, alpha=-1.0).numpy().argmin(1))
         # A distance of 0 is the least there is. Of others rounding moves the square by 2e-8 of it at most, less than float32
