@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from .jit import RANGES_PER_THREAD, compiled, share
-from .lanes import LANES, LOWEST, add_scaled, exp, project_rows
+from .lanes import LANES, LOWEST, add_rows, exp, project_rows
 
 # Points whose weights are computed together, and used when they have long been written.
 BLOCK = 32
@@ -118,7 +118,7 @@ def add_band(points, valid, kernel, top, bottom, padded):  # type: ignore[no-unt
     flat = padded.reshape(-1)
     chosen = np.empty(BLOCK, np.int64)
     along_x, along_y = np.empty((BLOCK, span), points.dtype), np.empty((BLOCK, span), points.dtype)
-    weights = along_x.reshape(-1)
+    across, down = along_x.reshape(-1), along_y.reshape(-1)
     size = 0
     for n in range(len(points)):
         if valid[n] and _reaches(points[n, 0], points[n, 1], top, bottom, width, radius):
@@ -129,11 +129,11 @@ def add_band(points, valid, kernel, top, bottom, padded):  # type: ignore[no-unt
         _weigh(points, chosen, size, kernel, along_x, along_y)
         for i in range(size):
             column, row = int(np.rint(points[chosen[i], 0])), int(np.rint(points[chosen[i], 1]))
-            for j in range(max(row - radius, top), min(row + radius + 1, bottom)):
-                for k in range(0, span, LANES):
-                    add_scaled(
-                        flat, (j - top) * stride + column + radius + k, weights, i * span + k, along_y[i, j - row + radius]
-                    )
+            start, stop = max(row - radius, top), min(row + radius + 1, bottom)
+            weight = i * span + start - row + radius
+            for k in range(0, span, LANES):
+                place = (start - top) * stride + column + radius + k
+                add_rows(flat, place, stride, stop - start, down, weight, across, i * span + k)
         size = 0
 
 

@@ -13,6 +13,8 @@ from .jit import compiled, share
 
 # Basic steps that a pixel costs.
 PER_PIXEL = 8
+# What is done: everything; the sums and their loss; the far pixels; the way back to the points.
+ALL, COVER, PULL, BACK = range(4)
 
 
 def mask_loss(
@@ -36,15 +38,19 @@ def mask_loss(
     )
     edge, pull = cell_edge(height, width, count), 0.5 / sigma_sq
     taps, own = work(images, count, radius), PER_PIXEL * wanted.numel()
+    with_slope = points_px.requires_grad
+
+    def run(units: int, steps: int, stage: int, bands: int = 1) -> None:
+        share(units, steps, _run, stage, bands, points_px, valid, wanted, unwanted, kernel, uncovered, edge, pull, pixels,
+              with_slope, total, slope)  # fmt: skip
+
     if images >= torch.get_num_threads():
-        share(images, 2 * taps + own, _whole, points_px, valid, wanted, unwanted, kernel, uncovered, edge, pull, pixels,
-              points_px.requires_grad, total, slope)  # fmt: skip
+        run(images, 2 * taps + own, ALL)
     else:
         bands = bands_for(images, height, radius)
-        share(images * bands, taps + own, _cover, points_px, valid, wanted, unwanted, kernel, uncovered, bands, pixels)
-        share(images, own, _pull, points_px, valid, wanted, edge, pull, pixels, total, slope)
-        if points_px.requires_grad:
-            share(images * count, taps, project_back, points_px, valid, kernel, pixels[0], slope)
+        run(images * bands, taps + own, COVER, bands)
+        run(images, own, PULL)
+        run(images * count, taps, BACK)
     value: Tensor = WithSlope.apply(points_px, total, slope)
     return value
 
@@ -78,11 +84,21 @@ def _pull(first, last, points, valid, wanted, edge, pull, pixels, total, slope):
 
 
 @compiled
-def _whole(first, last, points, valid, wanted, unwanted, kernel, uncovered, edge, pull, pixels, with_slope, total, slope):  # type: ignore[no-untyped-def]
-    """All stages, image by image, so that each finds its pixels where the one before left them."""
+def _run(
+    first, last, stage, bands, points, valid, wanted, unwanted, kernel, uncovered, edge, pull, pixels, with_slope, total, slope
+):  # type: ignore[no-untyped-def]
+    """One stage for a range of bands, images or points; or all, image by image, so that each finds its pixels still at hand.
+
+    Every stage is called at one place: compiled into two, it could be rounded in two ways.
+    """
     count = points.shape[1]
-    for image in range(first, last):
-        _cover(image, image + 1, points, valid, wanted, unwanted, kernel, uncovered, 1, pixels)
-        _pull(image, image + 1, points, valid, wanted, edge, pull, pixels, total, slope)
-        if with_slope:
-            project_back(image * count, (image + 1) * count, points, valid, kernel, pixels[0], slope)
+    for unit in range(first, last if stage == ALL else first + 1):
+        start, stop = (unit, unit + 1) if stage == ALL else (first, last)
+        if stage in (ALL, COVER):
+            _cover(start, stop, points, valid, wanted, unwanted, kernel, uncovered, bands, pixels)
+        if stage in (ALL, PULL):
+            _pull(start, stop, points, valid, wanted, edge, pull, pixels, total, slope)
+        if with_slope and stage in (ALL, BACK):
+            if stage == ALL:
+                start, stop = start * count, stop * count
+            project_back(start, stop, points, valid, kernel, pixels[0], slope)

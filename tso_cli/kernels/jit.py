@@ -5,10 +5,12 @@ Importing numba takes half a second: this is imported where compiled code runs, 
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -21,6 +23,21 @@ WORTH_A_THREAD = 1 << 18
 RANGES_PER_THREAD = 4
 
 _pool: ThreadPoolExecutor | None = None
+
+
+def forget_stale(folder: Path) -> None:
+    """Remove what numba kept of the sources in ``folder`` if any of them changed since.
+
+    numba looks at the file of a function alone, not at those of the functions that are compiled into it.
+    """
+    with contextlib.suppress(OSError, ValueError):
+        changed = max(source.stat().st_mtime for source in folder.glob("*.py"))
+        for index in (folder / "__pycache__").glob("*.nbi"):
+            if index.stat().st_mtime < changed:
+                index.unlink(missing_ok=True)
+
+
+forget_stale(Path(__file__).parent)
 
 
 def compiled(function: Callable[..., Any]) -> Any:

@@ -23,18 +23,29 @@ LOWEST = -80.0
 
 
 @intrinsic
-def add_scaled(context, out, at, source, start, weight):  # type: ignore[no-untyped-def]
-    """``out[at : at + 16] += weight * source[start : start + 16]``. Nothing checks that it lies inside the arrays."""
+def add_rows(context, out, at, stride, rows, down, start, across, begin):  # type: ignore[no-untyped-def]
+    """Add to ``rows`` rows r of 16 numbers each, ``out[at + r stride]`` and on, the product of two vectors of weights.
+
+    ``down[start + r]`` is the weight of the row, ``across[begin]`` and on those of its numbers. Nothing checks that it lies
+    inside the arrays.
+    """
 
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         lanes = _Lanes(context, builder, out.dtype)
-        goal = lanes.place(signature.args[0], arguments[0], arguments[1])
-        added = lanes.load(lanes.place(signature.args[2], arguments[2], arguments[3]))
-        total = lanes.multiply_add(lanes.spread(arguments[4]), added, lanes.load(goal))
-        builder.store(total, goal, align=lanes.alignment)
+
+        def at_place(argument: int, index: Any, one: bool = False) -> Any:
+            return lanes.place(signature.args[argument], arguments[argument], index, one)
+
+        weights = lanes.load(at_place(6, arguments[7]))
+        with cgutils.for_range(builder, arguments[3]) as loop:
+            goal = at_place(0, builder.add(arguments[1], builder.mul(loop.index, arguments[2])))
+            weight = builder.load(at_place(4, builder.add(arguments[5], loop.index), one=True))
+            total = lanes.multiply_add(lanes.spread(weight), weights, lanes.load(goal))
+            builder.store(total, goal, align=lanes.alignment)
         return context.get_dummy_value()
 
-    return types.void(out, types.intp, source, types.intp, out.dtype), build
+    number = types.intp
+    return types.void(out, number, number, number, down, number, across, number), build
 
 
 @intrinsic
