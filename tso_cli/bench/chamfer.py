@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import torch
@@ -15,33 +16,25 @@ from .timing import Setting, Work
 
 WHAT = "chamfer"
 SIZES, LARGE = (1024, 4096, 16384), (65536,)
-# Of the 50 steps every fifth is measured, for all alike: the first are the cheapest for what remembers the start.
-EVERY = 5
+# Of the 50 steps every tenth is measured, for all alike: the first are the cheapest for what remembers the start.
+EVERY = 10
 # All pairs at once are held up to this size.
 CDIST_UP_TO = 1024
-# Chamfer of one moved cloud [1, N, 3] to the start, both directions summed, differentiable.
-Term = Callable[[Tensor], Tensor]
 
 
-def terms(initial: Tensor, setting: Setting) -> tuple[dict[str, Term], dict[str, str]]:
-    """What computes the term for the start ``initial`` [1, N, 3], and why the others do not."""
+def makers(initial: Tensor, setting: Setting) -> dict[str, peers.Make]:
+    """Contestant -> what makes its Chamfer distance to ``initial`` [1, N, 3], both directions summed; or why it is left out."""
     count = initial.shape[1]
-    found: dict[str, Term] = {"tso": ChamferToInitial(initial)}
-    reasons = {}
+    found: dict[str, peers.Make] = {"tso": lambda: ChamferToInitial(initial)}
     if setting.device.type == "cpu":
-        found["two k-d trees a step, 1 worker"] = _Trees(initial, 1)
-        found["two k-d trees a step, all workers"] = _Trees(initial, -1)
-        found["one k-d tree kept, all queried"] = _Trees(initial, 1, keep=True)
-    if count <= CDIST_UP_TO or (setting.full and count <= 4 * CDIST_UP_TO):
-        found["cdist"] = lambda moved: _cdist(initial, moved)
+        found["two k-d trees a step, 1 worker"] = lambda: _Trees(initial, 1)
+        found["two k-d trees a step, all workers"] = lambda: _Trees(initial, -1)
+        found["one k-d tree kept, all queried"] = lambda: _Trees(initial, 1, keep=True)
+    if count <= (4 * CDIST_UP_TO if setting.full else CDIST_UP_TO):
+        found["cdist"] = lambda: partial(_cdist, initial)
     else:
-        reasons["cdist"] = f"{float(count) ** 2:.1e} pairs held at once"
-    for name, made in peers.chamfer_terms(initial).items():
-        if isinstance(made, str):
-            reasons[name] = made
-        else:
-            found[name] = made
-    return found, reasons
+        found["cdist"] = lambda: f"{float(count) ** 2:.1e} pairs held at once"
+    return found | peers.chamfer_terms(initial)
 
 
 def measure(setting: Setting, sizes: Sequence[int] | None = None, steps: int = STEPS) -> list[dict[str, Any]]:
@@ -54,8 +47,9 @@ def measure(setting: Setting, sizes: Sequence[int] | None = None, steps: int = S
         setting.report(f"Chamfer {count:,}")
         iterates = trajectory(count, setting.device, setting.seed, steps)
         moved = iterates[EVERY::EVERY] or iterates[-1:]
-        found, reasons = terms(iterates[0], setting)
-        contestants = {name: _along(term, moved) for name, term in found.items()}
+        made = {name: make() for name, make in makers(iterates[0], setting).items()}
+        contestants = {name: _along(term, moved) for name, term in made.items() if not isinstance(term, str)}
+        reasons = {name: reason for name, reason in made.items() if isinstance(reason, str)}
         timings = setting.race(contestants | {"tso, built once": lambda: ChamferToInitial(iterates[0])})  # noqa: B023
         built = timings.pop("tso, built once")
         own = timings["tso"].median / len(moved)
@@ -63,12 +57,12 @@ def measure(setting: Setting, sizes: Sequence[int] | None = None, steps: int = S
             each = timing.scaled(1.0 / len(moved))
             records.append(setting.record(WHAT, name, each, points=count, over_tso=each.median / own))
         records.append(setting.record(WHAT, "tso, built once", built, points=count))
-        absent = {name for name, reason in reasons.items() if reason == peers.NOT_INSTALLED}
+        absent |= {name for name, reason in reasons.items() if reason == peers.NOT_INSTALLED}
         records += [setting.record(WHAT, name, points=count, left_out=reasons[name]) for name in reasons if name not in absent]
     return records + [setting.record(WHAT, name, left_out=peers.NOT_INSTALLED) for name in sorted(absent)]
 
 
-def _along(term: Term, iterates: Sequence[Tensor]) -> Work:
+def _along(term: peers.Term, iterates: Sequence[Tensor]) -> Work:
     leaves = [moved.clone().requires_grad_() for moved in iterates]
 
     def work() -> None:

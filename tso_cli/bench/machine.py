@@ -13,13 +13,12 @@ import torch
 
 from .. import __version__
 from ..kernels.jit import compiled, share
-from .timing import Setting
+from .timing import Setting, Work
 
 # Floats worked on in a sweep: 8 KiB, a quarter of a small first-level cache.
 FLOATS = 2048
-# Multiply-adds on each of them before it is put back, and floats taken through them side by side: a multiply-add must wait
-# for the one before it, but not for that of another float.
-CHAIN, ABREAST = 32, 4
+# Multiply-adds on each of them before it is put back.
+CHAIN = 32
 SWEEPS = 16000
 # Side of the product, and bytes of the copy, that a GPU is measured by.
 MATRIX, COPIED = 8192, 1 << 30
@@ -75,7 +74,7 @@ def rates(setting: Setting) -> list[dict[str, Any]]:
     if setting.device.type == "cuda":
         matrix = torch.ones(MATRIX, MATRIX, device=setting.device)
         source, goal = (torch.empty(COPIED // 4, device=setting.device) for _ in range(2))
-        work = {"multiply-add": lambda: matrix @ matrix, "copy": lambda: goal.copy_(source)}
+        work: dict[str, Work] = {"multiply-add": lambda: matrix @ matrix, "copy": lambda: goal.copy_(source)}
         done = {"multiply-add": float(MATRIX) ** 3, "copy": 2.0 * COPIED}
     else:
         count = setting.threads
@@ -91,23 +90,28 @@ def rates(setting: Setting) -> list[dict[str, Any]]:
         }
     timings = setting.race(work)
     return [
-        setting.record("rate", name, timing, per_second=done[name] / timing.median, unit="B" if name == "copy" else "multiply-adds")
+        setting.record(
+            "rate", name, timing, per_second=done[name] / timing.median, unit="B" if name == "copy" else "multiply-adds"
+        )
         for name, timing in timings.items()
     ]
 
 
 @compiled
 def _in_registers(first, last, values, factor, shift):  # type: ignore[no-untyped-def]
-    """SWEEPS x FLOATS multiply-adds, each number taken through CHAIN of them at a time."""
-    step = FLOATS // ABREAST
+    """SWEEPS x FLOATS multiply-adds, each number taken through CHAIN of them at a time.
+
+    Four numbers side by side: a multiply-add waits for the one before it, but not for another number's.
+    """
+    step = FLOATS // 4
     for row in range(first, last):
-        one, two, three, four = values[row, :step], values[row, step : 2 * step], values[row, 2 * step : 3 * step], values[row, 3 * step :]
+        line = values[row]
         for _ in range(SWEEPS // CHAIN):
             for i in range(step):
-                a, b, c, d = one[i], two[i], three[i], four[i]
+                a, b, c, d = line[i], line[step + i], line[2 * step + i], line[3 * step + i]
                 for _ in range(CHAIN):
                     a, b, c, d = a * factor + shift, b * factor + shift, c * factor + shift, d * factor + shift
-                one[i], two[i], three[i], four[i] = a, b, c, d
+                line[i], line[step + i], line[2 * step + i], line[3 * step + i] = a, b, c, d
 
 
 @compiled

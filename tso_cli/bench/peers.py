@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from typing import Any
 
@@ -12,24 +13,26 @@ from torch import Tensor
 from .material import SIGMA_SQ, Projection
 
 Term = Callable[[Tensor], Tensor]
+# Gives a peer's work, or says in words why there is none.
+Make = Callable[[], Term | str]
 NOT_INSTALLED = "not installed"
 
 
-def chamfer_terms(initial: Tensor) -> dict[str, Term | str]:
-    """Peer -> Chamfer of a moved cloud [1, N, 3] to ``initial`` [1, N, 3], both ways, or why there is none."""
+def chamfer_terms(initial: Tensor) -> dict[str, Make]:
+    """Peer -> what makes the Chamfer distance of a moved cloud [1, N, 3] to ``initial`` [1, N, 3], both ways."""
     makers = {
         "chamferdist": _chamferdist,
         "pykeops": _pykeops,
         "point_cloud_utils": _point_cloud_utils,
         "pytorch3d": _pytorch3d,
     }
-    return {package: _tried(package, maker, initial) for package, maker in makers.items()}
+    return {package: partial(_tried, package, maker, initial) for package, maker in makers.items()}
 
 
-def splatters(scene: Projection) -> dict[str, Term | str]:
-    """Peer -> a silhouette's value from points [1, N, 3], or why there is none."""
+def splatters(scene: Projection) -> dict[str, Make]:
+    """Peer -> what makes the sum of a silhouette drawn from points [1, N, 3]."""
     makers = {"pytorch3d": _pytorch3d_points, "gsplat": _gsplat}
-    return {package: _tried(package, maker, scene) for package, maker in makers.items()}
+    return {package: partial(_tried, package, maker, scene) for package, maker in makers.items()}
 
 
 def _tried(package: str, maker: Callable[[Any, Any], Term], material: Tensor | Projection) -> Term | str:
@@ -112,18 +115,27 @@ def _pytorch3d_points(module: Any, scene: Projection) -> Term:
 
 
 def _gsplat(module: Any, scene: Projection) -> Term:
-    """Spheres whose projected variance is sigma^2; its rasteriser adds 0.3 px^2 of its own."""
+    """Spheres whose variance is sigma^2 where the middle of the cloud falls; composed in depth, not added up."""
     count = scene.points.shape[1]
     rotation = torch.eye(4, device=scene.points.device)
     rotation[:3, :3], rotation[:3, 3] = scene.cameras.R[0], scene.cameras.t[0]
     focal, distance = scene.cameras.K[0, 0, 0], scene.cameras.t[0].norm()
-    scales = ((SIGMA_SQ - 0.3) ** 0.5 * distance / focal).expand(count, 3).contiguous()
+    scales = (SIGMA_SQ**0.5 * distance / focal).expand(count, 3).contiguous()
     quaternions = torch.tensor([1.0, 0.0, 0.0, 0.0], device=scene.points.device).expand(count, 4).contiguous()
     opacities, colours = (torch.full(shape, 0.99, device=scene.points.device) for shape in ((count,), (count, 1)))
 
     def term(points: Tensor) -> Tensor:
         _, alphas, _ = module.rasterization(
-            points[0], quaternions, scales, opacities, colours, rotation[None], scene.cameras.K, scene.side, scene.side
+            points[0],
+            quaternions,
+            scales,
+            opacities,
+            colours,
+            rotation[None],
+            scene.cameras.K,
+            scene.side,
+            scene.side,
+            eps2d=0.0,
         )
         return alphas.sum()
 

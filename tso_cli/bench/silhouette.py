@@ -10,6 +10,7 @@ from torch import Tensor
 
 from ..kernels.splat import KERNELS, window_radius
 from ..losses import mask_loss
+from . import peers
 from .material import SIGMA_SQ, Projection, projection
 from .timing import Setting, Work, gradient, slope
 
@@ -26,6 +27,8 @@ GROWTH: dict[str, Sizes] = {
 RADII = {"scatter 9x9": 4, "scatter 7x7": 3}
 # More is left out: of the exact product a minute's work, of the scatter some gigabytes of taps.
 EXACT_LIMIT, TAPS_LIMIT = 1e11, 3e7
+# Peers draw the silhouette from the points themselves, projection included. On the CPU the largest would take them minutes.
+PEERS_UP_TO = 16384
 # Multiply-adds of a tap: forward its weight is added up; backward, the gradient by the sum goes into two derivatives.
 FORWARD, BACKWARD = 1, 2
 CPU_KERNELS, CUDA_KERNELS = ("compiled", "windowed", "exact"), ("triton", "windowed", "exact")
@@ -92,27 +95,38 @@ def limit(count: int, side: int, radius: int, rates: dict[str, float]) -> dict[s
 def measure(setting: Setting, rates: dict[str, float], sizes: Sizes | None = None) -> list[dict[str, Any]]:
     """Every contestant at every size, the limits beside them (their seconds are computed, and so have no runs)."""
     records: list[dict[str, Any]] = []
+    absent: set[str] = set()
     if sizes is None:
         sizes = (*SIZES, *LARGE) if setting.full else SIZES
     for count, side in sizes:
         setting.report(f"silhouette {count:,}@{side}")
         scene = projection(count, side, setting.device, setting.seed)
-        at = {"points": count, "side": side}
+        at: dict[str, Any] = {"points": count, "side": side}
         names = [*kernels(setting.device), *RADII]
         reasons = {name: reason for name in names if (reason := too_much(name, count, side))}
-        timings = setting.race({name: work(name, scene) for name in names if name not in reasons})
+        contestants = {name: work(name, scene) for name in names if name not in reasons}
+        for name, make in peers.splatters(scene).items() if count <= PEERS_UP_TO else ():
+            made = make()
+            if isinstance(made, str):
+                reasons[name] = made
+            else:
+                contestants[name] = gradient(made, scene.points)
+        timings = setting.race(contestants)
         limits = limit(count, side, window_radius(SIGMA_SQ), rates)
         own = timings[names[0]].median
         records += [
-            setting.record(WHAT, name, timing, **at, over_tso=timing.median / own, over_limit=timing.median / max(limits.values()))
+            setting.record(
+                WHAT, name, timing, **at, over_tso=timing.median / own, over_limit=timing.median / max(limits.values())
+            )
             for name, timing in timings.items()
         ]
-        records += [setting.record(WHAT, name, **at, left_out=reason) for name, reason in reasons.items()]
+        absent |= {name for name, reason in reasons.items() if reason == peers.NOT_INSTALLED}
+        records += [setting.record(WHAT, name, **at, left_out=reasons[name]) for name in reasons if name not in absent]
         records += [
-            setting.record("limit", name, **at, seconds={"median": value, "low": value, "high": value}, over_tso=value / own)
+            setting.record("limit", name, **at, seconds={"median": value, "low": value, "high": value})
             for name, value in limits.items()
         ]
-    return records
+    return records + [setting.record(WHAT, name, left_out=peers.NOT_INSTALLED) for name in sorted(absent)]
 
 
 def growth(setting: Setting, growing: dict[str, Sizes] | None = None) -> list[dict[str, Any]]:

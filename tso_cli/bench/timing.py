@@ -16,6 +16,8 @@ from torch import Tensor
 SAMPLE = 2e-3
 # Samples of each contestant, however quick or slow it is.
 MOST_RUNS, LEAST_RUNS = 200, 3
+# What takes so many times its budget is sampled once.
+FAR_OVER = 10.0
 
 Work = Callable[[], object]
 
@@ -42,7 +44,7 @@ class Setting:
     ----------
     device : where the work is done.
     threads : of torch and of the compiled loops.
-    budget : seconds that each contestant is measured for; slow ones are run three times all the same.
+    budget : seconds that each contestant is measured for; slow ones are run three times all the same, or once.
     full : the large sizes too.
     seed : of everything random.
     report : called with what is measured next.
@@ -91,7 +93,8 @@ def race(contestants: Mapping[str, Work], budget: float, synchronise: Callable[[
     Parameters
     ----------
     contestants : name -> work; what it returns is dropped.
-    budget : seconds for each. Between 3 and 200 samples are taken; a sample repeats quick work until it takes 2 ms.
+    budget : seconds for each. Between 3 and 200 samples are taken, of what takes ten times the budget only one; a sample
+        repeats quick work until it takes 2 ms.
     synchronise : waits for the device, before the clock is read.
 
     Returns
@@ -105,7 +108,7 @@ def race(contestants: Mapping[str, Work], budget: float, synchronise: Callable[[
         repeats[name] = max(1, round(SAMPLE / max(once, 1e-7)))
         # Work that long is not disturbed by being the first.
         samples[name] = [once] if once > budget else []
-    waiting = list(contestants)
+    waiting = [name for name, taken in samples.items() if not _enough(taken, 1, budget)]
     while waiting:
         for name in waiting:
             samples[name].append(_sample(contestants[name], repeats[name], synchronise))
@@ -124,7 +127,7 @@ def _sample(work: Work, repeats: int, synchronise: Callable[[], None]) -> float:
 
 def _enough(samples: list[float], repeats: int, budget: float) -> bool:
     if len(samples) < LEAST_RUNS:
-        return False
+        return bool(samples) and samples[0] > FAR_OVER * budget
     return len(samples) >= MOST_RUNS or sum(samples) * repeats >= budget
 
 

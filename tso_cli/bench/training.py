@@ -7,7 +7,7 @@ from typing import Any
 from ..train.config import PRECISIONS, TrainConfig
 from ..train.loop import start
 from ..train.sources import shipped_examples
-from ..train.speed import images_per_second
+from ..train.speed import ROUNDS, images_per_second
 from .timing import Setting
 
 BATCH = 16
@@ -37,6 +37,7 @@ def measure(setting: Setting, batch: int = BATCH) -> list[dict[str, Any]]:
                         side=64,
                         batch=batch,
                         seconds={"median": seconds, "low": None, "high": None},
+                        runs=ROUNDS,
                         precision=precision,
                         images_per_second=found[key],
                         added=found["added"],
