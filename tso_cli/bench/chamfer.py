@@ -20,6 +20,8 @@ SIZES, LARGE = (1024, 4096, 16384), (65536,)
 EVERY = 10
 # All pairs at once are held up to this size.
 CDIST_UP_TO = 1024
+# On the CPU, packages that compare all pairs one by one.
+PAIRS_UP_TO = 16384
 
 
 def makers(initial: Tensor, setting: Setting) -> dict[str, peers.Make]:
@@ -34,7 +36,10 @@ def makers(initial: Tensor, setting: Setting) -> dict[str, peers.Make]:
         found["cdist"] = lambda: partial(_cdist, initial)
     else:
         found["cdist"] = lambda: f"{float(count) ** 2:.1e} pairs held at once"
-    return found | peers.chamfer_terms(initial)
+    for name, make in peers.chamfer_terms(initial).items():
+        slow = setting.device.type == "cpu" and name in peers.COMPARE_ALL and count > PAIRS_UP_TO
+        found[name] = (lambda: f"compares all {float(count) ** 2:.1e} pairs, minutes") if slow else make
+    return found
 
 
 def measure(setting: Setting, sizes: Sequence[int] | None = None, steps: int = STEPS) -> list[dict[str, Any]]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from functools import partial
 from importlib import import_module
 from typing import Any
@@ -16,6 +18,8 @@ Term = Callable[[Tensor], Tensor]
 # Gives a peer's work, or says in words why there is none.
 Make = Callable[[], Term | str]
 NOT_INSTALLED = "not installed"
+# Those that know no tree.
+COMPARE_ALL = ("chamferdist", "pykeops", "pytorch3d")
 
 
 def chamfer_terms(initial: Tensor) -> dict[str, Make]:
@@ -38,15 +42,18 @@ def splatters(scene: Projection) -> dict[str, Make]:
 def _tried(package: str, maker: Callable[[Any, Any], Term], material: Tensor | Projection) -> Term | str:
     """The peer's work if one call of it, forward and backward, succeeds."""
     try:
-        module = import_module(package)
+        # what a package tells of itself is no part of the answer on stdout
+        with redirect_stdout(sys.stderr):
+            module = import_module(package)
     except ImportError as error:
         missing = isinstance(error, ModuleNotFoundError) and error.name == package
         return NOT_INSTALLED if missing else f"cannot be imported ({_line(error)})"
     points = material.points if isinstance(material, Projection) else material
     try:
-        term = maker(module, material)
-        leaf = points.clone().requires_grad_()
-        torch.autograd.grad(term(leaf).sum(), leaf)
+        with redirect_stdout(sys.stderr):
+            term = maker(module, material)
+            leaf = points.clone().requires_grad_()
+            torch.autograd.grad(term(leaf).sum(), leaf)
     except Exception as error:
         # whatever another package raises: it is left out, and the run goes on
         return f"does not run here ({_line(error)})"

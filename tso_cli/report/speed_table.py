@@ -73,6 +73,7 @@ def sections(record: dict[str, Any]) -> list[Section]:
             [r for r in records if r["peak_memory_bytes"] is not None],
             lambda r: f"{r['peak_memory_bytes'] / 2**20:,.1f}",
             lambda r: f"{r['what']}: {r['name']}",
+            lambda r: f"{r['points']:,}",
         ),
         _pivot("terms", "value and gradient: ms (x the projector)", _of(records, "terms"), _time_and("over_projector")),
         _pivot("step", "a step in points mode: ms (share of the whole)", _of(records, "step"), _shared),
@@ -118,13 +119,14 @@ def _pivot(
     records: Records,
     cell: Callable[[dict[str, Any]], str],
     label: Callable[[dict[str, Any]], str] = lambda record: record["name"],
+    column: Callable[[dict[str, Any]], str] = _size,
 ) -> Section:
     """A row for each contestant, a column for each size."""
     measured = [record for record in records if record["seconds"]]
-    sizes = list(dict.fromkeys(_size(record) for record in measured))
+    sizes = list(dict.fromkeys(column(record) for record in measured))
     cells: dict[str, dict[str, str]] = {}
     for record in measured:
-        cells.setdefault(label(record), {})[_size(record)] = cell(record)
+        cells.setdefault(label(record), {})[column(record)] = cell(record)
     rows: list[list[Cell]] = [[row, *(own.get(size) for size in sizes)] for row, own in cells.items()]
     return Section(name, title, ["", *sizes], rows)
 
