@@ -121,7 +121,7 @@ def test_the_cross_entropy_is_that_of_the_plain_form_from_the_faintest_to_the_la
     for mask in (torch.zeros(1, 20, 25), torch.ones(1, 20, 25), torch.full((1, 20, 25), 0.3)):
         found = []
         for compiled in (False, True):
-            value = losses._cross_entropy(sums, mask.double(), None, compiled)
+            value = losses._cross_entropy(sums, losses.PixelWeights.of(mask.double()), compiled)
             found.append((value, torch.autograd.grad(value.sum(), sums)[0]))
         torch.testing.assert_close(*(value for value, _ in found), rtol=1e-9, atol=1e-9)
         torch.testing.assert_close(*(gradient for _, gradient in found), rtol=1e-6, atol=1e-7)

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from tso_cli import projection
 from tso_cli.camera import Camera
-from tso_cli.projection import CameraBatch, project, silhouette_of, silhouette_sums
+from tso_cli.kernels import choice
+from tso_cli.projection import CameraBatch, project, silhouette_of, silhouette_sums, silhouettes_of
 
 
 def _camera(model: str = "perspective", seed: int = 0, width: int = 40, height: int = 30) -> Camera:
@@ -19,6 +21,13 @@ def _camera(model: str = "perspective", seed: int = 0, width: int = 40, height: 
     return Camera(K, rotation, rng.normal(size=3) * 0.1 + [0.0, 0.0, 3.0], width, height, model)
 
 
+@pytest.fixture(params=["plain", "compiled"])
+def form(request, monkeypatch):
+    """In plain torch, and as compiled loops."""
+    monkeypatch.setattr(choice, "POINTS_WORTH_COMPILING", 0 if request.param == "compiled" else 1 << 60)
+
+
+@pytest.mark.usefixtures("form")
 @pytest.mark.parametrize("model", ["perspective", "orthographic"])
 def test_projection_is_K_times_R_p_plus_t(model):
     camera = _camera(model)
@@ -34,6 +43,7 @@ def test_projection_is_K_times_R_p_plus_t(model):
     np.testing.assert_allclose(camera.project(points)[0], found, atol=1e-9)
 
 
+@pytest.mark.usefixtures("form")
 @pytest.mark.parametrize("model", ["perspective", "orthographic"])
 def test_the_gradient_from_pixels_to_points_is_that_of_finite_differences(model):
     cameras = [_camera(model, seed) for seed in (0, 1)]
@@ -47,6 +57,7 @@ def test_the_gradient_from_pixels_to_points_is_that_of_finite_differences(model)
     assert torch.autograd.gradcheck(silhouette, (points,), eps=1e-6, atol=1e-6)
 
 
+@pytest.mark.usefixtures("form")
 def test_points_at_or_behind_the_camera_are_marked_and_get_no_gradient():
     camera = Camera.canonical(64, 64)
     # the canonical camera stands at z = 2 and looks toward -z
@@ -61,6 +72,7 @@ def test_points_at_or_behind_the_camera_are_marked_and_get_no_gradient():
     assert points.grad[0, 1:].abs().max() == 0.0
 
 
+@pytest.mark.usefixtures("form")
 def test_every_cloud_of_a_batch_can_have_its_own_cameras():
     cameras = [[_camera(seed=s) for s in pair] for pair in ((0, 1), (2, 3), (4, 5))]
     points = torch.tensor(np.random.default_rng(3).uniform(-0.4, 0.4, (3, 9, 3)))
@@ -71,6 +83,18 @@ def test_every_cloud_of_a_batch_can_have_its_own_cameras():
     together = project(points, batch).points_px
     for i, row in enumerate(rows):
         torch.testing.assert_close(together[i], project(points[i : i + 1], row).points_px[0])
+
+
+@pytest.mark.usefixtures("form")
+def test_a_camera_that_moves_gets_its_gradient_too():
+    points = torch.tensor(np.random.default_rng(4).uniform(-0.4, 0.4, (1, 5, 3)))
+    batch = CameraBatch.of([_camera()], points)
+    moving = [batch.K.requires_grad_(), batch.R.requires_grad_(), batch.t.requires_grad_()]
+
+    def pixels(K, R, t):
+        return project(points, CameraBatch(K, R, t, 40, 30)).points_px
+
+    assert torch.autograd.gradcheck(pixels, moving)
 
 
 def test_the_canonical_camera_sees_a_view_aligned_cloud_upright():
@@ -100,3 +124,17 @@ def test_the_silhouette_of_a_scan_four_million_units_away_keeps_its_pixels():
     shift = np.array([4e6, -3e6, 5e6])
     far = Camera(camera.K, camera.R, camera.t - camera.R @ shift, 64, 64)
     np.testing.assert_allclose(silhouette_of(cloud + shift, far), silhouette_of(cloud, camera), atol=1e-4)
+
+
+@pytest.mark.parametrize("size", [40, 200])
+def test_silhouettes_of_clouds_of_different_sizes_are_those_of_each_alone(size, monkeypatch):
+    rng = np.random.default_rng(6)
+    clouds = [rng.uniform(-0.4, 0.4, (count, 3)) * scale for count, scale in ((300, 1.0), (1, 1.0), (170, 0.6))]
+    cameras = [_camera(seed=seed, width=size, height=size - 10) for seed in range(3)]
+    monkeypatch.setattr(projection, "POINTS_AT_ONCE", 3 * 130)
+    together = silhouettes_of(clouds, cameras)
+    monkeypatch.undo()
+    assert together.shape == (3, size - 10, size)
+    for own, cloud, camera in zip(together, clouds, cameras, strict=True):
+        np.testing.assert_allclose(own, silhouette_of(cloud, camera), atol=1e-5)
+        assert own.max() > 0.1

@@ -18,7 +18,7 @@ from tso_cli.files.images import read_mask
 from tso_cli.losses import chamfer
 from tso_cli.network import build_network
 from tso_cli.objective import MaskObjective
-from tso_cli.refinement import RefineConfig, refine, refine_batch, run
+from tso_cli.refinement import RefineConfig, loop, refine, refine_batch, run
 from tso_cli.scene import View
 
 CHAIR = Path(__file__).parents[1] / "examples" / "chair"
@@ -159,6 +159,25 @@ def test_a_loss_that_stops_being_a_number_keeps_the_best_before_it(chair, monkey
         refine(points, mask, camera)
     with pytest.raises(TsoError, match="loss of the start"):
         refine(points, mask, camera)
+
+
+def test_reading_the_losses_rarely_as_on_a_gpu_changes_no_result(chair, monkeypatch):
+    points, mask, camera = chair
+    expected = refine(points, mask, camera)
+    monkeypatch.setattr(loop, "whole_batches", lambda tensor: True)
+    rarely = refine(points, mask, camera)
+    np.testing.assert_array_equal(rarely.points, expected.points)
+    assert rarely.losses == expected.losses
+    true_call, calls = MaskObjective.__call__, []
+
+    def failing(self, moved):
+        calls.append(1)
+        return true_call(self, moved) * (torch.nan if len(calls) > 3 else 1.0)
+
+    monkeypatch.setattr(MaskObjective, "__call__", failing)
+    result = refine(points, mask, camera)
+    assert (result.stop_reason, result.steps, result.best_step) == ("non_finite", 2, 2)
+    assert len(calls) == loop.STEPS_UNREAD + 1
 
 
 def test_ignored_pixels_leave_the_points_they_cover_alone(chair):

@@ -11,7 +11,8 @@ class Adam:
     """The optimiser of the paper, with torch's defaults: betas (0.9, 0.999), eps 1e-8.
 
     The first use of a ``torch.optim.Optimizer`` object imports torch's compiler: 0.9 s, nine times what fifty steps on a small
-    cloud take. The function underneath does not.
+    cloud take. The function underneath does not. Its fused form goes over each parameter once: two to five times faster,
+    equal to the plain one but for rounding.
 
     Parameters
     ----------
@@ -24,7 +25,9 @@ class Adam:
         self._learning_rate = learning_rate
         self._means = [torch.zeros_like(p) for p in parameters]
         self._squares = [torch.zeros_like(p) for p in parameters]
-        self._steps = [torch.tensor(0.0) for _ in parameters]
+        # Other devices have no fused form in every release of torch that is supported.
+        self._fused = all(p.device.type in ("cpu", "cuda") for p in parameters)
+        self._steps = [torch.zeros((), device=p.device if self._fused else "cpu") for p in parameters]
 
     @torch.no_grad()
     def step(self, loss: Tensor) -> None:
@@ -32,11 +35,12 @@ class Adam:
         grads = torch.autograd.grad(loss, self._parameters)
         adam(
             self._parameters,
-            list(grads),
+            [_laid_out_as(p, grad) for p, grad in zip(self._parameters, grads, strict=True)],
             self._means,
             self._squares,
             [],
             self._steps,
+            fused=self._fused,
             amsgrad=False,
             beta1=0.9,
             beta2=0.999,
@@ -45,3 +49,8 @@ class Adam:
             eps=1e-8,
             maximize=False,
         )
+
+
+def _laid_out_as(parameter: Tensor, grad: Tensor) -> Tensor:
+    """The fused form goes through memory as it lies: a gradient that autograd expanded or transposed would be misread."""
+    return grad if grad.stride() == parameter.stride() else torch.empty_like(parameter).copy_(grad)

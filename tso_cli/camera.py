@@ -66,7 +66,7 @@ class Camera:
             object.__setattr__(self, name, int(size))
         if self.model not in MODELS:
             raise InputError(f"model is {self.model!r}, expected one of {', '.join(MODELS)}")
-        if not np.allclose(self.K[2], [0.0, 0.0, 1.0]) or self.K[1, 0] != 0.0:
+        if (np.abs(self.K[2] - [0.0, 0.0, 1.0]) > [1e-8, 1e-8, 1e-5]).any() or self.K[1, 0] != 0.0:
             raise InputError(f"K is {self.K.tolist()}, expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]]")
         if min(self.K[0, 0], self.K[1, 1]) <= 0.0:
             raise InputError(f"K is singular or mirrored: fx = {self.K[0, 0]:g}, fy = {self.K[1, 1]:g}, expected both > 0")

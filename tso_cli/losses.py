@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from .kernels.choice import compiled_pays
-from .kernels.nearest import StaticNearest, nearest_both_ways, nearest_marked, nearest_points
-from .kernels.splat import NEGLIGIBLE
+from .kernels.choice import compiled_pays, whole_batches
+from .kernels.nearest import StaticNearest, nearest_both_ways, nearest_in_rows, nearest_marked, nearest_points
+from .kernels.splat import NEGLIGIBLE, cheapest, splat, window_radius
 
 # Windows are square: a sum below this may come from the corner of one while a nearer point lies beyond its side.
 UNCOVERED = NEGLIGIBLE
@@ -45,28 +46,71 @@ def silhouette_bce(
     -------
     [M] sum over pixels, weighted by 64^2 / (W H) so that settings hold at any resolution.
     """
-    waiting = (sums <= UNCOVERED) & (mask > 0.0)
-    if known is not None:
-        waiting &= known > 0.0
-    weight = mask if known is None else mask * known
-    total = _cross_entropy(sums, mask, known, compiled_pays(points_px))
-    total = total + _far_pixels(waiting, weight, points_px, valid, 0.5 / sigma_sq)
-    return total * (REFERENCE_PIXELS / (mask.shape[-1] * mask.shape[-2]))
+    target = PixelWeights.of(mask, known)
+    total = _cross_entropy(sums, target, compiled_pays(points_px))
+    waiting = (sums <= UNCOVERED) & (target.wanted > 0.0)
+    return (total + _far_pixels(waiting, target.wanted, points_px, valid, 0.5 / sigma_sq)) * _per_reference_pixel(mask)
 
 
-def _cross_entropy(sums: Tensor, mask: Tensor, known: Tensor | None, compiled: bool) -> Tensor:
+class PixelWeights(NamedTuple):
+    """What a mask asks of each pixel."""
+
+    wanted: Tensor  # [M, H, W] weight of being covered
+    unwanted: Tensor  # [M, H, W] weight of being left free
+
+    @classmethod
+    def of(cls, mask: Tensor, known: Tensor | None = None) -> PixelWeights:
+        """``mask`` [M, H, W] in [0, 1], ``known`` [M, H, W] the weight of each pixel; None counts all alike."""
+        if known is None:
+            return cls(mask, 1.0 - mask)
+        return cls(mask * known, (1.0 - mask) * known)
+
+
+def mask_loss(points_px: Tensor, valid: Tensor, target: PixelWeights, sigma_sq: float, kernel: str = "auto") -> Tensor:
+    """:func:`silhouette_bce` of projected points and their own sums; in compiled code all of it is one function.
+
+    Parameters
+    ----------
+    points_px, valid : [M, N, 2] column and row, [M, N] bool.
+    target : weights of the pixels, [M, H, W].
+    sigma_sq : px^2.
+    kernel : as in :func:`tso_cli.kernels.splat.splat`.
+
+    Returns
+    -------
+    [M], differentiable in ``points_px``.
+    """
+    height, width = target.wanted.shape[-2:]
+    if kernel == "auto":
+        kernel = cheapest(points_px, height, width, sigma_sq)
+    if kernel == "compiled":
+        from .kernels.compiled_mask import mask_loss as compiled_loss
+
+        total = compiled_loss(points_px, valid, target.wanted, target.unwanted, sigma_sq, window_radius(sigma_sq), UNCOVERED)
+    else:
+        sums = splat(points_px, valid, height, width, sigma_sq, kernel)
+        waiting = (sums <= UNCOVERED) & (target.wanted > 0.0)
+        total = _cross_entropy(sums, target, False) + _far_pixels(waiting, target.wanted, points_px, valid, 0.5 / sigma_sq)
+    return total * _per_reference_pixel(target.wanted)
+
+
+def _per_reference_pixel(image: Tensor) -> float:
+    """What the pixels of an image count for, in pixels of a 64x64 mask."""
+    return REFERENCE_PIXELS / (image.shape[-1] * image.shape[-2])
+
+
+def _cross_entropy(sums: Tensor, target: PixelWeights, compiled: bool) -> Tensor:
     """Sum [M] over pixels of the cross-entropy; mask pixels whose sum is negligible add nothing."""
     if compiled:
         from .kernels.compiled_losses import cross_entropy
 
-        return cross_entropy(sums, mask, known, UNCOVERED)
+        return cross_entropy(sums, *target, UNCOVERED)
     covered = sums > UNCOVERED
     s = torch.where(covered, sums, 1.0)
     log_tanh = torch.log(-torch.expm1(-2.0 * s)) - torch.log1p(torch.exp(-2.0 * s))
-    miss = torch.where(covered, -log_tanh, 0.0) * mask
-    stray = (torch.nn.functional.softplus(2.0 * sums) - math.log(2.0)) * (1.0 - mask)
-    loss = miss + stray if known is None else (miss + stray) * known
-    return loss.sum((-1, -2))
+    miss = torch.where(covered, -log_tanh, 0.0)
+    stray = torch.nn.functional.softplus(2.0 * sums) - math.log(2.0)
+    return (miss * target.wanted + stray * target.unwanted).sum((-1, -2))
 
 
 def _far_pixels(pixels: Tensor, weight: Tensor, points_px: Tensor, valid: Tensor, factor: float) -> Tensor:
@@ -75,12 +119,15 @@ def _far_pixels(pixels: Tensor, weight: Tensor, points_px: Tensor, valid: Tensor
         from .kernels.compiled_losses import pull_to_pixels
 
         return pull_to_pixels(pixels, weight, points_px, valid, factor)
-    index = nearest_points(pixels, points_px, valid)
-    image, row, column = torch.nonzero(index >= 0, as_tuple=True)
-    centres = torch.stack([column, row], 1).to(points_px.dtype)
-    squared = (centres - points_px[image, index[image, row, column]]).square().sum(1)
-    terms = squared * weight[image, row, column] * factor
-    return terms.new_zeros(len(pixels)).index_add(0, image, terms)
+    index = nearest_points(pixels, points_px, valid).flatten(1)
+    width, count = pixels.shape[2], points_px.shape[1]
+    number = torch.arange(index.shape[1], device=index.device)
+    pulls = index >= 0
+    # A pixel without a point is given one in turn: the zeros of all of them, added to one point, would wait for each other.
+    taken = torch.where(pulls, index, number % count)
+    centres = torch.stack([number % width, number // width], 1)
+    squared = (centres - torch.take_along_dim(points_px, taken.unsqueeze(-1), 1)).square().sum(-1)
+    return torch.where(pulls, squared * weight.flatten(1) * factor, 0.0).sum(-1)
 
 
 def affinity(
@@ -110,13 +157,20 @@ def affinity(
     if form == "points":
         term = _stray_points(points_px, valid, inside) + _far_pixels(inside & ~predicted, mask, points_px, valid, 1.0)
     else:
-        silhouette, compiled = torch.tanh(sums), compiled_pays(points_px)
-        term = _far_values(silhouette, mask, *nearest_marked(inside, compiled))
-        term = term + _far_values(mask, silhouette, *nearest_marked(predicted, compiled))
-    return term * (REFERENCE_PIXELS / (mask.shape[-1] * mask.shape[-2])) ** 2
+        term = _far_values(torch.tanh(sums), mask, inside, predicted, compiled_pays(points_px))
+    return term * _per_reference_pixel(mask) ** 2
 
 
-def _far_values(source: Tensor, goal: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+def _far_values(silhouette: Tensor, mask: Tensor, inside: Tensor, predicted: Tensor, compiled: bool) -> Tensor:
+    """Sum [M] over pixels of squared distance to the nearest pixel of the other image, times the values at both."""
+    if compiled:
+        from .kernels.compiled_losses import pull_silhouette
+
+        return pull_silhouette(silhouette, mask, inside, predicted)
+    return _far_from(silhouette, mask, *nearest_marked(inside)) + _far_from(mask, silhouette, *nearest_marked(predicted))
+
+
+def _far_from(source: Tensor, goal: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
     """Sum [M] over pixels of squared distance to the nearest marked pixel (at rows, columns) * source * goal there."""
     height, width = source.shape[-2:]
     away_y = rows - torch.arange(height, device=rows.device).unsqueeze(1)
@@ -180,6 +234,10 @@ class ChamferToInitial:
             from .kernels.compiled_static import StaticTrees
 
             self._trees = StaticTrees(self.initial, self.counts)
+        elif whole_batches(self.initial):
+            there = torch.arange(initial.shape[1]) < self.counts.unsqueeze(1)
+            self._there = there.to(initial.device)
+            self._share = (there / self.counts.unsqueeze(1)).to(self.initial)
         else:
             rows = zip(self.initial, self.counts.tolist(), strict=True)
             self._nearest = [StaticNearest(cloud[:count]) for cloud, count in rows]
@@ -188,6 +246,12 @@ class ChamferToInitial:
         """Both directions summed [B], squared distances, mean over points; differentiable in ``points`` [B, N, 3]."""
         if self._compiled:
             return self._trees.chamfer(points)
+        if whole_batches(points):
+            to_points = nearest_in_rows(self.initial, points, self._there, self._there).clamp_min_(0)
+            to_initial = nearest_in_rows(points, self.initial, self._there, self._there).clamp_min_(0)
+            forward = self.initial - torch.take_along_dim(points, to_points.unsqueeze(-1), 1)
+            backward = points - torch.take_along_dim(self.initial, to_initial.unsqueeze(-1), 1)
+            return ((forward.square() + backward.square()).sum(-1) * self._share).sum(-1)
         terms = []
         for start, moved, nearest in zip(self.initial, points, self._nearest, strict=True):
             start, moved = start[: len(nearest.start)], moved[: len(nearest.start)]

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from .camera import Camera
 from .errors import InputError
-from .losses import silhouette_bce
-from .projection import CameraBatch, coarsened, default_sigma_sq, project, silhouette_sums
+from .losses import PixelWeights, mask_loss
+from .projection import CameraBatch, coarsened, default_sigma_sq, project
 from .resample import area_resize
 from .scene import View
 
@@ -91,9 +91,7 @@ class MaskObjective:
             projected = project(points, view.cameras)
             if self._there is not None:
                 projected = projected._replace(valid=projected.valid & self._there)
-            sums = silhouette_sums(projected, view.cameras, view.sigma_sq)[:, 0]
-            points_px, valid = projected.points_px[:, 0], projected.valid[:, 0]
-            total = total + silhouette_bce(sums, view.mask, points_px, valid, view.sigma_sq, view.known)
+            total = total + mask_loss(projected.points_px[:, 0], projected.valid[:, 0], view.target, view.sigma_sq)
         return total
 
 
@@ -101,8 +99,7 @@ class MaskObjective:
 class _Together:
     """One view of each of B clouds."""
 
-    mask: Tensor  # [B, h, w]
-    known: Tensor | None  # [B, h, w]
+    target: PixelWeights  # [B, h, w]
     cameras: CameraBatch  # [B, 1]
     sigma_sq: float
 
@@ -118,8 +115,7 @@ class _Together:
         if any(view.known is not None for view in views):
             known = stacked([np.ones_like(view.mask) if view.known is None else view.known for view in views])
         return cls(
-            stacked([view.mask for view in views]),
-            known,
+            PixelWeights.of(stacked([view.mask for view in views]), known),
             CameraBatch.of([view.camera for view in views], like).one_each(),
             first.sigma_sq,
         )

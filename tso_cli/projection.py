@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from .camera import NEAR, Camera
+from .kernels.choice import compiled_pays
 from .kernels.splat import splat
 
 # A silhouette blurred by this variance (px^2) changes little from one pixel to the next.
@@ -71,9 +72,16 @@ def project(points: Tensor, cameras: CameraBatch, near: float = NEAR) -> Project
     near : points with depth <= near are marked invalid under the perspective model; their pixel coordinates are finite and
         get no gradient.
     """
+    near = -math.inf if cameras.model == "orthographic" else near
+    if compiled_pays(points) and not any(tensor.requires_grad for tensor in (cameras.K, cameras.R, cameras.t)):
+        from .kernels.compiled_projection import project as compiled_project
+
+        every = (len(points), cameras.K.shape[-3])
+        K, R, t = cameras.K.expand(*every, 3, 3), cameras.R.expand(*every, 3, 3), cameras.t.expand(*every, 3)
+        return Projected(*compiled_project(points, K, R, t, near))
     camera = points.unsqueeze(-3) @ cameras.R.transpose(-1, -2) + cameras.t.unsqueeze(-2)  # [B, V, N, 3]
     plane, depth = camera[..., :2], camera[..., 2]
-    if cameras.model == "orthographic":
+    if near == -math.inf:
         valid = torch.ones_like(depth, dtype=torch.bool)
     else:
         valid = depth > near
@@ -92,27 +100,57 @@ def silhouette_sums(projected: Projected, cameras: CameraBatch, sigma_sq: float,
 def silhouette_of(points: NDArray[np.floating], camera: Camera, sigma_sq: float | None = None) -> NDArray[np.float32]:
     """The silhouette [H, W] in [0, 1] of a cloud [N, 3] in world units (Eq. 2), for judging and for pictures.
 
+    As :func:`silhouettes_of` with one cloud.
+    """
+    silhouette: NDArray[np.float32] = silhouettes_of([points], [camera], sigma_sq)[0]
+    return silhouette
+
+
+def silhouettes_of(
+    clouds: Sequence[NDArray[np.floating]],
+    cameras: Sequence[Camera],
+    sigma_sq: float | None = None,
+    device: torch.device | str = "cpu",
+) -> NDArray[np.float32]:
+    """The silhouettes [B, H, W] in [0, 1] of B clouds (Eq. 2), each seen by its own camera, for judging and for pictures.
+
     Where the kernel spans many pixels the sums are computed on a grid still fine against it (variance 6.4 of its cells)
     and interpolated: within 0.04 of every pixel's own, at a cost that does not grow with the photo.
 
-    ``sigma_sq`` is in px^2 of the camera's image, the default 0.4 (max(W, H) / 64)^2.
+    Parameters
+    ----------
+    clouds : [B][N, 3] in world units; N may differ.
+    cameras : [B], of one image size and model.
+    sigma_sq : px^2 of the cameras' image, the default 0.4 (max(W, H) / 64)^2.
+    device : where it is computed.
     """
-    points = np.asarray(points, dtype=np.float64)
-    centre = (points.min(0) + points.max(0)) / 2.0
-    scale = float((points.max(0) - points.min(0)).max()) or 1.0
-    local = torch.as_tensor((points - centre) / scale, dtype=torch.float32).unsqueeze(0)
-    height, width = camera.height, camera.width
+    height, width = cameras[0].height, cameras[0].width
     if sigma_sq is None:
         sigma_sq = default_sigma_sq(width, height)
-    camera, sigma_sq = coarsened(camera, sigma_sq, SMOOTH_SIGMA_SQ)
-    batch = CameraBatch.of([camera.for_normalised(centre, scale)], local)
+    counts = [len(cloud) for cloud in clouds]
+    padded = np.zeros((len(clouds), max(counts), 3), np.float32)
+    coarse = []
+    for row, cloud, camera in zip(padded, clouds, cameras, strict=True):
+        points = np.asarray(cloud, dtype=np.float64)
+        centre = (points.min(0) + points.max(0)) / 2.0
+        scale = float((points.max(0) - points.min(0)).max()) or 1.0
+        row[: len(points)] = (points - centre) / scale
+        camera, coarse_sigma_sq = coarsened(camera, sigma_sq, SMOOTH_SIGMA_SQ)
+        coarse.append(camera.for_normalised(centre, scale))
+    local = torch.as_tensor(padded, device=device)
+    there = torch.arange(max(counts)) < torch.tensor(counts).unsqueeze(1)
+    batch = CameraBatch.of(coarse, local).one_each()
     with torch.no_grad():
-        sums = torch.zeros(1, 1, camera.height, camera.width)
-        for part in local.split(POINTS_AT_ONCE, dim=1):
-            sums += silhouette_sums(project(part, batch), batch, sigma_sq)
-        if (camera.height, camera.width) != (height, width):
+        sums = local.new_zeros(len(clouds), 1, batch.height, batch.width)
+        size = max(1, POINTS_AT_ONCE // len(clouds))
+        for part, own in zip(local.split(size, 1), there.to(device).split(size, 1), strict=True):
+            projected = project(part, batch)
+            projected = projected._replace(valid=projected.valid & own.unsqueeze(1))
+            sums += silhouette_sums(projected, batch, coarse_sigma_sq)
+        if (batch.height, batch.width) != (height, width):
             sums = torch.nn.functional.interpolate(sums, (height, width), mode="bilinear", align_corners=False)
-        return torch.tanh(sums)[0, 0].numpy()
+        silhouettes: NDArray[np.float32] = torch.tanh(sums)[:, 0].cpu().numpy()
+    return silhouettes
 
 
 def coarsened(camera: Camera, sigma_sq: float, wanted: float) -> tuple[Camera, float]:
@@ -120,7 +158,9 @@ def coarsened(camera: Camera, sigma_sq: float, wanted: float) -> tuple[Camera, f
 
     Both are returned as they are where sigma_sq is smaller: nothing is ever scaled up.
     """
-    shrink = min(1.0, math.sqrt(wanted / sigma_sq))
+    if sigma_sq <= wanted:
+        return camera, sigma_sq
+    shrink = math.sqrt(wanted / sigma_sq)
     coarse = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
     if (coarse.width, coarse.height) == (camera.width, camera.height):
         return camera, sigma_sq

@@ -12,26 +12,30 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .compiled_nearest import nearest_in_column, nearest_points
+from .compiled_nearest import cell_edge, nearest_in_cells, nearest_in_column, nearest_in_row, sort_into_cells
 from .jit import compiled, share
+from .lanes import LOWEST, exp, log
+
+LOG_TWO = math.log(2.0)
 
 
-def cross_entropy(sums: Tensor, mask: Tensor, known: Tensor | None, uncovered: float) -> Tensor:
+def cross_entropy(sums: Tensor, wanted: Tensor, unwanted: Tensor, uncovered: float) -> Tensor:
     """Binary cross-entropy [M] of mask and silhouette from the sums [M, H, W], without the pixels that wait for a point.
 
-    Mask pixels whose sum is at most ``uncovered`` add nothing. ``known`` [M, H, W] weighs the pixels; None counts all.
+    ``wanted`` and ``unwanted`` [M, H, W] are the weights of the mask and of its complement. Mask pixels whose sum is at most
+    ``uncovered`` add nothing.
     """
-    total, slope = sums.new_empty(len(sums)), torch.empty_like(sums, memory_format=torch.contiguous_format)
-    weight = torch.ones(1, 1, 1, dtype=sums.dtype).expand_as(sums) if known is None else known
-    share(len(sums), 8 * sums.numel(), _cross_entropy, sums, weight, mask, uncovered, total, slope)
+    total, slope = sums.new_empty(len(sums)), sums.detach().clone(memory_format=torch.contiguous_format)
+    share(len(sums), 8 * sums.numel(), _cross_entropy, wanted, unwanted, uncovered, total, slope)
     return WithSlope.apply(sums, total, slope)
 
 
 def pull_to_pixels(pixels: Tensor, weight: Tensor, points_px: Tensor, valid: Tensor, factor: float) -> Tensor:
     """Sum [M] over the marked pixels of weight * factor * squared distance to the nearest projected point."""
     total, slope = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
-    index = nearest_points(pixels, points_px, valid)
-    share(len(pixels), 2 * pixels.numel(), _pull_to_pixels, index, weight, points_px, factor, total, slope)
+    edge = cell_edge(pixels.shape[1], pixels.shape[2], points_px.shape[1])
+    steps = 4 * pixels.numel() + 8 * valid.numel()
+    share(len(pixels), steps, _pull_to_pixels, pixels, pixels.sum(-1), weight, points_px, valid, factor, edge, total, slope)
     return WithSlope.apply(points_px, total, slope)
 
 
@@ -40,6 +44,17 @@ def pull_to_mask(points_px: Tensor, valid: Tensor, inside: Tensor) -> Tensor:
     total, slope = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
     share(len(inside), 8 * inside.numel() + 32 * valid.numel(), _pull_to_mask, points_px, valid, inside, total, slope)
     return WithSlope.apply(points_px, total, slope)
+
+
+def pull_silhouette(silhouette: Tensor, mask: Tensor, inside: Tensor, predicted: Tensor) -> Tensor:
+    """Sum [M] over pixels of squared distances between mask and silhouette (Eq. 5 as printed).
+
+    Each pixel of the silhouette [M, H, W] counts with its squared distance to the nearest that is ``inside`` and the mask
+    there, each of the mask with that to the nearest that is ``predicted`` and the silhouette there.
+    """
+    total, slope = silhouette.new_empty(len(mask)), torch.zeros_like(silhouette, memory_format=torch.contiguous_format)
+    share(len(mask), 32 * mask.numel(), _pull_silhouette, silhouette, mask, inside, predicted, total, slope)
+    return WithSlope.apply(silhouette, total, slope)
 
 
 class WithSlope(torch.autograd.Function):
@@ -57,47 +72,81 @@ class WithSlope(torch.autograd.Function):
 
 
 @compiled
-def _cross_entropy(first, last, sums, weight, mask, uncovered, total, slope):  # type: ignore[no-untyped-def]
+def entropy_of_row(line, wanted, unwanted, uncovered, asking):  # type: ignore[no-untyped-def]
+    """Loss of a row of pixels; ``line``, their sums, becomes the derivative by them.
+
+    ``asking`` is set where the mask wants a point and no window reaches. Returns the loss, and how many pixels ask. There is no
+    branch in it, so that the compiler can work on many pixels at once.
+    """
+    kind = line.dtype.type
+    zero, half, one, two, four = kind(0.0), kind(0.5), kind(1.0), kind(2.0), kind(4.0)
+    least, limit, small, log_two = kind(LOWEST), kind(uncovered), kind(0.05), kind(LOG_TWO)
+    loss, waiting = zero, 0
+    for j in range(len(line)):
+        s, wish, rest = line[j], wanted[j], unwanted[j]
+        covered = s > limit
+        twice = two * (s if covered else one)
+        power = exp(max(-twice, least))
+        # 1 - power, by its series where the difference would lose digits
+        series = one - twice * kind(1.0 / 8.0) * (one - twice * kind(1.0 / 9.0))
+        series = one - twice * kind(1.0 / 6.0) * (one - twice * kind(1.0 / 7.0) * series)
+        series = one - twice * kind(1.0 / 4.0) * (one - twice * kind(1.0 / 5.0) * series)
+        series = twice * (one - twice * half * (one - twice * kind(1.0 / 3.0) * series))
+        complement = one - power if twice > half else series
+        more = log(one + power)
+        # -log tanh s, and -log(1 - tanh s)
+        miss = more - log(complement)
+        stray = twice + more - log_two if s > small else s * (one + s * (half - s * s * kind(1.0 / 12.0)))
+        loss += (wish * miss if covered else zero) + rest * stray
+        toward = four * power / (complement * (one + power)) if covered else zero
+        line[j] = rest * two / (one + power) - wish * toward if covered else rest
+        asks = wish > zero and not covered
+        asking[j] = asks
+        waiting += asks
+    return loss, waiting
+
+
+@compiled
+def _cross_entropy(first, last, wanted, unwanted, uncovered, total, slope):  # type: ignore[no-untyped-def]
+    asking = np.empty(slope.shape[2], np.bool_)
     for image in range(first, last):
         loss = 0.0
-        for i in range(sums.shape[1]):
-            for j in range(sums.shape[2]):
-                s, m, w = sums[image, i, j], float(mask[image, i, j]), float(weight[image, i, j])
-                if s <= uncovered:
-                    # most of a picture: -log(1 - tanh s) is s here
-                    loss += w * (1.0 - m) * s
-                    slope[image, i, j] = w * (1.0 - m)
-                    continue
-                power = math.exp(-2.0 * s)
-                complement = 1.0 - power if s > 1e-3 else 2.0 * s * (1.0 - s * (1.0 - s * (2.0 - s) / 3.0))
-                rate = 0.0
-                if m != 1.0:
-                    # -log(1 - tanh s)
-                    loss += w * (1.0 - m) * (2.0 * s + math.log(0.5 + 0.5 * power))
-                    rate += (1.0 - m) * 2.0 / (1.0 + power)
-                if m != 0.0:
-                    # -log tanh s
-                    loss += w * m * math.log((1.0 + power) / complement)
-                    rate -= m * 4.0 * power / (complement * (1.0 + power))
-                slope[image, i, j] = w * rate
+        for i in range(slope.shape[1]):
+            loss += entropy_of_row(slope[image, i], wanted[image, i], unwanted[image, i], uncovered, asking)[0]
         total[image] = loss
 
 
 @compiled
-def _pull_to_pixels(first, last, index, weight, points, factor, total, slope):  # type: ignore[no-untyped-def]
+def pull_image(asking, waiting, weight, points, valid, factor, edge, slope):  # type: ignore[no-untyped-def]
+    """Loss of the pixels that are ``asking`` [H, W], ``waiting`` [H] in each row; ``slope`` [N, 2] gets the derivative."""
+    height, width = asking.shape
+    if waiting.sum() == 0:
+        return 0.0
+    cells = sort_into_cells(points, valid, height, width, edge)
+    loss = 0.0
+    for i in range(height):
+        if waiting[i] == 0:
+            continue
+        for j in range(width):
+            if not asking[i, j]:
+                continue
+            n = nearest_in_cells(float(j), float(i), edge, cells)
+            if n < 0:
+                return 0.0
+            by_x, by_y = points[n, 0] - j, points[n, 1] - i
+            w = factor * weight[i, j]
+            loss += w * (by_x * by_x + by_y * by_y)
+            slope[n, 0] += 2.0 * w * by_x
+            slope[n, 1] += 2.0 * w * by_y
+    return loss
+
+
+@compiled
+def _pull_to_pixels(first, last, pixels, waiting, weight, points, valid, factor, edge, total, slope):  # type: ignore[no-untyped-def]
     for image in range(first, last):
-        loss = 0.0
-        for i in range(index.shape[1]):
-            for j in range(index.shape[2]):
-                n = index[image, i, j]
-                if n < 0:
-                    continue
-                by_x, by_y = points[image, n, 0] - j, points[image, n, 1] - i
-                w = factor * weight[image, i, j]
-                loss += w * (by_x * by_x + by_y * by_y)
-                slope[image, n, 0] += 2.0 * w * by_x
-                slope[image, n, 1] += 2.0 * w * by_y
-        total[image] = loss
+        total[image] = pull_image(
+            pixels[image], waiting[image], weight[image], points[image], valid[image], factor, edge, slope[image]
+        )
 
 
 @compiled
@@ -130,4 +179,31 @@ def _pull_to_mask(first, last, points, valid, inside, total, slope):  # type: ig
                 loss += by_x * by_x + by_y * by_y
                 slope[image, n, 0] = 2.0 * by_x
                 slope[image, n, 1] = 2.0 * by_y
+        total[image] = loss
+
+
+@compiled
+def _pull_silhouette(first, last, silhouette, mask, inside, predicted, total, slope):  # type: ignore[no-untyped-def]
+    height, width = mask.shape[1:]
+    near = np.empty((height, width), np.int64)
+    rows, columns = np.empty(width, np.int64), np.empty(width, np.int64)
+    vertex, since = np.empty(width, np.int64), np.empty(width, np.int64)
+    for image in range(first, last):
+        loss = 0.0
+        nearest_in_column(inside[image], near)
+        for i in range(height):
+            nearest_in_row(near, i, rows, columns, vertex, since)
+            for j in range(width):
+                if rows[j] >= 0:
+                    there = ((rows[j] - i) ** 2 + (columns[j] - j) ** 2) * mask[image, rows[j], columns[j]]
+                    loss += there * silhouette[image, i, j]
+                    slope[image, i, j] += there
+        nearest_in_column(predicted[image], near)
+        for i in range(height):
+            nearest_in_row(near, i, rows, columns, vertex, since)
+            for j in range(width):
+                if rows[j] >= 0:
+                    there = ((rows[j] - i) ** 2 + (columns[j] - j) ** 2) * mask[image, i, j]
+                    loss += there * silhouette[image, rows[j], columns[j]]
+                    slope[image, rows[j], columns[j]] += there
         total[image] = loss

@@ -1,4 +1,4 @@
-"""Exact nearest neighbours as compiled loops on the CPU, for batches: points to pixels, marked pixels, small clouds."""
+"""Exact nearest neighbours as compiled loops on the CPU: points to pixels, marked pixels, batches of small clouds."""
 
 from __future__ import annotations
 
@@ -20,17 +20,15 @@ def nearest_points(pixels: Tensor, points_px: Tensor, valid: Tensor) -> Tensor:
     """As :func:`tso_cli.kernels.nearest.nearest_points`; among points equally near the first of the cloud."""
     images, height, width = pixels.shape
     out = torch.empty(images, height, width, dtype=torch.int64)
-    edge = max(1.0, math.sqrt(POINTS_PER_CELL * height * width / max(1, points_px.shape[1])))
+    edge = cell_edge(height, width, points_px.shape[1])
     steps = 8 * images * (height * width + points_px.shape[1])
     share(images, steps, _nearest_points, pixels, points_px, valid, edge, out)
     return out
 
 
-def nearest_marked(marked: Tensor) -> tuple[Tensor, Tensor]:
-    """As :func:`tso_cli.kernels.nearest.nearest_marked`; among pixels equally near that of the smallest column, then row."""
-    rows, columns = (torch.empty(marked.shape, dtype=torch.int64) for _ in range(2))
-    share(len(marked), 8 * marked.numel(), _nearest_marked, marked, rows, columns)
-    return rows, columns
+def cell_edge(height: int, width: int, count: int) -> float:
+    """Edge in pixels of the cells that ``count`` points of an image are sorted into."""
+    return max(1.0, math.sqrt(POINTS_PER_CELL * height * width / max(1, count)))
 
 
 def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
@@ -51,45 +49,74 @@ def _cell(x, y, edge, rows, columns):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _nearest_points(first, last, pixels, points, valid, edge, out):  # type: ignore[no-untyped-def]
-    """Fill ``out`` [M, H, W] for the images ``first`` to ``last``: points sorted into cells, cells searched ring by ring."""
-    count, height, width = points.shape[1], pixels.shape[1], pixels.shape[2]
+def sort_into_cells(points, valid, height, width, edge):  # type: ignore[no-untyped-def]
+    """Sort the points [N, 2] of an image into a grid of cells.
+
+    Returns ``away`` [rows, columns], how many cells away the next one with a point is, also across corners; ``begin``, by which
+    the points of cell c are those from begin[c] to begin[c + 1]; and their coordinates and numbers in that order.
+    """
+    count = len(points)
     rows, columns = int(math.ceil(height / edge)), int(math.ceil(width / edge))
-    # The points of cell c are those from begin[c] to begin[c + 1]; while they are put there, one place further on.
-    begin = np.empty(rows * columns + 2, np.int64)
+    # While points are put into their cells, the start of cell c stands one place further on.
+    begin = np.zeros(rows * columns + 2, np.int64)
     xs, ys, order = np.empty(count, np.float64), np.empty(count, np.float64), np.empty(count, np.int64)
     cells = np.empty(count, np.int64)
-    for image in range(first, last):
-        begin[:] = 0
-        alive = False
-        for n in range(count):
-            x, y = points[image, n, 0], points[image, n, 1]
-            cells[n] = -1
-            if valid[image, n] and np.isfinite(x) and np.isfinite(y):
-                row, column = _cell(x, y, edge, rows, columns)
-                cells[n] = row * columns + column
-                begin[cells[n] + 2] += 1
-                alive = True
-        for cell in range(rows * columns):
-            begin[cell + 2] += begin[cell + 1]
-        for n in range(count):
-            if cells[n] >= 0:
-                place = begin[cells[n] + 1]
-                begin[cells[n] + 1] += 1
-                xs[place], ys[place], order[place] = points[image, n, 0], points[image, n, 1], n
-        for i in range(height):
-            for j in range(width):
-                out[image, i, j] = -1
-                if pixels[image, i, j] and alive:
-                    out[image, i, j] = _search(float(j), float(i), edge, rows, columns, begin, xs, ys, order)
+    for n in range(count):
+        x, y = points[n, 0], points[n, 1]
+        cells[n] = -1
+        if valid[n] and np.isfinite(x) and np.isfinite(y):
+            row, column = _cell(x, y, edge, rows, columns)
+            cells[n] = row * columns + column
+            begin[cells[n] + 2] += 1
+    away = np.empty((rows, columns), np.int32)
+    for i in range(rows):
+        for j in range(columns):
+            away[i, j] = 0 if begin[i * columns + j + 2] else rows + columns
+    for cell in range(rows * columns):
+        begin[cell + 2] += begin[cell + 1]
+    for n in range(count):
+        if cells[n] >= 0:
+            place = begin[cells[n] + 1]
+            begin[cells[n] + 1] += 1
+            xs[place], ys[place], order[place] = points[n, 0], points[n, 1], n
+    for i in range(rows):
+        for j in range(columns):
+            if i:
+                for k in range(max(j - 1, 0), min(j + 2, columns)):
+                    away[i, j] = min(away[i, j], away[i - 1, k] + 1)
+            if j:
+                away[i, j] = min(away[i, j], away[i, j - 1] + 1)
+    for i in range(rows - 1, -1, -1):
+        for j in range(columns - 1, -1, -1):
+            if i < rows - 1:
+                for k in range(max(j - 1, 0), min(j + 2, columns)):
+                    away[i, j] = min(away[i, j], away[i + 1, k] + 1)
+            if j < columns - 1:
+                away[i, j] = min(away[i, j], away[i, j + 1] + 1)
+    return away, begin, xs, ys, order
 
 
 @compiled
-def _search(x, y, edge, rows, columns, begin, xs, ys, order):  # type: ignore[no-untyped-def]
-    """The first of the points nearest to (x, y), which lies inside the image."""
+def _nearest_points(first, last, pixels, points, valid, edge, out):  # type: ignore[no-untyped-def]
+    """Fill ``out`` [M, H, W] for the images ``first`` to ``last``."""
+    height, width = pixels.shape[1:]
+    for image in range(first, last):
+        cells = sort_into_cells(points[image], valid[image], height, width, edge)
+        for i in range(height):
+            for j in range(width):
+                out[image, i, j] = nearest_in_cells(float(j), float(i), edge, cells) if pixels[image, i, j] else -1
+
+
+@compiled
+def nearest_in_cells(x, y, edge, cells):  # type: ignore[no-untyped-def]
+    """The first of the points nearest to (x, y), which lies inside the image, by cells ring by ring; -1 without points."""
+    away, begin, xs, ys, order = cells
+    rows, columns = away.shape
     row, column = _cell(x, y, edge, rows, columns)
     best, chosen = np.inf, -1
-    ring = 0
+    ring = away[row, column]
+    if ring >= rows + columns:
+        return -1
     while True:
         left, right = max(column - ring, 0), min(column + ring, columns - 1)
         for i in range(max(row - ring, 0), min(row + ring, rows - 1) + 1):
@@ -136,41 +163,36 @@ def nearest_in_column(marked, near):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _nearest_marked(first, last, marked, rows, columns):  # type: ignore[no-untyped-def]
-    """Fill ``rows`` and ``columns`` [M, H, W] for the images ``first`` to ``last``, with -1 where nothing is marked.
+def nearest_in_row(near, i, rows, columns, vertex, since):  # type: ignore[no-untyped-def]
+    """Fill ``rows`` and ``columns`` [W] with the marked pixel nearest to each of row i, -1 where nothing is marked.
 
-    First along the columns, then for each row the lower envelope of one parabola per column (Felzenszwalb and Huttenlocher),
-    in whole numbers.
+    ``near`` [H, W] is that of :func:`nearest_in_column`. The lower envelope of one parabola per column (Felzenszwalb and
+    Huttenlocher), in whole numbers; ``vertex`` and ``since`` [W] are room to work in.
     """
-    height, width = marked.shape[1:]
-    near = np.empty((height, width), np.int64)
-    vertex, since = np.empty(width, np.int64), np.empty(width, np.int64)
-    for image in range(first, last):
-        nearest_in_column(marked[image], near)
-        for i in range(height):
-            size = 0
-            for j in range(width):
-                if near[i, j] < 0:
-                    continue
-                start = 0
-                while size:
-                    other = vertex[size - 1]
-                    rise = (near[i, j] - i) ** 2 + j * j - (near[i, other] - i) ** 2 - other * other
-                    # The first column where j is strictly nearer than the one before it.
-                    start = max(0, rise // (2 * (j - other)) + 1)
-                    if start > since[size - 1]:
-                        break
-                    size -= 1
-                    start = 0
-                if start < width:
-                    vertex[size], since[size] = j, start
-                    size += 1
-            part = 0
-            for j in range(width):
-                while part + 1 < size and since[part + 1] <= j:
-                    part += 1
-                rows[image, i, j] = near[i, vertex[part]] if size else -1
-                columns[image, i, j] = vertex[part] if size else -1
+    width = near.shape[1]
+    size = 0
+    for j in range(width):
+        if near[i, j] < 0:
+            continue
+        start = 0
+        while size:
+            other = vertex[size - 1]
+            rise = (near[i, j] - i) ** 2 + j * j - (near[i, other] - i) ** 2 - other * other
+            # The first column where j is strictly nearer than the one before it.
+            start = max(0, rise // (2 * (j - other)) + 1)
+            if start > since[size - 1]:
+                break
+            size -= 1
+            start = 0
+        if start < width:
+            vertex[size], since[size] = j, start
+            size += 1
+    part = 0
+    for j in range(width):
+        while part + 1 < size and since[part + 1] <= j:
+            part += 1
+        rows[j] = near[i, vertex[part]] if size else -1
+        columns[j] = vertex[part] if size else -1
 
 
 @compiled

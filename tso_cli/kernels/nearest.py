@@ -1,16 +1,16 @@
-"""Exact nearest neighbours: a k-d tree or compiled loops on the CPU, chunked distances elsewhere."""
+"""Exact nearest neighbours: a k-d tree or compiled loops on the CPU, all pairs elsewhere (on a GPU by Triton)."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-from .choice import compiled_pays
+from .choice import compiled_pays, triton_runs, whole_batches
 
 # Clouds up to this size are compared pair by pair in compiled code; in larger ones a k-d tree finds its way faster.
 COMPARE_ALL_UP_TO = 8192
-# Pairs compared at once where there is no k-d tree.
-PAIRS_PER_CHUNK = 1 << 26
+# Pairs compared at once in plain torch; bounds memory at about 400 MB.
+PAIRS_PER_CHUNK = 1 << 24
 
 
 def nearest(queries: Tensor, data: Tensor) -> Tensor:
@@ -31,8 +31,39 @@ def nearest(queries: Tensor, data: Tensor) -> Tensor:
 
         tree = cKDTree(data.numpy(), balanced_tree=False, compact_nodes=False)
         return torch.from_numpy(_query(tree, queries)[1])
-    size = max(1, PAIRS_PER_CHUNK // len(data))
-    return torch.cat([torch.cdist(part, data).argmin(1) for part in queries.split(size)])
+    return nearest_in_rows(queries.unsqueeze(0), data.unsqueeze(0))[0].clamp_min(0)
+
+
+def nearest_in_rows(queries: Tensor, data: Tensor, there: Tensor | None = None, asking: Tensor | None = None) -> Tensor:
+    """Nearest neighbours in B clouds at once by comparing all pairs, on any device.
+
+    Parameters
+    ----------
+    queries : [B, Q, D], D = 2 or 3
+    data : [B, N, D]
+    there : [B, N] bool: points that are False are not there. None: all are.
+    asking : [B, Q] bool: queries that are False are not searched for. None: all are.
+
+    Returns
+    -------
+    [B, Q] int64 index into the row of ``data``; -1 where the query does not ask or no point is at a finite distance.
+    """
+    queries, data = queries.detach(), data.detach()
+    if triton_runs(queries):
+        from .triton_nearest import nearest_in_rows as compare
+
+        return compare(queries, data, there, asking)
+    index = torch.full(queries.shape[:2], -1, dtype=torch.int64, device=queries.device)
+    asked = torch.nonzero(torch.ones_like(index) if asking is None else asking)
+    for part in asked.split(max(1, PAIRS_PER_CHUNK // max(1, data.shape[1]))) if data.shape[1] else ():
+        row, place = part.unbind(1)
+        # Coordinates are subtracted: the product of matrices that cdist takes would lose digits.
+        apart = [queries[row, place, d, None] - data[row, :, d] for d in range(queries.shape[2])]
+        squared = torch.stack(apart).square_().sum(0)
+        reached = squared < torch.inf if there is None else (squared < torch.inf) & there[row]
+        closest, found = torch.where(reached, squared, torch.inf).min(1)
+        index[row, place] = torch.where(closest < torch.inf, found, -1)
+    return index
 
 
 def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
@@ -53,6 +84,9 @@ def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
         from .compiled_nearest import nearest_both_ways as compare
 
         return compare(a, b)
+    if whole_batches(a):
+        # A cloud that is no number has no neighbours, but its row must hold indices: what they lead to is no number either.
+        return nearest_in_rows(a, b).clamp_min_(0), nearest_in_rows(b, a).clamp_min_(0)
     pairs = list(zip(a, b, strict=True))
     return torch.stack([nearest(x, y) for x, y in pairs]), torch.stack([nearest(y, x) for x, y in pairs])
 
@@ -69,6 +103,10 @@ def nearest_points(pixels: Tensor, points_px: Tensor, valid: Tensor) -> Tensor:
     -------
     [M, H, W] int64 index into the image's points; -1 at other pixels, and everywhere where an image has no valid point.
     """
+    if whole_batches(pixels):
+        rows, columns = (torch.arange(size, dtype=points_px.dtype, device=pixels.device) for size in pixels.shape[1:])
+        centres = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), -1).view(1, -1, 2).expand(len(pixels), -1, -1)
+        return nearest_in_rows(centres, points_px, valid, pixels.flatten(1)).view(pixels.shape)
     index = torch.full(pixels.shape, -1, dtype=torch.int64, device=pixels.device)
     for i in range(len(pixels)):
         alive = torch.nonzero(valid[i]).squeeze(1)
@@ -79,27 +117,35 @@ def nearest_points(pixels: Tensor, points_px: Tensor, valid: Tensor) -> Tensor:
     return index
 
 
-def nearest_marked(marked: Tensor, compiled: bool = False) -> tuple[Tensor, Tensor]:
-    """Row and column [M, H, W] of the marked pixel nearest to each pixel, -1 in images without one.
-
-    Parameters
-    ----------
-    marked : [M, H, W] bool.
-    compiled : by compiled loops (on the CPU) or by one distance transform per image.
-    """
-    if compiled:
-        from .compiled_nearest import nearest_marked as transform
-
-        return transform(marked)
+def nearest_marked(marked: Tensor) -> tuple[Tensor, Tensor]:
+    """Row and column [M, H, W] of the pixel ``marked`` [M, H, W] nearest to each pixel, -1 in images without one."""
+    if whole_batches(marked):
+        return _nearest_marked_by_columns(marked)
     from scipy.ndimage import distance_transform_edt
 
     index = torch.full((2, *marked.shape), -1, dtype=torch.int64)
-    for i, image in enumerate(marked.cpu()):
+    for i, image in enumerate(marked):
         if image.any():
             found = distance_transform_edt(~image.numpy(), return_distances=False, return_indices=True)
             index[:, i] = torch.from_numpy(found)
-    rows, columns = index.to(marked.device)
+    rows, columns = index
     return rows, columns
+
+
+def _nearest_marked_by_columns(marked: Tensor) -> tuple[Tensor, Tensor]:
+    """The nearest marked row in every column, then the nearest column in every row: O(W) per pixel, exact, on any device."""
+    images, height, width = marked.shape
+    row, column = torch.arange(height, device=marked.device).unsqueeze(1), torch.arange(width, device=marked.device)
+    # further away than anything in the image
+    beyond = height + width
+    above = torch.where(marked, row, -beyond).cummax(1).values
+    below = torch.where(marked, row, height + beyond).flip(1).cummin(1).values.flip(1)
+    near = torch.where(row - above <= below - row, above, below)
+    vertical, horizontal = (near - row).square().flatten(0, 1), (column.unsqueeze(1) - column).square()
+    lines = vertical.split(max(1, PAIRS_PER_CHUNK // width**2))
+    columns = torch.cat([(line.unsqueeze(1) + horizontal).argmin(2) for line in lines]).view(marked.shape)
+    some = marked.flatten(1).any(1).view(-1, 1, 1)
+    return torch.where(some, near.gather(2, columns), -1), torch.where(some, columns, -1)
 
 
 def _query(tree, queries: Tensor, k: int = 1):  # type: ignore[no-untyped-def]
@@ -122,7 +168,7 @@ class StaticNearest:
         self.start = start.detach()
         self.own = torch.arange(len(start), device=start.device)
         self._tree = None
-        if start.device.type == "cpu" and len(start) > 1:
+        if len(start) > 1:
             from scipy.spatial import cKDTree
 
             self._tree = cKDTree(self.start.numpy())

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .choice import compiled_pays
+from .choice import compiled_pays, triton_runs
 from .reference import splat_exact
 
 # A tap below this value changes no float32 sum; it fixes the window's radius.
@@ -18,7 +18,7 @@ TAPS_PER_CHUNK = 1 << 24
 # A tap scattered by torch costs about 30 times a multiply-add of the dense product.
 TAP_COST = 30
 
-KERNELS = ("auto", "compiled", "windowed", "exact")
+KERNELS = ("auto", "compiled", "triton", "windowed", "exact")
 
 
 def window_radius(sigma_sq: float) -> int:
@@ -42,24 +42,37 @@ def splat(
     valid : [M, N] bool; points that are False add nothing and get no gradient.
     height, width : size of the image.
     sigma_sq : variance of the Gaussian, px^2.
-    kernel : "compiled" (each point touches the pixels around it; on the CPU), "windowed" (the same in plain torch, on any
-        device), "exact" (every pixel, Eq. 2 as printed) or "auto" (the cheapest, see :func:`cheapest`).
+    kernel : "compiled" (each point touches the pixels around it; on the CPU), "triton" (the same on a GPU), "windowed" (the
+        same in plain torch, on any device), "exact" (every pixel, Eq. 2 as printed) or "auto" (see :func:`cheapest`).
 
     Returns
     -------
     [M, height, width] sums, >= 0.
+
+    Raises
+    ------
+    ValueError
+        There is no kernel of that name, or it is "triton" and cannot run here.
     """
     if kernel == "auto":
         kernel = cheapest(points_px, height, width, sigma_sq)
     if kernel == "exact":
         return splat_exact(points_px, valid, height, width, sigma_sq)
-    if kernel in ("compiled", "windowed"):
-        return _Windowed.apply(points_px, valid, height, width, float(sigma_sq), kernel == "compiled")
+    if kernel == "triton" and not triton_runs(points_px):
+        found = f"{str(points_px.dtype).removeprefix('torch.')} on {points_px.device}"
+        raise ValueError(f"kernel is 'triton', which needs triton and float32 points on a GPU; found {found}")
+    if kernel in ("compiled", "triton", "windowed"):
+        return _Windowed.apply(points_px, valid, height, width, float(sigma_sq), kernel)
     raise ValueError(f"kernel is {kernel!r}, expected one of {', '.join(KERNELS)}")
 
 
 def cheapest(points_px: Tensor, height: int, width: int, sigma_sq: float) -> str:
-    """The kernel that "auto" stands for: compiled where that pays, else the window unless the image is small against it."""
+    """The kernel that "auto" stands for: that of the GPU on one, compiled where that pays on the CPU, else one in plain torch.
+
+    In plain torch the window is taken unless the image is small against it.
+    """
+    if triton_runs(points_px):
+        return "triton"
     if compiled_pays(points_px):
         return "compiled"
     taps = (2 * window_radius(sigma_sq) + 1) ** 2
@@ -99,25 +112,32 @@ class _Windowed(torch.autograd.Function):
     """Each point's window, added up; the backward pass reads the same window again, so nothing of its size is stored."""
 
     @staticmethod
-    def forward(ctx: Any, points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float, compiled: bool) -> Tensor:
+    def forward(ctx: Any, points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float, kernel: str) -> Tensor:
         ctx.save_for_backward(points_px, valid)
-        ctx.sigma_sq, ctx.compiled = sigma_sq, compiled
-        if compiled:
-            from .compiled import sums
-
-            return sums(points_px, valid, height, width, sigma_sq, window_radius(sigma_sq))
+        ctx.sigma_sq, ctx.kernel = sigma_sq, kernel
+        if kernel != "windowed":
+            return _fast(kernel).sums(points_px, valid, height, width, sigma_sq, window_radius(sigma_sq))
         return _scatter(points_px, valid, height, width, sigma_sq)
 
     @staticmethod
     def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor | None, ...]:
         points_px, valid = ctx.saved_tensors
-        if ctx.compiled:
-            from .compiled import gradient
-
-            grad = gradient(grad_outputs[0], points_px, valid, ctx.sigma_sq, window_radius(ctx.sigma_sq))
+        if ctx.kernel != "windowed":
+            grad = _fast(ctx.kernel).gradient(grad_outputs[0], points_px, valid, ctx.sigma_sq, window_radius(ctx.sigma_sq))
         else:
             grad = _gather(grad_outputs[0], points_px, valid, ctx.sigma_sq)
         return grad, None, None, None, None, None
+
+
+def _fast(kernel: str) -> Any:
+    """The module of a kernel that is not plain torch; importing it is slow."""
+    if kernel == "triton":
+        from . import triton_splat
+
+        return triton_splat
+    from . import compiled
+
+    return compiled
 
 
 def _scatter(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float) -> Tensor:

@@ -11,8 +11,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..adam import Adam
+from ..kernels.choice import whole_batches
 
 Progress = Callable[[int, int, float], None]
+
+# On a GPU a step ends before its work is done. Reading waits for that work, so it is done every so many steps.
+STEPS_UNREAD = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,27 +60,25 @@ def descend(
     """
     optimiser = Adam(parameters, learning_rate)
     best = produce().detach().clone()
-    best_step = np.zeros(len(best), np.int64)
-    losses: list[NDArray[np.float64]] = []
-    lowest = np.full(len(best), np.inf)
+    lowest = torch.full((len(best),), torch.inf, dtype=torch.float64, device=best.device)
+    alive = torch.ones_like(lowest, dtype=torch.bool)
+    best_step = torch.zeros_like(lowest, dtype=torch.int64)
+    losses: list[Tensor] = []
     interrupted = False
     try:
         for step in range(steps + 1):
             moved = produce()
             loss = objective(moved)
-            values = loss.detach().double().cpu().numpy()
-            alive = np.isfinite(values) & (np.isfinite(losses[-1]) if losses else True)
-            losses.append(np.where(alive, values, np.nan))
+            values = loss.detach().double()
+            alive = alive & torch.isfinite(values)
+            losses.append(torch.where(alive, values, torch.nan))
             better = alive & (values < lowest)
-            if better.all():
-                best.copy_(moved.detach())
-            elif better.any():
-                index = torch.as_tensor(np.flatnonzero(better), device=best.device)
-                best.index_copy_(0, index, moved.detach()[index])
-            lowest, best_step = np.where(better, values, lowest), np.where(better, step, best_step)
-            if not alive.any():
+            torch.where(better.view(-1, 1, 1), moved.detach(), best, out=best)
+            lowest, best_step = torch.where(better, values, lowest), torch.where(better, step, best_step)
+            told = progress is not None and step > 0
+            if (told or not whole_batches(best) or step % STEPS_UNREAD == 0) and not alive.any():
                 break
-            if progress and step:
+            if progress and told:
                 progress(step, steps, float(values[alive].mean()))
             if step < steps:
                 optimiser.step(loss.sum())
@@ -84,4 +86,4 @@ def descend(
         if not losses:
             raise
         interrupted = True
-    return Descent(best, best_step, np.stack(losses), interrupted)
+    return Descent(best, best_step.cpu().numpy(), torch.stack(losses).cpu().numpy(), interrupted)

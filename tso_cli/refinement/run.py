@@ -20,7 +20,7 @@ from ..losses import ChamferToInitial
 from ..metrics import iou
 from ..objective import MaskObjective, WorkingView, working_view
 from ..placement import place, require_overlap
-from ..projection import default_sigma_sq, silhouette_of
+from ..projection import default_sigma_sq, silhouettes_of
 from ..scene import View
 from .config import PAPER_GAMMA, PAPER_LEARNING_RATE, RefineConfig, RefineResult
 from .loop import Descent, Progress, descend
@@ -34,6 +34,8 @@ Array = NDArray[np.float64]
 
 # Clouds up to this size are moved by one CPU thread.
 SMALL_CLOUD = 8192
+# Silhouettes judged at once hold no more pixels than this together; bounds memory.
+PIXELS_AT_ONCE = 1 << 22
 # Clouds of one batch hold no more points than this together, and none less than half as many as the largest.
 BATCH_POINTS = 1 << 20
 
@@ -133,13 +135,13 @@ def refine_batch(
         seconds: dict[str, float] = {}
 
         def told(step: int, steps: int, loss: float, before: int = done) -> None:
-            if progress:
-                progress(before + step, total, loss)
+            assert progress is not None
+            progress(before + step, total, loss)
 
         own = [items[number] for number in batch]
         with _timed(seconds, "prepare"):
             start = PointsStart([item.cloud for item in own], device)
-        for number, result in zip(batch, _refined(own, start, config, seconds, told), strict=True):
+        for number, result in zip(batch, _refined(own, start, config, seconds, told if progress else None), strict=True):
             found[number] = result
         done += config.steps
     return [result for result in found if result is not None]
@@ -203,7 +205,7 @@ def _refined(
     with _timed(seconds, "judge"), devices.one_thread(small):
         moved_by = chamfer(descent.best).tolist()
         offsets = (descent.best.double() - first.double()).cpu().numpy()
-        judged = [_judged(item, offset[: len(item.cloud.initial)], config) for item, offset in zip(items, offsets, strict=True)]
+        judged = _judged(items, offsets, config, first.device)
     seconds = {phase: value / len(items) for phase, value in seconds.items()}
     return [
         _result(item, descent, number, own, moved_by[number], first.device, config, learning_rate, gamma, seconds)
@@ -211,15 +213,28 @@ def _refined(
     ]
 
 
-def _judged(item: _Item, offset: Array, config: RefineConfig) -> tuple[Array, float, float]:
-    """The refined points, and the IoU before and after, mean over views."""
+def _judged(items: list[_Item], offsets: Array, config: RefineConfig, device: torch.device) -> list[tuple[Array, float, float]]:
+    """The refined points of each item, and its IoU before and after, mean over views. ``offsets`` [B, N, 3] are normalised."""
+    before = [item.cloud.initial for item in items]
     # What did not move keeps every bit of the input.
-    refined: Array = item.cloud.initial + item.cloud.scale * offset
-    before, after = (
-        float(np.mean([iou(silhouette_of(points, view.camera, config.sigma_sq), view.mask, view.known) for view in item.views]))
-        for points in (item.cloud.initial, refined)
-    )
-    return refined, before, after
+    after: list[Array] = [
+        item.cloud.initial + item.cloud.scale * offset[: len(item.cloud.initial)]
+        for item, offset in zip(items, offsets, strict=True)
+    ]
+    groups: dict[Any, list[tuple[int, View]]] = {}
+    for number, item in enumerate(items):
+        for view in item.views:
+            groups.setdefault((view.camera.width, view.camera.height, view.camera.model), []).append((number, view))
+    scores: list[list[tuple[float, float]]] = [[] for _ in items]
+    for (width, height, _), group in groups.items():
+        size = max(1, PIXELS_AT_ONCE // (width * height))
+        for part in (group[i : i + size] for i in range(0, len(group), size)):
+            cameras = [view.camera for _, view in part]
+            seen = [silhouettes_of([c[n] for n, _ in part], cameras, config.sigma_sq, device) for c in (before, after)]
+            for (number, view), *both in zip(part, *seen, strict=True):
+                first, last = (iou(silhouette, view.mask, view.known) for silhouette in both)
+                scores[number].append((first, last))
+    return [(points, *np.mean(own, 0).tolist()) for points, own in zip(after, scores, strict=True)]
 
 
 def _result(

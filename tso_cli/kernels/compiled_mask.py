@@ -1,0 +1,88 @@
+"""Projected points -> sums -> cross-entropy -> derivative by the points, as compiled loops on the CPU in one call."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .compiled import add_band, bands_for, project_back, window, work
+from .compiled_losses import WithSlope, entropy_of_row, pull_image
+from .compiled_nearest import cell_edge
+from .jit import compiled, share
+
+# Basic steps that a pixel costs.
+PER_PIXEL = 8
+
+
+def mask_loss(
+    points_px: Tensor, valid: Tensor, wanted: Tensor, unwanted: Tensor, sigma_sq: float, radius: int, uncovered: float
+) -> Tensor:
+    """Sum [M] over pixels of the cross-entropy, with the pull of mask pixels whose sum is at most ``uncovered``.
+
+    ``points_px`` [M, N, 2] and ``valid`` [M, N] are projected points, ``wanted`` and ``unwanted`` [M, H, W] the weights of the
+    mask and of its complement. See :func:`tso_cli.losses.mask_loss`.
+    """
+    images, count = valid.shape
+    height, width = wanted.shape[-2:]
+    kernel = window(sigma_sq, radius, points_px)
+    total, slope = points_px.new_empty(images), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
+    stride = 2 * radius + width + len(kernel.steps)
+    pixels = (
+        points_px.new_empty(images, height, stride).numpy(),
+        np.empty((images, height, width), np.bool_),
+        np.empty((images, height)),
+        np.empty((images, height), np.int64),
+    )
+    edge, pull = cell_edge(height, width, count), 0.5 / sigma_sq
+    taps, own = work(images, count, radius), PER_PIXEL * wanted.numel()
+    if images >= torch.get_num_threads():
+        share(images, 2 * taps + own, _whole, points_px, valid, wanted, unwanted, kernel, uncovered, edge, pull, pixels,
+              points_px.requires_grad, total, slope)  # fmt: skip
+    else:
+        bands = bands_for(images, height, radius)
+        share(images * bands, taps + own, _cover, points_px, valid, wanted, unwanted, kernel, uncovered, bands, pixels)
+        share(images, own, _pull, points_px, valid, wanted, edge, pull, pixels, total, slope)
+        if points_px.requires_grad:
+            share(images * count, taps, project_back, points_px, valid, kernel, pixels[0], slope)
+    value: Tensor = WithSlope.apply(points_px, total, slope)
+    return value
+
+
+@compiled
+def _cover(first, last, points, valid, wanted, unwanted, kernel, uncovered, bands, pixels):  # type: ignore[no-untyped-def]
+    """Fill ``padded`` with the derivative by the sums, for the bands ``first`` to ``last``, counted through all images."""
+    padded, asking, loss, waiting = pixels
+    height, width = wanted.shape[1:]
+    left = 2 * kernel.radius
+    for task in range(first, last):
+        image, band = task // bands, task % bands
+        top, bottom = band * height // bands, (band + 1) * height // bands
+        add_band(points[image], valid[image], kernel, top, bottom, padded[image, top:bottom])
+        for i in range(top, bottom):
+            line = padded[image, i]
+            line[:left] = 0.0
+            line[left + width :] = 0.0
+            loss[image, i], waiting[image, i] = entropy_of_row(
+                line[left : left + width], wanted[image, i], unwanted[image, i], uncovered, asking[image, i]
+            )
+
+
+@compiled
+def _pull(first, last, points, valid, wanted, edge, pull, pixels, total, slope):  # type: ignore[no-untyped-def]
+    """Add up the loss of the images ``first`` to ``last``, with that of the pixels that wait for a point."""
+    _, asking, loss, waiting = pixels
+    for image in range(first, last):
+        far = pull_image(asking[image], waiting[image], wanted[image], points[image], valid[image], pull, edge, slope[image])
+        total[image] = loss[image].sum() + far
+
+
+@compiled
+def _whole(first, last, points, valid, wanted, unwanted, kernel, uncovered, edge, pull, pixels, with_slope, total, slope):  # type: ignore[no-untyped-def]
+    """All stages, image by image, so that each finds its pixels where the one before left them."""
+    count = points.shape[1]
+    for image in range(first, last):
+        _cover(image, image + 1, points, valid, wanted, unwanted, kernel, uncovered, 1, pixels)
+        _pull(image, image + 1, points, valid, wanted, edge, pull, pixels, total, slope)
+        if with_slope:
+            project_back(image * count, (image + 1) * count, points, valid, kernel, pixels[0], slope)
