@@ -13,7 +13,16 @@ SMALL, MIDDLE, LARGE = (1024, 64), (16384, 256), (1_000_000, 1024)
 
 def claims(records: Records) -> list[dict[str, Any]]:
     """{"claim", "found", "holds"} of everything asked that the records tell of."""
-    judges: tuple[Callable[[Records], Found], ...] = (_silhouette, _large, _growth, _chamfer, _terms, _network, _batch)
+    judges: tuple[Callable[[Records], Found], ...] = (
+        _silhouette,
+        _large,
+        _growth,
+        _chamfer,
+        _terms,
+        _network,
+        _batch,
+        _start_up,
+    )
     return [{"claim": claim, "found": found, "holds": holds} for judge in judges for claim, found, holds in judge(records)]
 
 
@@ -105,3 +114,22 @@ def _batch(records: Records) -> Found:
                 yield "64 clouds in one call no slower than 64 calls", f"{ratio:.1f}x the throughput", ratio >= 1.0
             else:
                 yield "64 clouds in one call at least 5x the throughput of 64 calls", f"{ratio:.1f}x", ratio >= 5.0
+
+
+def _start_up(records: Records) -> Found:
+    found = {record["name"]: record["seconds"]["median"] for record in records if record["what"] == "start-up"}
+    refine = found.get("tso refine --mode points")
+    for name in ("tso --version", "tso --help"):
+        if name in found and "python" in found:
+            over = found[name] - found["python"]
+            yield f"{name} under 0.15 s above bare Python", f"{over:.2f} s", over < 0.15
+    if refine and "import torch" in found:
+        allowed = 1.25 * found["import torch"] + 0.2
+        yield (
+            "tso refine --mode points at most 1.25x `import torch` plus 0.2 s",
+            f"{refine:.2f} of {allowed:.2f} s",
+            refine <= allowed,
+        )
+    first = found.get("tso refine --mode points, first")
+    if refine and first:
+        yield "the first run ever under 2x any other", f"{first / refine:.2f}x", first < 2.0 * refine

@@ -105,7 +105,7 @@ def points_step(setting: Setting, sizes: Sequence[int] = STEP_SIZES) -> list[dic
             optimiser.step(loss.sum())  # noqa: B023
 
         def masked(points_px: Tensor) -> Tensor:
-            return mask_loss(points_px, valid, view.mask, view.sigma_sq)  # noqa: B023
+            return mask_loss(points_px, valid, view.target, view.sigma_sq)  # noqa: B023
 
         with devices.one_thread(count <= SMALL_CLOUD):
             timings = setting.race(

@@ -8,8 +8,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..kernels.splat import KERNELS, window_radius
-from ..losses import mask_loss
+from ..kernels.choice import triton_runs
+from ..kernels.splat import window_radius
+from ..losses import PixelWeights, mask_loss
 from . import peers
 from .material import SIGMA_SQ, Projection, projection
 from .timing import Setting, Work, gradient, slope
@@ -31,13 +32,13 @@ EXACT_LIMIT, TAPS_LIMIT = 1e11, 3e7
 PEERS_UP_TO = 16384
 # Multiply-adds of a tap: forward its weight is added up; backward, the gradient by the sum goes into two derivatives.
 FORWARD, BACKWARD = 1, 2
-CPU_KERNELS, CUDA_KERNELS = ("compiled", "windowed", "exact"), ("triton", "windowed", "exact")
 
 
 def kernels(device: torch.device) -> list[str]:
     """Those of the program that run on ``device``, the fastest first."""
-    wanted = CUDA_KERNELS if device.type == "cuda" else CPU_KERNELS
-    return [kernel for kernel in wanted if kernel in KERNELS]
+    if device.type == "cpu":
+        return ["compiled", "windowed", "exact"]
+    return [*(["triton"] if triton_runs(torch.empty(0, device=device)) else []), "windowed", "exact"]
 
 
 def too_much(name: str, count: int, side: int) -> str | None:
@@ -53,7 +54,8 @@ def work(name: str, scene: Projection) -> Work:
     """Forward and backward of one contestant."""
     if name in RADII:
         return gradient(lambda points_px: scattered_loss(points_px, scene.mask, RADII[name]), scene.points_px)
-    return gradient(lambda points_px: mask_loss(points_px, scene.valid, scene.mask, SIGMA_SQ, kernel=name), scene.points_px)
+    target = PixelWeights.of(scene.mask)
+    return gradient(lambda points_px: mask_loss(points_px, scene.valid, target, SIGMA_SQ, name), scene.points_px)
 
 
 def scattered_loss(points_px: Tensor, mask: Tensor, radius: int) -> Tensor:

@@ -26,7 +26,7 @@ CONVENTION = {
     "terms": "value and gradient of each term; the projector is points to sums of the silhouette and back",
     "step": "one step of points mode and of the network modes, and its parts",
     "batch": "one cloud, all of `refine`: 50 steps, preparation and judgement; seconds of a call over the clouds in it",
-    "start-up": "a whole process",
+    "start-up": "a whole process; low and high are the quickest and the slowest",
     "training": "a step of 16 images without the optimiser; the bare network's forward and backward beside it",
     "peak_memory_bytes": "growth of the most that was resident, one call in a fresh process (CUDA: of what was allocated)",
 }
