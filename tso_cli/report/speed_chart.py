@@ -113,7 +113,7 @@ def _terms(axis: Any, records: Records) -> None:
         if r["name"] != "projector"
     ]
     _bars(axis, bars, "times the projector")
-    axis.axvline(1.0, color=INK, linestyle="--", linewidth=1.2)
+    axis.axvline(1.0, color=INK, linestyle="--", linewidth=1.2, zorder=0)
     axis.set_title("terms beside the projector")
 
 
