@@ -539,16 +539,6 @@ def test_the_program_starts_without_torch_and_fails_without_a_traceback(folder):
         assert "Traceback" not in done.stderr
 
 
-def test_refining_imports_neither_open3d_nor_what_only_pictures_and_meshes_need(folder):
-    code = (
-        "import sys; from tso_cli.cli import main\n"
-        "try:\n    main(['refine', 'initial.ply', 'mask.png'])\n"
-        "finally:\n    heavy = {'open3d', 'matplotlib', 'trimesh', 'skimage'} & set(sys.modules); assert not heavy, heavy"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=folder)
-    assert done.returncode == 0, done.stderr
-
-
 def test_importing_the_package_imports_no_torch():
     code = "import sys, tso_cli; assert 'torch' not in sys.modules; from tso_cli import refine; assert callable(refine)"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -59,6 +59,8 @@ def test_losses_and_their_gradients_are_those_of_the_plain_forms(monkeypatch, lo
         value = LOSSES[loss](sums, masks, known, leaf, valid)
         assert value.shape == (6,)
         (value * weight).sum().backward()
+        # of stacked points any may be the nearest: what they get together counts
+        leaf.grad[2] = leaf.grad[2].sum(0)
         found.append((value.detach(), leaf.grad))
     (plain, plain_gradient), (fast, fast_gradient) = found
     torch.testing.assert_close(fast, plain, rtol=1e-7, atol=1e-9)

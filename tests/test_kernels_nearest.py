@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
 from tso_cli.kernels import compiled_nearest
+from tso_cli.kernels import nearest as searches
 from tso_cli.kernels.compiled_losses import pull_silhouette
 from tso_cli.kernels.nearest import StaticNearest, nearest, nearest_both_ways, nearest_marked, nearest_points
 
@@ -23,11 +24,40 @@ def _assert_nearest(queries: torch.Tensor, data: torch.Tensor, index: torch.Tens
     torch.testing.assert_close(found, _distance(queries, data), atol=1e-9, rtol=1e-6)
 
 
+@pytest.fixture(params=["all pairs", "tree"])
+def search(request, monkeypatch):
+    """Clouds of any size searched in one way."""
+    monkeypatch.setattr(searches, "MULTIPLY_UP_TO", 1 << 30 if request.param == "all pairs" else 0)
+
+
+@pytest.mark.usefixtures("search")
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_nearest_is_that_of_brute_force(dimension):
+@pytest.mark.parametrize("count", [1, 300, 3000])
+def test_nearest_is_that_of_brute_force(dimension, count):
     generator = torch.Generator().manual_seed(0)
     queries = torch.randn(200, dimension, generator=generator)
-    data = torch.randn(300, dimension, generator=generator)
+    data = torch.randn(count, dimension, generator=generator)
+    _assert_nearest(queries, data, nearest(queries, data))
+
+
+@pytest.mark.parametrize("spread", [1.0, 1e-3, 1e-6, 1e-9])
+def test_the_nearest_of_points_close_together_and_far_from_the_rest_is_exact(spread):
+    generator = torch.Generator().manual_seed(2)
+    places = torch.tensor([[3.0, -1.0, 2.0], [-5.0, 4.0, 0.5]], dtype=torch.float64)
+    data, queries = (
+        (places[:, None] + spread * torch.randn(2, n, 3, generator=generator, dtype=torch.float64)).flatten(0, 1)
+        for n in (300, 40)
+    )
+    pairs = (queries[:, None] - data).square().sum(-1)
+    index = nearest(queries, data)
+    torch.testing.assert_close(pairs.gather(1, index[:, None])[:, 0], pairs.amin(1), atol=0.0, rtol=1e-7)
+
+
+def test_nearest_searches_every_query_however_many_there_are(monkeypatch):
+    monkeypatch.setattr(searches, "PAIRS_PER_PRODUCT", 64)
+    queries, data = torch.rand(2, 50, 3, generator=torch.Generator().manual_seed(3))
+    _assert_nearest(queries, data, nearest(queries, data))
+    monkeypatch.setattr(searches, "PAIRS_PER_PRODUCT", 8)
     _assert_nearest(queries, data, nearest(queries, data))
 
 
@@ -39,6 +69,7 @@ CLOUDS = {
 }
 
 
+@pytest.mark.usefixtures("search")
 @pytest.mark.parametrize("cloud", CLOUDS)
 @pytest.mark.parametrize("step", [0.0, 1e-4, 1e-2, 0.3])
 def test_a_moved_copy_finds_its_neighbours_exactly(cloud, step):

@@ -1,4 +1,4 @@
-"""Exact nearest neighbours: a k-d tree or compiled loops on the CPU, all pairs elsewhere (on a GPU by Triton)."""
+"""Exact nearest neighbours: all pairs of small clouds, else a k-d tree or compiled loops on the CPU, all pairs on a GPU."""
 
 from __future__ import annotations
 
@@ -9,6 +9,10 @@ from .choice import compiled_pays, triton_runs, whole_batches
 
 # Clouds up to this size are compared pair by pair in compiled code; in larger ones a k-d tree finds its way faster.
 COMPARE_ALL_UP_TO = 8192
+# Clouds up to this size are compared pair by pair by a matrix product: for one refinement of 1,024 points that is as fast as
+# k-d trees, whose import takes a quarter of a second.
+MULTIPLY_UP_TO = 1500
+PAIRS_PER_PRODUCT = 1 << 17
 # Pairs compared at once in plain torch; bounds memory at about 400 MB.
 PAIRS_PER_CHUNK = 1 << 24
 
@@ -27,6 +31,8 @@ def nearest(queries: Tensor, data: Tensor) -> Tensor:
     """
     queries, data = queries.detach(), data.detach()
     if queries.device.type == "cpu":
+        if len(data) <= MULTIPLY_UP_TO:
+            return _multiplied(queries, data)
         from scipy.spatial import cKDTree
 
         tree = cKDTree(data.numpy(), balanced_tree=False, compact_nodes=False)
@@ -148,6 +154,27 @@ def _nearest_marked_by_columns(marked: Tensor) -> tuple[Tensor, Tensor]:
     return torch.where(some, near.gather(2, columns), -1), torch.where(some, columns, -1)
 
 
+def _multiplied(queries: Tensor, data: Tensor) -> Tensor:
+    """As :func:`nearest`, by |q - d|^2 = |q|^2 - 2 q d + |d|^2 in float64."""
+    # about the centre, where the numbers are small and little of them cancels
+    data = data.double()
+    centre = data.mean(0)
+    data = data - centre
+    half = data.square().sum(1) / 2.0
+    found = []
+    for part in (queries.double() - centre).split(max(1, PAIRS_PER_PRODUCT // len(data))):
+        # numpy's argmin is three times as fast as torch's
+        index = torch.from_numpy(torch.addmm(half, part, data.T, alpha=-1.0).numpy().argmin(1))
+        # A distance of 0 is the least there is. Of others rounding moves the square by 2e-8 of it at most, less than float32
+        # can tell apart, unless they are this small.
+        squared = (part - data[index]).square().sum(1)
+        close = torch.nonzero((squared > 0.0) & (squared < 1e-7 * part.square().sum(1))).squeeze(1)
+        if len(close):
+            index[close] = torch.cdist(part[close], data, compute_mode="donot_use_mm_for_euclid_dist").argmin(1)
+        found.append(index)
+    return torch.cat(found)
+
+
 def _query(tree, queries: Tensor, k: int = 1):  # type: ignore[no-untyped-def]
     # Threads cost more than they bring for small clouds.
     return tree.query(queries.numpy(), k=k, workers=-1 if len(queries) > 4096 else 1)
@@ -168,25 +195,31 @@ class StaticNearest:
         self.start = start.detach()
         self.own = torch.arange(len(start), device=start.device)
         self._tree = None
+        self.spacing: Tensor | None = None
         if len(start) > 1:
-            from scipy.spatial import cKDTree
+            if len(start) <= MULTIPLY_UP_TO:
+                pairs = torch.cdist(self.start, self.start, compute_mode="donot_use_mm_for_euclid_dist")
+                spacing = pairs.fill_diagonal_(torch.inf).amin(1)
+            else:
+                from scipy.spatial import cKDTree
 
-            self._tree = cKDTree(self.start.numpy())
-            spacing = torch.from_numpy(_query(self._tree, self.start, k=2)[0][:, 1])
+                self._tree = cKDTree(self.start.numpy())
+                spacing = torch.from_numpy(_query(self._tree, self.start, k=2)[0][:, 1])
             # A hair less than the true spacing, so that rounding cannot prove what is not so.
             self.spacing = spacing.to(start.dtype) * (1.0 - 1e-5)
 
     def __call__(self, moved: Tensor) -> tuple[Tensor, Tensor]:
         """Index of the nearest moved point for each start [N], and of the nearest start for each moved point [N]."""
         moved = moved.detach()
-        if self._tree is None:
+        if self.spacing is None:
             return nearest(self.start, moved), nearest(moved, self.start)
         distance = (moved - self.start).norm(dim=1)
         to_start, to_moved = self.own, self.own
         # |m_i - s_j| >= |s_i - s_j| - |m_i - s_i|, so s_i is nearest to m_i while m_i moved under half the spacing at s_i.
         doubtful = torch.nonzero(2.0 * distance >= self.spacing).squeeze(1)
         if len(doubtful):
-            found = torch.from_numpy(_query(self._tree, moved[doubtful])[1])
+            asking = moved[doubtful]
+            found = nearest(asking, self.start) if self._tree is None else torch.from_numpy(_query(self._tree, asking)[1])
             to_start = to_start.index_copy(0, doubtful, found)
         # |s_i - m_j| >= |s_i - s_j| - |m_j - s_j|, and no point moved further than the furthest.
         doubtful = torch.nonzero(distance + distance.max() >= self.spacing).squeeze(1)

@@ -83,7 +83,7 @@ def _taps(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: f
     """Separable weights [M, n, k] in x and y, offsets to the taps' centres, and the flat index [M, n, k, k] of every tap."""
     radius = window_radius(sigma_sq)
     steps = torch.arange(-radius, radius + 1, device=points_px.device)
-    # A point beyond the reach of the image is parked in a corner: its integer coordinate could overflow.
+    # A point beyond the reach of the image is parked where no tap is inside: its integer coordinate could overflow.
     reach = radius + 1
     x, y = points_px.unbind(-1)
     reached = valid & (x > -reach) & (x < width - 1 + reach) & (y > -reach) & (y < height - 1 + reach)
@@ -93,12 +93,12 @@ def _taps(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: f
         nearest = anchor.detach().round()
         offset = (anchor - nearest).unsqueeze(-1) - steps
         index = nearest.long().unsqueeze(-1) + steps
-        inside = (index >= 0) & (index < size) & reached.unsqueeze(-1)
+        inside = (index >= 0) & (index < size)
         weights.append(torch.exp(offset.square() * (-0.5 / sigma_sq)) * inside)
         offsets.append(offset)
         indices.append(index.clamp_(0, size - 1))
-    image = torch.arange(len(points_px), device=points_px.device).mul_(height * width).view(-1, 1, 1, 1)
-    flat = (indices[1] * width).unsqueeze(-1) + indices[0].unsqueeze(-2) + image
+    image = torch.arange(len(points_px), device=points_px.device).mul_(height * width).view(-1, 1, 1)
+    flat = indices[1].mul_(width).add_(image).unsqueeze(-1) + indices[0].unsqueeze(-2)
     return weights[0], weights[1], offsets[0], offsets[1], flat
 
 
@@ -157,7 +157,7 @@ def _gather(grad_sums: Tensor, points_px: Tensor, valid: Tensor, sigma_sq: float
     grads = []
     for part in _chunks(images, count, sigma_sq):
         wx, wy, dx, dy, flat = _taps(points_px[:, part], valid[:, part], height, width, sigma_sq)
-        grad_taps = grad_sums[flat]  # [M, n, k, k]
+        grad_taps = grad_sums.index_select(0, flat.flatten()).view(flat.shape)  # [M, n, k, k]
         # d/dx exp(-dx^2 / 2 sigma^2) = -dx / sigma^2 times the weight itself
         along_x = (grad_taps * wy.unsqueeze(-1)).sum(-2) * wx * dx
         along_y = (grad_taps * wx.unsqueeze(-2)).sum(-1) * wy * dy

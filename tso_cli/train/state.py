@@ -130,7 +130,7 @@ def new_state(
 ) -> TrainingState:
     """A training at its start. Convolutions run a third faster on the CPU with channels last."""
     network = network.to(device).to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
-    optimiser = torch.optim.Adam(network.parameters(), lr=config.settings["learning_rate"])
+    optimiser = torch.optim.Adam(network.parameters(), lr=config.settings["learning_rate"], fused=True)
     return TrainingState(network, optimiser, schedule, [], fingerprint)
 
 
