@@ -1,7 +1,7 @@
 """The commands and tables of the pages: run, compare, and write anew.
 
 python -m tests.readme      runs every command of README.md and puts what it printed below it, and the tables of the
-                            kept figures into README.md and docs/results.md; takes as long as `tso train`
+                            kept figures into README.md and docs; takes as long as `tso train`
 """
 
 from __future__ import annotations
@@ -15,11 +15,14 @@ import sys
 import tempfile
 from pathlib import Path
 
+from tso_cli.report.speed_table import left_out_lines, machine_line, sections
+
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
 RESULTS = ROOT / "docs" / "results.md"
 NETWORK = ROOT / "docs" / "network.md"
-PAGES = (README, RESULTS, NETWORK)
+PERFORMANCE = ROOT / "docs" / "performance.md"
+PAGES = (README, RESULTS, NETWORK, PERFORMANCE)
 FIGURES = ROOT / "docs" / "figures"
 CONSOLE = re.compile(r"```console\n(.*?)```", re.DOTALL)
 
@@ -184,8 +187,21 @@ def sigma_table(record: dict) -> str:
     return "\n".join(rows)
 
 
+def speed_tables(record: dict) -> dict[str, str]:
+    """What is measured of the speed -> its table as Markdown; what was left out, and the machine."""
+    made = {
+        section.name: "\n".join(
+            "| " + " | ".join("" if cell is None else str(cell) for cell in row) + " |"
+            for row in (section.header, ["---"] * len(section.header), *section.rows)
+        )
+        for section in sections(record)
+    }
+    left_out = "\n".join(f"- {line}" for line in left_out_lines(record["records"]))
+    return made | {"left out": left_out, "machine": machine_line(record)}
+
+
 def claims_list(record: dict) -> str:
-    """What the paper says, and whether it holds here."""
+    """What the paper says, or what is asked, and whether it holds here."""
     return "\n".join(
         f"- {'Holds' if claim['holds'] else '**Does not hold**'}: {claim['claim']} ({claim['found']})."
         for claim in record["claims"]
@@ -213,6 +229,8 @@ def tables() -> dict[str, str]:
         record = json.loads(path.read_text())
         if {"summary", "examples"} & set(record):
             made[path.stem] = TABLES[path.stem](record)
+        if "bench" in record:
+            made |= {f"{path.stem} {name}": table for name, table in speed_tables(record).items()}
         if "claims" in record:
             made[f"{path.stem} claims"] = claims_list(record)
     return made

@@ -56,7 +56,7 @@ def test_version_and_help_import_no_numbers(tmp_path, argument):
     assert not found & {"torch", "numpy", "PIL", *HEAVY}
 
 
-@pytest.mark.parametrize("command", ["refine", "eval", "train", "curves", "export", "render", "generate", "study"])
+@pytest.mark.parametrize("command", ["refine", "eval", "train", "curves", "export", "render", "generate", "study", "bench"])
 def test_the_help_of_a_command_imports_no_torch(tmp_path, command):
     assert not _imported(tmp_path, command, "--help") & {"torch", *HEAVY}
 

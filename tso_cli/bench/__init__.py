@@ -1,1 +1,1 @@
-"""Measurements of the program's own speed."""
+"""How fast it is: contestants for the same work, measured by turns in one run, and what the machine could do at best."""

@@ -8,7 +8,7 @@ import click
 
 from ...files.shipped import named_checkpoint
 from .. import options
-from .shared import Reporter, answer, check_outputs, keep
+from ..records import Reporter, answer, check_outputs, keep
 
 
 @click.command("examples")

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from .. import options
-from .shared import Reporter, answer, check_outputs, keep
+from ..records import Reporter, answer, check_outputs, keep
 
 
 @click.command("network")

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import click
 
 from .. import options
-from .shared import Reporter, answer, check_outputs, earlier_record, keep, resume, write_record
+from ..records import Reporter, answer, check_outputs, earlier_record, keep, resume, write_record
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

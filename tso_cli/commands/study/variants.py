@@ -9,7 +9,7 @@ import click
 
 from ...files.shipped import CATEGORIES, DEFAULT, named_checkpoint
 from .. import options
-from .shared import Reporter, answer, check_outputs, earlier_record, keep, resume, write_record
+from ..records import Reporter, answer, check_outputs, earlier_record, keep, resume, write_record
 
 
 @click.command("tso")

@@ -1,4 +1,4 @@
-"""What the studies' commands share: where the answer goes, and how progress is shown."""
+"""What commands that answer with a record share: where the answer goes, and how progress is shown."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 
 import click
 
-from ...errors import InputError
-from ...files.output import atomic_output, check_output
-from ...files.reading import read_bytes
-from .. import options
+from ..errors import InputError
+from ..files.output import atomic_output, check_output
+from ..files.reading import read_bytes
+from . import options
 
 answer = click.option(
     "-o", "--output", type=options.FilePath(), help="Write the record here (.json) and a chart beside it (.png)."
@@ -65,7 +65,7 @@ def keep(record: dict[str, Any], output: Path | None, draw: Callable[..., None],
 
 
 class Reporter:
-    """A progress bar for each part of a study."""
+    """A progress bar for each part of the work."""
 
     def __init__(self) -> None:
         self._bar: options.ProgressBar | None = None

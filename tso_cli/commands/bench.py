@@ -1,0 +1,72 @@
+"""`tso bench`: how fast it is, on this machine."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+
+from . import options
+from .records import answer, check_outputs, keep
+
+PARTS = ("limit", "silhouette", "chamfer", "terms", "step", "batch", "training", "start-up")
+
+
+@click.group("bench")
+def command() -> None:
+    """Measure this machine, and keep the answer as JSON beside a chart."""
+
+
+@command.command("speed")
+@click.option("--only", multiple=True, type=click.Choice(PARTS), help="May be repeated.  [default: all]")
+@click.option("--full", is_flag=True, help="Large sizes too: up to 1,000,000 points at 1,024x1,024.")
+@click.option("--threads", type=click.IntRange(min=1), default=1, show_default=True, help="CPU threads.")
+@click.option(
+    "--seconds",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=0.5,
+    show_default=True,
+    help="Measure each contestant about so long.",
+)
+@answer
+@options.device
+@options.seed
+@options.overwrite
+@options.as_json
+def speed(
+    only: tuple[str, ...],
+    full: bool,
+    threads: int,
+    seconds: float,
+    output: Path | None,
+    device: str,
+    seed: int,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Kernels, terms, steps, batches, training and start-up, beside other ways of doing the same and the machine's limit.
+
+    Contestants for the same work take turns in one process. Other packages (chamferdist, pykeops, point_cloud_utils,
+    pytorch3d, gsplat) are measured where they are installed.
+    """
+    check_outputs(output, overwrite)
+    from ..bench.speed import speed as measure
+    from ..bench.timing import Setting
+    from ..device import resolve
+    from ..report.speed_chart import draw_speed
+    from ..report.speed_table import speed_table
+
+    setting = Setting(resolve(device), threads, seconds, full, seed, _report())
+    record = measure(setting, only)
+    keep(record, output, draw_speed, overwrite)
+    if as_json:
+        options.echo_json(record)
+        return
+    click.echo(speed_table(record))
+
+
+def _report() -> Any:
+    begun = time.monotonic()
+    return lambda what: options.log(f"tso: {time.monotonic() - begun:4.0f} s  {what}")
