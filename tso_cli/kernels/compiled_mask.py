@@ -84,9 +84,9 @@ def _pull(first, last, points, valid, wanted, edge, pull, pixels, total, slope):
 
 
 @compiled
-def _run(
+def _run(  # type: ignore[no-untyped-def]
     first, last, stage, bands, points, valid, wanted, unwanted, kernel, uncovered, edge, pull, pixels, with_slope, total, slope
-):  # type: ignore[no-untyped-def]
+):
     """One stage for a range of bands, images or points; or all, image by image, so that each finds its pixels still at hand.
 
     Every stage is called at one place: compiled into two, it could be rounded in two ways.
