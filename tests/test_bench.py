@@ -12,7 +12,7 @@ import pytest
 import torch
 from PIL import Image
 
-from tso_cli.bench import chamfer, loop, machine, memory, peers, silhouette, speed, timing, training
+from tso_cli.bench import chamfer, loop, machine, memory, peers, profile, silhouette, speed, timing, training
 from tso_cli.bench.claims import claims
 from tso_cli.bench.material import SIGMA_SQ, projection, trajectory
 from tso_cli.bench.timing import Setting, Timing, race, slope
@@ -49,6 +49,7 @@ def measured():
     ]
     records = [{**record, "seconds": {"median": 1.0, "low": 1.0, "high": 1.0}} for record in records]
     records += silhouette.measure(QUICK, RATES, [(64, 16), (128, 32)])
+    records += profile.measure(QUICK, [(64, 16)])
     records += silhouette.growth(QUICK, {"points": [(64, 16), (128, 16)], "pixels": [(64, 16), (64, 32)]})
     records += chamfer.measure(QUICK, [64, 128], steps=2)
     records += loop.terms(QUICK, [(64, 16)])
@@ -243,7 +244,19 @@ def test_the_claims_say_what_was_found(measured):
 
 def test_the_tables_and_the_chart_show_every_part(record, tmp_path):
     names = {section.name for section in sections(record)}
-    assert names >= {"rate", "silhouette", "growth", "chamfer", "terms", "step", "network", "batch", "training", "start-up"}
+    assert names >= {
+        "rate",
+        "silhouette",
+        "profile",
+        "growth",
+        "chamfer",
+        "terms",
+        "step",
+        "network",
+        "batch",
+        "training",
+        "start-up",
+    }
     text = speed_table(record)
     assert "scatter 7x7" in text
     assert all(line in text for line in left_out_lines(record["records"]))

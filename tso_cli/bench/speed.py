@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..errors import InputError
-from . import chamfer, loop, memory, silhouette, training
+from . import chamfer, loop, memory, profile, silhouette, training
 from .claims import claims
 from .machine import machine, rates, versions
 from .timing import Setting, threads
@@ -21,6 +21,7 @@ CONVENTION = {
     "sigma^2 0.4 px^2; the scatters without the pull of pixels that no window reaches",
     "limit": "taps (N x 9 x 9) x multiply-adds (forward 1, backward 2) over the rate measured in the same run; scatter: the "
     "forward ones over the rate of load, multiply-add and store; memory: bytes that must be moved over the rate of a copy",
+    "profile": "the stages of the compiled silhouette called alone; an empty function is torch's own cost of a derivative",
     "growth": "slope: of a line through log seconds over log size (points, or pixels); steepest: between neighbouring sizes",
     "chamfer": "one step, value and gradient, mean over every tenth of the 50 steps of a refinement; what is built once apart",
     "terms": "value and gradient of each term; the projector is points to sums of the silhouette and back",
@@ -34,7 +35,7 @@ CONVENTION = {
 
 def _silhouette(setting: Setting, records: list[dict[str, Any]]) -> list[dict[str, Any]]:
     found = {record["name"]: record["per_second"] for record in records if record["what"] == "rate"}
-    return silhouette.measure(setting, found) + silhouette.growth(setting)
+    return silhouette.measure(setting, found) + profile.measure(setting) + silhouette.growth(setting)
 
 
 def _start_up(setting: Setting, _: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -65,6 +65,7 @@ def sections(record: dict[str, Any]) -> list[Section]:
             lambda r: _ms(r) if r["what"] == "limit" else _time_and("over_tso")(r),
             lambda r: f"limit: {r['name']}" if r["what"] == "limit" else r["name"],
         ),
+        _pivot("profile", "stages of the compiled silhouette: ms (share of the whole)", _of(records, "profile"), _shared),
         _growth(records),
         _pivot("chamfer", "Chamfer to the start, a step: ms (x tso's)", _of(records, "chamfer"), _time_and("over_tso")),
         _pivot(
