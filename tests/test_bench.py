@@ -12,7 +12,7 @@ import pytest
 import torch
 from PIL import Image
 
-from tso_cli.bench import chamfer, loop, machine, memory, peers, profile, silhouette, speed, timing, training
+from tso_cli.bench import chamfer, loop, machine, memory, network_forms, peers, profile, silhouette, speed, timing, training
 from tso_cli.bench.claims import claims
 from tso_cli.bench.material import SIGMA_SQ, projection, trajectory
 from tso_cli.bench.timing import Setting, Timing, race, slope
@@ -55,6 +55,7 @@ def measured():
     records += loop.terms(QUICK, [(64, 16)])
     records += loop.points_step(QUICK, [64])
     records += loop.network_steps(QUICK)
+    records += network_forms.measure(QUICK)
     records += loop.batch(QUICK, [1, 2], count=64, steps=1)
     records += training.measure(QUICK, batch=1)
     records += [QUICK.record("start-up", "python", Timing(0.02, 0.01, 0.03, 3))]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 from torch.optim.adam import adam
@@ -29,10 +31,13 @@ class Adam:
         self._fused = all(p.device.type in ("cpu", "cuda") for p in parameters)
         self._steps = [torch.zeros((), device=p.device if self._fused else "cpu") for p in parameters]
 
-    @torch.no_grad()
     def step(self, loss: Tensor) -> None:
         """One step down the gradient of ``loss``."""
-        grads = torch.autograd.grad(loss, self._parameters)
+        self.apply(torch.autograd.grad(loss, self._parameters))
+
+    @torch.no_grad()
+    def apply(self, grads: Sequence[Tensor]) -> None:
+        """One step, given the gradient by each parameter."""
         adam(
             self._parameters,
             [_laid_out_as(p, grad) for p, grad in zip(self._parameters, grads, strict=True)],

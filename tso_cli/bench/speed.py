@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..errors import InputError
-from . import chamfer, loop, memory, profile, silhouette, training
+from . import chamfer, loop, memory, network_forms, profile, silhouette, training
 from .claims import claims
 from .machine import machine, rates, versions
 from .timing import Setting, threads
@@ -26,6 +26,7 @@ CONVENTION = {
     "chamfer": "one step, value and gradient, mean over every tenth of the 50 steps of a refinement; what is built once apart",
     "terms": "value and gradient of each term; the projector is points to sums of the silhouette and back",
     "step": "one step of points mode and of the network modes, and its parts",
+    "network forms": "forward and backward of the network on one image in other layouts and precisions; Adam for its weights",
     "batch": "one cloud, all of `refine`: 50 steps, preparation and judgement; seconds of a call over the clouds in it",
     "start-up": "a whole process; low and high are the quickest and the slowest",
     "training": "a step of 16 images without the optimiser; the bare network's forward and backward beside it",
@@ -50,7 +51,7 @@ PARTS: dict[str, Callable[[Setting, list[dict[str, Any]]], list[dict[str, Any]]]
     "silhouette": _silhouette,
     "chamfer": lambda setting, _: chamfer.measure(setting),
     "terms": lambda setting, _: loop.terms(setting),
-    "step": lambda setting, _: loop.points_step(setting) + loop.network_steps(setting),
+    "step": lambda setting, _: loop.points_step(setting) + loop.network_steps(setting) + network_forms.measure(setting),
     "batch": lambda setting, _: loop.batch(setting),
     "training": lambda setting, _: training.measure(setting),
     "start-up": _start_up,

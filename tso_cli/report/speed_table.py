@@ -79,6 +79,7 @@ def sections(record: dict[str, Any]) -> list[Section]:
         _pivot("terms", "value and gradient: ms (x the projector)", _of(records, "terms"), _time_and("over_projector")),
         _pivot("step", "a step in points mode: ms (share of the whole)", _of(records, "step"), _shared),
         _network(records),
+        _forms(records),
         _batch(records),
         _training(records),
         _start_up(records),
@@ -155,6 +156,11 @@ def _network(records: Records) -> Section:
             bare, whole = found["bare network"], found["whole step"]
             rows.append([mode, _ms(bare), _ms(whole), f"{100.0 * whole['added']:.0f} %"])
     return Section("network", "a step in the network modes: ms", ["mode", "bare network", "whole step", "added"], rows)
+
+
+def _forms(records: Records) -> Section:
+    rows: list[list[Cell]] = [[record["name"], _ms(record)] for record in _of(records, "network forms")]
+    return Section("network forms", "a step of the network on one image, taken apart: ms", ["", "ms"], rows)
 
 
 def _batch(records: Records) -> Section:
