@@ -85,13 +85,16 @@ class MaskObjective:
         self._there = None if full else (torch.arange(size) < counts.unsqueeze(1)).to(like.device).unsqueeze(1)  # [B, 1, N]
 
     def __call__(self, points: Tensor) -> Tensor:
-        """The loss [B] of the clouds ``points`` [B, N, 3]."""
+        """The loss [B] of the clouds ``points`` [B, N, 3]; infinite where a view shows no point at all."""
         total = points.new_zeros(len(points))
         for view in self.views:
             projected = project(points, view.cameras)
             if self._there is not None:
                 projected = projected._replace(valid=projected.valid & self._there)
-            total = total + mask_loss(projected.points_px[:, 0], projected.valid[:, 0], view.target, view.sigma_sq)
+            points_px, valid = projected.points_px[:, 0], projected.valid[:, 0]
+            # With no point to pull, the pixels that want one would ask for nothing: a cloud behind the camera would be perfect.
+            loss = mask_loss(points_px, valid, view.target, view.sigma_sq)
+            total = total + torch.where(valid.any(1), loss, torch.inf)
         return total
 
 

@@ -26,7 +26,7 @@ class Descent:
     Attributes
     ----------
     best : [B, N, 3], the iterate of each with the lowest loss; best_step : [B], the step it is from.
-    losses : [steps + 1, B], at the start and after every step; NaN once a cloud's loss was no number.
+    losses : [steps + 1, B], at the start and after every step; NaN once a cloud or its loss was no finite number.
     interrupted : Ctrl-C ended it.
     """
 
@@ -50,7 +50,7 @@ def descend(
     ----------
     produce : gives the clouds [B, N, 3] as the parameters have them.
     objective : gives their losses [B]. What moves one cloud must not show in the loss of another.
-    steps : Adam steps; it ends earlier when no cloud has a finite loss.
+    steps : Adam steps; it ends earlier when no cloud is left that is finite and has a finite loss.
     progress : called after every step with (step, steps, mean loss of the clouds that have one).
 
     Raises
@@ -70,11 +70,16 @@ def descend(
             moved = produce()
             loss = objective(moved)
             values = loss.detach().double()
-            alive = alive & torch.isfinite(values)
+            # A sum is finite where all that is added is. Points that are no number are not seen, and the loss may not tell.
+            alive = alive & torch.isfinite(values) & torch.isfinite(moved.detach().sum((1, 2)))
             losses.append(torch.where(alive, values, torch.nan))
             better = alive & (values < lowest)
-            torch.where(better.view(-1, 1, 1), moved.detach(), best, out=best)
-            lowest, best_step = torch.where(better, values, lowest), torch.where(better, step, best_step)
+            # Together, so that Ctrl-C finds the three of one step.
+            best, lowest, best_step = (
+                torch.where(better.view(-1, 1, 1), moved.detach(), best),
+                torch.where(better, values, lowest),
+                torch.where(better, step, best_step),
+            )
             told = progress is not None and step > 0
             if (told or not whole_batches(best) or step % STEPS_UNREAD == 0) and not alive.any():
                 break

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,10 +18,10 @@ from ..camera import Camera
 from ..errors import InputError, TsoError
 from ..losses import ChamferToInitial
 from ..metrics import iou
-from ..objective import MaskObjective, WorkingView, working_view
-from ..placement import place, require_overlap
+from ..objective import MaskObjective
 from ..projection import default_sigma_sq, silhouettes_of
 from ..scene import View
+from .batching import Item, batches_of, parts_of
 from .config import PAPER_GAMMA, PAPER_LEARNING_RATE, RefineConfig, RefineResult
 from .loop import Descent, Progress, descend
 from .starts import Cloud, NetworkStart, PointsStart
@@ -36,8 +36,6 @@ Array = NDArray[np.float64]
 SMALL_CLOUD = 8192
 # Silhouettes judged at once hold no more pixels than this together; bounds memory.
 PIXELS_AT_ONCE = 1 << 22
-# Clouds of one batch hold no more points than this together, and none less than half as many as the largest.
-BATCH_POINTS = 1 << 20
 
 
 def refine(
@@ -88,7 +86,7 @@ def refine(
         else:
             start = NetworkStart(network, image, config.mode, device)
             cloud = start.cloud
-        item = _Item.of(cloud, views, config)
+        item = Item.of(cloud, views, config)
     (found,) = _refined([item], start, config, seconds, progress)
     if isinstance(found, TsoError):
         raise found
@@ -108,6 +106,9 @@ def refine_batch(
     config : settings for all; mode "points".
     progress : called with (steps done, steps in all, mean loss), counted over the batches that the clouds are put into.
 
+    Ctrl-C ends it: each cloud of the batch at work gets its best so far, those that had not begun their start, and the
+    ``stop_reason`` of all these is "interrupted".
+
     Returns
     -------
     For each scene its result, or the error that `refine` would have raised: one that cannot be refined stops no other.
@@ -116,21 +117,25 @@ def refine_batch(
     Raises
     ------
     InputError
-        The mode is not "points", or the device is not there.
+        The mode is not "points", the device is not there, or ``scenes`` are none.
     """
     config = config or RefineConfig()
+    if not isinstance(scenes, Iterable):
+        raise InputError(f"scenes is {scenes!r}, expected a sequence of (points, views)")
+    scenes = list(scenes)
     if config.mode != "points":
         raise InputError(f"mode is {config.mode!r}, expected points for a batch")
     device = devices.resolve(config.device)
     found: list[RefineResult | TsoError | None] = [None] * len(scenes)
-    items: dict[int, _Item] = {}
-    for number, (points, masks) in enumerate(scenes):
+    items: dict[int, Item] = {}
+    for number, scene in enumerate(scenes):
         try:
-            items[number] = _Item.of(Cloud(points, f"points of scene {number}"), as_views(masks), config)
+            points, masks = parts_of(scene, number)
+            items[number] = Item.of(Cloud(points, f"points of scene {number}"), as_views(masks), config)
         except TsoError as error:
             found[number] = error
-    batches = _batches(items)
-    done, total = 0, len(batches) * config.steps
+    batches = batches_of(items)
+    done, total, interrupted = 0, len(batches) * config.steps, False
     for batch in batches:
         seconds: dict[str, float] = {}
 
@@ -141,53 +146,23 @@ def refine_batch(
         own = [items[number] for number in batch]
         with _timed(seconds, "prepare"):
             start = PointsStart([item.cloud for item in own], device)
-        for number, result in zip(batch, _refined(own, start, config, seconds, told if progress else None), strict=True):
+        results = _refined(own, start, config, seconds, told if progress else None, at_start=interrupted)
+        for number, result in zip(batch, results, strict=True):
             found[number] = result
+            interrupted |= isinstance(result, RefineResult) and result.stop_reason == "interrupted"
         done += config.steps
     return [result for result in found if result is not None]
 
 
-@dataclass(frozen=True, eq=False)
-class _Item:
-    """A cloud and what asks it."""
-
-    cloud: Cloud
-    views: tuple[View, ...]
-    working: tuple[WorkingView, ...]
-
-    @classmethod
-    def of(cls, cloud: Cloud, views: tuple[View, ...], config: RefineConfig) -> _Item:
-        for view in views:
-            require_overlap(place(cloud.initial, view), view)
-        working = tuple(working_view(view, config.sigma_sq, cloud.centre, cloud.scale) for view in views)
-        return cls(cloud, views, working)
-
-
-def _batches(items: dict[int, _Item]) -> list[list[int]]:
-    """Numbers of the items that are worked on together: views of one kind, sizes within a factor of two, bounded memory."""
-    groups: dict[Any, list[int]] = {}
-    for number, item in items.items():
-        groups.setdefault(tuple(view.kind for view in item.working), []).append(number)
-    batches: list[list[int]] = []
-    for group in groups.values():
-        largest = 0
-        for number in sorted(group, key=lambda number: -len(items[number].cloud.initial)):
-            size = len(items[number].cloud.initial)
-            if not largest or 2 * size < largest or (len(batches[-1]) + 1) * largest > BATCH_POINTS:
-                batches.append([])
-                largest = size
-            batches[-1].append(number)
-    return batches
-
-
 def _refined(
-    items: list[_Item],
+    items: list[Item],
     start: PointsStart | NetworkStart,
     config: RefineConfig,
     seconds: dict[str, float],
     progress: Progress | None,
+    at_start: bool = False,
 ) -> list[RefineResult | TsoError]:
-    """The loop, and the results of all items."""
+    """The loop, and the results of all items; ``at_start``: Ctrl-C came before it, and nothing moves."""
     with _timed(seconds, "prepare"):
         first = start.produce().detach().clone()
         mask_term = MaskObjective([item.working for item in items], start.counts, first)
@@ -201,7 +176,9 @@ def _refined(
 
     small = first[..., 0].numel() <= SMALL_CLOUD
     with _timed(seconds, "optimise"), devices.one_thread(small and isinstance(start, PointsStart)):
-        descent = descend(start.produce, start.parameters, objective, config.steps, learning_rate, progress)
+        steps = 0 if at_start else config.steps
+        descent = descend(start.produce, start.parameters, objective, steps, learning_rate, None if at_start else progress)
+        descent = replace(descent, interrupted=descent.interrupted or at_start)
     with _timed(seconds, "judge"), devices.one_thread(small):
         moved_by = chamfer(descent.best).tolist()
         offsets = (descent.best.double() - first.double()).cpu().numpy()
@@ -213,7 +190,7 @@ def _refined(
     ]
 
 
-def _judged(items: list[_Item], offsets: Array, config: RefineConfig, device: torch.device) -> list[tuple[Array, float, float]]:
+def _judged(items: list[Item], offsets: Array, config: RefineConfig, device: torch.device) -> list[tuple[Array, float, float]]:
     """The refined points of each item, and its IoU before and after, mean over views. ``offsets`` [B, N, 3] are normalised."""
     before = [item.cloud.initial for item in items]
     # What did not move keeps every bit of the input.
@@ -238,7 +215,7 @@ def _judged(items: list[_Item], offsets: Array, config: RefineConfig, device: to
 
 
 def _result(
-    item: _Item,
+    item: Item,
     descent: Descent,
     number: int,
     judged: tuple[Array, float, float],
