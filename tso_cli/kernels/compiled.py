@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from .jit import RANGES_PER_THREAD, compiled, share
+from .jit import RANGES_PER_THREAD, compiled, part, share
 from .lanes import LANES, LOWEST, add_rows, exp, project_rows
 
 # Points whose weights are computed together, and used when they have long been written.
@@ -80,14 +80,14 @@ def work(images: int, count: int, radius: int) -> int:
     return images * count * (PER_POINT + (2 * radius + 1) ** 2)
 
 
-@compiled
+@part
 def _reaches(x, y, top, bottom, width, radius):  # type: ignore[no-untyped-def]
     """Whether a window centred on the pixel nearest to (x, y) touches these rows. Nothing that is no number does."""
     column, row = np.rint(x), np.rint(y)
     return column >= -radius and column < width + radius and row >= top - radius and row < bottom + radius
 
 
-@compiled
+@part
 def _weigh(points, chosen, count, kernel, along_x, along_y):  # type: ignore[no-untyped-def]
     """The separable weights of the first ``count`` points that are ``chosen``, a row each."""
     kind, steps = points.dtype.type, kernel.steps
@@ -105,7 +105,7 @@ def _weigh(points, chosen, count, kernel, along_x, along_y):  # type: ignore[no-
             along_y[i, k] = weight if exponent > nothing else zero
 
 
-@compiled
+@part
 def add_band(points, valid, kernel, top, bottom, padded):  # type: ignore[no-untyped-def]
     """Write the sums of the rows ``top`` to ``bottom`` of an image, from its points [N, 2], into ``padded``.
 
@@ -147,7 +147,9 @@ def _add(first, last, points, valid, kernel, bands, out):  # type: ignore[no-unt
         top, bottom = band * height // bands, (band + 1) * height // bands
         padded = np.empty((bottom - top, left + width + len(kernel.steps)), points.dtype)
         add_band(points[image], valid[image], kernel, top, bottom, padded)
-        out[image, top:bottom] = padded[:, left : left + width]
+        for i in range(top, bottom):
+            for j in range(width):
+                out[image, i, j] = padded[i - top, left + j]
 
 
 @compiled

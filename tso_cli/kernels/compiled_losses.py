@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from .compiled_nearest import cell_edge, nearest_in_cells, nearest_in_column, nearest_in_row, sort_into_cells
-from .jit import compiled, share
+from .jit import compiled, part, share
 from .lanes import LOWEST, exp, log
 
 LOG_TWO = math.log(2.0)
@@ -66,12 +67,13 @@ class WithSlope(torch.autograd.Function):
         return value
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor | None, ...]:
         (slope,) = ctx.saved_tensors
         return grad_outputs[0].view(-1, 1, 1) * slope, None, None
 
 
-@compiled
+@part
 def entropy_of_row(line, wanted, unwanted, uncovered, asking):  # type: ignore[no-untyped-def]
     """Loss of a row of pixels; ``line``, their sums, becomes the derivative by them.
 
@@ -116,11 +118,14 @@ def _cross_entropy(first, last, wanted, unwanted, uncovered, total, slope):  # t
         total[image] = loss
 
 
-@compiled
+@part
 def pull_image(asking, waiting, weight, points, valid, factor, edge, slope):  # type: ignore[no-untyped-def]
     """Loss of the pixels that are ``asking`` [H, W], ``waiting`` [H] in each row; ``slope`` [N, 2] gets the derivative."""
     height, width = asking.shape
-    if waiting.sum() == 0:
+    some = 0
+    for i in range(height):
+        some += waiting[i]
+    if some == 0:
         return 0.0
     cells = sort_into_cells(points, valid, height, width, edge)
     loss = 0.0

@@ -9,7 +9,7 @@ from torch import Tensor
 from .compiled import add_band, bands_for, project_back, window, work
 from .compiled_losses import WithSlope, entropy_of_row, pull_image
 from .compiled_nearest import cell_edge
-from .jit import compiled, share
+from .jit import compiled, part, share
 
 # Basic steps that a pixel costs.
 PER_PIXEL = 8
@@ -55,7 +55,7 @@ def mask_loss(
     return value
 
 
-@compiled
+@part
 def _cover(first, last, points, valid, wanted, unwanted, kernel, uncovered, bands, pixels):  # type: ignore[no-untyped-def]
     """Fill ``padded`` with the derivative by the sums, for the bands ``first`` to ``last``, counted through all images."""
     padded, asking, loss, waiting = pixels
@@ -74,13 +74,15 @@ def _cover(first, last, points, valid, wanted, unwanted, kernel, uncovered, band
             )
 
 
-@compiled
+@part
 def _pull(first, last, points, valid, wanted, edge, pull, pixels, total, slope):  # type: ignore[no-untyped-def]
     """Add up the loss of the images ``first`` to ``last``, with that of the pixels that wait for a point."""
     _, asking, loss, waiting = pixels
     for image in range(first, last):
-        far = pull_image(asking[image], waiting[image], wanted[image], points[image], valid[image], pull, edge, slope[image])
-        total[image] = loss[image].sum() + far
+        value = pull_image(asking[image], waiting[image], wanted[image], points[image], valid[image], pull, edge, slope[image])
+        for i in range(loss.shape[1]):
+            value += loss[image, i]
+        total[image] = value
 
 
 @compiled
@@ -93,12 +95,13 @@ def _run(  # type: ignore[no-untyped-def]
     """
     count = points.shape[1]
     for unit in range(first, last if stage == ALL else first + 1):
-        start, stop = (unit, unit + 1) if stage == ALL else (first, last)
-        if stage in (ALL, COVER):
+        every = stage == ALL
+        start, stop = (unit, unit + 1) if every else (first, last)
+        if every or stage == COVER:
             _cover(start, stop, points, valid, wanted, unwanted, kernel, uncovered, bands, pixels)
-        if stage in (ALL, PULL):
+        if every or stage == PULL:
             _pull(start, stop, points, valid, wanted, edge, pull, pixels, total, slope)
-        if with_slope and stage in (ALL, BACK):
-            if stage == ALL:
+        if with_slope and (every or stage == BACK):
+            if every:
                 start, stop = start * count, stop * count
             project_back(start, stop, points, valid, kernel, pixels[0], slope)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .jit import compiled, share
+from .jit import compiled, part, share
 
 # Points per cell of the grid that points are sorted into, on average over the image. Fastest from 1,000 to 100,000 points.
 POINTS_PER_CELL = 1.0
@@ -40,7 +40,7 @@ def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     return to_b, to_a
 
 
-@compiled
+@part
 def _cell(x, y, edge, rows, columns):  # type: ignore[no-untyped-def]
     """Row and column of the cell of the grid that holds (x, y), or of the cell at the border nearest to it."""
     row = min(max((y + 0.5) / edge, 0.0), rows - 1.0)
@@ -48,7 +48,7 @@ def _cell(x, y, edge, rows, columns):  # type: ignore[no-untyped-def]
     return int(row), int(column)
 
 
-@compiled
+@part
 def sort_into_cells(points, valid, height, width, edge):  # type: ignore[no-untyped-def]
     """Sort the points [N, 2] of an image into a grid of cells.
 
@@ -107,7 +107,7 @@ def _nearest_points(first, last, pixels, points, valid, edge, out):  # type: ign
                 out[image, i, j] = nearest_in_cells(float(j), float(i), edge, cells) if pixels[image, i, j] else -1
 
 
-@compiled
+@part
 def nearest_in_cells(x, y, edge, cells):  # type: ignore[no-untyped-def]
     """The first of the points nearest to (x, y), which lies inside the image, by cells ring by ring; -1 without points."""
     away, begin, xs, ys, order = cells
@@ -146,7 +146,7 @@ def nearest_in_cells(x, y, edge, cells):  # type: ignore[no-untyped-def]
         ring += 1
 
 
-@compiled
+@part
 def nearest_in_column(marked, near):  # type: ignore[no-untyped-def]
     """Fill ``near`` [H, W] with the row of the marked pixel nearest in the same column (the upper of two), -1 without one."""
     height, width = marked.shape
@@ -162,7 +162,7 @@ def nearest_in_column(marked, near):  # type: ignore[no-untyped-def]
                 near[i, j] = below
 
 
-@compiled
+@part
 def nearest_in_row(near, i, rows, columns, vertex, since):  # type: ignore[no-untyped-def]
     """Fill ``rows`` and ``columns`` [W] with the marked pixel nearest to each of row i, -1 where nothing is marked.
 

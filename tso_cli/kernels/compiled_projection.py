@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
-from .jit import compiled, share
+from .jit import compiled, part, share
 
 # Basic steps for one point in one view.
 PER_POINT = 32
@@ -37,6 +38,7 @@ class _Project(torch.autograd.Function):
         return points_px, valid
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor | None, ...]:
         points, K, R, t = ctx.saved_tensors
         slope = torch.empty_like(points, memory_format=torch.contiguous_format)
@@ -45,7 +47,7 @@ class _Project(torch.autograd.Function):
         return slope, None, None, None, None
 
 
-@compiled
+@part
 def _seen(point, R, t):  # type: ignore[no-untyped-def]
     """The point in the frame of a camera."""
     x = R[0, 0] * point[0] + R[0, 1] * point[1] + R[0, 2] * point[2] + t[0]

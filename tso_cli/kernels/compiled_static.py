@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from .compiled_losses import WithSlope
-from .jit import compiled, share
+from .jit import compiled, part, share
 from .lanes import keep_nearest
 
 # Points that search together. Fastest from 1,000 to 100,000 points.
@@ -84,11 +84,11 @@ def _sort(first, last, points, counts, order):  # type: ignore[no-untyped-def]
     stack = np.empty((DEPTH, 2), np.int64)
     for cloud in range(first, last):
         own, coordinates = order[cloud], points[cloud]
-        stack[0] = 0, len(own)
+        stack[0, 0], stack[0, 1] = 0, len(own)
         size = 1
         while size:
             size -= 1
-            start, stop = stack[size]
+            start, stop = stack[size, 0], stack[size, 1]
             middle, end = (start + stop) // 2, min(stop, counts[cloud])
             if end > middle:
                 axis, longest = 0, -1.0
@@ -100,13 +100,14 @@ def _sort(first, last, points, counts, order):  # type: ignore[no-untyped-def]
                         axis, longest = k, high - low
                 _select(own, coordinates, axis, start, end - 1, middle)
             if middle - start > LEAF:
-                for half in ((start, middle), (middle, stop)):
-                    if half[0] < end:
-                        stack[size] = half
-                        size += 1
+                stack[size, 0], stack[size, 1] = start, middle
+                size += 1
+                if middle < end:
+                    stack[size, 0], stack[size, 1] = middle, stop
+                    size += 1
 
 
-@compiled
+@part
 def _select(own, coordinates, axis, low, high, middle):  # type: ignore[no-untyped-def]
     """Reorder ``own`` from low to high: nothing above what comes to stand at ``middle`` stays before it."""
     while low < high:
@@ -139,7 +140,8 @@ def _fit(first, last, points, counts, order, ordered, boxes):  # type: ignore[no
     for cloud in range(first, last):
         for leaf in range(leaves):
             box = boxes[cloud, leaves + leaf]
-            box[:3], box[3:] = np.inf, -np.inf
+            for k in range(3):
+                box[k], box[k + 3] = np.inf, -np.inf
             for place in range(leaf * LEAF, min((leaf + 1) * LEAF, counts[cloud])):
                 for k in range(3):
                     value = float(points[cloud, order[cloud, place], k])
@@ -151,14 +153,14 @@ def _fit(first, last, points, counts, order, ordered, boxes):  # type: ignore[no
                 boxes[cloud, node, k + 3] = max(boxes[cloud, 2 * node, k + 3], boxes[cloud, 2 * node + 1, k + 3])
 
 
-@compiled
+@part
 def _between(one, i, other, j):  # type: ignore[no-untyped-def]
     """Squared distance between two points."""
     dx, dy, dz = one[0, i] - other[0, j], one[1, i] - other[1, j], one[2, i] - other[2, j]
     return dx * dx + dy * dy + dz * dz
 
 
-@compiled
+@part
 def _apart(one, other):  # type: ignore[no-untyped-def]
     """Squared distance between two boxes."""
     dx = max(one[0] - other[3], other[0] - one[3], 0.0)
@@ -167,7 +169,7 @@ def _apart(one, other):  # type: ignore[no-untyped-def]
     return dx * dx + dy * dy + dz * dz
 
 
-@compiled
+@part
 def _compare(queries, at, data, place, best, chosen, alone):  # type: ignore[no-untyped-def]
     """Hold a leaf of ``data`` against a leaf of queries; no query against its own number if they are to be ``alone``."""
     if not alone or at != place:
@@ -180,18 +182,26 @@ def _compare(queries, at, data, place, best, chosen, alone):  # type: ignore[no-
                 best[q], chosen[q] = squared, place + k
 
 
-@compiled
+@part
+def _largest(values):  # type: ignore[no-untyped-def]
+    most = values[0]
+    for q in range(1, LEAF):
+        most = max(most, values[q])
+    return most
+
+
+@part
 def _outward(leaf, queries, box, data, boxes, best, chosen, alone, stack):  # type: ignore[no-untyped-def]
     """Find what is nearer to the queries of a leaf than the squared distances ``best``, and put it into ``chosen``.
 
     The same leaf of the data comes first, then its sibling, then the sibling of both, and so on.
     """
     leaves = boxes.shape[0] // 2
-    bound = best.max()
+    bound = _largest(best)
     if bound <= 0.0:
         return
     _compare(queries, leaf * LEAF, data, leaf * LEAF, best, chosen, alone)
-    bound = best.max()
+    bound = _largest(best)
     above = leaves + leaf
     while above > 1 and bound > 0.0:
         stack[0] = above ^ 1
@@ -204,7 +214,7 @@ def _outward(leaf, queries, box, data, boxes, best, chosen, alone, stack):  # ty
                 continue
             if node >= leaves:
                 _compare(queries, leaf * LEAF, data, (node - leaves) * LEAF, best, chosen, alone)
-                bound = best.max()
+                bound = _largest(best)
                 continue
             near = 2 * node
             if _apart(box, boxes[near + 1]) < _apart(box, boxes[near]):
@@ -224,8 +234,8 @@ def _space(first, last, counts, start, boxes, spacing):  # type: ignore[no-untyp
         count = min(LEAF, counts[cloud] - leaf * LEAF)
         if count <= 0:
             continue
-        best[:] = 0.0
-        best[:count] = np.inf
+        for q in range(LEAF):
+            best[q] = np.inf if q < count else 0.0
         own = start[cloud]
         _outward(leaf, own, boxes[cloud, leaves + leaf], own, boxes[cloud], best, chosen, True, stack)
         for q in range(count):
@@ -261,9 +271,9 @@ def _search(first, last, counts, start, moved, still, moving, spacing, own, furt
             # |m - s_k| >= |s_j - s_k| - |m - s_j|: no s_k is nearer than s_j within half the spacing of s_j.
             best[q] = squared if 4.0 * squared >= spacing[cloud, before] ** 2 else 0.0
         _outward(leaf, moved[cloud], moving[cloud, leaves + leaf], start[cloud], still[cloud], best, chosen, False, stack)
-        to_start[cloud, at : at + count] = chosen[:count]
-        best[:] = 0.0
         for q in range(count):
+            to_start[cloud, at + q] = chosen[q]
+            best[q] = 0.0
             # |s_i - m_k| >= |s_i - s_k| - |m_k - s_k|, and no point moved further than the furthest.
             if np.sqrt(own[cloud, at + q]) + furthest[cloud] < spacing[cloud, at + q]:
                 chosen[q] = at + q
@@ -271,7 +281,8 @@ def _search(first, last, counts, start, moved, still, moving, spacing, own, furt
                 chosen[q] = to_moved[cloud, at + q]
                 best[q] = _between(start[cloud], at + q, moved[cloud], chosen[q])
         _outward(leaf, start[cloud], still[cloud, leaves + leaf], moved[cloud], moving[cloud], best, chosen, False, stack)
-        to_moved[cloud, at : at + count] = chosen[:count]
+        for q in range(count):
+            to_moved[cloud, at + q] = chosen[q]
 
 
 @compiled

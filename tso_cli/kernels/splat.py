@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from .choice import compiled_pays, triton_runs
 from .reference import splat_exact
@@ -79,27 +80,41 @@ def cheapest(points_px: Tensor, height: int, width: int, sigma_sq: float) -> str
     return "windowed" if TAP_COST * taps < height * width else "exact"
 
 
-def _taps(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float) -> tuple[Tensor, ...]:
-    """Separable weights [M, n, k] in x and y, offsets to the taps' centres, and the flat index [M, n, k, k] of every tap."""
+class _Placed(NamedTuple):
+    """The windows of n points of M images, in pictures with room around them: no tap needs a test."""
+
+    offsets: Tensor  # [M, n, 2, k] from the taps' centres to the point, along x and y
+    weights: Tensor  # [M, n, 2, k] of the taps along x and y
+    corner: Tensor  # [M, n] flat index of each window's first tap
+
+
+def _room(radius: int) -> int:
+    """Pixels around the image: a window that touches it, or one that was parked beyond its corner, lies within them."""
+    return 2 * radius + 1
+
+
+def _place(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float) -> _Placed:
     radius = window_radius(sigma_sq)
-    steps = torch.arange(-radius, radius + 1, device=points_px.device)
-    # A point beyond the reach of the image is parked where no tap is inside: its integer coordinate could overflow.
-    reach = radius + 1
+    room, reach = _room(radius), radius + 1
     x, y = points_px.unbind(-1)
     reached = valid & (x > -reach) & (x < width - 1 + reach) & (y > -reach) & (y < height - 1 + reach)
-    anchors = torch.where(reached, x, -reach), torch.where(reached, y, -reach)
-    weights, offsets, indices = [], [], []
-    for anchor, size in zip(anchors, (width, height), strict=True):
-        nearest = anchor.detach().round()
-        offset = (anchor - nearest).unsqueeze(-1) - steps
-        index = nearest.long().unsqueeze(-1) + steps
-        inside = (index >= 0) & (index < size)
-        weights.append(torch.exp(offset.square() * (-0.5 / sigma_sq)) * inside)
-        offsets.append(offset)
-        indices.append(index.clamp_(0, size - 1))
-    image = torch.arange(len(points_px), device=points_px.device).mul_(height * width).view(-1, 1, 1)
-    flat = indices[1].mul_(width).add_(image).unsqueeze(-1) + indices[0].unsqueeze(-2)
-    return weights[0], weights[1], offsets[0], offsets[1], flat
+    # A point beyond the reach of the image is parked where no tap is inside: its integer coordinate could overflow.
+    anchors = torch.where(reached.unsqueeze(-1), points_px, -reach)
+    nearest = anchors.round()
+    steps = torch.arange(-radius, radius + 1, device=points_px.device)
+    offsets = (anchors - nearest).unsqueeze(-1) - steps
+    column, row = (nearest.long() + (room - radius)).unbind(-1)
+    stride = width + 2 * room
+    image = torch.arange(len(points_px), device=points_px.device).mul_((height + 2 * room) * stride).unsqueeze(-1)
+    corner = row.mul(stride).add_(column).add_(image)
+    return _Placed(offsets, torch.exp(offsets.square().mul_(-0.5 / sigma_sq)), corner)
+
+
+def _flat(placed: _Placed, stride: int) -> Tensor:
+    """Flat index of every tap [M n k k]."""
+    steps = torch.arange(placed.weights.shape[-1], device=placed.corner.device)
+    window = (steps.unsqueeze(-1) * stride + steps).flatten()
+    return (placed.corner.unsqueeze(-1) + window).flatten()
 
 
 def _chunks(images: int, count: int, sigma_sq: float) -> list[slice]:
@@ -109,7 +124,7 @@ def _chunks(images: int, count: int, sigma_sq: float) -> list[slice]:
 
 
 class _Windowed(torch.autograd.Function):
-    """Each point's window, added up; the backward pass reads the same window again, so nothing of its size is stored."""
+    """Each point's window, added up; the backward pass reads the same window again, so nothing of its size k x k is stored."""
 
     @staticmethod
     def forward(ctx: Any, points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float, kernel: str) -> Tensor:
@@ -117,15 +132,17 @@ class _Windowed(torch.autograd.Function):
         ctx.sigma_sq, ctx.kernel = sigma_sq, kernel
         if kernel != "windowed":
             return _fast(kernel).sums(points_px, valid, height, width, sigma_sq, window_radius(sigma_sq))
-        return _scatter(points_px, valid, height, width, sigma_sq)
+        sums, ctx.placed = _scatter(points_px, valid, height, width, sigma_sq)
+        return sums
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor | None, ...]:
         points_px, valid = ctx.saved_tensors
         if ctx.kernel != "windowed":
             grad = _fast(ctx.kernel).gradient(grad_outputs[0], points_px, valid, ctx.sigma_sq, window_radius(ctx.sigma_sq))
         else:
-            grad = _gather(grad_outputs[0], points_px, valid, ctx.sigma_sq)
+            grad = _gather(grad_outputs[0], points_px, valid, ctx.sigma_sq, ctx.placed)
         return grad, None, None, None, None, None
 
 
@@ -140,26 +157,36 @@ def _fast(kernel: str) -> Any:
     return compiled
 
 
-def _scatter(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float) -> Tensor:
+def _scatter(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float) -> tuple[Tensor, _Placed | None]:
+    """The sums [M, H, W], and where the windows lie if one chunk held them all."""
     images, count = valid.shape
-    sums = points_px.new_zeros(images * height * width)
-    for part in _chunks(images, count, sigma_sq):
-        wx, wy, _, _, flat = _taps(points_px[:, part], valid[:, part], height, width, sigma_sq)
-        sums.scatter_add_(0, flat.flatten(), (wy.unsqueeze(-1) * wx.unsqueeze(-2)).flatten())
-    return sums.view(images, height, width)
+    room = _room(window_radius(sigma_sq))
+    stride = width + 2 * room
+    sums = points_px.new_zeros(images * (height + 2 * room) * stride)
+    chunks = _chunks(images, count, sigma_sq)
+    placed = None
+    for part in chunks:
+        placed = _place(points_px[:, part], valid[:, part], height, width, sigma_sq)
+        along_x, along_y = placed.weights.unbind(2)
+        sums.scatter_add_(0, _flat(placed, stride), (along_y.unsqueeze(-1) * along_x.unsqueeze(-2)).flatten())
+    sums = sums.view(images, -1, stride)[:, room : room + height, room : room + width].contiguous()
+    return sums, placed if len(chunks) == 1 else None
 
 
-def _gather(grad_sums: Tensor, points_px: Tensor, valid: Tensor, sigma_sq: float) -> Tensor:
+def _gather(grad_sums: Tensor, points_px: Tensor, valid: Tensor, sigma_sq: float, placed: _Placed | None) -> Tensor:
     """Derivative [M, N, 2] by ``points_px``, from that by the sums [M, H, W]."""
     images, count = valid.shape
     height, width = grad_sums.shape[1:]
-    grad_sums = grad_sums.flatten()
+    room = _room(window_radius(sigma_sq))
+    padded = torch.nn.functional.pad(grad_sums, (room, room, room, room)).flatten()
     grads = []
     for part in _chunks(images, count, sigma_sq):
-        wx, wy, dx, dy, flat = _taps(points_px[:, part], valid[:, part], height, width, sigma_sq)
-        grad_taps = grad_sums.index_select(0, flat.flatten()).view(flat.shape)  # [M, n, k, k]
+        own = placed or _place(points_px[:, part], valid[:, part], height, width, sigma_sq)
+        side = own.weights.shape[-1]
+        taps = padded.index_select(0, _flat(own, width + 2 * room)).view(*own.corner.shape, side, side)
+        along_x, along_y = own.weights.unbind(2)
+        # of every column the taps weighed along y, and of every row those weighed along x
+        weighed = torch.cat([along_y.unsqueeze(-2) @ taps, (taps @ along_x.unsqueeze(-1)).transpose(-1, -2)], -2)
         # d/dx exp(-dx^2 / 2 sigma^2) = -dx / sigma^2 times the weight itself
-        along_x = (grad_taps * wy.unsqueeze(-1)).sum(-2) * wx * dx
-        along_y = (grad_taps * wx.unsqueeze(-2)).sum(-1) * wy * dy
-        grads.append(torch.stack([along_x.sum(-1), along_y.sum(-1)], -1) / -sigma_sq)
+        grads.append((weighed * own.weights * own.offsets).sum(-1) / -sigma_sq)
     return torch.cat(grads, 1) if grads else torch.zeros_like(points_px)
