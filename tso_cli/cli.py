@@ -22,6 +22,7 @@ COMMANDS = {
     "render": ("render", "Render meshes to images, masks, cameras and ground truth."),
     "generate": ("generate", "Draw chairs, cars and aeroplanes by rule, to train on."),
     "study": ("study", "Ask a question of the method, on many shapes, and keep the answer."),
+    "compile": ("compile_loops", "Compile the loops of large refinements now, once, for all runs."),
     "bench": ("bench", "Measure the speed on this machine, beside other ways and the limit."),
 }
 

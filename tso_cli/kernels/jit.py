@@ -43,6 +43,22 @@ def forget_stale(folder: Path) -> None:
 forget_stale(Path(__file__).parent)
 
 
+def kept(*functions: Any) -> bool:
+    """Whether the machine code of all these :func:`compiled` functions is on disk, made from the sources as they are."""
+    try:
+        changed = max(source.stat().st_mtime for source in Path(__file__).parent.glob("*.py"))
+        return all(
+            any(
+                index.stat().st_mtime >= changed
+                for index in Path(function.stats.cache_path).glob(f"*.{function.__name__}-*.nbi")
+            )
+            for function in functions
+        )
+    except (AttributeError, OSError, TypeError, ValueError):
+        # none can be kept, or numba was told to compile nothing
+        return False
+
+
 def compiled(function: Callable[..., Any]) -> Any:
     """``function`` compiled at its first call, with the machine code kept on disk where a folder for it can be written.
 

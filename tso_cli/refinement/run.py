@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ from torch import Tensor
 from .. import device as devices
 from ..camera import Camera
 from ..errors import InputError, TsoError
+from ..kernels.choice import planned
 from ..losses import ChamferToInitial
 from ..metrics import iou
 from ..objective import MaskObjective
@@ -87,7 +88,8 @@ def refine(
             start = NetworkStart(network, image, config.mode, device)
             cloud = start.cloud
         item = Item.of(cloud, views, config)
-    (found,) = _refined([item], start, config, seconds, progress)
+    with _planned([item], config):
+        (found,) = _refined([item], start, config, seconds, progress)
     if isinstance(found, TsoError):
         raise found
     return found
@@ -146,12 +148,28 @@ def refine_batch(
         own = [items[number] for number in batch]
         with _timed(seconds, "prepare"):
             start = PointsStart([item.cloud for item in own], device)
-        results = _refined(own, start, config, seconds, told if progress else None, at_start=interrupted)
+        with _planned(list(items.values()), config):
+            results = _refined(own, start, config, seconds, told if progress else None, at_start=interrupted)
         for number, result in zip(batch, results, strict=True):
             found[number] = result
             interrupted |= isinstance(result, RefineResult) and result.stop_reason == "interrupted"
         done += config.steps
     return [result for result in found if result is not None]
+
+
+def _planned(items: list[Item], config: RefineConfig) -> AbstractContextManager[None]:
+    """All the work on the items, for :func:`tso_cli.kernels.choice.planned`."""
+    drawn = config.steps * sum(len(item.views) * len(item.cloud.initial) for item in items)
+    return planned(config.steps * sum(len(item.views) for item in items), drawn)
+
+
+def compile_loops() -> None:
+    """Compile all loops that a refinement on the CPU uses, and keep the machine code on disk; nothing where it is there."""
+    mask = np.zeros((64, 64), np.float32)
+    mask[20:44, 20:44] = 1.0
+    much = 1 << 60
+    with planned(much, much):
+        refine(np.random.default_rng(0).uniform(-0.3, 0.3, (64, 3)), mask, config=RefineConfig(steps=1))
 
 
 def _refined(
