@@ -311,7 +311,18 @@ def test_with_json_one_document_is_printed(capsys):
     assert json.loads(capsys.readouterr().out)["bench"] == "speed"
 
 
-@pytest.mark.parametrize("arguments", [["--only", "nothing"], ["--seconds", "0"], ["--threads", "0"], ["-o", "speed.txt"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--only", "nothing"],
+        ["--seconds", "0"],
+        ["--threads", "0"],
+        ["--threads", "1000000"],
+        ["--seconds", "nan"],
+        ["--seconds", "inf"],
+        ["-o", "speed.txt"],
+    ],
+)
 def test_what_cannot_be_measured_gets_one_line(arguments, capsys):
     assert _run(arguments) == 2
     error = capsys.readouterr().err

@@ -10,6 +10,7 @@ import pytest
 
 from tso_cli.bench import start_up as measured
 from tso_cli.bench.start_up import start_up
+from tso_cli.cli import COMMANDS
 from tso_cli.errors import TsoError
 from tso_cli.files.shipped import examples_folder
 
@@ -56,20 +57,22 @@ def test_version_and_help_import_no_numbers(tmp_path, argument):
     assert not found & {"torch", "numpy", "PIL", *HEAVY}
 
 
-@pytest.mark.parametrize("command", ["refine", "eval", "train", "curves", "export", "render", "generate", "study", "bench"])
+@pytest.mark.parametrize(
+    "command", ["refine", "eval", "train", "curves", "export", "render", "generate", "study", "compile", "bench"]
+)
 def test_the_help_of_a_command_imports_no_torch(tmp_path, command):
     assert not _imported(tmp_path, command, "--help") & {"torch", *HEAVY}
 
 
-def test_start_up_measures_bare_python_torch_and_commands_warm_and_first():
+def test_start_up_measures_bare_python_torch_and_commands_warm_and_first(tmp_path):
     names = {"python", "import torch", "tso --version", "tso --help", "tso refine --mode points"}
-    assert names | {"tso refine --mode points, first", "tso refine --mode points, bare"} <= set(measured._commands())
+    assert names | {"tso refine --mode points, first", "tso refine --mode points, bare"} <= set(measured._commands(tmp_path))
 
 
-def test_each_command_line_gives_one_record(monkeypatch):
-    commands = measured._commands()
+def test_each_command_line_gives_one_record(monkeypatch, tmp_path):
+    commands = measured._commands(tmp_path)
     chosen = {name: commands[name] for name in ("python", "tso --version", "tso refine --mode points, first")}
-    monkeypatch.setattr(measured, "_commands", lambda: chosen)
+    monkeypatch.setattr(measured, "_commands", lambda folder: chosen)
     records = start_up(repeats=1)
     assert [record["name"] for record in records] == list(chosen)
     for record in records:

@@ -58,10 +58,17 @@ def _silhouette(records: Records) -> Found:
             yield f"{at}: {own} at least {wanted}x faster than {name}", f"{ratio:.1f}x", ratio >= wanted
     for size in (SMALL, MIDDLE):
         ours = _seconds(records, "silhouette", size, own)
-        limits = _seconds(records, "limit", size, "arithmetic", "scatter", "memory")
-        if ours and limits:
-            ratio = ours[0] / max(limits)
-            yield f"{size[0]:,} points: within 4x of the limit", f"{ratio:.1f}x the largest bound", ratio <= 4.0
+        arithmetic = _seconds(records, "limit", size, "arithmetic")
+        if ours and arithmetic:
+            ratio = ours[0] / arithmetic[0]
+            largest = max(_seconds(records, "limit", size, "arithmetic", "scatter", "memory"))
+            told = f"{ratio:.1f}x; {ours[0] / largest:.1f}x the largest bound"
+            yield f"{size[0]:,} points: within 4x of the arithmetic limit", told, ratio <= 4.0
+    # What "auto" takes for one small cloud, whose refinement does not pay for loading the compiled loops.
+    ours, theirs = _seconds(records, "silhouette", SMALL, "windowed"), _seconds(records, "silhouette", SMALL, "scatter 9x9")
+    if ours and theirs:
+        ratio = theirs[0] / ours[0]
+        yield "1,024 points: what one refinement takes, windowed, no slower than scatter 9x9", f"{ratio:.2f}x", ratio >= 1.0
 
 
 def _large(records: Records) -> Found:
@@ -130,6 +137,7 @@ def _start_up(records: Records) -> Found:
             f"{refine:.2f} of {allowed:.2f} s",
             refine <= allowed,
         )
-    first = found.get("tso refine --mode points, first")
-    if refine and first:
-        yield "the first run ever under 2x any other", f"{first / refine:.2f}x", first < 2.0 * refine
+    for size, name in (("1,024", "tso refine --mode points"), ("16,384", "tso refine --mode points, 16,384 points")):
+        warm, first = found.get(name), found.get(f"{name}, first")
+        if warm and first:
+            yield f"{size} points: the first run ever under 2x any other", f"{first / warm:.2f}x", first < 2.0 * warm

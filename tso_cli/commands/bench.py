@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import os
 import time
 from pathlib import Path
 from typing import Any
@@ -22,7 +24,7 @@ def command() -> None:
 @command.command("speed")
 @click.option("--only", multiple=True, type=click.Choice(PARTS), help="May be repeated.  [default: all]")
 @click.option("--full", is_flag=True, help="Large sizes too: up to 1,000,000 points at 1,024x1,024.")
-@click.option("--threads", type=click.IntRange(min=1), default=1, show_default=True, help="CPU threads.")
+@click.option("--threads", type=click.IntRange(1, os.cpu_count() or 1), default=1, show_default=True, help="CPU threads.")
 @click.option(
     "--seconds",
     type=click.FloatRange(min=0.0, min_open=True),
@@ -48,9 +50,15 @@ def speed(
 ) -> None:
     """Kernels, terms, steps, batches, training and start-up, beside other ways of doing the same and the machine's limit.
 
-    Contestants for the same work take turns in one process. Other packages (chamferdist, pykeops, point_cloud_utils,
-    pytorch3d, gsplat) are measured where they are installed.
+    All of it takes some five minutes, a quarter of an hour with --full; a part about one. limit: the machine's rates;
+    silhouette, chamfer: the kernels at growing sizes; terms: each term of the loss beside the projector; step: one step of
+    every mode, taken apart; batch: many clouds in one call; training: images a second; start-up: whole processes.
+
+    Contestants for the same work take turns in one process, on cpu or cuda. Other packages (chamferdist, pykeops,
+    point_cloud_utils, pytorch3d, gsplat) are measured where they are installed.
     """
+    if not math.isfinite(seconds):
+        raise click.BadParameter(f"{seconds} is no finite number.", param_hint="'--seconds'")
     check_outputs(output, overwrite)
     from ..bench.speed import speed as measure
     from ..bench.timing import Setting

@@ -26,8 +26,8 @@ TO_COMPILE = "tso compile"
 def planned(pictures: int, points: int) -> Iterator[None]:
     """Inside, compiled loops are used if they pay for this much work, whatever the size of its parts.
 
-    What is not on disk yet must be compiled first, which takes many times longer than to load it: less work than that is left to
-    plain torch, with a warning that says how to compile beforehand. Of plans within plans the outermost counts.
+    What is not on disk yet must be compiled first, which takes many times longer than to load it: less work than that is left
+    to plain torch, with a warning that says how to compile beforehand. Of plans within plans the outermost counts.
 
     Parameters
     ----------
@@ -55,9 +55,7 @@ class _Plan:
             return False
         if self._saved >= LOADING + COMPILING or _on_disk():
             return True
-        warnings.warn(
-            f"loops are not compiled yet, plain torch does this work; `{TO_COMPILE}` compiles them once", stacklevel=2
-        )
+        warnings.warn(f"no compiled loops on disk, plain torch does this work; `{TO_COMPILE}` makes them once", stacklevel=2)
         return False
 
 

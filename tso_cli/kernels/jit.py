@@ -47,13 +47,8 @@ def kept(*functions: Any) -> bool:
     """Whether the machine code of all these :func:`compiled` functions is on disk, made from the sources as they are."""
     try:
         changed = max(source.stat().st_mtime for source in Path(__file__).parent.glob("*.py"))
-        return all(
-            any(
-                index.stat().st_mtime >= changed
-                for index in Path(function.stats.cache_path).glob(f"*.{function.__name__}-*.nbi")
-            )
-            for function in functions
-        )
+        found = (Path(function.stats.cache_path).glob(f"*.{function.__name__}-*.nbi") for function in functions)
+        return all(any(index.stat().st_mtime >= changed for index in indices) for indices in found)
     except (AttributeError, OSError, TypeError, ValueError):
         # none can be kept, or numba was told to compile nothing
         return False

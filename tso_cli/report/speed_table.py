@@ -179,7 +179,7 @@ def _training(records: Records) -> Section:
         for bare, whole in zip(found[::2], found[1::2], strict=True):
             speeds = [_digits(record["images_per_second"]) for record in (bare, whole)]
             rows.append([supervision, bare["precision"], *speeds, f"{100.0 * whole['added']:.0f} %"])
-    header = ["supervision", "precision", "bare network", "step", "added"]
+    header = ["supervision", "precision", "bare network, images/s", "step, images/s", "added"]
     return Section("training", "training: images a second", header, rows)
 
 
