@@ -10,7 +10,6 @@ import pytest
 
 from tso_cli.bench import start_up as measured
 from tso_cli.bench.start_up import start_up
-from tso_cli.cli import COMMANDS
 from tso_cli.errors import TsoError
 from tso_cli.files.shipped import examples_folder
 
