@@ -16,7 +16,7 @@ def command() -> None:
     A refinement of many points runs compiled loops where they are on disk. Where they are not, and compiling them would take
     longer than they save, it leaves the work to plain torch, and says so; training and batches of many clouds compile what they
     need. This takes some ten seconds. The machine code is kept beside the package, or in the user's cache folder
-    (NUMBA_CACHE_DIR, if set); a new version of tso, numba or Python needs it again.
+    (NUMBA_CACHE_DIR, if set); another version of tso, of the compiler or of Python needs it again.
     """
     begun = time.perf_counter()
     from ..refinement.run import compile_loops
