@@ -60,7 +60,7 @@ def test_the_command_of_the_readme_works_as_written(folder, capsys):
     assert "IoU" in captured.out
     refined, initial = read_cloud("initial.refined.ply").points, read_cloud("initial.ply").points
     assert refined.shape == initial.shape
-    assert 0.0 < np.abs(refined - initial).max() < 0.05
+    assert 0.0 < np.abs(refined - initial).max() < 0.1
 
 
 def test_json_is_one_document_with_everything_promised(folder, capsys):
@@ -342,19 +342,19 @@ def test_a_photo_turned_by_its_exif_note_says_the_same_as_one_stored_upright(fol
 
 
 def test_an_interrupt_writes_the_best_so_far(folder, capsys, monkeypatch):
-    from tso_cli.objective import MaskObjective
+    from tso_cli.objective import PullObjective
 
-    steps = iter(range(100))
-    true_call = MaskObjective.__call__
+    calls = iter(range(100))
+    true_call = PullObjective.__call__
 
-    def interrupted(self, moved):
-        if next(steps) == 7:
+    def interrupted(self, moved, reach):
+        if next(calls) == 8:  # one for the anchor, one for the start
             raise KeyboardInterrupt
-        return true_call(self, moved)
+        return true_call(self, moved, reach)
 
-    monkeypatch.setattr(MaskObjective, "__call__", interrupted)
+    monkeypatch.setattr(PullObjective, "__call__", interrupted)
     assert tso("refine", "initial.ply", "mask.png") == 130
-    assert "interrupted at step 6 of 50" in capsys.readouterr().err
+    assert "interrupted at step 6 of 90" in capsys.readouterr().err
     assert Path("initial.refined.ply").exists()
 
 

@@ -21,7 +21,7 @@ def _view(left: int = 25, side: int = 64) -> View:
 
 
 def _items(*sizes: int, views: int = 1) -> dict[int, batching.Item]:
-    config = RefineConfig()
+    config = RefineConfig(symmetry="none").settings()
     return {
         number: batching.Item.of(run.Cloud(RANDOM.uniform(-0.3, 0.3, (size, 3)), "points"), (_view(),) * views, config)
         for number, size in enumerate(sizes)

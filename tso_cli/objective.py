@@ -13,7 +13,8 @@ from torch import Tensor
 from .camera import Camera
 from .errors import InputError
 from .losses import PixelWeights, mask_loss
-from .projection import CameraBatch, coarsened, default_sigma_sq, project
+from .projection import CameraBatch, Projected, coarsened, default_sigma_sq, project
+from .pull import PullTarget, mask_pull
 from .resample import area_resize
 from .scene import View
 
@@ -68,8 +69,8 @@ def working_view(view: View, sigma_sq: float | None, centre: NDArray[np.float64]
     return WorkingView(mask, None if known is None else weight, camera.for_normalised(centre, scale), sigma_sq)
 
 
-class MaskObjective:
-    """Sum over views of the silhouette's binary cross-entropy (Eq. 4), for B clouds that are asked by views of their own.
+class _Views:
+    """V views of each of B clouds, one view of all clouds together.
 
     Parameters
     ----------
@@ -80,20 +81,49 @@ class MaskObjective:
 
     def __init__(self, views: Sequence[Sequence[WorkingView]], counts: Tensor, like: Tensor) -> None:
         self.views = [_Together.of(column, like) for column in zip(*views, strict=True)]
-        size = like.shape[1]
-        full = bool((counts == size).all())
-        self._there = None if full else (torch.arange(size) < counts.unsqueeze(1)).to(like.device).unsqueeze(1)  # [B, 1, N]
+        self.counts, size = counts, like.shape[1]
+        self.full = bool((counts == size).all())
+        self.there = (torch.arange(size) < counts.unsqueeze(1)).to(like.device)  # [B, N]
+
+    def projected(self, points: Tensor, view: _Together) -> Projected:
+        """Where ``points`` [B, N, 3] fall in that view, [B, N, 2] and [B, N]."""
+        points_px, valid = (found[:, 0] for found in project(points, view.cameras))
+        return Projected(points_px, valid if self.full else valid & self.there)
+
+
+class MaskObjective(_Views):
+    """Sum over views of the silhouette's binary cross-entropy (Eq. 4), for B clouds that are asked by views of their own."""
+
+    def __init__(self, views: Sequence[Sequence[WorkingView]], counts: Tensor, like: Tensor) -> None:
+        super().__init__(views, counts, like)
+        self._targets = [PixelWeights.of(view.mask, view.known) for view in self.views]
 
     def __call__(self, points: Tensor) -> Tensor:
         """The loss [B] of the clouds ``points`` [B, N, 3]; infinite where a view shows no point at all."""
         total = points.new_zeros(len(points))
-        for view in self.views:
-            projected = project(points, view.cameras)
-            if self._there is not None:
-                projected = projected._replace(valid=projected.valid & self._there)
-            points_px, valid = projected.points_px[:, 0], projected.valid[:, 0]
+        for view, target in zip(self.views, self._targets, strict=True):
+            points_px, valid = self.projected(points, view)
             # With no point to pull, the pixels that want one would ask for nothing: a cloud behind the camera would be perfect.
-            loss = mask_loss(points_px, valid, view.target, view.sigma_sq)
+            loss = mask_loss(points_px, valid, target, view.sigma_sq)
+            total = total + torch.where(valid.any(1), loss, torch.inf)
+        return total
+
+
+class PullObjective(_Views):
+    """Sum over views of :func:`tso_cli.pull.mask_pull`, for B clouds that are asked by views of their own."""
+
+    def __init__(self, views: Sequence[Sequence[WorkingView]], counts: Tensor, like: Tensor) -> None:
+        super().__init__(views, counts, like)
+        self._targets = [PullTarget.of(view.mask, view.known) for view in self.views]
+        self.pixels = torch.stack([target.pixels() for target in self._targets]).sum(0)
+        """[B] foreground pixels of all views, of images of 64."""
+
+    def __call__(self, points: Tensor, reach: float) -> Tensor:
+        """The loss [B] of the clouds ``points`` [B, N, 3]; infinite where a view shows no point at all."""
+        total = points.new_zeros(len(points))
+        for view, target in zip(self.views, self._targets, strict=True):
+            points_px, valid = self.projected(points, view)
+            loss = mask_pull(points_px, valid, target, reach, self.counts)
             total = total + torch.where(valid.any(1), loss, torch.inf)
         return total
 
@@ -102,7 +132,8 @@ class MaskObjective:
 class _Together:
     """One view of each of B clouds."""
 
-    target: PixelWeights  # [B, h, w]
+    mask: Tensor  # [B, h, w]
+    known: Tensor | None  # [B, h, w]
     cameras: CameraBatch  # [B, 1]
     sigma_sq: float
 
@@ -117,8 +148,5 @@ class _Together:
         known = None
         if any(view.known is not None for view in views):
             known = stacked([np.ones_like(view.mask) if view.known is None else view.known for view in views])
-        return cls(
-            PixelWeights.of(stacked([view.mask for view in views]), known),
-            CameraBatch.of([view.camera for view in views], like).one_each(),
-            first.sigma_sq,
-        )
+        cameras = CameraBatch.of([view.camera for view in views], like).one_each()
+        return cls(stacked([view.mask for view in views]), known, cameras, first.sigma_sq)

@@ -48,10 +48,24 @@ MODES = ("points", "encoder", "encoder-decoder")
     type=click.Choice(["view", "world"]),
     help="Axes of the cloud that a view-aligned network gives.  [default: view]",
 )
-@click.option("--preset", type=click.Choice(["paper"]), default="paper", show_default=True, help="What the defaults below are.")
-@click.option("--steps", type=click.IntRange(min=0), default=50, show_default=True, help="Adam steps; 0 writes the start.")
-@click.option("--learning-rate", type=float, help="[default: 5e-4 points, 1e-6 encoder, 5e-6 encoder-decoder]")
-@click.option("--gamma", type=float, help="Weight of the Chamfer distance to the start.  [default: 1e6; encoder 0]")
+@click.option(
+    "--preset",
+    type=click.Choice(["best", "paper"]),
+    default="best",
+    show_default=True,
+    help="What is done in points mode, and the defaults below.",
+)
+@click.option(
+    "--symmetry",
+    metavar="auto|none|x|y|z|a,b,c,d",
+    help="Mirror plane of the object: found, none, an axis of the cloud normal to a plane through its middle, or ax+by+cz=d.  "
+    "[default: auto; paper and encoder modes none]",
+)
+@click.option(
+    "--steps", type=click.IntRange(min=0), help="Steps; 0 writes the start.  [default: 90; paper and encoder modes 50]"
+)
+@click.option("--learning-rate", type=float, help="[default: 2e-2 points, 5e-4 paper, 1e-6 encoder, 5e-6 encoder-decoder]")
+@click.option("--gamma", type=float, help="Weight of the Chamfer distance to the start.  [default: 0; paper 1e6; encoder 0]")
 @click.option(
     "--sigma-sq",
     type=float,
@@ -76,7 +90,8 @@ def command(
     ignore_file: Path | None,
     frame: str | None,
     preset: str,
-    steps: int,
+    symmetry: str | None,
+    steps: int | None,
     learning_rate: float | None,
     gamma: float | None,
     sigma_sq: float | None,
@@ -120,7 +135,8 @@ def command(
     read = time.perf_counter() - started
     from ..refinement import RefineConfig, refine
 
-    config = RefineConfig(mode, steps, learning_rate, gamma, scene.sigma_sq if sigma_sq is None else sigma_sq, device, seed)
+    sigma_sq = scene.sigma_sq if sigma_sq is None else sigma_sq
+    config = RefineConfig(mode, steps, learning_rate, gamma, sigma_sq, device, seed, preset, symmetry)
     bar = options.ProgressBar("tso: refining")
     result = refine(
         None if scene.network else scene.points,
@@ -149,7 +165,7 @@ def command(
     if result.stop_reason == "non_finite":
         options.log(f"tso: warning: the loss was no number after step {result.steps}; the best before that was written")
     elif result.stop_reason == "interrupted":
-        options.log(f"tso: interrupted at step {result.steps} of {steps}; the best so far was written")
+        options.log(f"tso: interrupted at step {result.steps} of {config.settings().steps}; the best so far was written")
         ctx.exit(130)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,26 +11,39 @@ from numpy.typing import NDArray
 from ..errors import InputError
 
 MODES = ("points", "encoder", "encoder-decoder")
-# The paper's learning rates, and gamma: the encoder variant uses the silhouette alone.
+# The paper's steps, learning rates, and gamma: the encoder variant uses the silhouette alone.
+PAPER_STEPS = 50
 PAPER_LEARNING_RATE = {"points": 5e-4, "encoder": 1e-6, "encoder-decoder": 5e-6}
 PAPER_GAMMA = {"points": 1e6, "encoder": 0.0, "encoder-decoder": 1e6}
 
 Array = NDArray[np.float64]
 
 
+# The same of the preset "best".
+BEST_STEPS = 90
+BEST_LEARNING_RATE = {**PAPER_LEARNING_RATE, "points": 2e-2}
+BEST_GAMMA = {**PAPER_GAMMA, "points": 0.0}
+PRESETS = ("best", "paper")
+
+
 @dataclass(frozen=True)
 class RefineConfig:
-    """Settings of one refinement; the defaults are the paper's.
+    """Settings of one refinement. What is None is as the preset has it.
 
     Parameters
     ----------
     mode : "points" moves the points, "encoder" the encoder's weights, "encoder-decoder" all weights of the network.
-    steps : Adam steps; 0 returns the start.
-    learning_rate : None for the paper's 5e-4, 1e-6, 5e-6. In points mode it is stated for a cloud of longest side 1.
-    gamma : weight of the Chamfer distance to the start (longest side 1); None for the paper's 1e6, in encoder mode 0.
-    sigma_sq : variance of the projection's Gaussian, px^2 of the mask; None for 0.4 (max(W, H) / 64)^2.
+    steps : steps of the optimiser; 0 returns the start. Best 90, paper 50.
+    learning_rate : in points mode stated for a cloud of longest side 1. Best: how far the point that is pulled hardest moves in
+        one of the first steps, 0.02; network modes as in the paper. Paper: Adam's, 5e-4, 1e-6, 5e-6.
+    gamma : weight of the Chamfer distance to the start (longest side 1). Best 0 in points mode; paper 1e6, in encoder mode 0.
+    sigma_sq : variance of the projection's Gaussian, px^2 of the mask; None for 0.4 (max(W, H) / 64)^2. In points mode the
+        preset "best" uses it for judging the silhouette alone.
     device : "cpu", "cuda", "auto" or any name torch knows.
-    seed : recorded in the result; none of the three variants draws random numbers.
+    seed : recorded in the result; no variant draws random numbers.
+    preset : "best", or "paper": Eq. 7 with the paper's settings, exactly. They differ in points mode alone.
+    symmetry : "auto" (best) finds a mirror plane of the start and uses it if there is one; "none" (paper); "x", "y", "z", the
+        axis of the input normal to a plane through the middle of its bounding box; or "a,b,c,d", the plane ax + by + cz = d.
 
     Raises
     ------
@@ -38,24 +52,75 @@ class RefineConfig:
     """
 
     mode: str = "points"
-    steps: int = 50
+    steps: int | None = None
     learning_rate: float | None = None
     gamma: float | None = None
     sigma_sq: float | None = None
     device: str = "cpu"
     seed: int = 0
+    preset: str = "best"
+    symmetry: str | None = None
 
     def __post_init__(self) -> None:
-        if self.mode not in MODES:
-            raise InputError(f"mode is {self.mode!r}, expected one of {', '.join(MODES)}")
+        for name, known in (("mode", MODES), ("preset", PRESETS)):
+            if getattr(self, name) not in known:
+                raise InputError(f"{name} is {getattr(self, name)!r}, expected one of {', '.join(known)}")
         for name in ("steps", "seed"):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 0):
                 raise InputError(f"{name} is {value!r}, expected a whole number, 0 or more")
         for name, low, high in (("learning_rate", 0.0, 1e6), ("gamma", -1.0, 1e15), ("sigma_sq", 0.0, 1e9)):
             value = getattr(self, name)
             if value is not None and not (isinstance(value, (int, float)) and low < value <= high and value >= 0.0):
                 raise InputError(f"{name} is {value!r}, expected a number {'>= 0' if low else '> 0'}, at most {high:g}")
+        if self.symmetry is not None:
+            parse_symmetry(self.symmetry)
+
+    def settings(self) -> Settings:
+        """The same with the preset's values in place of None."""
+        best = self.preset == "best"
+        points = best and self.mode == "points"
+        rates, gammas = (BEST_LEARNING_RATE, BEST_GAMMA) if best else (PAPER_LEARNING_RATE, PAPER_GAMMA)
+        return Settings(
+            mode=self.mode,
+            preset=self.preset,
+            steps=(BEST_STEPS if points else PAPER_STEPS) if self.steps is None else self.steps,
+            learning_rate=rates[self.mode] if self.learning_rate is None else self.learning_rate,
+            gamma=gammas[self.mode] if self.gamma is None else self.gamma,
+            symmetry=("auto" if points else "none") if self.symmetry is None else self.symmetry,
+            sigma_sq=self.sigma_sq,
+            device=self.device,
+            seed=self.seed,
+        )
+
+
+@dataclass(frozen=True)
+class Settings:
+    """A :class:`RefineConfig` whose every value is known, but for ``sigma_sq``, whose default is the view's."""
+
+    mode: str
+    preset: str
+    steps: int
+    learning_rate: float
+    gamma: float
+    symmetry: str
+    sigma_sq: float | None
+    device: str
+    seed: int
+
+
+def parse_symmetry(text: str) -> str | tuple[float, float, float, float]:
+    """One of auto, none, x, y, z, or the four numbers of a,b,c,d; InputError for anything else."""
+    if text in ("auto", "none", "x", "y", "z"):
+        return text
+    expected = "expected auto, none, x, y, z or four numbers a,b,c,d of the plane ax + by + cz = d"
+    try:
+        a, b, c, d = (float(part) for part in text.split(","))
+    except (ValueError, AttributeError):
+        raise InputError(f"symmetry is {text!r}, {expected}") from None
+    if not math.isfinite(a + b + c + d) or a * a + b * b + c * c == 0.0:
+        raise InputError(f"symmetry is {text!r}, whose normal has no direction; {expected}")
+    return a, b, c, d
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +133,12 @@ class RefineResult:
     mode : which parameters moved.
     steps : steps done; best_step : the step that the result is from (0: the start was best).
     stop_reason : "max_steps", "interrupted" (Ctrl-C: the best so far is kept) or "non_finite" (the loss was no number).
-    losses : the objective at the start and after every step; loss_before, loss_after : of the start and of the result.
+    losses : the objective at the start and after every step. loss_before, loss_after : of the start and of the result. With the
+        preset "best" the objective changes twice on the way: these two are both by the last.
     iou_before, iou_after : silhouette > 0.5 against mask > 0.5 at the mask's own resolution, mean over views.
     chamfer_to_initial : squared distances, mean over points, both directions summed, for a cloud of longest side 1.
+    symmetry : a, b, c, d of the mirror plane ax + by + cz = d that was used, in the frame of the input, or None.
+    symmetry_reason : why, or why not.
     learning_rate, gamma, sigma_sq, device, seed : what was used; sigma_sq in px^2 of the first mask.
     seconds : wall time of each phase.
     """
@@ -87,6 +155,9 @@ class RefineResult:
     iou_before: float
     iou_after: float
     chamfer_to_initial: float
+    symmetry: tuple[float, float, float, float] | None
+    symmetry_reason: str
+    preset: str
     learning_rate: float
     gamma: float
     sigma_sq: float

@@ -10,10 +10,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ..adam import Adam
+from ..adam import Adam, UniformAdam
 from ..kernels.choice import whole_batches
 
 Progress = Callable[[int, int, float], None]
+Objective = Callable[[Tensor], Tensor]
 
 # On a GPU a step ends before its work is done. Reading waits for that work, so it is done every so many steps.
 STEPS_UNREAD = 10
@@ -28,29 +29,33 @@ class Descent:
     best : [B, N, 3], the iterate of each with the lowest loss; best_step : [B], the step it is from.
     losses : [steps + 1, B], at the start and after every step; NaN once a cloud or its loss was no finite number.
     interrupted : Ctrl-C ended it.
+    first_loss, best_loss : [B], of the start and of ``best``.
     """
 
     best: Tensor
     best_step: NDArray[np.int64]
     losses: NDArray[np.float64]
     interrupted: bool
+    first_loss: NDArray[np.float64]
+    best_loss: NDArray[np.float64]
 
 
 def descend(
     produce: Callable[[], Tensor],
     parameters: list[Tensor],
-    objective: Callable[[Tensor], Tensor],
+    objective: Objective,
     steps: int,
     learning_rate: float,
     progress: Progress | None = None,
+    optimiser_of: Callable[[list[Tensor], float], Adam | UniformAdam] = Adam,
 ) -> Descent:
-    """Adam on ``parameters``.
+    """Gradient steps on ``parameters``.
 
     Parameters
     ----------
     produce : gives the clouds [B, N, 3] as the parameters have them.
     objective : gives their losses [B]. What moves one cloud must not show in the loss of another.
-    steps : Adam steps; it ends earlier when no cloud is left that is finite and has a finite loss.
+    steps : at most so many; it ends earlier when no cloud is left that is finite and has a finite loss.
     progress : called after every step with (step, steps, mean loss of the clouds that have one).
 
     Raises
@@ -58,7 +63,7 @@ def descend(
     KeyboardInterrupt
         Before the loss of the start is known; later it ends the loop.
     """
-    optimiser = Adam(parameters, learning_rate)
+    optimiser = optimiser_of(parameters, learning_rate)
     best = produce().detach().clone()
     lowest = torch.full((len(best),), torch.inf, dtype=torch.float64, device=best.device)
     alive = torch.ones_like(lowest, dtype=torch.bool)
@@ -91,4 +96,5 @@ def descend(
         if not losses:
             raise
         interrupted = True
-    return Descent(best, best_step.cpu().numpy(), torch.stack(losses).cpu().numpy(), interrupted)
+    told_losses = torch.stack(losses).cpu().numpy()
+    return Descent(best, best_step.cpu().numpy(), told_losses, interrupted, told_losses[0], lowest.cpu().numpy())

@@ -19,11 +19,12 @@ from ..errors import InputError, TsoError
 from ..kernels.choice import planned
 from ..losses import ChamferToInitial
 from ..metrics import iou
-from ..objective import MaskObjective
+from ..objective import MaskObjective, PullObjective
 from ..projection import default_sigma_sq, silhouettes_of
 from ..scene import View
 from .batching import Item, batches_of, parts_of
-from .config import PAPER_GAMMA, PAPER_LEARNING_RATE, RefineConfig, RefineResult
+from .best import descend_in_stages
+from .config import RefineConfig, RefineResult, Settings
 from .loop import Descent, Progress, descend
 from .starts import Cloud, NetworkStart, PointsStart
 from .views import as_views
@@ -73,23 +74,23 @@ def refine(
     TsoError
         The loss of the start, or after the first step, is not a finite number.
     """
-    config = config or RefineConfig()
+    settings = (config or RefineConfig()).settings()
     seconds: dict[str, float] = {}
     views = as_views(masks, cameras)
-    device = devices.resolve(config.device)
+    device = devices.resolve(settings.device)
     with _timed(seconds, "prepare"):
         start: PointsStart | NetworkStart
-        if config.mode == "points":
+        if settings.mode == "points":
             if points is None:
                 raise InputError("mode points needs points, found none")
             cloud = Cloud(points, "points")
             start = PointsStart([cloud], device)
         else:
-            start = NetworkStart(network, image, config.mode, device)
+            start = NetworkStart(network, image, settings.mode, device)
             cloud = start.cloud
-        item = Item.of(cloud, views, config)
-    with _planned([item], config):
-        (found,) = _refined([item], start, config, seconds, progress)
+        item = Item.of(cloud, views, settings)
+    with _planned([item], settings):
+        (found,) = _refined([item], start, settings, seconds, progress)
     if isinstance(found, TsoError):
         raise found
     return found
@@ -121,23 +122,23 @@ def refine_batch(
     InputError
         The mode is not "points", the device is not there, or ``scenes`` are none.
     """
-    config = config or RefineConfig()
+    settings = (config or RefineConfig()).settings()
     if not isinstance(scenes, Iterable):
         raise InputError(f"scenes is {scenes!r}, expected a sequence of (points, views)")
     scenes = list(scenes)
-    if config.mode != "points":
-        raise InputError(f"mode is {config.mode!r}, expected points for a batch")
-    device = devices.resolve(config.device)
+    if settings.mode != "points":
+        raise InputError(f"mode is {settings.mode!r}, expected points for a batch")
+    device = devices.resolve(settings.device)
     found: list[RefineResult | TsoError | None] = [None] * len(scenes)
     items: dict[int, Item] = {}
     for number, scene in enumerate(scenes):
         try:
             points, masks = parts_of(scene, number)
-            items[number] = Item.of(Cloud(points, f"points of scene {number}"), as_views(masks), config)
+            items[number] = Item.of(Cloud(points, f"points of scene {number}"), as_views(masks), settings)
         except TsoError as error:
             found[number] = error
     batches = batches_of(items)
-    done, total, interrupted = 0, len(batches) * config.steps, False
+    done, total, interrupted = 0, len(batches) * settings.steps, False
     for batch in batches:
         seconds: dict[str, float] = {}
 
@@ -148,19 +149,19 @@ def refine_batch(
         own = [items[number] for number in batch]
         with _timed(seconds, "prepare"):
             start = PointsStart([item.cloud for item in own], device)
-        with _planned(list(items.values()), config):
-            results = _refined(own, start, config, seconds, told if progress else None, at_start=interrupted)
+        with _planned(list(items.values()), settings):
+            results = _refined(own, start, settings, seconds, told if progress else None, at_start=interrupted)
         for number, result in zip(batch, results, strict=True):
             found[number] = result
             interrupted |= isinstance(result, RefineResult) and result.stop_reason == "interrupted"
-        done += config.steps
+        done += settings.steps
     return [result for result in found if result is not None]
 
 
-def _planned(items: list[Item], config: RefineConfig) -> AbstractContextManager[None]:
+def _planned(items: list[Item], settings: Settings) -> AbstractContextManager[None]:
     """All the work on the items, for :func:`tso_cli.kernels.choice.planned`."""
-    drawn = config.steps * sum(len(item.views) * len(item.cloud.initial) for item in items)
-    return planned(config.steps * sum(len(item.views) for item in items), drawn)
+    drawn = settings.steps * sum(len(item.working) * len(item.cloud.initial) for item in items)
+    return planned(settings.steps * sum(len(item.working) for item in items), drawn)
 
 
 def compile_loops() -> None:
@@ -169,46 +170,55 @@ def compile_loops() -> None:
     mask[20:44, 20:44] = 1.0
     much = 1 << 60
     with planned(much, much):
-        refine(np.random.default_rng(0).uniform(-0.3, 0.3, (64, 3)), mask, config=RefineConfig(steps=1))
+        refine(np.random.default_rng(0).uniform(-0.3, 0.3, (64, 3)), mask, config=RefineConfig(steps=1, preset="paper"))
 
 
 def _refined(
     items: list[Item],
     start: PointsStart | NetworkStart,
-    config: RefineConfig,
+    settings: Settings,
     seconds: dict[str, float],
     progress: Progress | None,
     at_start: bool = False,
 ) -> list[RefineResult | TsoError]:
     """The loop, and the results of all items; ``at_start``: Ctrl-C came before it, and nothing moves."""
-    with _timed(seconds, "prepare"):
+    staged = settings.preset == "best" and settings.mode == "points"
+    small = int(start.counts.sum()) <= SMALL_CLOUD
+    one_thread = small and isinstance(start, PointsStart)
+    with _timed(seconds, "prepare"), devices.one_thread(one_thread):
         first = start.produce().detach().clone()
-        mask_term = MaskObjective([item.working for item in items], start.counts, first)
         chamfer = ChamferToInitial(first, start.counts)
-    gamma = PAPER_GAMMA[config.mode] if config.gamma is None else config.gamma
-    learning_rate = config.learning_rate or PAPER_LEARNING_RATE[config.mode]
+        views = [item.working for item in items]
+        mask_term = (PullObjective if staged else MaskObjective)(views, start.counts, first)
+
+    def held(moved: Tensor) -> Tensor:
+        return settings.gamma * chamfer(moved)
 
     def objective(moved: Tensor) -> Tensor:
+        assert isinstance(mask_term, MaskObjective)
         loss = mask_term(moved)
-        return loss + gamma * chamfer(moved) if gamma else loss
+        return loss + held(moved) if settings.gamma else loss
 
-    small = first[..., 0].numel() <= SMALL_CLOUD
-    with _timed(seconds, "optimise"), devices.one_thread(small and isinstance(start, PointsStart)):
-        steps = 0 if at_start else config.steps
-        descent = descend(start.produce, start.parameters, objective, steps, learning_rate, None if at_start else progress)
+    steps, told = (0, None) if at_start else (settings.steps, progress)
+    with _timed(seconds, "optimise"), devices.one_thread(one_thread):
+        if isinstance(mask_term, PullObjective):
+            further = held if settings.gamma else None
+            descent = descend_in_stages(first, start.counts, mask_term, further, steps, settings.learning_rate, told)
+        else:
+            descent = descend(start.produce, start.parameters, objective, steps, settings.learning_rate, told)
         descent = replace(descent, interrupted=descent.interrupted or at_start)
     with _timed(seconds, "judge"), devices.one_thread(small):
         moved_by = chamfer(descent.best).tolist()
         offsets = (descent.best.double() - first.double()).cpu().numpy()
-        judged = _judged(items, offsets, config, first.device)
+        judged = _judged(items, offsets, settings, first.device)
     seconds = {phase: value / len(items) for phase, value in seconds.items()}
     return [
-        _result(item, descent, number, own, moved_by[number], first.device, config, learning_rate, gamma, seconds)
+        _result(item, descent, number, own, moved_by[number], first.device, settings, seconds)
         for number, (item, own) in enumerate(zip(items, judged, strict=True))
     ]
 
 
-def _judged(items: list[Item], offsets: Array, config: RefineConfig, device: torch.device) -> list[tuple[Array, float, float]]:
+def _judged(items: list[Item], offsets: Array, settings: Settings, device: torch.device) -> list[tuple[Array, float, float]]:
     """The refined points of each item, and its IoU before and after, mean over views. ``offsets`` [B, N, 3] are normalised."""
     before = [item.cloud.initial for item in items]
     # What did not move keeps every bit of the input.
@@ -225,7 +235,7 @@ def _judged(items: list[Item], offsets: Array, config: RefineConfig, device: tor
         size = max(1, PIXELS_AT_ONCE // (width * height))
         for part in (group[i : i + size] for i in range(0, len(group), size)):
             cameras = [view.camera for _, view in part]
-            seen = [silhouettes_of([c[n] for n, _ in part], cameras, config.sigma_sq, device) for c in (before, after)]
+            seen = [silhouettes_of([c[n] for n, _ in part], cameras, settings.sigma_sq, device) for c in (before, after)]
             for (number, view), *both in zip(part, *seen, strict=True):
                 first, last = (iou(silhouette, view.mask, view.known) for silhouette in both)
                 scores[number].append((first, last))
@@ -239,9 +249,7 @@ def _result(
     judged: tuple[Array, float, float],
     moved_by: float,
     device: torch.device,
-    config: RefineConfig,
-    learning_rate: float,
-    gamma: float,
+    settings: Settings,
     seconds: dict[str, float],
 ) -> RefineResult | TsoError:
     losses = descent.losses[:, number]
@@ -256,21 +264,24 @@ def _result(
     return RefineResult(
         points=points,
         initial=item.cloud.initial,
-        mode=config.mode,
+        mode=settings.mode,
         steps=steps,
         best_step=int(descent.best_step[number]),
         stop_reason="non_finite" if not finite.all() else "interrupted" if descent.interrupted else "max_steps",
         losses=losses[finite].tolist(),
-        loss_before=float(losses[0]),
-        loss_after=float(losses[descent.best_step[number]]),
+        loss_before=float(descent.first_loss[number]),
+        loss_after=float(descent.best_loss[number]),
         iou_before=before,
         iou_after=after,
         chamfer_to_initial=moved_by,
-        learning_rate=learning_rate,
-        gamma=gamma,
-        sigma_sq=config.sigma_sq or default_sigma_sq(first_camera.width, first_camera.height),
+        symmetry=None if item.plane is None else (*item.plane.normal.tolist(), item.plane.offset),
+        symmetry_reason=item.symmetry_reason,
+        preset=settings.preset,
+        learning_rate=settings.learning_rate,
+        gamma=settings.gamma,
+        sigma_sq=settings.sigma_sq or default_sigma_sq(first_camera.width, first_camera.height),
         device=str(device),
-        seed=config.seed,
+        seed=settings.seed,
         seconds=seconds,
     )
 
