@@ -70,6 +70,7 @@ class RefineResult:
     stop_reason : "max_steps", "interrupted" (Ctrl-C: the best so far is kept) or "non_finite" (the loss was no number).
     losses : the objective at the start and after every step; loss_before, loss_after : of the start and of the result.
     iou_before, iou_after : silhouette > 0.5 against mask > 0.5 at the mask's own resolution, mean over views.
+    view_ious : the two of each view. view_weights : of its loss in the objective, 1 unless the other views contradict it.
     chamfer_to_initial : squared distances, mean over points, both directions summed, for a cloud of longest side 1.
     learning_rate, gamma, sigma_sq, device, seed : what was used; sigma_sq in px^2 of the first mask.
     seconds : wall time of each phase.
@@ -86,6 +87,8 @@ class RefineResult:
     loss_after: float
     iou_before: float
     iou_after: float
+    view_ious: list[tuple[float, float]]
+    view_weights: list[float]
     chamfer_to_initial: float
     learning_rate: float
     gamma: float

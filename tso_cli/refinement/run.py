@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from ..network import BaseNetwork
 
 Array = NDArray[np.float64]
+Pairs = list[tuple[float, float]]
 
 # Clouds up to this size are moved by one CPU thread.
 SMALL_CLOUD = 8192
@@ -184,6 +185,7 @@ def _refined(
     with _timed(seconds, "prepare"):
         first = start.produce().detach().clone()
         mask_term = MaskObjective([item.working for item in items], start.counts, first)
+        mask_term.weigh(first)
         chamfer = ChamferToInitial(first, start.counts)
     gamma = PAPER_GAMMA[config.mode] if config.gamma is None else config.gamma
     learning_rate = config.learning_rate or PAPER_LEARNING_RATE[config.mode]
@@ -201,42 +203,46 @@ def _refined(
         moved_by = chamfer(descent.best).tolist()
         offsets = (descent.best.double() - first.double()).cpu().numpy()
         judged = _judged(items, offsets, config, first.device)
+        weights = mask_term.weights.tolist()
     seconds = {phase: value / len(items) for phase, value in seconds.items()}
     return [
-        _result(item, descent, number, own, moved_by[number], first.device, config, learning_rate, gamma, seconds)
+        _result(
+            item, descent, number, own, weights[number], moved_by[number], first.device, config, learning_rate, gamma, seconds
+        )
         for number, (item, own) in enumerate(zip(items, judged, strict=True))
     ]
 
 
-def _judged(items: list[Item], offsets: Array, config: RefineConfig, device: torch.device) -> list[tuple[Array, float, float]]:
-    """The refined points of each item, and its IoU before and after, mean over views. ``offsets`` [B, N, 3] are normalised."""
+def _judged(items: list[Item], offsets: Array, config: RefineConfig, device: torch.device) -> list[tuple[Array, Pairs]]:
+    """The refined points of each item, and the IoU of its views before and after. ``offsets`` [B, N, 3] are normalised."""
     before = [item.cloud.initial for item in items]
     # What did not move keeps every bit of the input.
     after: list[Array] = [
         item.cloud.initial + item.cloud.scale * offset[: len(item.cloud.initial)]
         for item, offset in zip(items, offsets, strict=True)
     ]
-    groups: dict[Any, list[tuple[int, View]]] = {}
+    groups: dict[Any, list[tuple[int, int, View]]] = {}
     for number, item in enumerate(items):
-        for view in item.views:
-            groups.setdefault((view.camera.width, view.camera.height, view.camera.model), []).append((number, view))
-    scores: list[list[tuple[float, float]]] = [[] for _ in items]
+        for index, view in enumerate(item.views):
+            groups.setdefault((view.camera.width, view.camera.height, view.camera.model), []).append((number, index, view))
+    scores: list[Pairs] = [[(0.0, 0.0)] * len(item.views) for item in items]
     for (width, height, _), group in groups.items():
         size = max(1, PIXELS_AT_ONCE // (width * height))
         for part in (group[i : i + size] for i in range(0, len(group), size)):
-            cameras = [view.camera for _, view in part]
-            seen = [silhouettes_of([c[n] for n, _ in part], cameras, config.sigma_sq, device) for c in (before, after)]
-            for (number, view), *both in zip(part, *seen, strict=True):
+            cameras = [view.camera for *_, view in part]
+            seen = [silhouettes_of([c[n] for n, *_ in part], cameras, config.sigma_sq, device) for c in (before, after)]
+            for (number, index, view), *both in zip(part, *seen, strict=True):
                 first, last = (iou(silhouette, view.mask, view.known) for silhouette in both)
-                scores[number].append((first, last))
-    return [(points, *np.mean(own, 0).tolist()) for points, own in zip(after, scores, strict=True)]
+                scores[number][index] = (first, last)
+    return list(zip(after, scores, strict=True))
 
 
 def _result(
     item: Item,
     descent: Descent,
     number: int,
-    judged: tuple[Array, float, float],
+    judged: tuple[Array, Pairs],
+    weights: list[float],
     moved_by: float,
     device: torch.device,
     config: RefineConfig,
@@ -251,7 +257,8 @@ def _result(
         return TsoError("the loss of the start is no finite number")
     if steps == 0 and not finite.all():
         return TsoError("the loss is no finite number after the first step (a smaller learning rate?)")
-    points, before, after = judged
+    points, ious = judged
+    before, after = np.mean(ious, 0).tolist()
     first_camera = item.views[0].camera
     return RefineResult(
         points=points,
@@ -265,6 +272,8 @@ def _result(
         loss_after=float(losses[descent.best_step[number]]),
         iou_before=before,
         iou_after=after,
+        view_ious=ious,
+        view_weights=weights,
         chamfer_to_initial=moved_by,
         learning_rate=learning_rate,
         gamma=gamma,
