@@ -22,6 +22,7 @@ from ..metrics import iou
 from ..objective import MaskObjective, PullObjective
 from ..projection import default_sigma_sq, silhouettes_of
 from ..scene import View
+from ..weighting import weigh
 from .batching import Item, batches_of, parts_of
 from .best import descend_in_stages
 from .config import RefineConfig, RefineResult, Settings
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from ..network import BaseNetwork
 
 Array = NDArray[np.float64]
+Pairs = list[tuple[float, float]]
 
 # Clouds up to this size are moved by one CPU thread.
 SMALL_CLOUD = 8192
@@ -189,7 +191,12 @@ def _refined(
         first = start.produce().detach().clone()
         chamfer = ChamferToInitial(first, start.counts)
         views = [item.working for item in items]
-        mask_term = (PullObjective if staged else MaskObjective)(views, start.counts, first)
+        weights = torch.ones(len(items), len(items[0].views), dtype=torch.float64)
+        if settings.preset == "best":
+            weights = weigh([item.working[: len(item.views)] for item in items], start.counts, first)
+        # What the mirror image shows is worth what its picture is.
+        every = weights.repeat(1, len(views[0]) // weights.shape[1])
+        mask_term = (PullObjective if staged else MaskObjective)(views, start.counts, first, every)
 
     def held(moved: Tensor) -> Tensor:
         return settings.gamma * chamfer(moved)
@@ -213,40 +220,41 @@ def _refined(
         judged = _judged(items, offsets, settings, first.device)
     seconds = {phase: value / len(items) for phase, value in seconds.items()}
     return [
-        _result(item, descent, number, own, moved_by[number], first.device, settings, seconds)
+        _result(item, descent, number, own, weights[number].tolist(), moved_by[number], first.device, settings, seconds)
         for number, (item, own) in enumerate(zip(items, judged, strict=True))
     ]
 
 
-def _judged(items: list[Item], offsets: Array, settings: Settings, device: torch.device) -> list[tuple[Array, float, float]]:
-    """The refined points of each item, and its IoU before and after, mean over views. ``offsets`` [B, N, 3] are normalised."""
+def _judged(items: list[Item], offsets: Array, settings: Settings, device: torch.device) -> list[tuple[Array, Pairs]]:
+    """The refined points of each item, and the IoU of its views before and after. ``offsets`` [B, N, 3] are normalised."""
     before = [item.cloud.initial for item in items]
     # What did not move keeps every bit of the input.
     after: list[Array] = [
         item.cloud.initial + item.cloud.scale * offset[: len(item.cloud.initial)]
         for item, offset in zip(items, offsets, strict=True)
     ]
-    groups: dict[Any, list[tuple[int, View]]] = {}
+    groups: dict[Any, list[tuple[int, int, View]]] = {}
     for number, item in enumerate(items):
-        for view in item.views:
-            groups.setdefault((view.camera.width, view.camera.height, view.camera.model), []).append((number, view))
-    scores: list[list[tuple[float, float]]] = [[] for _ in items]
+        for index, view in enumerate(item.views):
+            groups.setdefault((view.camera.width, view.camera.height, view.camera.model), []).append((number, index, view))
+    scores: list[Pairs] = [[(0.0, 0.0)] * len(item.views) for item in items]
     for (width, height, _), group in groups.items():
         size = max(1, PIXELS_AT_ONCE // (width * height))
         for part in (group[i : i + size] for i in range(0, len(group), size)):
-            cameras = [view.camera for _, view in part]
-            seen = [silhouettes_of([c[n] for n, _ in part], cameras, settings.sigma_sq, device) for c in (before, after)]
-            for (number, view), *both in zip(part, *seen, strict=True):
+            cameras = [view.camera for *_, view in part]
+            seen = [silhouettes_of([c[n] for n, *_ in part], cameras, settings.sigma_sq, device) for c in (before, after)]
+            for (number, index, view), *both in zip(part, *seen, strict=True):
                 first, last = (iou(silhouette, view.mask, view.known) for silhouette in both)
-                scores[number].append((first, last))
-    return [(points, *np.mean(own, 0).tolist()) for points, own in zip(after, scores, strict=True)]
+                scores[number][index] = (first, last)
+    return list(zip(after, scores, strict=True))
 
 
 def _result(
     item: Item,
     descent: Descent,
     number: int,
-    judged: tuple[Array, float, float],
+    judged: tuple[Array, Pairs],
+    weights: list[float],
     moved_by: float,
     device: torch.device,
     settings: Settings,
@@ -259,7 +267,8 @@ def _result(
         return TsoError("the loss of the start is no finite number")
     if steps == 0 and not finite.all():
         return TsoError("the loss is no finite number after the first step (a smaller learning rate?)")
-    points, before, after = judged
+    points, ious = judged
+    before, after = np.mean(ious, 0).tolist()
     first_camera = item.views[0].camera
     return RefineResult(
         points=points,
@@ -273,6 +282,8 @@ def _result(
         loss_after=float(descent.best_loss[number]),
         iou_before=before,
         iou_after=after,
+        view_ious=ious,
+        view_weights=weights,
         chamfer_to_initial=moved_by,
         symmetry=None if item.plane is None else (*item.plane.normal.tolist(), item.plane.offset),
         symmetry_reason=item.symmetry_reason,
