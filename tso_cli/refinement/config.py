@@ -9,10 +9,14 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 
-MODES = ("points", "encoder", "encoder-decoder")
-# The paper's learning rates, and gamma: the encoder variant uses the silhouette alone.
-PAPER_LEARNING_RATE = {"points": 5e-4, "encoder": 1e-6, "encoder-decoder": 5e-6}
-PAPER_GAMMA = {"points": 1e6, "encoder": 0.0, "encoder-decoder": 1e6}
+MODES = ("points", "encoder", "encoder-decoder", "latent")
+# The paper's learning rates, and gamma: the encoder variant uses the silhouette alone. It has no latent variant: ours.
+PAPER_LEARNING_RATE = {"points": 5e-4, "encoder": 1e-6, "encoder-decoder": 5e-6, "latent": 1e-3}
+PAPER_GAMMA = {"points": 1e6, "encoder": 0.0, "encoder-decoder": 1e6, "latent": 1e6}
+# Of the variants through a network, chosen on validation shapes (docs/method.md).
+BEST_LEARNING_RATE = {"encoder": 1e-5, "encoder-decoder": 3e-5, "latent": 1e-3}
+BEST_GAMMA = {"encoder": 1e6, "encoder-decoder": 1e6, "latent": 1e6}
+BEST_STEPS = {"encoder": 20, "encoder-decoder": 20, "latent": 30}
 
 Array = NDArray[np.float64]
 
@@ -23,13 +27,15 @@ class RefineConfig:
 
     Parameters
     ----------
-    mode : "points" moves the points, "encoder" the encoder's weights, "encoder-decoder" all weights of the network.
+    mode : "points" moves the points, "encoder" the encoder's weights, "encoder-decoder" all weights of the network, "latent"
+        the 128 numbers between encoder and decoder.
     steps : Adam steps; 0 returns the start.
-    learning_rate : None for the paper's 5e-4, 1e-6, 5e-6. In points mode it is stated for a cloud of longest side 1.
+    learning_rate : None for the paper's 5e-4, 1e-6, 5e-6 (latent: 1e-3). In points mode it is stated for a cloud of longest
+        side 1.
     gamma : weight of the Chamfer distance to the start (longest side 1); None for the paper's 1e6, in encoder mode 0.
     sigma_sq : variance of the projection's Gaussian, px^2 of the mask; None for 0.4 (max(W, H) / 64)^2.
     device : "cpu", "cuda", "auto" or any name torch knows.
-    seed : recorded in the result; none of the three variants draws random numbers.
+    seed : recorded in the result; none of the variants draws random numbers.
 
     Raises
     ------

@@ -33,8 +33,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Clouds up to this size are moved by one CPU thread.
+# Clouds up to this size are moved by one CPU thread, where no picture is looked at on the way.
 SMALL_CLOUD = 8192
+LIGHT = ("points", "latent")
 # Silhouettes judged at once hold no more pixels than this together; bounds memory.
 PIXELS_AT_ONCE = 1 << 22
 
@@ -58,7 +59,7 @@ def refine(
         and ignore map.
     cameras : one for each mask; None for the canonical camera.
     config : settings, by default the paper's.
-    network : for the modes "encoder" and "encoder-decoder"; it is copied, never changed.
+    network : for the modes "encoder", "encoder-decoder" and "latent"; it is copied, never changed.
     image : [3, 64, 64] network input in [0, 1], array or tensor.
     progress : called after every step with (step, steps, loss).
 
@@ -193,7 +194,7 @@ def _refined(
         return loss + gamma * chamfer(moved) if gamma else loss
 
     small = first[..., 0].numel() <= SMALL_CLOUD
-    with _timed(seconds, "optimise"), devices.one_thread(small and isinstance(start, PointsStart)):
+    with _timed(seconds, "optimise"), devices.one_thread(small and config.mode in LIGHT):
         steps = 0 if at_start else config.steps
         descent = descend(start.produce, start.parameters, objective, steps, learning_rate, None if at_start else progress)
         descent = replace(descent, interrupted=descent.interrupted or at_start)
