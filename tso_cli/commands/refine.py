@@ -50,7 +50,7 @@ MODES = ("points", "encoder", "encoder-decoder", "latent")
 )
 @click.option("--preset", type=click.Choice(["paper"]), default="paper", show_default=True, help="What the defaults below are.")
 @click.option("--steps", type=click.IntRange(min=0), default=50, show_default=True, help="Adam steps; 0 writes the start.")
-@click.option("--learning-rate", type=float, help="[default: 5e-4 points, 1e-6 encoder, 5e-6 encoder-decoder, 1e-3 latent]")
+@click.option("--learning-rate", type=float, help="[default: 5e-4 points, 1e-6 encoder, 5e-6 encoder-decoder]")
 @click.option("--gamma", type=float, help="Weight of the Chamfer distance to the start.  [default: 1e6; encoder 0]")
 @click.option(
     "--sigma-sq",
@@ -92,10 +92,9 @@ def command(
     tso refine --mode points CLOUD MASK
     tso refine --mode encoder IMAGE MASK [--checkpoint FILE]
     tso refine --mode encoder-decoder IMAGE MASK [--checkpoint FILE]
-    tso refine --mode latent IMAGE MASK [--checkpoint FILE]
 
     The cloud that comes out is the file that went in with other coordinates: order, precision, colours, faces and every
-    other attribute stay. None of the variants draws random numbers; the seed is only recorded.
+    other attribute stay. None of the three variants draws random numbers; the seed is only recorded.
     """
     started = time.perf_counter()
     _refuse_mixed_up(mode, source, checkpoint, frame)
@@ -159,7 +158,7 @@ def _refuse_mixed_up(mode: str, source: Path, checkpoint: Path | None, frame: st
         return
     if checkpoint is not None:
         raise InputError(
-            f"--mode points moves a cloud, found --checkpoint {checkpoint}; expected --mode encoder, encoder-decoder or latent"
+            f"--mode points moves a cloud, found --checkpoint {checkpoint}; expected --mode encoder or encoder-decoder"
         )
     if source.suffix.lower() == ".safetensors":
         raise InputError(
