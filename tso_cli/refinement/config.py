@@ -14,9 +14,9 @@ MODES = ("points", "encoder", "encoder-decoder", "latent")
 PAPER_LEARNING_RATE = {"points": 5e-4, "encoder": 1e-6, "encoder-decoder": 5e-6, "latent": 1e-3}
 PAPER_GAMMA = {"points": 1e6, "encoder": 0.0, "encoder-decoder": 1e6, "latent": 1e6}
 # Of the variants through a network, chosen on validation shapes (docs/method.md).
-BEST_LEARNING_RATE = {"encoder": 1e-5, "encoder-decoder": 3e-5, "latent": 1e-3}
+BEST_LEARNING_RATE = {"encoder": 3e-5, "encoder-decoder": 3e-5, "latent": 1e-3}
 BEST_GAMMA = {"encoder": 1e6, "encoder-decoder": 1e6, "latent": 1e6}
-BEST_STEPS = {"encoder": 20, "encoder-decoder": 20, "latent": 30}
+BEST_STEPS = {"encoder": 12, "encoder-decoder": 12, "latent": 30}
 
 Array = NDArray[np.float64]
 
