@@ -319,7 +319,7 @@ def test_a_view_that_the_others_contradict_is_discounted_and_named(views, capsys
     assert weights[1] < 0.2 < 0.8 < min(weights[0], weights[2])
 
 
-@pytest.mark.parametrize("mode", ["encoder", "encoder-decoder"])
+@pytest.mark.parametrize("mode", ["encoder", "encoder-decoder", "latent"])
 def test_the_network_modes_refine_the_networks_cloud(mode, folder, checkpoint, capsys):
     assert tso("refine", "--mode", mode, "image.png", "mask.png", "--checkpoint", checkpoint, "--json", "--steps", "5") == 0
     document = _json(capsys)
@@ -341,7 +341,7 @@ def shipped(tmp_path, checkpoint, monkeypatch):
     return weights / "default.safetensors"
 
 
-@pytest.mark.parametrize("mode", ["encoder", "encoder-decoder"])
+@pytest.mark.parametrize("mode", ["encoder", "encoder-decoder", "latent"])
 def test_without_a_checkpoint_the_shipped_one_refines_and_is_named(mode, folder, checkpoint, shipped, capsys):
     common = ("refine", "--mode", mode, "image.png", "mask.png", "--steps", "2")
     assert tso(*common, "-o", "a.ply", "--json") == 0
@@ -397,10 +397,11 @@ def test_the_shipped_network_is_small_view_aligned_and_refines_the_examples(fold
     assert {tensor.dtype for tensor in load_file(SHIPPED).values()} == {torch.float16}
     config, _ = read_metadata(SHIPPED)
     assert (config.frame, config.points) == ("view", 1024)
-    assert tso("refine", "--mode", "encoder-decoder", "image.png", "mask.png", "--steps", "10", "--json") == 0
-    document = _json(capsys)
-    assert document["points"] == 1024
-    assert document["iou_after"] > document["iou_before"] > 0.3
+    for mode in ("encoder-decoder", "latent"):
+        assert tso("refine", "--mode", mode, "image.png", "mask.png", "--steps", "10", "--json", "--overwrite") == 0
+        document = _json(capsys)
+        assert document["points"] == 1024
+        assert document["iou_after"] > document["iou_before"] > 0.3
 
 
 def test_a_view_aligned_cloud_can_be_had_in_world_coordinates(folder, checkpoint, capsys):

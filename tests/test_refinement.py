@@ -16,9 +16,10 @@ from tso_cli.files.cameras import read_camera
 from tso_cli.files.clouds import read_cloud
 from tso_cli.files.images import read_mask
 from tso_cli.losses import chamfer
-from tso_cli.network import build_network
+from tso_cli.network import Encoder, build_network
 from tso_cli.objective import MaskObjective
 from tso_cli.refinement import PRESETS, RefineConfig, loop, refine, refine_batch, run
+from tso_cli.refinement.starts import NetworkStart
 from tso_cli.scene import View
 
 PAPER = RefineConfig(preset="paper")
@@ -217,10 +218,17 @@ def test_an_orthographic_camera_refines_too(chair):
     assert result.loss_after < result.loss_before
 
 
-@pytest.mark.parametrize("mode", ["encoder", "encoder-decoder"])
-def test_a_network_mode_moves_only_its_own_weights_and_leaves_the_network_as_it_was(mode, monkeypatch):
-    torch.manual_seed(0)
-    network = build_network(points=64)
+@pytest.fixture
+def photo():
+    """A small network, a picture for it and a mask."""
+    mask = np.zeros((64, 64), np.float32)
+    mask[22:42, 25:40] = 1.0
+    return build_network(points=64), torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0)), mask
+
+
+@pytest.mark.parametrize("mode", ["encoder", "encoder-decoder", "latent"])
+def test_a_network_mode_moves_only_its_own_numbers_and_leaves_the_network_as_it_was(mode, photo, monkeypatch):
+    network, image, mask = photo
     before = {name: value.clone() for name, value in network.state_dict().items()}
     seen = {}
     true_descend = run.descend
@@ -230,16 +238,50 @@ def test_a_network_mode_moves_only_its_own_weights_and_leaves_the_network_as_it_
         return true_descend(produce, parameters, *rest)
 
     monkeypatch.setattr(run, "descend", spy)
-    mask = np.zeros((64, 64), np.float32)
-    mask[22:42, 25:40] = 1.0
-    image = torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0))
-    result = refine(None, mask, config=RefineConfig(mode, steps=3), network=network, image=image)
+    result = refine(None, mask, config=RefineConfig(mode, steps=3, preset="paper"), network=network, image=image)
     assert result.loss_after < result.loss_before
     assert result.gamma == (0.0 if mode == "encoder" else 1e6)
-    encoder = sum(p.numel() for p in network.encoder.parameters())
-    assert seen["count"] == (encoder if mode == "encoder" else encoder + sum(p.numel() for p in network.decoder.parameters()))
+    encoder, decoder = (sum(p.numel() for p in half.parameters()) for half in (network.encoder, network.decoder))
+    assert seen["count"] == {"encoder": encoder, "encoder-decoder": encoder + decoder, "latent": 128}[mode]
     for name, value in network.state_dict().items():
         assert torch.equal(value, before[name])
+    assert all(weight.requires_grad and weight.grad is None for weight in network.parameters())
+
+
+def test_the_latent_vector_starts_at_the_prediction_and_its_cloud_is_always_the_decoders(photo):
+    network, image, _ = photo
+    start = NetworkStart(network, image, "latent", torch.device("cpu"))
+    (latent,) = start.parameters
+    assert latent.shape == (1, 128)
+    with torch.no_grad():
+        torch.testing.assert_close(torch.tensor(start.cloud.initial).float(), network(image[None])[0], rtol=0, atol=1e-6)
+        latent += 0.1
+        expected = (network.decoder(latent)[0].double().numpy() - start.cloud.centre) / start.cloud.scale
+        np.testing.assert_allclose(start.produce()[0].numpy(), expected, atol=1e-6)
+
+
+def test_a_step_of_the_latent_variant_does_not_look_at_the_picture_again(photo, monkeypatch):
+    network, image, mask = photo
+    looks = []
+    true_forward = Encoder.forward
+    monkeypatch.setattr(Encoder, "forward", lambda encoder, images: looks.append(1) or true_forward(encoder, images))
+    refine(None, mask, config=RefineConfig("latent", steps=4), network=network, image=image)
+    assert len(looks) == 1
+
+
+def test_the_gradient_by_the_latent_vector_is_that_of_finite_differences(photo):
+    network, image, mask = photo
+    start = NetworkStart(network, image, "latent", torch.device("cpu"))
+    start._predict.double()
+    latent = start.parameters[0].detach().double()
+    view = objective.working_view(View(mask, Camera.canonical(64, 64)), None, start.cloud.centre, start.cloud.scale)
+    term = MaskObjective([[view]], start.counts, latent.new_zeros(1, 64, 3))
+
+    def loss(values):
+        start._given = values
+        return term(start.produce())
+
+    assert torch.autograd.gradcheck(loss, latent.requires_grad_(), eps=1e-6, atol=1e-3, rtol=1e-5)
 
 
 def test_what_cannot_be_refined_is_refused(chair):

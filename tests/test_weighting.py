@@ -15,7 +15,7 @@ from tso_cli.files.clouds import read_cloud
 from tso_cli.metrics import chamfer
 from tso_cli.objective import working_view
 from tso_cli.projection import silhouette_of
-from tso_cli.refinement import refine, refine_batch
+from tso_cli.refinement import RefineConfig, refine, refine_batch
 from tso_cli.scene import View
 from tso_cli.weighting import view_weights
 

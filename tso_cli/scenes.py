@@ -18,7 +18,7 @@ from .files.clouds import PointCloud, read_cloud
 from .files.images import read_image, read_mask
 from .files.pairing import pair_with_masks
 from .network_input import network_input
-from .placement import place_in_front, view_to_world
+from .placement import place_in_front, settle, view_to_world
 from .scene import View
 
 if TYPE_CHECKING:
@@ -184,6 +184,7 @@ def load_network_scene(
     invert: bool = False,
     ignore_file: Path | None = None,
     world: bool = False,
+    settled: bool = False,
 ) -> Scene:
     """The scene of the network modes: the photo cropped as the checkpoint says, and the camera that sees the cloud in it.
 
@@ -195,6 +196,7 @@ def load_network_scene(
     Parameters
     ----------
     world : give the output of a view-aligned network in the world coordinates of the camera file.
+    settled : place a view-aligned network's cloud by its silhouette, not by its box alone (:func:`tso_cli.placement.settle`).
 
     Raises
     ------
@@ -216,7 +218,7 @@ def load_network_scene(
         raise InputError("--frame world needs the camera's R and t; found no camera file, expected --camera FILE")
     if config.frame == "view" and view.camera.model != "perspective":
         raise InputError(f"{camera_file}: model is {view.camera.model}, expected perspective for a view-aligned network")
-    return network_scene(image, view, network, config, _said(camera_file), camera_file is not None, world)
+    return network_scene(image, view, network, config, _said(camera_file), camera_file is not None, world, settled)
 
 
 def network_scene(
@@ -227,6 +229,7 @@ def network_scene(
     camera_source: str = "given",
     known_camera: bool = True,
     world: bool = False,
+    settled: bool = False,
 ) -> Scene:
     """The scene of a photo that is in memory already, with a network that may serve many of them.
 
@@ -234,7 +237,7 @@ def network_scene(
     ----------
     image : [H, W, 3] or [H, W, 4]; view : its mask and perspective camera.
     known_camera : False lets the canonical camera see the crop; for view-aligned networks only.
-    world : as in :func:`load_network_scene`.
+    world, settled : as in :func:`load_network_scene`.
     """
     import torch
 
@@ -247,6 +250,9 @@ def network_scene(
             crop = replace(crop, camera=Camera.canonical(config.image_size, config.image_size))
         placed = place_in_front(predicted, crop)
         crop = replace(crop, camera=placed)
+        if settled:
+            placed = settle(predicted, crop, config.sigma_sq)
+            crop = replace(crop, camera=placed)
         camera_source += f"; of it K counts, the network's cloud is placed to fill the mask, at distance {placed.t[2]:.3g}"
         if world:
             frame = "world"

@@ -16,7 +16,7 @@ from .refine_result import document, print_check, print_result
 
 # A view of less weight is warned of.
 DOUBTED = 0.5
-MODES = ("points", "encoder", "encoder-decoder")
+MODES = ("points", "encoder", "encoder-decoder", "latent")
 
 
 @click.command("refine")
@@ -64,10 +64,18 @@ MODES = ("points", "encoder", "encoder-decoder")
     "[default: auto; paper and encoder modes none]",
 )
 @click.option(
-    "--steps", type=click.IntRange(min=0), help="Steps; 0 writes the start.  [default: 90; paper and encoder modes 50]"
+    "--steps",
+    type=click.IntRange(min=0),
+    help="Steps; 0 writes the start.  [default: 90 points, 12 encoder modes, 30 latent; paper 50]",
 )
-@click.option("--learning-rate", type=float, help="[default: 2e-2 points, 5e-4 paper, 1e-6 encoder, 5e-6 encoder-decoder]")
-@click.option("--gamma", type=float, help="Weight of the Chamfer distance to the start.  [default: 0; paper 1e6; encoder 0]")
+@click.option(
+    "--learning-rate", type=float, help="[default: 2e-2 points, 3e-5 encoder modes, 1e-3 latent; paper 5e-4, 1e-6, 5e-6]"
+)
+@click.option(
+    "--gamma",
+    type=float,
+    help="Weight of the Chamfer distance to the start.  [default: 0 points, else 1e6; paper 1e6, encoder 0]",
+)
 @click.option(
     "--sigma-sq",
     type=float,

@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 
-MODES = ("points", "encoder", "encoder-decoder")
-# The paper's steps, learning rates, and gamma: the encoder variant uses the silhouette alone.
+MODES = ("points", "encoder", "encoder-decoder", "latent")
+# The paper's steps, learning rates, and gamma: the encoder variant uses the silhouette alone. It has no latent variant: ours.
 PAPER_STEPS = 50
-PAPER_LEARNING_RATE = {"points": 5e-4, "encoder": 1e-6, "encoder-decoder": 5e-6}
-PAPER_GAMMA = {"points": 1e6, "encoder": 0.0, "encoder-decoder": 1e6}
+PAPER_LEARNING_RATE = {"points": 5e-4, "encoder": 1e-6, "encoder-decoder": 5e-6, "latent": 1e-3}
+PAPER_GAMMA = {"points": 1e6, "encoder": 0.0, "encoder-decoder": 1e6, "latent": 1e6}
 
 Array = NDArray[np.float64]
 
 
-# The same of the preset "best".
-BEST_STEPS = 90
-BEST_LEARNING_RATE = {**PAPER_LEARNING_RATE, "points": 2e-2}
-BEST_GAMMA = {**PAPER_GAMMA, "points": 0.0}
+# The same of the preset "best", chosen on validation shapes (docs/accuracy.md).
+BEST_STEPS = {"points": 90, "encoder": 12, "encoder-decoder": 12, "latent": 30}
+BEST_LEARNING_RATE = {"points": 2e-2, "encoder": 3e-5, "encoder-decoder": 3e-5, "latent": 1e-3}
+BEST_GAMMA = {"points": 0.0, "encoder": 1e6, "encoder-decoder": 1e6, "latent": 1e6}
 PRESETS = ("best", "paper")
 
 
@@ -32,16 +32,18 @@ class RefineConfig:
 
     Parameters
     ----------
-    mode : "points" moves the points, "encoder" the encoder's weights, "encoder-decoder" all weights of the network.
-    steps : steps of the optimiser; 0 returns the start. Best 90, paper 50.
+    mode : "points" moves the points, "encoder" the encoder's weights, "encoder-decoder" all weights of the network, "latent"
+        the 128 numbers between encoder and decoder.
+    steps : of the optimiser; 0 returns the start. Paper 50; best 90 in points mode, 12 of weights, 30 of the latent code.
     learning_rate : in points mode stated for a cloud of longest side 1. Best: how far the point that is pulled hardest moves in
-        one of the first steps, 0.02; network modes as in the paper. Paper: Adam's, 5e-4, 1e-6, 5e-6.
-    gamma : weight of the Chamfer distance to the start (longest side 1). Best 0 in points mode; paper 1e6, in encoder mode 0.
+        one of the first steps, 0.02; of weights 3e-5, of the latent code 1e-3. Paper: Adam's, 5e-4, 1e-6, 5e-6.
+    gamma : weight of the Chamfer distance to the start (longest side 1). Best 0 in points mode, else 1e6; paper
+        1e6, in encoder mode 0.
     sigma_sq : variance of the projection's Gaussian, px^2 of the mask; None for 0.4 (max(W, H) / 64)^2. In points mode the
         preset "best" uses it for judging the silhouette alone.
     device : "cpu", "cuda", "auto" or any name torch knows.
     seed : recorded in the result; no variant draws random numbers.
-    preset : "best", or "paper": Eq. 7 with the paper's settings, exactly. They differ in points mode alone.
+    preset : "best", or "paper": Eq. 7 with the paper's settings, exactly.
     symmetry : "auto" (best) finds a mirror plane of the start and uses it if there is one; "none" (paper); "x", "y", "z", the
         axis of the input normal to a plane through the middle of its bounding box; or "a,b,c,d", the plane ax + by + cz = d.
 
@@ -84,7 +86,7 @@ class RefineConfig:
         return Settings(
             mode=self.mode,
             preset=self.preset,
-            steps=(BEST_STEPS if points else PAPER_STEPS) if self.steps is None else self.steps,
+            steps=(BEST_STEPS[self.mode] if best else PAPER_STEPS) if self.steps is None else self.steps,
             learning_rate=rates[self.mode] if self.learning_rate is None else self.learning_rate,
             gamma=gammas[self.mode] if self.gamma is None else self.gamma,
             symmetry=("auto" if points else "none") if self.symmetry is None else self.symmetry,

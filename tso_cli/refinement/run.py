@@ -36,8 +36,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Pairs = list[tuple[float, float]]
 
-# Clouds up to this size are moved by one CPU thread.
+# Clouds up to this size are moved by one CPU thread, where no picture is looked at on the way.
 SMALL_CLOUD = 8192
+LIGHT = ("points", "latent")
 # Silhouettes judged at once hold no more pixels than this together; bounds memory.
 PIXELS_AT_ONCE = 1 << 22
 
@@ -61,7 +62,7 @@ def refine(
         and ignore map.
     cameras : one for each mask; None for the canonical camera.
     config : settings, by default the paper's.
-    network : for the modes "encoder" and "encoder-decoder"; it is copied, never changed.
+    network : for the modes "encoder", "encoder-decoder" and "latent"; it is copied, never changed.
     image : [3, 64, 64] network input in [0, 1], array or tensor.
     progress : called after every step with (step, steps, loss).
 
@@ -186,7 +187,7 @@ def _refined(
     """The loop, and the results of all items; ``at_start``: Ctrl-C came before it, and nothing moves."""
     staged = settings.preset == "best" and settings.mode == "points"
     small = int(start.counts.sum()) <= SMALL_CLOUD
-    one_thread = small and isinstance(start, PointsStart)
+    one_thread = small and settings.mode in LIGHT
     with _timed(seconds, "prepare"), devices.one_thread(one_thread):
         first = start.produce().detach().clone()
         chamfer = ChamferToInitial(first, start.counts)
