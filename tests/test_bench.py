@@ -32,7 +32,7 @@ def measured():
     records += network_forms.measure(QUICK)
     records += loop.batch(QUICK, [1, 2], count=64, steps=1)
     records += many_threads.measure(QUICK, (64, 16), clouds=2, counts=[1, 2])
-    records += training.measure(QUICK, batch=1, side=16)
+    records += training.measure(QUICK, batch=1, side=64)
     records += [QUICK.record("start-up", "python", Timing(0.02, 0.01, 0.03, 3))]
     return records
 
@@ -77,7 +77,10 @@ def test_the_roofline_of_training_counts_the_multiply_adds_of_every_layer(measur
     forward += [16 * channels * LATENT, LATENT * 256, 256 * 256, 256 * 3 * 1024]
     expected = 3 * sum(forward) - forward[0]
     assert training.multiply_adds(build_network()) == expected
-    rates = {record["precision"]: record["per_second"] for record in measured if record["what"] == "matrix product"}
+    rates = {}
+    for record in measured:
+        if record["what"] == "training rate":
+            rates[record["precision"]] = max(record["per_second"], rates.get(record["precision"], 0.0))
     found = [record for record in measured if record["what"].startswith("training")]
     assert found
     for record in found:

@@ -31,8 +31,9 @@ CONVENTION = {
     "start-up": "a whole process; low and high are the quickest and the slowest",
     "threads": "the same work on one thread and on all cores, by turns; over_first: how many times quicker than on the first",
     "training": "a step of 16 images without the optimiser; the bare network's forward and backward beside it; waiting: share "
-    "of such steps in which the network waits for a batch that threads prepare ahead; roofline: images a second at the rate of "
-    "a large matrix product in the same precision, by the multiply-adds of forward and backward",
+    "of such steps in which the network waits for a batch that threads prepare ahead; roofline: images a second by the "
+    "multiply-adds of forward and backward, at the rate of a large matrix product or convolution in the same precision, the "
+    "higher of the two",
     "peak_memory_bytes": "growth of the most that was resident, one call in a fresh process (CUDA: of what was allocated)",
 }
 

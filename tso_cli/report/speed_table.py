@@ -82,6 +82,7 @@ def sections(record: dict[str, Any]) -> list[Section]:
         _forms(records),
         _batch(records),
         _threads(records),
+        _training_rates(records),
         _training(records),
         _start_up(records),
     ]
@@ -182,6 +183,13 @@ def _threads(records: Records) -> Section:
         rows.append([name, _size(own[0]), *(_ms(record) for record in own), f"{own[-1]['over_first']:.2f}x"])
     header = ["", "points", *(f"{count} thread{'s' if count > 1 else ''}" for count in counts), "quicker"]
     return Section("threads", "the same work on more threads: ms", header, rows)
+
+
+def _training_rates(records: Records) -> Section:
+    rows: list[list[Cell]] = [
+        [r["name"], r["precision"], f"{r['per_second'] / 1e9:.1f}"] for r in _of(records, "training rate")
+    ]
+    return Section("training rate", "what the roofline is made of", ["", "precision", "10^9 multiply-adds a second"], rows)
 
 
 def _training(records: Records) -> Section:
