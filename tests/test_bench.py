@@ -81,7 +81,7 @@ def test_the_roofline_of_training_counts_the_multiply_adds_of_every_layer(measur
     for record in measured:
         if record["what"] == "training rate":
             rates[record["precision"]] = max(record["per_second"], rates.get(record["precision"], 0.0))
-    found = [record for record in measured if record["what"].startswith("training")]
+    found = [record for record in measured if record["what"].startswith("training, ")]
     assert found
     for record in found:
         assert record["roofline"] == pytest.approx(rates[record["precision"]] / expected)
