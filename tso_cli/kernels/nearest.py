@@ -184,7 +184,8 @@ class StaticNearest:
     """Nearest neighbours between a cloud that stays and its own moved copy.
 
     Early in an optimisation a moved point is still nearest to its own start. Where the triangle inequality proves that, no
-    search is made; the answers are exact either way.
+    search is made; the answers are exact either way. Where a moved point is not finite, nothing is near: each then has its own,
+    and the distance that follows from it is not finite either.
 
     Parameters
     ----------
@@ -215,6 +216,9 @@ class StaticNearest:
             return nearest(self.start, moved), nearest(moved, self.start)
         distance = (moved - self.start).norm(dim=1)
         to_start, to_moved = self.own, self.own
+        # a k-d tree takes no such points
+        if not torch.isfinite(distance.max()):
+            return to_moved, to_start
         # |m_i - s_j| >= |s_i - s_j| - |m_i - s_i|, so s_i is nearest to m_i while m_i moved under half the spacing at s_i.
         doubtful = torch.nonzero(2.0 * distance >= self.spacing).squeeze(1)
         if len(doubtful):
