@@ -14,7 +14,7 @@ def _cloud(count: int, seed: int = 0) -> torch.Tensor:
 
 
 def _moved(field: SmoothField, weight: float, values: torch.Tensor) -> torch.Tensor:
-    return field.spread(field.smoother(weight) @ values)
+    return field.displacement(field.smoother(weight), values)
 
 
 def test_moving_everything_alike_is_no_effort():
@@ -81,7 +81,7 @@ def test_the_gradient_is_that_of_finite_differences():
     chosen = torch.zeros(field.shape, dtype=torch.float64)
 
     def some(values: torch.Tensor) -> torch.Tensor:
-        return field.spread(smoother @ torch.cat([values, chosen[:, values.shape[1] :]], 1))[:, :30]
+        return field.displacement(smoother, torch.cat([values, chosen[:, values.shape[1] :]], 1))[:, :30]
 
     assert torch.autograd.gradcheck(some, torch.randn(1, 4, 3, dtype=torch.float64, requires_grad=True))
 

@@ -13,6 +13,8 @@ COMPARE_ALL_UP_TO = 8192
 # k-d trees, whose import takes a quarter of a second.
 MULTIPLY_UP_TO = 1500
 PAIRS_PER_PRODUCT = 1 << 17
+# Images up to this wide are searched by torch alone, which takes a millisecond; importing scipy takes a quarter of a second.
+BY_COLUMNS_UP_TO = 64
 # Pairs compared at once in plain torch; bounds memory at about 400 MB.
 PAIRS_PER_CHUNK = 1 << 24
 
@@ -125,7 +127,7 @@ def nearest_points(pixels: Tensor, points_px: Tensor, valid: Tensor) -> Tensor:
 
 def nearest_marked(marked: Tensor) -> tuple[Tensor, Tensor]:
     """Row and column [M, H, W] of the pixel ``marked`` [M, H, W] nearest to each pixel, -1 in images without one."""
-    if whole_batches(marked):
+    if whole_batches(marked) or marked.shape[2] <= BY_COLUMNS_UP_TO:
         return _nearest_marked_by_columns(marked)
     from scipy.ndimage import distance_transform_edt
 

@@ -25,7 +25,7 @@ from ..scene import View
 from ..weighting import weigh
 from .batching import Item, batches_of, parts_of
 from .best import descend_in_stages
-from .config import RefineConfig, RefineResult, Settings
+from .config import PRESETS, RefineConfig, RefineResult, Settings
 from .loop import Descent, Progress, descend
 from .starts import Cloud, NetworkStart, PointsStart
 from .views import as_views
@@ -163,8 +163,9 @@ def refine_batch(
 
 def _planned(items: list[Item], settings: Settings) -> AbstractContextManager[None]:
     """All the work on the items, for :func:`tso_cli.kernels.choice.planned`."""
-    drawn = settings.steps * sum(len(item.working) * len(item.cloud.initial) for item in items)
-    return planned(settings.steps * sum(len(item.working) for item in items), drawn)
+    steps = settings.steps // 2 if settings.staged else settings.steps  # of the pull, plain torch makes half as much work
+    drawn = steps * sum(len(item.working) * len(item.cloud.initial) for item in items)
+    return planned(steps * sum(len(item.working) for item in items), drawn)
 
 
 def compile_loops() -> None:
@@ -173,7 +174,8 @@ def compile_loops() -> None:
     mask[20:44, 20:44] = 1.0
     much = 1 << 60
     with planned(much, much):
-        refine(np.random.default_rng(0).uniform(-0.3, 0.3, (64, 3)), mask, config=RefineConfig(steps=1, preset="paper"))
+        for preset in PRESETS:
+            refine(np.random.default_rng(0).uniform(-0.3, 0.3, (64, 3)), mask, config=RefineConfig(steps=1, preset=preset))
 
 
 def _refined(
@@ -185,7 +187,6 @@ def _refined(
     at_start: bool = False,
 ) -> list[RefineResult | TsoError]:
     """The loop, and the results of all items; ``at_start``: Ctrl-C came before it, and nothing moves."""
-    staged = settings.preset == "best" and settings.mode == "points"
     small = int(start.counts.sum()) <= SMALL_CLOUD
     one_thread = small and settings.mode in LIGHT
     with _timed(seconds, "prepare"), devices.one_thread(one_thread):
@@ -197,7 +198,7 @@ def _refined(
             weights = weigh([item.working[: len(item.views)] for item in items], start.counts, first)
         # What the mirror image shows is worth what its picture is.
         every = weights.repeat(1, len(views[0]) // weights.shape[1])
-        mask_term = (PullObjective if staged else MaskObjective)(views, start.counts, first, every)
+        mask_term = (PullObjective if settings.staged else MaskObjective)(views, start.counts, first, every)
 
     def held(moved: Tensor) -> Tensor:
         return settings.gamma * chamfer(moved)
