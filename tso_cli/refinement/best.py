@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..adam import UniformAdam
+from ..adam import Adam, UniformAdam
 from ..objective import PullObjective
 from ..pull import REFERENCE_POINTS
 from ..smoothing import SmoothField
@@ -17,7 +17,7 @@ from .loop import Descent, Objective, Progress, descend
 
 @dataclass(frozen=True)
 class Stage:
-    """A third of the steps.
+    """An equal part of the steps.
 
     Parameters
     ----------
@@ -32,10 +32,29 @@ class Stage:
 
 # First the cloud moves nearly as a whole and hears of pixels far away, at last almost point by point and of near ones only.
 STAGES = (Stage(100.0, 6.0, 1.0), Stage(10.0, 3.0, 0.75), Stage(1.0, 2.0, 0.35))
-# What it costs a point to leave its start, squared distance (longest side 1), for a start whose mask pixels are 1 px^2 off on
-# average. A start that is further off is trusted less.
-ANCHOR, LEAST_ANCHOR, MOST_ANCHOR = 500.0, 30.0, 3000.0
 ANCHOR_REACH = 4.0
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What the preset is made of; a study changes one ingredient at a time.
+
+    Parameters
+    ----------
+    stages : share the steps evenly, in this order.
+    anchor : what it costs a point to leave its start, squared distance (longest side 1), for a start whose mask pixels are
+        1 px^2 off on average. A start that is further off is trusted less: ``least_anchor`` and ``most_anchor`` bound it.
+    optimiser : of every stage.
+    """
+
+    stages: tuple[Stage, ...] = STAGES
+    anchor: float = 500.0
+    least_anchor: float = 30.0
+    most_anchor: float = 3000.0
+    optimiser: type[Adam] | type[UniformAdam] = UniformAdam
+
+
+BEST = Recipe()
 
 
 def descend_in_stages(
@@ -46,6 +65,7 @@ def descend_in_stages(
     steps: int,
     learning_rate: float,
     progress: Progress | None = None,
+    recipe: Recipe = BEST,
 ) -> Descent:
     """Move B clouds by smooth fields.
 
@@ -55,13 +75,15 @@ def descend_in_stages(
     pull : of the masks. further : another term, or None.
     steps : of all stages together.
     learning_rate : about how far the node that is pulled hardest moves in one of the first steps.
+    recipe : stages, anchor and optimiser.
 
     Returns
     -------
     Descent; ``best`` is the best of the last stage, or the start where that has the lower loss by the last objective.
     """
     share = (REFERENCE_POINTS / counts).to(first)
-    anchor = (ANCHOR * pull.pixels / pull(first, ANCHOR_REACH)).clamp(LEAST_ANCHOR, MOST_ANCHOR) * share
+    trusted = recipe.anchor * pull.pixels / pull(first, ANCHOR_REACH)
+    anchor = trusted.clamp(recipe.least_anchor, recipe.most_anchor) * share
 
     def objective(moved: Tensor) -> Tensor:
         loss = pull(moved, stage.reach) + anchor * (moved - first).square().sum((1, 2))
@@ -69,8 +91,9 @@ def descend_in_stages(
 
     field = SmoothField(first, counts)
     parts, done, found = [], 0, first
-    ends = [round(steps * (i + 1) / len(STAGES)) for i in range(len(STAGES))]
-    for stage, end in zip(STAGES, ends, strict=True):
+    stages = recipe.stages
+    ends = [round(steps * (i + 1) / len(stages)) for i in range(len(stages))]
+    for stage, end in zip(stages, ends, strict=True):
         smoother = field.smoother(stage.smoothness)
         moving = torch.zeros(field.shape, dtype=first.dtype, device=first.device, requires_grad=True)
 
@@ -81,9 +104,8 @@ def descend_in_stages(
             assert progress is not None
             progress(before + step, steps, loss)
 
-        part = descend(
-            produce, [moving], objective, end - done, stage.pace * learning_rate, told if progress else None, UniformAdam
-        )
+        rate = stage.pace * learning_rate
+        part = descend(produce, [moving], objective, end - done, rate, told if progress else None, recipe.optimiser)
         parts.append(part)
         found, done = part.best, end
         if part.interrupted:

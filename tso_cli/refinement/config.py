@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+
+if TYPE_CHECKING:
+    from .best import Recipe
 
 MODES = ("points", "encoder", "encoder-decoder", "latent")
 # The paper's steps, learning rates, and gamma: the encoder variant uses the silhouette alone. It has no latent variant: ours.
@@ -46,6 +50,7 @@ class RefineConfig:
     preset : "best", or "paper": Eq. 7 with the paper's settings, exactly.
     symmetry : "auto" (best) finds a mirror plane of the start and uses it if there is one; "none" (paper); "x", "y", "z", the
         axis of the input normal to a plane through the middle of its bounding box; or "a,b,c,d", the plane ax + by + cz = d.
+    recipe : what the preset "best" of points mode is made of, for studies; None for :data:`tso_cli.refinement.best.BEST`.
 
     Raises
     ------
@@ -62,6 +67,7 @@ class RefineConfig:
     seed: int = 0
     preset: str = "best"
     symmetry: str | None = None
+    recipe: Recipe | None = None
 
     def __post_init__(self) -> None:
         for name, known in (("mode", MODES), ("preset", PRESETS)):
@@ -93,12 +99,13 @@ class RefineConfig:
             sigma_sq=self.sigma_sq,
             device=self.device,
             seed=self.seed,
+            recipe=self.recipe,
         )
 
 
 @dataclass(frozen=True)
 class Settings:
-    """A :class:`RefineConfig` whose every value is known, but for ``sigma_sq``, whose default is the view's."""
+    """A :class:`RefineConfig` whose every value is known, but for ``sigma_sq``, whose default is the view's, and ``recipe``."""
 
     mode: str
     preset: str
@@ -109,6 +116,7 @@ class Settings:
     sigma_sq: float | None
     device: str
     seed: int
+    recipe: Recipe | None
 
     @property
     def staged(self) -> bool:

@@ -24,7 +24,7 @@ from ..projection import default_sigma_sq, silhouettes_of
 from ..scene import View
 from ..weighting import weigh
 from .batching import Item, batches_of, parts_of
-from .best import descend_in_stages
+from .best import BEST, descend_in_stages
 from .config import PRESETS, RefineConfig, RefineResult, Settings
 from .loop import Descent, Progress, descend
 from .starts import Cloud, NetworkStart, PointsStart
@@ -212,7 +212,8 @@ def _refined(
     with _timed(seconds, "optimise"), devices.one_thread(one_thread):
         if isinstance(mask_term, PullObjective):
             further = held if settings.gamma else None
-            descent = descend_in_stages(first, start.counts, mask_term, further, steps, settings.learning_rate, told)
+            recipe = settings.recipe or BEST
+            descent = descend_in_stages(first, start.counts, mask_term, further, steps, settings.learning_rate, told, recipe)
         else:
             descent = descend(start.produce, start.parameters, objective, steps, settings.learning_rate, told)
         descent = replace(descent, interrupted=descent.interrupted or at_start)
