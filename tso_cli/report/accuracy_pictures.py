@@ -47,7 +47,7 @@ class Pictured:
 
 
 def draw_cases(path: Path, cases: Sequence[Pictured], overwrite: bool = False) -> None:
-    """A row a case: the mask with the outline of the silhouette before and after, then both clouds and the truth from two sides.
+    """A row a case: the mask with the silhouette's outline before and after, then both clouds and the truth from two sides.
 
     Raises InputError if ``path`` cannot be written to.
     """

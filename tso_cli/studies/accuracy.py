@@ -32,7 +32,7 @@ F_THRESHOLD = 0.02
 ASSIGNED = 2048
 """Points up to which one-to-one assignments are solved."""
 CONVENTION = {
-    "chamfer": "squared distances, mean over points, forward + backward; longest side 1; as many target points as the cloud has",
+    "chamfer": "squared distances, mean over points, forward + backward, longest side 1; to as many target points",
     "dense": "the same to 16,384 target points",
     "f_score": f"share of points with a counterpart nearer than {F_THRESHOLD}, harmonic mean of both directions, 16,384 target "
     "points",
