@@ -20,9 +20,10 @@ def accuracy_tables(record: dict) -> dict[str, str]:
 def settings_line(record: dict) -> str:
     """What the figures are of."""
     settings = record["settings"]
+    shapes = f"{settings['shapes']} {settings['part']} shapes ({', '.join(settings['categories'])})"
     return (
-        f"{settings['shapes']} {settings['part']} shapes ({', '.join(settings['categories'])}), {settings['views']} views each; masks of "
-        f"{settings['size']}x{settings['size']}, {settings['points']:,} points, seed {settings['seed']}, {settings['device']}."
+        f"{shapes}, {settings['views']} views each, masks of {settings['size']}x{settings['size']}, {settings['points']:,} points, seed {settings['seed']}, "
+        f"{settings['device']}."
     )
 
 

@@ -25,13 +25,13 @@ from tso_cli.studies import accuracy, accuracy_examples
 from tso_cli.studies.accuracy import AccuracyConfig, in_plane, study_accuracy
 from tso_cli.studies.accuracy_cases import LEVELS, MASKS, CaseBuilder
 from tso_cli.studies.accuracy_summary import claims, summarise
-from tso_cli.studies.accuracy_variants import ABLATION, DEFAULT, NETWORK, POINTS, Variant
+from tso_cli.studies.accuracy_variants import ABLATION, NETWORK, POINTS
 from tso_cli.studies.parts import shapes_of_part
 
 MESHES = Path(__file__).parents[1] / "examples" / "meshes"
 TRAIN = ["car/qreal_SUV", "car/qbasic_BasicCar", "car/qreal_NormalCar1", "chair/q19_Chair", "chair/q17_Chair"]
 TEST = ["car/qreal_Cop", "chair/kfurn_chair"]
-FEW = {DEFAULT: Variant(RefineConfig(steps=3)), "paper": Variant(RefineConfig(preset="paper", steps=2))}
+FEW = {name: replace(variant, config=replace(variant.config, steps=3)) for name, variant in POINTS.items()}
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def checkpoint(tmp_path, monkeypatch):
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Two variants of a few steps in place of all."""
+    """All variants, of a few steps."""
     monkeypatch.setattr(accuracy, "variants_of", lambda kind, ablation: FEW)
     monkeypatch.setattr(accuracy_examples, "variants_of", lambda kind, ablation: FEW)
 

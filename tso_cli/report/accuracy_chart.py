@@ -109,7 +109,7 @@ def _dots(axes: Any, record: dict[str, Any], kind: str) -> None:
             axis.plot([mean, mean], [row - 0.36, row + 0.36], color=INK, linewidth=2)
         axis.axvline(1.0, color=INK, linewidth=0.8, zorder=0)
         axis.set_title(f"{category}, {group['cases']} cases", fontsize=10)
-        axis.set_xlim(left=0.0)
+        axis.set_xlim(0.0, max(1.05, axis.get_xlim()[1]))
         axis.set_xlabel("Chamfer after / before", fontsize=9)
         axis.tick_params(labelsize=8)
     axes[0].set_yticks(range(len(names)), names)

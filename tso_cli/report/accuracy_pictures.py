@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..files.output import atomic_output, check_output
-from ..projection import silhouette_of
+from ..projection import default_sigma_sq, silhouette_of
 from ..scene import View
 
 Array = NDArray[np.float64]
@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 INK, OUTLINE = "#333333", "#d55e00"
 CELL = 1.75
 """Inches."""
+BLUR = 4.0
+"""Times the usual sigma^2: the outline of the cloud, not of the gaps between its points."""
 DOTS = 1500
 """Points of a cloud that are drawn, at most."""
 # What is across, what is up, and what is near, of the camera's axes (x right, y down, z away).
@@ -77,7 +79,8 @@ def draw_cases(path: Path, cases: Sequence[Pictured], overwrite: bool = False) -
 
 
 def _draw_mask(axis: Any, view: View, points: Array) -> None:
-    silhouette = silhouette_of(points, view.camera)
+    sigma_sq = BLUR * default_sigma_sq(view.camera.width, view.camera.height)
+    silhouette = silhouette_of(points, view.camera, sigma_sq)
     axis.imshow(1.0 - 0.45 * view.mask, cmap="gray", vmin=0.0, vmax=1.0)
     if silhouette.min() < 0.5 < silhouette.max():
         axis.contour(silhouette, levels=[0.5], colors=OUTLINE, linewidths=1.2)
