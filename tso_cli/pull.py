@@ -101,7 +101,7 @@ def _covered(points_px: Tensor, valid: Tensor, size: torch.Size, within: float) 
     height, width = size
     # One more pixel all around takes what falls outside, and what is not there.
     found = torch.zeros(len(points_px), (height + 2) * (width + 2), dtype=torch.bool, device=points_px.device)
-    x, y = torch.where(valid.unsqueeze(-1), points_px, -2.0 - within).unbind(-1)
+    x, y = torch.where(valid.unsqueeze(-1), points_px, -2.0 - within).movedim(-1, 0).contiguous()
     # A point further outside than this is near no pixel, and its number would not fit.
     x, y = x.clamp(-2.0 - within, width + within + 1.0), y.clamp(-2.0 - within, height + within + 1.0)
     column, row = x.round(), y.round()
