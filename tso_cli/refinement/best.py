@@ -32,7 +32,7 @@ class Stage:
 
 
 # First the cloud moves nearly as a whole and hears of pixels far away, at last almost point by point and of near ones only.
-STAGES = (Stage(100.0, 6.0, 1.0, 512), Stage(10.0, 3.0, 0.75, 512), Stage(1.0, 2.0, 0.35))
+STAGES = (Stage(100.0, 6.0, 1.0, 256), Stage(10.0, 3.0, 0.75, 512), Stage(1.0, 2.0, 0.35))
 # What it costs a point to leave its start, squared distance (longest side 1), for a start whose mask pixels are 1 px^2 off on
 # average. A start that is further off is trusted less.
 ANCHOR, LEAST_ANCHOR, MOST_ANCHOR = 500.0, 30.0, 3000.0
