@@ -21,10 +21,8 @@ def settings_line(record: dict) -> str:
     """What the figures are of."""
     settings = record["settings"]
     shapes = f"{settings['shapes']} {settings['part']} shapes ({', '.join(settings['categories'])})"
-    return (
-        f"{shapes}, {settings['views']} views each, masks of {settings['size']}x{settings['size']}, {settings['points']:,} points, seed {settings['seed']}, "
-        f"{settings['device']}."
-    )
+    masks = f"masks of {settings['size']}x{settings['size']}, {settings['points']:,} points"
+    return f"{shapes}, {settings['views']} views each, {masks}, seed {settings['seed']}, {settings['device']}."
 
 
 def ratios_table(summary: dict) -> str:

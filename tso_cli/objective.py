@@ -130,24 +130,42 @@ class MaskObjective(_Views):
         return found
 
 
-class PullObjective(_Views):
-    """Weighted sum over views of :func:`tso_cli.pull.mask_pull`, for B clouds that are asked by views of their own."""
+class PullObjective:
+    """Weighted sum over views of :func:`tso_cli.pull.mask_pull`, for B clouds that are asked by views of their own.
+
+    Views of one kind are worked on together: for small clouds, what a step costs is mostly the number of its operations.
+
+    Parameters
+    ----------
+    views, counts, like, weights : as :class:`MaskObjective`.
+    """
 
     def __init__(
         self, views: Sequence[Sequence[WorkingView]], counts: Tensor, like: Tensor, weights: Tensor | None = None
     ) -> None:
-        super().__init__(views, counts, like, weights)
-        self._targets = [PullTarget.of(view.mask, view.known) for view in self.views]
-        self.pixels = self.total([target.pixels().to(like) for target in self._targets])
+        kinds = [view.kind for view in views[0]]
+        members = {kind: [v for v, other in enumerate(kinds) if other == kind] for kind in kinds}
+        self._groups = []
+        for group in members.values():
+            every = _Together.of([own[v] for own in views for v in group], like)
+            target = PullTarget.of(every.mask, every.known)
+            cameras = every.cameras.grouped(len(group))
+            share = torch.ones(len(views), len(group)) if weights is None else weights[:, group]
+            self._groups.append((target, cameras, share.to(like), counts.repeat_interleave(len(group))))
+        self._there = (torch.arange(like.shape[1]) < counts.unsqueeze(1)).to(like.device).unsqueeze(1)  # [B, 1, N]
+        found = [(share * target.pixels().view_as(share)).sum(1) for target, _, share, _ in self._groups]
+        self.pixels = torch.stack(found).sum(0)
         """[B] foreground pixels of all views, of images of 64, weighted like their losses."""
 
     def __call__(self, points: Tensor, reach: float) -> Tensor:
         """The loss [B] of the clouds ``points`` [B, N, 3]; infinite where a view shows no point at all."""
-        found = []
-        for view, target in zip(self.views, self._targets, strict=True):
-            points_px, valid = self.projected(points, view)
-            found.append(torch.where(valid.any(1), mask_pull(points_px, valid, target, reach, self.counts), torch.inf))
-        return self.total(found)
+        total = points.new_zeros(len(points))
+        for target, cameras, share, counts in self._groups:
+            points_px, valid = project(points, cameras)
+            valid = (valid & self._there).flatten(0, 1)
+            losses = mask_pull(points_px.flatten(0, 1), valid, target, reach, counts)
+            total = total + (share * torch.where(valid.any(1), losses, torch.inf).view_as(share)).sum(1)
+        return total
 
 
 @dataclass(frozen=True, eq=False)

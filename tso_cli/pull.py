@@ -99,18 +99,17 @@ def _uncovered(points_px: Tensor, valid: Tensor, target: PullTarget, scale: floa
 def _covered(points_px: Tensor, valid: Tensor, size: torch.Size, within: float) -> Tensor:
     """[M, H, W], whether a point lies so near to the pixel's centre: what is covered need not look for its nearest point."""
     height, width = size
-    # One more pixel all around takes what falls outside.
+    # One more pixel all around takes what falls outside, and what is not there.
     found = torch.zeros(len(points_px), (height + 2) * (width + 2), dtype=torch.bool, device=points_px.device)
-    limit = points_px.new_tensor([width, height])
-    nearest_pixel = (
-        torch.where(valid.unsqueeze(-1), points_px, -9.0 - within).clamp(-9.0 - within, max(size) + within + 9.0).round()
-    )
+    x, y = torch.where(valid.unsqueeze(-1), points_px, -2.0 - within).movedim(-1, 0).contiguous()
+    # A point further outside than this is near no pixel, and its number would not fit.
+    x, y = x.clamp(-2.0 - within, width + within + 1.0), y.clamp(-2.0 - within, height + within + 1.0)
+    column, row = x.round(), y.round()
     around = range(-math.ceil(within + 0.5) + 1, math.ceil(within + 0.5))
-    for by_x, by_y in itertools.product(around, around):
-        pixel = nearest_pixel + points_px.new_tensor([by_x, by_y])
-        near = (pixel - points_px).square().sum(-1) <= within**2
-        column, row = torch.minimum((pixel + 1.0).clamp_min(0.0), limit + 1.0).long().unbind(-1)
-        found.scatter_(1, torch.where(near, row * (width + 2) + column, 0), True)
+    across, down = ([((to + by), (to + by - at).square()) for by in around] for to, at in ((column, x), (row, y)))
+    for (columns, far_x), (rows, far_y) in itertools.product(across, down):
+        inside = (far_x + far_y <= within**2) & (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+        found.scatter_(1, torch.where(inside, (rows + 1.0) * (width + 2) + columns + 1.0, 0.0).long(), True)
     return found.view(-1, height + 2, width + 2)[:, 1:-1, 1:-1]
 
 

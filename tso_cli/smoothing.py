@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,13 +15,15 @@ NEIGHBOURS = 8
 INTERPOLATED_FROM = 6
 # Nodes are looked for among so many points: enough that 1,024 of them lie evenly.
 CANDIDATES = 16_384
+# Distances compared at once; bounds memory.
+PAIRS_AT_ONCE = 1 << 24
 
 
 class SmoothField:
     """Displacement fields of B clouds as ``(I + lambda L)^-1 u``, L the graph Laplacian of each cloud's nodes.
 
-    A cloud of up to 1,024 points is its own nodes. A larger one has 1,024, spread by farthest-point sampling, and its points
-    take the weighted mean of the six nodes nearest to them: what a field costs to solve does not grow with the cloud.
+    A cloud of up to ``nodes`` points is its own nodes. A larger one has so many, spread by farthest-point sampling, and its
+    points take the weighted mean of the six nodes nearest to them: what a field costs to solve does not grow with the cloud.
 
     "Large Steps in Inverse Rendering of Geometry" (Nicolet, Jacobson, Jakob, 2021) descends in u on a mesh: steps of the
     gradient then move what is connected together, the further the larger lambda. Here the graph is that of the 8 nearest
@@ -32,25 +33,26 @@ class SmoothField:
     ----------
     points : [B, N, 3]
     counts : [B], how many points of each row are there; None for all.
+    nodes : at most so many for each cloud.
 
     Attributes
     ----------
     shape : B, M, 3 of u, M the largest number of nodes.
     """
 
-    def __init__(self, points: Tensor, counts: Tensor | None = None) -> None:
+    def __init__(self, points: Tensor, counts: Tensor | None = None, nodes: int = NODES) -> None:
         points = points.detach()
         sizes = [points.shape[1]] * len(points) if counts is None else counts.tolist()
-        nodes = [_nodes(cloud[:size]) for cloud, size in zip(points, sizes, strict=True)]
-        most = max(len(own) for own in nodes)
+        places = [_nodes(cloud[:size], nodes) for cloud, size in zip(points, sizes, strict=True)]
+        most = max(len(own) for own in places)
         self.shape = (len(points), most, 3)
-        self._counts = torch.tensor([len(own) for own in nodes])
-        laplacian = [_laplacian(own, most) for own in nodes]
+        self._counts = torch.tensor([len(own) for own in places])
+        laplacian = [_laplacian(own, most) for own in places]
         # Lambda is stated for 1,024 nodes: with fewer, neighbours are further apart and edges reach further.
-        self._laplacian = torch.stack([matrix * (len(own) / NODES) for matrix, own in zip(laplacian, nodes, strict=True)])
+        self._laplacian = torch.stack([matrix * (len(own) / NODES) for matrix, own in zip(laplacian, places, strict=True)])
         self._between: tuple[Tensor, Tensor] | None = None
-        if any(size > NODES for size in sizes):
-            pairs = [_interpolation(cloud[:size], own) for cloud, size, own in zip(points, sizes, nodes, strict=True)]
+        if any(size > nodes for size in sizes):
+            pairs = [_interpolation(cloud[:size], own) for cloud, size, own in zip(points, sizes, places, strict=True)]
             index = torch.zeros(*points.shape[:2], INTERPOLATED_FROM, dtype=torch.int64)
             weight = torch.zeros(index.shape, dtype=points.dtype)
             for row, (taken, share) in enumerate(pairs):
@@ -94,12 +96,12 @@ class _Smoothed(torch.autograd.Function):
         return _Smoothed.apply(grad_outputs[0], matrix), None
 
 
-def _nodes(cloud: Tensor) -> Tensor:
-    if len(cloud) <= NODES:
+def _nodes(cloud: Tensor, most: int) -> Tensor:
+    if len(cloud) <= most:
         return cloud
     step = -(-len(cloud) // CANDIDATES)
     candidates = cloud[::step]
-    return candidates[torch.from_numpy(farthest_point_sample(candidates.double().cpu().numpy(), NODES)).to(cloud.device)]
+    return candidates[torch.from_numpy(farthest_point_sample(candidates.double().cpu().numpy(), most)).to(cloud.device)]
 
 
 def _laplacian(nodes: Tensor, size: int) -> Tensor:
@@ -117,11 +119,11 @@ def _laplacian(nodes: Tensor, size: int) -> Tensor:
 
 def _interpolation(cloud: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
     """Numbers [n, 6] of the nodes nearest to each point, and their weights, which fall to 0 at the last."""
-    from scipy.spatial import cKDTree
-
-    distance, index = cKDTree(nodes.cpu().numpy()).query(cloud.cpu().numpy(), min(INTERPOLATED_FROM, len(nodes)), workers=-1)
-    distance, index = distance.reshape(len(cloud), -1), index.reshape(len(cloud), -1)
-    furthest = np.maximum(distance[:, -1:], np.finfo(np.float64).tiny)
+    count = min(INTERPOLATED_FROM, len(nodes))
+    parts = cloud.split(max(1, PAIRS_AT_ONCE // len(nodes)))
+    found = [torch.cdist(part, nodes).topk(count, largest=False) for part in parts]
+    index, distance = torch.cat([part.indices for part in found]), torch.cat([part.values for part in found])
+    furthest = distance[:, -1:].clamp_min(torch.finfo(distance.dtype).tiny)
     # The smallest part keeps the sum from 0 where all are equally far.
-    weight = (1.0 - (distance / furthest) ** 2) ** 2 + 1e-6
-    return torch.from_numpy(index), torch.from_numpy(weight / weight.sum(1, keepdims=True)).to(cloud.dtype)
+    weight = (1.0 - (distance / furthest).square()).square() + 1e-6
+    return index.cpu(), (weight / weight.sum(1, keepdim=True)).cpu()

@@ -12,6 +12,7 @@ from ..network import BaseNetwork
 from ..refinement import RefineConfig, RefineResult, refine, refine_batch
 from ..refinement.best import BEST, Stage
 from ..scene import View
+from ..smoothing import NODES
 from .accuracy_cases import AccuracyCase
 
 
@@ -57,7 +58,8 @@ ABLATION = {
     PAPER: POINTS[PAPER],
     DEFAULT: POINTS[DEFAULT],
     "no mirror plane": POINTS[NO_SYMMETRY],
-    "no smoothing": _made(stages=tuple(replace(stage, smoothness=0.0) for stage in BEST.stages)),
+    "no smoothing": _made(stages=tuple(replace(stage, smoothness=0.0, nodes=NODES) for stage in BEST.stages)),
+    "1,024 nodes in every stage": _made(stages=tuple(replace(stage, nodes=NODES) for stage in BEST.stages)),
     "one stage": _made(stages=(Stage(10.0, 3.0, 1.0),)),
     "no anchor": _made(anchor=0.0, least_anchor=0.0, most_anchor=0.0),
     "anchor alike for all": _made(least_anchor=BEST.anchor, most_anchor=BEST.anchor),
