@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..files.output import atomic_output, check_output
-from ..projection import default_sigma_sq, silhouette_of
+from ..projection import silhouette_of
 from ..scene import View
 
 Array = NDArray[np.float64]
@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 INK, OUTLINE = "#333333", "#d55e00"
 CELL = 1.75
 """Inches."""
-BLUR = 4.0
-"""Times the usual sigma^2: the outline of the cloud, not of the gaps between its points."""
+CLOSED = 2
+"""Pixels of an image of 64 by which gaps between points are closed: the outline is the cloud's, not that of each gap."""
 DOTS = 1500
 """Points of a cloud that are drawn, at most."""
 # What is across, what is up, and what is near, of the camera's axes (x right, y down, z away).
@@ -79,11 +79,15 @@ def draw_cases(path: Path, cases: Sequence[Pictured], overwrite: bool = False) -
 
 
 def _draw_mask(axis: Any, view: View, points: Array) -> None:
-    sigma_sq = BLUR * default_sigma_sq(view.camera.width, view.camera.height)
-    silhouette = silhouette_of(points, view.camera, sigma_sq)
+    from scipy.ndimage import binary_closing
+
+    reach = CLOSED * max(1, view.mask.shape[1] // 64)
+    # What lies beyond the border is not part of the gaps.
+    inside = np.pad(silhouette_of(points, view.camera) > 0.5, reach)
+    closed = binary_closing(inside, np.ones((2 * reach + 1,) * 2))[reach:-reach, reach:-reach]
     axis.imshow(1.0 - 0.45 * view.mask, cmap="gray", vmin=0.0, vmax=1.0)
-    if silhouette.min() < 0.5 < silhouette.max():
-        axis.contour(silhouette, levels=[0.5], colors=OUTLINE, linewidths=1.2)
+    if closed.any() and not closed.all():
+        axis.contour(closed, levels=[0.5], colors=OUTLINE, linewidths=1.2)
     _bare(axis)
 
 

@@ -29,7 +29,9 @@ def telling_cases(
         cases = chosen(record["cases"], kind, category)
         ratios = ratios_of(cases, DEFAULT)
         order = np.argsort(ratios)[::-1]
-        for name, place in zip(("worst", "median", "best"), (order[0], order[len(order) // 2], order[-1]), strict=True):
+        # Of one or two cases there are no three to show.
+        places = {order[0]: "worst", order[len(order) // 2]: "median", order[-1]: "best"}
+        for place, name in places.items():
             known = cases[place]
             case = builder.cases(shapes[known["shape"]], kind)[known["view"]]
             result, _ = alone(case, variants_of(kind, config.ablation)[DEFAULT], config.device, network)
