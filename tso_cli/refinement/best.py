@@ -32,7 +32,7 @@ class Stage:
 
 
 # First the cloud moves nearly as a whole and hears of pixels far away, at last almost point by point and of near ones only.
-STAGES = (Stage(100.0, 6.0, 1.0, 256), Stage(10.0, 3.0, 0.75, 512), Stage(1.0, 2.0, 0.35))
+STAGES = (Stage(100.0, 6.0, 1.0, 256), Stage(10.0, 3.0, 0.75, 512), Stage(1.0, 3.0, 0.35))
 ANCHOR_REACH = 4.0
 
 
@@ -49,7 +49,7 @@ class Recipe:
     """
 
     stages: tuple[Stage, ...] = STAGES
-    anchor: float = 500.0
+    anchor: float = 350.0
     least_anchor: float = 30.0
     most_anchor: float = 3000.0
     optimiser: type[Adam] | type[UniformAdam] = UniformAdam
@@ -92,10 +92,12 @@ def descend_in_stages(
 
     stages = recipe.stages
     fields = {nodes: SmoothField(first, counts, nodes) for nodes in {stage.nodes for stage in stages}}
+    finest = fields[max(fields)]
     parts, done, found = [], 0, first
     ends = [round(steps * (i + 1) / len(stages)) for i in range(len(stages))]
     for stage, end in zip(stages, ends, strict=True):
         field = fields[stage.nodes]
+        pull.look(found, finest)
         smoother = field.smoother(stage.smoothness)
         moving = torch.zeros(field.shape, dtype=first.dtype, device=first.device, requires_grad=True)
 
