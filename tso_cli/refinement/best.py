@@ -45,7 +45,7 @@ class Recipe:
     stages : share the steps evenly, in this order.
     anchor : what it costs a point to leave its start, squared distance (longest side 1), for a start whose mask pixels are
         1 px^2 off on average. A start that is further off is trusted less: ``least_anchor`` and ``most_anchor`` bound it.
-    optimiser : of every stage.
+    optimiser : of every stage. looks : whether parts that pixels do not show are left alone.
     """
 
     stages: tuple[Stage, ...] = STAGES
@@ -53,6 +53,7 @@ class Recipe:
     least_anchor: float = 30.0
     most_anchor: float = 3000.0
     optimiser: type[Adam] | type[UniformAdam] = UniformAdam
+    looks: bool = True
 
 
 BEST = Recipe()
@@ -76,7 +77,7 @@ def descend_in_stages(
     pull : of the masks. further : another term, or None.
     steps : of all stages together.
     learning_rate : about how far the node that is pulled hardest moves in one of the first steps.
-    recipe : stages, anchor and optimiser.
+    recipe : what else the descent is made of.
 
     Returns
     -------
@@ -97,7 +98,8 @@ def descend_in_stages(
     ends = [round(steps * (i + 1) / len(stages)) for i in range(len(stages))]
     for stage, end in zip(stages, ends, strict=True):
         field = fields[stage.nodes]
-        pull.look(found, finest)
+        if recipe.looks:
+            pull.look(found, finest)
         smoother = field.smoother(stage.smoothness)
         moving = torch.zeros(field.shape, dtype=first.dtype, device=first.device, requires_grad=True)
 

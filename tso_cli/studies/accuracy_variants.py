@@ -64,6 +64,7 @@ ABLATION = {
     "no anchor": _made(anchor=0.0, least_anchor=0.0, most_anchor=0.0),
     "anchor alike for all": _made(least_anchor=BEST.anchor, most_anchor=BEST.anchor),
     "no bounded reach": _made(stages=tuple(replace(stage, reach=1000.0) for stage in BEST.stages)),
+    "what pixels do not show pulled back too": _made(looks=False),
     "Adam for each number": Variant(RefineConfig(learning_rate=ADAM_RATE, recipe=replace(BEST, optimiser=Adam))),
     "half the steps": Variant(RefineConfig(steps=45)),
     "twice the steps": Variant(RefineConfig(steps=180)),
