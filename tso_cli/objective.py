@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -16,6 +17,9 @@ from .losses import PixelWeights, mask_loss
 from .projection import CameraBatch, coarsened, default_sigma_sq, project
 from .resample import area_resize
 from .scene import View
+
+if TYPE_CHECKING:
+    from .pose.moves import CameraMoves
 
 # A silhouette blurred by this variance (px^2) is resolved by its pixels: it is the paper's setting.
 RESOLVED_SIGMA_SQ = 0.4
@@ -76,9 +80,14 @@ class MaskObjective:
     views : [B][V] views of each cloud; view v is of one kind (:attr:`WorkingView.kind`) for all clouds.
     counts : [B] points of each cloud, those behind them are not there.
     like : [B, N, 3] tensor whose precision and device are used.
+
+    Attributes
+    ----------
+    moves : corrections of the cameras, None where they are taken as given.
     """
 
     def __init__(self, views: Sequence[Sequence[WorkingView]], counts: Tensor, like: Tensor) -> None:
+        self.moves: CameraMoves | None = None
         self.views = [_Together.of(column, like) for column in zip(*views, strict=True)]
         size = like.shape[1]
         full = bool((counts == size).all())
@@ -87,8 +96,9 @@ class MaskObjective:
     def __call__(self, points: Tensor) -> Tensor:
         """The loss [B] of the clouds ``points`` [B, N, 3]; infinite where a view shows no point at all."""
         total = points.new_zeros(len(points))
-        for view in self.views:
-            projected = project(points, view.cameras)
+        for number, view in enumerate(self.views):
+            cameras = view.cameras if self.moves is None else self.moves.apply(view.cameras, number)
+            projected = project(points, cameras)
             if self._there is not None:
                 projected = projected._replace(valid=projected.valid & self._there)
             points_px, valid = projected.points_px[:, 0], projected.valid[:, 0]

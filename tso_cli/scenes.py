@@ -54,13 +54,18 @@ class Scene:
 
 
 def load_view(
-    mask_file: Path, camera_file: Path | None = None, invert: bool = False, ignore_file: Path | None = None
+    mask_file: Path,
+    camera_file: Path | None = None,
+    invert: bool = False,
+    ignore_file: Path | None = None,
+    search: bool = True,
 ) -> tuple[View, Path | None]:
     """Read a mask and its camera: the one named, else one found beside the mask, else the canonical one.
 
     Parameters
     ----------
     ignore_file : an image whose foreground marks the pixels of the mask that say nothing.
+    search : False looks for no camera beside the mask.
 
     Returns
     -------
@@ -77,7 +82,8 @@ def load_view(
     if ignore_file is not None:
         known = read_mask(ignore_file) <= 0.5
         _same_size(ignore_file, known.shape, mask_file, mask.shape)
-    camera_file = camera_file or find_camera(mask_file)
+    if camera_file is None and search:
+        camera_file = find_camera(mask_file)
     camera = read_camera(camera_file, width, height, mask_file) if camera_file else Camera.canonical(width, height)
     return View(mask, camera, known, name=str(mask_file)), camera_file
 
@@ -100,10 +106,19 @@ def load_points_scene(
     camera_file: Path | None = None,
     invert: bool = False,
     ignore_file: Path | None = None,
+    fit: bool = False,
 ) -> Scene:
-    """The scene of points mode; arguments and errors as :func:`load_view` and :func:`tso_cli.files.clouds.read_cloud`."""
+    """The scene of points mode; arguments and errors as :func:`load_view` and :func:`tso_cli.files.clouds.read_cloud`.
+
+    ``fit`` finds the camera from mask and cloud (:func:`tso_cli.pose.fit_camera`) instead of reading one.
+    """
     cloud = read_cloud(cloud_file)
-    view, camera_file = load_view(mask_file, camera_file, invert, ignore_file)
+    view, camera_file = load_view(mask_file, camera_file, invert, ignore_file, search=not fit)
+    if fit:
+        from .pose import fit_camera
+
+        fitted = fit_camera(cloud.points, view.mask, view.known, name=str(cloud_file))
+        return Scene(cloud.points, replace(view, camera=fitted.camera), fitted.describe(), "input", cloud=cloud)
     _warn_of_scale(cloud.points, view, cloud_file)
     return Scene(cloud.points, view, _said(camera_file), "input", cloud=cloud)
 

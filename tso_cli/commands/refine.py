@@ -14,6 +14,13 @@ from ..errors import InputError
 from ..files.output import atomic_output, check_output
 from ..files.shipped import DEFAULT, named_checkpoint
 from . import options
+from .refine_camera import (
+    camera_records,
+    print_cameras,
+    refuse_camera_options,
+    refuse_camera_output,
+    write_used_cameras,
+)
 
 if TYPE_CHECKING:
     from ..camera import Camera
@@ -36,9 +43,12 @@ MODES = ("points", "encoder", "encoder-decoder")
 @click.option(
     "--camera",
     "camera_file",
-    type=options.FilePath(),
-    help="Camera file.  [default: MASKSTEM.camera.json, else camera.json or cameras.json beside the mask, else canonical]",
+    type=options.CameraPath(),
+    help="Camera file, or `fit`: found from mask and cloud.  "
+    "[default: MASKSTEM.camera.json, else camera.json or cameras.json beside the mask, else canonical]",
 )
+@click.option("--refine-camera", is_flag=True, help="Move the camera with the points, held near the given one.")
+@click.option("--write-camera", type=options.FilePath(), help="Camera file of the fitted or refined camera, .json.")
 @click.option("-o", "--output", type=options.FilePath(), help="Refined cloud, .ply.  [default: SOURCESTEM.refined.ply here]")
 @options.overwrite
 @click.option("--invert-mask", is_flag=True, help="The object is what is dark in the mask.")
@@ -70,6 +80,8 @@ def command(
     mode: str,
     checkpoint: Path | None,
     camera_file: Path | None,
+    refine_camera: bool,
+    write_camera: Path | None,
     output: Path | None,
     overwrite: bool,
     invert_mask: bool,
@@ -98,16 +110,19 @@ def command(
     """
     started = time.perf_counter()
     _refuse_mixed_up(mode, source, checkpoint, frame)
+    fit = camera_file == options.FIT
+    refuse_camera_options(mode, fit, refine_camera, write_camera)
     if mode != "points":
         checkpoint = named_checkpoint(checkpoint or Path(DEFAULT))
     output = output or Path(f"{source.stem}.refined.ply")
     if not check:
         _refuse_outputs(output, overlay, overwrite, (source, mask, camera_file, ignore_file))
+        refuse_camera_output(write_camera, overwrite, (source, mask, camera_file, ignore_file, output, overlay))
     from ..placement import place, require_overlap
     from ..scenes import load_network_scene, load_points_scene
 
     if checkpoint is None:
-        scene = load_points_scene(source, mask, camera_file, invert_mask, ignore_file)
+        scene = load_points_scene(source, mask, None if fit else camera_file, invert_mask, ignore_file, fit)
     else:
         scene = load_network_scene(source, mask, checkpoint, camera_file, invert_mask, ignore_file, frame == "world")
         options.log(f"tso: checkpoint: {checkpoint}")
@@ -120,7 +135,8 @@ def command(
     read = time.perf_counter() - started
     from ..refinement import RefineConfig, refine
 
-    config = RefineConfig(mode, steps, learning_rate, gamma, scene.sigma_sq if sigma_sq is None else sigma_sq, device, seed)
+    sigma_sq = scene.sigma_sq if sigma_sq is None else sigma_sq
+    config = RefineConfig(mode, steps, learning_rate, gamma, sigma_sq, device, seed, refine_camera)
     bar = options.ProgressBar("tso: refining")
     result = refine(
         None if scene.network else scene.points,
@@ -139,13 +155,17 @@ def command(
             from ..report.overlay import draw_overlay
 
             draw_overlay(outputs.enter_context(atomic_output(overlay)), result, scene.view)
+        if write_camera is not None:
+            write_used_cameras(outputs.enter_context(atomic_output(write_camera)), result, [mask])
         write_cloud(output, scene.to_output(result.points), like=scene.cloud, overwrite=overwrite)
     finished = time.perf_counter()
     seconds = {"read": read, **result.seconds, "write": finished - writing, "total": finished - started}
     if as_json:
-        options.echo_json(_document(result, scene, checkpoint, output, overlay, preset, seconds))
+        document = _document(result, scene, checkpoint, output, overlay, preset, seconds)
+        options.echo_json(document | camera_records([scene.view], result))
     else:
         _print_result(result, output, overlay, seconds)
+        print_cameras([scene.view], result, refine_camera, write_camera)
     if result.stop_reason == "non_finite":
         options.log(f"tso: warning: the loss was no number after step {result.steps}; the best before that was written")
     elif result.stop_reason == "interrupted":

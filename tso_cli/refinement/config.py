@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera import Camera
 from ..errors import InputError
 
 MODES = ("points", "encoder", "encoder-decoder")
@@ -28,6 +29,7 @@ class RefineConfig:
     learning_rate : None for the paper's 5e-4, 1e-6, 5e-6. In points mode it is stated for a cloud of longest side 1.
     gamma : weight of the Chamfer distance to the start (longest side 1); None for the paper's 1e6, in encoder mode 0.
     sigma_sq : variance of the projection's Gaussian, px^2 of the mask; None for 0.4 (max(W, H) / 64)^2.
+    refine_camera : move the camera of each view too, held near the given one; points mode.
     device : "cpu", "cuda", "auto" or any name torch knows.
     seed : recorded in the result; none of the three variants draws random numbers.
 
@@ -44,10 +46,13 @@ class RefineConfig:
     sigma_sq: float | None = None
     device: str = "cpu"
     seed: int = 0
+    refine_camera: bool = False
 
     def __post_init__(self) -> None:
         if self.mode not in MODES:
             raise InputError(f"mode is {self.mode!r}, expected one of {', '.join(MODES)}")
+        if self.refine_camera and self.mode != "points":
+            raise InputError(f"mode is {self.mode!r}, expected points to refine the camera")
         for name in ("steps", "seed"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < 0:
@@ -73,6 +78,7 @@ class RefineResult:
     chamfer_to_initial : squared distances, mean over points, both directions summed, for a cloud of longest side 1.
     learning_rate, gamma, sigma_sq, device, seed : what was used; sigma_sq in px^2 of the first mask.
     seconds : wall time of each phase.
+    cameras : of each view; with ``refine_camera`` as they were moved.
     """
 
     points: Array
@@ -93,3 +99,4 @@ class RefineResult:
     device: str
     seed: int
     seconds: dict[str, float] = field(default_factory=dict)
+    cameras: tuple[Camera, ...] = ()

@@ -192,6 +192,20 @@ def _refined(
         loss = mask_term(moved)
         return loss + gamma * chamfer(moved) if gamma else loss
 
+    seen = [item.views for item in items]
+    if config.refine_camera and not at_start and isinstance(start, PointsStart):
+        from .cameras import settled_views
+
+        with _timed(seconds, "cameras"):
+            clouds = [item.cloud for item in items]
+            seen = settled_views(
+                clouds, seen, mask_term, lambda moved: gamma * chamfer(moved), start, config.steps, learning_rate
+            )
+            working = [
+                [working_view(view, config.sigma_sq, cloud.centre, cloud.scale) for view in own]
+                for own, cloud in zip(seen, clouds, strict=True)
+            ]
+            mask_term = MaskObjective(working, start.counts, first)
     small = first[..., 0].numel() <= SMALL_CLOUD
     with _timed(seconds, "optimise"), devices.one_thread(small and isinstance(start, PointsStart)):
         steps = 0 if at_start else config.steps
@@ -200,33 +214,39 @@ def _refined(
     with _timed(seconds, "judge"), devices.one_thread(small):
         moved_by = chamfer(descent.best).tolist()
         offsets = (descent.best.double() - first.double()).cpu().numpy()
-        judged = _judged(items, offsets, config, first.device)
+        judged = _judged(items, seen, offsets, config, first.device)
     seconds = {phase: value / len(items) for phase, value in seconds.items()}
     return [
-        _result(item, descent, number, own, moved_by[number], first.device, config, learning_rate, gamma, seconds)
+        _result(item, seen[number], descent, number, own, moved_by[number], first.device, config, learning_rate, gamma, seconds)
         for number, (item, own) in enumerate(zip(items, judged, strict=True))
     ]
 
 
-def _judged(items: list[Item], offsets: Array, config: RefineConfig, device: torch.device) -> list[tuple[Array, float, float]]:
-    """The refined points of each item, and its IoU before and after, mean over views. ``offsets`` [B, N, 3] are normalised."""
+def _judged(
+    items: list[Item], seen: list[tuple[View, ...]], offsets: Array, config: RefineConfig, device: torch.device
+) -> list[tuple[Array, float, float]]:
+    """The refined points of each item, and its IoU before and after, mean over views.
+
+    ``seen`` are the views with the cameras of the end, ``offsets`` [B, N, 3] are normalised.
+    """
     before = [item.cloud.initial for item in items]
     # What did not move keeps every bit of the input.
     after: list[Array] = [
         item.cloud.initial + item.cloud.scale * offset[: len(item.cloud.initial)]
         for item, offset in zip(items, offsets, strict=True)
     ]
-    groups: dict[Any, list[tuple[int, View]]] = {}
-    for number, item in enumerate(items):
-        for view in item.views:
-            groups.setdefault((view.camera.width, view.camera.height, view.camera.model), []).append((number, view))
+    groups: dict[Any, list[tuple[int, View, Camera]]] = {}
+    for number, (item, moved) in enumerate(zip(items, seen, strict=True)):
+        for view, own in zip(item.views, moved, strict=True):
+            groups.setdefault((own.camera.width, own.camera.height, own.camera.model), []).append((number, view, own.camera))
     scores: list[list[tuple[float, float]]] = [[] for _ in items]
     for (width, height, _), group in groups.items():
         size = max(1, PIXELS_AT_ONCE // (width * height))
         for part in (group[i : i + size] for i in range(0, len(group), size)):
-            cameras = [view.camera for _, view in part]
-            seen = [silhouettes_of([c[n] for n, _ in part], cameras, config.sigma_sq, device) for c in (before, after)]
-            for (number, view), *both in zip(part, *seen, strict=True):
+            numbers, views, moved_cameras = zip(*part, strict=True)
+            stages = (before, [view.camera for view in views]), (after, moved_cameras)
+            shown = [silhouettes_of([c[n] for n in numbers], cams, config.sigma_sq, device) for c, cams in stages]
+            for number, view, *both in zip(numbers, views, *shown, strict=True):
                 first, last = (iou(silhouette, view.mask, view.known) for silhouette in both)
                 scores[number].append((first, last))
     return [(points, *np.mean(own, 0).tolist()) for points, own in zip(after, scores, strict=True)]
@@ -234,6 +254,7 @@ def _judged(items: list[Item], offsets: Array, config: RefineConfig, device: tor
 
 def _result(
     item: Item,
+    seen: tuple[View, ...],
     descent: Descent,
     number: int,
     judged: tuple[Array, float, float],
@@ -272,6 +293,7 @@ def _result(
         device=str(device),
         seed=config.seed,
         seconds=seconds,
+        cameras=tuple(view.camera for view in seen),
     )
 
 

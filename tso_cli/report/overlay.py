@@ -59,11 +59,13 @@ def draw_overlay(path: Path, result: RefineResult, view: View) -> None:
     high = np.max([points.max(0) for points in rotated], axis=0)
     middle, half = (low + high) / 2.0, float((high - low).max()) * 0.53
     rows = (("before", result.initial, rotated[0], result.iou_before), ("after", result.points, rotated[1], result.iou_after))
+    # The camera may have moved with the points.
+    cameras = view.camera, result.cameras[0] if result.cameras else view.camera
     for i, (name, points, seen, iou) in enumerate(rows):
         x, y, z = ((seen - middle) / half).T
         # OpenCV axes: x right, y down, z away. From the right of the camera, what is far lies to the right.
         panels = (
-            (f"{name}: IoU {iou:.3f}", _fitted(compare(silhouette_of(points, view.camera, result.sigma_sq), view))),
+            (f"{name}: IoU {iou:.3f}", _fitted(compare(silhouette_of(points, cameras[i], result.sigma_sq), view))),
             (f"{name}: from the camera", _dots(x, y, z)),
             (f"{name}: from the camera's right", _dots(z, y, -x)),
         )
