@@ -26,8 +26,8 @@ def settled_views(
     start: PointsStart,
     steps: int,
     learning_rate: float,
-) -> list[tuple[View, ...]]:
-    """The views of each cloud, with the cameras corrected that need it.
+) -> tuple[list[tuple[View, ...]], bool]:
+    """The views of each cloud, with the cameras corrected that need it, and whether Ctrl-C kept them as they were.
 
     Points and cameras are moved together, the points held near their start (which pins what a move of all points and one of
     all cameras have in common), the cameras near the given ones. A correction of over 1.5 standard deviations is kept, a
@@ -58,10 +58,11 @@ def settled_views(
     finally:
         mask_term.moves = None
     if descent.interrupted:
-        raise KeyboardInterrupt
+        return list(views), True
     values = descent.best_beside[0].double().cpu().numpy()
     values = np.where(deviations(values)[..., None] > ACCEPTED, values, 0.0)
-    return [
+    settled = [
         tuple(replace(v, camera=moved_camera(v.camera, by, c.centre, c.scale)) for v, by in zip(own, row, strict=True))
         for c, own, row in zip(clouds, views, values, strict=True)
     ]
+    return settled, False

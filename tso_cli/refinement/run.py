@@ -198,13 +198,10 @@ def _refined(
 
         with _timed(seconds, "cameras"):
             clouds = [item.cloud for item in items]
-            seen = settled_views(
+            seen, at_start = settled_views(
                 clouds, seen, mask_term, lambda moved: gamma * chamfer(moved), start, config.steps, learning_rate
             )
-            working = [
-                [working_view(view, config.sigma_sq, cloud.centre, cloud.scale) for view in own]
-                for own, cloud in zip(seen, clouds, strict=True)
-            ]
+            working = [Item.of(cloud, own, config).working for cloud, own in zip(clouds, seen, strict=True)]
             mask_term = MaskObjective(working, start.counts, first)
     small = first[..., 0].numel() <= SMALL_CLOUD
     with _timed(seconds, "optimise"), devices.one_thread(small and isinstance(start, PointsStart)):
