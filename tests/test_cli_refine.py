@@ -31,6 +31,25 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture
+def views(folder):
+    """views.json and three masks that it names, of the chair seen from three sides, in three sizes."""
+    from dataclasses import replace
+
+    from tso_cli.files.cameras import CameraRecord, read_camera, write_cameras
+    from tso_cli.projection import silhouette_of
+
+    camera, target = read_camera("camera.json", 256, 256), read_cloud("target.ply").points
+    records = []
+    for name, degrees, size in (("front.png", 0.0, (64, 64)), ("side.png", 80.0, (96, 80)), ("back.png", 200.0, (128, 128))):
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        turned = replace(camera, R=camera.R @ [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]).resized(*size)
+        Image.fromarray((silhouette_of(target, turned) * 255.0).astype(np.uint8)).save(name)
+        records.append(CameraRecord(turned, Path(name)))
+    write_cameras("views.json", records)
+    return [record.mask for record in records]
+
+
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory):
     """A small view-aligned network; untrained, which is enough to run the modes."""
@@ -60,7 +79,7 @@ def test_the_command_of_the_readme_works_as_written(folder, capsys):
     assert "IoU" in captured.out
     refined, initial = read_cloud("initial.refined.ply").points, read_cloud("initial.ply").points
     assert refined.shape == initial.shape
-    assert 0.0 < np.abs(refined - initial).max() < 0.05
+    assert 0.0 < np.abs(refined - initial).max() < 0.1
 
 
 def test_json_is_one_document_with_everything_promised(folder, capsys):
@@ -204,7 +223,103 @@ def test_the_picture_is_not_left_without_its_cloud(folder, capsys, monkeypatch):
     assert set(folder.iterdir()) == before
 
 
-@pytest.mark.parametrize("mode", ["encoder", "encoder-decoder"])
+def test_several_masks_of_their_own_sizes_and_cameras_refine_one_cloud(views, capsys):
+    assert (
+        tso("refine", "initial.ply", *views, "--camera", "views.json", "--json", "-o", "out.ply", "--overlay", "out.png") == 0
+    )
+    document = _json(capsys)
+    assert [view["mask"] for view in document["views"]] == ["front.png", "side.png", "back.png"]
+    assert [view["camera"]["width"] for view in document["views"]] == [64, 96, 128]
+    assert document["camera"] == document["views"][0]["camera"]
+    for key in ("iou_before", "iou_after"):
+        assert document[key] == pytest.approx(np.mean([view[key] for view in document["views"]]))
+    assert all(view["iou_after"] > view["iou_before"] for view in document["views"])
+    assert [view["weight"] for view in document["views"]] == pytest.approx([1.0, 1.0, 1.0], abs=0.2)
+    with Image.open("out.png") as picture:
+        assert picture.size[1] > 3 * 340
+
+
+def test_three_masks_bring_the_cloud_nearer_to_the_truth_than_one(views):
+    from tso_cli.metrics import chamfer
+
+    target = read_cloud("target.ply").points
+    errors = []
+    for count in (1, 3):
+        assert tso("refine", "initial.ply", *views[:count], "--camera", "views.json", "-o", f"{count}.ply") == 0
+        errors.append(chamfer(read_cloud(f"{count}.ply").points, target).chamfer)
+    assert errors[1] < 0.97 * errors[0]
+
+
+def test_named_masks_may_come_in_any_order_or_be_left_out(views, capsys):
+    assert tso("refine", "initial.ply", "--camera", "views.json", "-o", "named.ply", "--json") == 0
+    named = _json(capsys)["views"]
+    assert tso("refine", "initial.ply", *views[::-1], "--camera", "views.json", "-o", "turned.ply", "--json") == 0
+    turned = _json(capsys)["views"][::-1]
+    for one, other in zip(named, turned, strict=True):
+        assert (one["mask"], one["camera"]) == (other["mask"], other["camera"])
+        assert one["iou_after"] == pytest.approx(other["iou_after"], abs=0.01)
+
+
+def test_each_mask_may_bring_a_camera_file_of_its_own(views, capsys):
+    document = json.loads(Path("views.json").read_text())
+    for view, mask in zip(document["views"], views, strict=True):
+        del view["mask"]
+        mask.with_suffix(".camera.json").write_text(json.dumps(view))
+    assert tso("refine", "initial.ply", *views, "--steps", "0", "--json") == 0
+    assert [view["camera"]["width"] for view in _json(capsys)["views"]] == [64, 96, 128]
+
+
+def test_masks_beside_a_file_of_all_views_need_no_camera_option(views, capsys):
+    Path("views.json").rename("cameras.json")
+    Path("camera.json").unlink()
+    assert tso("refine", "initial.ply", *views[1:], "--steps", "0", "--json") == 0
+    captured = capsys.readouterr()
+    assert "camera: cameras.json\n" in captured.err
+    assert [view["camera"]["width"] for view in json.loads(captured.out)["views"]] == [96, 128]
+
+
+def test_each_mask_has_an_ignore_map_of_its_own(views, capsys):
+    maps = []
+    for mask in views:
+        with Image.open(mask) as image:
+            Image.new("L", image.size).save(f"ignore-{mask}")
+        maps += ["--ignore", f"ignore-{mask}"]
+    common = ("refine", "initial.ply", *views, "--camera", "views.json", "--steps", "2")
+    assert tso(*common, "-o", "none.ply") == 0
+    assert tso(*common, *maps, "-o", "empty.ply") == 0
+    np.testing.assert_allclose(read_cloud("empty.ply").points, read_cloud("none.ply").points, atol=1e-6)
+    with Image.open(views[2]) as image:
+        half = np.zeros(image.size[::-1], np.uint8)
+    half[:60] = 255
+    Image.fromarray(half).save(f"ignore-{views[2]}")
+    assert tso(*common, *maps, "-o", "half.ply") == 0
+    assert np.abs(read_cloud("half.ply").points - read_cloud("none.ply").points).max() > 1e-5
+
+
+def test_check_prints_a_block_for_each_view(views, capsys):
+    assert tso("refine", "initial.ply", *views, "--camera", "views.json", "--check") == 0
+    out = capsys.readouterr().out
+    assert re.findall(r"^view +(.*)$", out, re.M) == ["1 of 3, front.png", "2 of 3, side.png", "3 of 3, back.png"]
+    assert re.findall(r"perspective, (\d+x\d+), from views.json", out) == ["64x64", "96x80", "128x128"]
+    assert out.count("they meet") == 3
+    assert tso("refine", "initial.ply", *views, "--camera", "views.json", "--check", "--json") == 0
+    document = _json(capsys)
+    assert document["meets"] is True
+    assert [view["placement"]["points"] for view in document["views"]] == [1024] * 3
+
+
+def test_a_view_that_the_others_contradict_is_discounted_and_named(views, capsys):
+    other = np.zeros((80, 96), np.uint8)
+    other[30:75, 5:90] = 255
+    Image.fromarray(other).save("side.png")
+    assert tso("refine", "initial.ply", *views, "--camera", "views.json") == 0
+    captured = capsys.readouterr()
+    assert re.findall(r"warning: (\S+): the other views contradict it", captured.err) == ["side.png"]
+    weights = [float(weight) for weight in re.findall(r"weight ([\d.]+), ", captured.out)]
+    assert weights[1] < 0.2 < 0.8 < min(weights[0], weights[2])
+
+
+@pytest.mark.parametrize("mode", ["encoder", "encoder-decoder", "latent"])
 def test_the_network_modes_refine_the_networks_cloud(mode, folder, checkpoint, capsys):
     assert tso("refine", "--mode", mode, "image.png", "mask.png", "--checkpoint", checkpoint, "--json", "--steps", "5") == 0
     document = _json(capsys)
@@ -226,7 +341,7 @@ def shipped(tmp_path, checkpoint, monkeypatch):
     return weights / "default.safetensors"
 
 
-@pytest.mark.parametrize("mode", ["encoder", "encoder-decoder"])
+@pytest.mark.parametrize("mode", ["encoder", "encoder-decoder", "latent"])
 def test_without_a_checkpoint_the_shipped_one_refines_and_is_named(mode, folder, checkpoint, shipped, capsys):
     common = ("refine", "--mode", mode, "image.png", "mask.png", "--steps", "2")
     assert tso(*common, "-o", "a.ply", "--json") == 0
@@ -282,10 +397,11 @@ def test_the_shipped_network_is_small_view_aligned_and_refines_the_examples(fold
     assert {tensor.dtype for tensor in load_file(SHIPPED).values()} == {torch.float16}
     config, _ = read_metadata(SHIPPED)
     assert (config.frame, config.points) == ("view", 1024)
-    assert tso("refine", "--mode", "encoder-decoder", "image.png", "mask.png", "--steps", "10", "--json") == 0
-    document = _json(capsys)
-    assert document["points"] == 1024
-    assert document["iou_after"] > document["iou_before"] > 0.3
+    for mode in ("encoder-decoder", "latent"):
+        assert tso("refine", "--mode", mode, "image.png", "mask.png", "--steps", "10", "--json", "--overwrite") == 0
+        document = _json(capsys)
+        assert document["points"] == 1024
+        assert document["iou_after"] > document["iou_before"] > 0.3
 
 
 def test_a_view_aligned_cloud_can_be_had_in_world_coordinates(folder, checkpoint, capsys):
@@ -342,19 +458,19 @@ def test_a_photo_turned_by_its_exif_note_says_the_same_as_one_stored_upright(fol
 
 
 def test_an_interrupt_writes_the_best_so_far(folder, capsys, monkeypatch):
-    from tso_cli.objective import MaskObjective
+    from tso_cli.objective import PullObjective
 
-    steps = iter(range(100))
-    true_call = MaskObjective.__call__
+    calls = iter(range(100))
+    true_call = PullObjective.__call__
 
-    def interrupted(self, moved):
-        if next(steps) == 7:
+    def interrupted(self, moved, reach):
+        if next(calls) == 8:  # one for the anchor, one for the start
             raise KeyboardInterrupt
-        return true_call(self, moved)
+        return true_call(self, moved, reach)
 
-    monkeypatch.setattr(MaskObjective, "__call__", interrupted)
+    monkeypatch.setattr(PullObjective, "__call__", interrupted)
     assert tso("refine", "initial.ply", "mask.png") == 130
-    assert "interrupted at step 6 of 50" in capsys.readouterr().err
+    assert "interrupted at step 6 of 90" in capsys.readouterr().err
     assert Path("initial.refined.ply").exists()
 
 
@@ -411,6 +527,16 @@ BAD = {
     "no mask given": ("", "initial.ply", "MASK"),
     "unknown device": ("", "initial.ply mask.png --device warp", "warp"),
     "ignore map of another size": ("resize:image.png", "initial.ply mask.png --ignore image.png", "image.png 128x128 256x256"),
+    "more masks than views": ("", "initial.ply mask.png image.png --camera camera.json", "camera.json 1 view 2 masks"),
+    "masks without cameras": ("unlink:camera.json", "initial.ply mask.png image.png", "camera file 2 masks"),
+    "no mask and no camera": ("", "initial.ply --overlay out.png", "MASK --camera"),
+    "views that name no mask": ("", "initial.ply --camera camera.json", r"camera.json views\[0\] names no mask"),
+    "ignore maps for some": ("", "initial.ply mask.png --ignore mask.png --ignore mask.png", "--ignore 2 ignore maps 1 mask"),
+    "two masks for a network": ("", "image.png mask.png mask.png ENCODER CHECKPOINT", "encoder MASK 2 once"),
+    "no mask for a network": ("", "image.png ENCODER CHECKPOINT", "encoder MASK 0 once"),
+    "two ignore maps for a network": (
+        "", "image.png mask.png ENCODER CHECKPOINT --ignore mask.png --ignore mask.png", "encoder --ignore 2 once"
+    ),
     "cloud elsewhere": ("move:initial.ply", "initial.ply mask.png", "mask.png --check"),
 }  # fmt: skip
 
@@ -455,6 +581,8 @@ def _damage(action: str) -> None:
             b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"\0" * 5001)) + chunk(b"IEND", b"")
         )
         assert path.stat().st_size < 1024
+    elif verb == "unlink":
+        path.unlink()
     elif verb == "drop":
         document = json.loads(path.read_text())
         del document[rest[0]]

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from tso_cli.report.overlay import NEAR_TO_FAR, PANEL, _dots, _fitted
+from tso_cli.camera import Camera
+from tso_cli.projection import silhouette_of
+from tso_cli.refinement import RefineConfig, refine
+from tso_cli.report.overlay import NEAR_TO_FAR, PANEL, _dots, _fitted, draw_overlay, evenly_chosen
+from tso_cli.scene import View
 
 
 def _panel(*points: tuple[float, float, float]) -> np.ndarray:
@@ -38,3 +43,22 @@ def test_an_image_fills_its_panel_and_keeps_its_shape(height, width):
     assert image.size == (PANEL, PANEL // 2)
     assert image.getpixel((PANEL - 1, 3)) == (255, 128, 0)
     assert image.getpixel((0, 3)) == (0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("count", "shown"), [(1, [0]), (6, [0, 1, 2, 3, 4, 5]), (9, [0, 2, 3, 5, 6, 8]), (500, [0, 100, 200, 299, 399, 499])]
+)
+def test_of_many_views_six_are_shown_from_first_to_last(count, shown):
+    assert evenly_chosen(count, 6) == shown
+
+
+@pytest.mark.parametrize(("count", "rows"), [(1, 2), (3, 3), (8, 6)])
+def test_one_view_gets_a_row_before_and_one_after_and_several_a_row_each(count, rows, tmp_path):
+    points = np.random.default_rng(0).uniform(-0.3, 0.3, (60, 3))
+    views = []
+    for size in range(20, 20 + count):
+        camera = Camera.canonical(size, 20)
+        views.append(View(silhouette_of(1.1 * points, camera), camera))
+    draw_overlay(tmp_path / "picture.png", refine(points, views, config=RefineConfig(steps=0)), views)
+    with Image.open(tmp_path / "picture.png") as picture:
+        assert picture.size[1] // PANEL == rows

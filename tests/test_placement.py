@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tso_cli import placement
 from tso_cli.camera import Camera
 from tso_cli.errors import InputError
-from tso_cli.placement import box_iou, place, place_in_front, require_overlap, view_to_world
+from tso_cli.placement import box_iou, place, place_in_front, require_overlap, settle, view_to_world
+from tso_cli.projection import silhouette_of
 from tso_cli.scene import View
 
 
@@ -27,11 +29,11 @@ def cloud():
 def test_points_are_counted_where_they_fall(cloud):
     view = View(_square(24, 24, 16), Camera.canonical(64, 64))
     points = np.vstack([cloud, [[0.0, 0.0, 3.0], [5.0, 0.0, 0.0]]])
-    placement = place(points, view)
-    assert (placement.points, placement.behind, placement.inside_image) == (502, 1, 500)
+    fell = place(points, view)
+    assert (fell.points, fell.behind, fell.inside_image) == (502, 1, 500)
     pixels = np.rint(view.camera.project(cloud)[0]).astype(int)
-    assert placement.inside_mask == int((view.mask[pixels[:, 1], pixels[:, 0]] > 0.5).sum())
-    assert placement.mask_box == (23.5, 23.5, 39.5, 39.5)
+    assert fell.inside_mask == int((view.mask[pixels[:, 1], pixels[:, 0]] > 0.5).sum())
+    assert fell.mask_box == (23.5, 23.5, 39.5, 39.5)
 
 
 def test_boxes_that_are_the_same_have_iou_one_and_apart_zero():
@@ -92,3 +94,40 @@ def test_the_way_back_to_the_world_keeps_the_picture_and_finds_the_true_size(clo
     world = view_to_world(aligned / 3.0, placed, camera)
     np.testing.assert_allclose(world, truth, atol=1e-9)
     np.testing.assert_allclose(camera.project(world)[0], placed.project(aligned / 3.0)[0], atol=1e-9)
+
+
+def test_settling_finds_the_camera_that_the_mask_was_seen_through(cloud):
+    truth = replace(Camera.canonical(64, 64), t=np.array([0.03, -0.02, 2.08]))
+    view = View((silhouette_of(cloud, truth) > 0.5).astype(np.float32), Camera.canonical(64, 64))
+    settled = settle(cloud, view, steps=60)
+    assert (np.abs(settled.t - truth.t) < [0.01, 0.01, 0.04]).all()
+    np.testing.assert_array_equal(settled.K, view.camera.K)
+    np.testing.assert_array_equal(settled.R, view.camera.R)
+
+
+def test_settling_is_not_misled_by_one_stray_point_as_the_box_is(cloud):
+    truth = Camera.canonical(64, 64)
+    view = View((silhouette_of(cloud, truth) > 0.5).astype(np.float32), truth)
+    stray = np.vstack([cloud, [[0.34, 0.0, 0.0]]])
+    boxed = place_in_front(stray, view)
+    settled = settle(stray, replace(view, camera=boxed), steps=100)
+    assert boxed.t[2] > 2.2
+    assert abs(settled.t[2] - 2.0) < 0.2 * abs(boxed.t[2] - 2.0)
+    assert abs(settled.t[0]) < 0.2 * abs(boxed.t[0])
+
+
+def test_settling_never_ends_at_a_worse_place_than_it_began(cloud, monkeypatch):
+    view = View((silhouette_of(cloud, Camera.canonical(64, 64)) > 0.5).astype(np.float32), Camera.canonical(64, 64))
+    np.testing.assert_array_equal(settle(cloud, view, steps=0).t, view.camera.t)
+    monkeypatch.setattr(placement, "SETTLING_STEP", 3.0)
+    np.testing.assert_array_equal(settle(cloud, view).t, view.camera.t)
+
+
+def test_settling_heeds_no_ignored_pixel(cloud):
+    mask = (silhouette_of(cloud, Camera.canonical(64, 64)) > 0.5).astype(np.float32)
+    known = np.ones((64, 64), bool)
+    known[:, 52:] = False
+    expected = settle(cloud, View(mask, Camera.canonical(64, 64), known)).t
+    mask[:, 52:] = 1.0
+    np.testing.assert_array_equal(settle(cloud, View(mask, Camera.canonical(64, 64), known)).t, expected)
+    assert not np.allclose(settle(cloud, View(mask, Camera.canonical(64, 64))).t, expected, atol=0.01)

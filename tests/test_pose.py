@@ -190,8 +190,8 @@ def test_a_moved_camera_in_file_units_sees_what_the_loop_saw():
     moves = CameraMoves([[local]], torch.zeros(1, dtype=torch.float64))
     values = np.array([0.02, -0.03, 0.01, 0.01, 0.02, -0.01])
     with torch.no_grad():
-        moves.values += torch.as_tensor(values)
-    seen = project(torch.as_tensor(points)[None], moves.apply(CameraBatch.of([local], moves.values).one_each(), 0))
+        moves.parameter += torch.as_tensor(values.reshape(1, 2, 3))
+    seen = project(torch.as_tensor(points)[None], moves.apply(CameraBatch.of([local], moves.parameter).one_each(), 0))
     expected, _ = moved_camera(big, values, centre, scale).project(10.0 * points + centre)
     np.testing.assert_allclose(seen.points_px[0, 0].detach(), expected, atol=1e-8)
 

@@ -16,11 +16,13 @@ from tso_cli.files.cameras import read_camera
 from tso_cli.files.clouds import read_cloud
 from tso_cli.files.images import read_mask
 from tso_cli.losses import chamfer
-from tso_cli.network import build_network
+from tso_cli.network import Encoder, build_network
 from tso_cli.objective import MaskObjective
-from tso_cli.refinement import RefineConfig, loop, refine, refine_batch, run
+from tso_cli.refinement import PRESETS, RefineConfig, loop, refine, refine_batch, run
+from tso_cli.refinement.starts import NetworkStart
 from tso_cli.scene import View
 
+PAPER = RefineConfig(preset="paper")
 CHAIR = Path(__file__).parents[1] / "examples" / "chair"
 
 
@@ -38,7 +40,7 @@ def _error(points) -> float:
 
 def test_the_papers_settings_bring_the_chair_nearer_to_the_truth(chair):
     points, mask, camera = chair
-    result = tso_cli.refine(points, mask, camera)
+    result = tso_cli.refine(points, mask, camera, PAPER)
     assert _error(result.points) < 0.97 * _error(points)
     assert result.iou_after > result.iou_before + 0.05
     assert result.loss_after < result.loss_before
@@ -71,27 +73,35 @@ def _shifted(camera: Camera, by: float, scale: float = 1.0) -> Camera:
     return Camera(camera.K, camera.R, scale * camera.t - camera.R @ np.full(3, by), camera.width, camera.height, camera.model)
 
 
-def test_scaling_cloud_and_camera_by_a_thousand_changes_nothing(chair):
+@pytest.mark.parametrize("preset", PRESETS)
+def test_scaling_cloud_and_camera_by_a_thousand_changes_nothing(chair, preset):
     points, mask, camera = chair
-    expected = refine(points, mask, camera)
-    scaled = refine(points * 1000.0, mask, _shifted(camera, 0.0, 1000.0))
+    config = RefineConfig(preset=preset)
+    expected = refine(points, mask, camera, config)
+    scaled = refine(points * 1000.0, mask, _shifted(camera, 0.0, 1000.0), config)
     np.testing.assert_allclose(scaled.points / 1000.0, expected.points, atol=1e-4)
     assert scaled.loss_after == pytest.approx(expected.loss_after, rel=1e-4)
     assert scaled.chamfer_to_initial == pytest.approx(expected.chamfer_to_initial, rel=1e-3)
 
 
-def test_a_scan_with_coordinates_near_four_million_is_refined_as_at_the_origin(chair):
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_scan_with_coordinates_near_four_million_is_refined_as_at_the_origin(chair, preset):
     points, mask, camera = chair
-    expected = refine(points, mask, camera)
-    far = refine(points + 4e6, mask, _shifted(camera, 4e6))
-    np.testing.assert_allclose(far.points - 4e6, expected.points, atol=1e-4)
+    config = RefineConfig(preset=preset)
+    expected = refine(points, mask, camera, config)
+    far = refine(points + 4e6, mask, _shifted(camera, 4e6), config)
+    # At four million, coordinates hold nine digits after the point: of two points equally near, the other may be the nearer.
+    np.testing.assert_allclose(far.points - 4e6, expected.points, atol=1e-4 if preset == "paper" else 0.02)
+    assert _error(far.points - 4e6) == pytest.approx(_error(expected.points), rel=0.02)
 
 
-def test_enlarging_mask_and_intrinsics_by_two_changes_nothing(chair):
+@pytest.mark.parametrize("preset", PRESETS)
+def test_enlarging_mask_and_intrinsics_by_two_changes_nothing(chair, preset):
     points, mask, camera = chair
+    config = RefineConfig(preset=preset)
     finer = mask.repeat(2, axis=0).repeat(2, axis=1)
-    expected = refine(points, mask, camera)
-    result = refine(points, finer, camera.resized(2 * camera.width, 2 * camera.height))
+    expected = refine(points, mask, camera, config)
+    result = refine(points, finer, camera.resized(2 * camera.width, 2 * camera.height), config)
     np.testing.assert_allclose(result.points, expected.points, atol=1e-4)
     assert result.sigma_sq == pytest.approx(4 * expected.sigma_sq)
     assert result.loss_after == pytest.approx(expected.loss_after, rel=1e-4)
@@ -99,9 +109,9 @@ def test_enlarging_mask_and_intrinsics_by_two_changes_nothing(chair):
 
 def test_working_at_the_kernels_own_resolution_loses_nothing_against_every_pixel(chair, monkeypatch):
     points, mask, camera = chair
-    coarse = refine(points, mask, camera)
+    coarse = refine(points, mask, camera, PAPER)
     monkeypatch.setattr(objective, "RESOLVED_SIGMA_SQ", 1e9)
-    full = refine(points, mask, camera)
+    full = refine(points, mask, camera, PAPER)
     assert not np.array_equal(coarse.points, full.points)
     assert _error(coarse.points) < 1.01 * _error(full.points)
     # the working view is the same scene: its loss is that of every pixel but for the averaged rim of the mask
@@ -110,18 +120,18 @@ def test_working_at_the_kernels_own_resolution_loses_nothing_against_every_pixel
 
 def test_the_result_is_the_best_iterate_and_the_start_is_a_candidate(chair):
     points, mask, camera = chair
-    wild = refine(points, mask, camera, RefineConfig(learning_rate=0.5, steps=5))
+    wild = refine(points, mask, camera, RefineConfig(learning_rate=0.5, steps=5, preset="paper"))
     assert wild.best_step == 0
     np.testing.assert_array_equal(wild.points, points)
-    tame = refine(points, mask, camera)
+    tame = refine(points, mask, camera, PAPER)
     assert tame.loss_after == min(tame.losses)
     assert len(tame.losses) == tame.steps + 1
 
 
 def test_gamma_holds_the_cloud_near_its_start(chair):
     points, mask, camera = chair
-    held = refine(points, mask, camera, RefineConfig(gamma=1e8))
-    loose = refine(points, mask, camera, RefineConfig(gamma=0.0))
+    held = refine(points, mask, camera, RefineConfig(gamma=1e8, preset="paper"))
+    loose = refine(points, mask, camera, RefineConfig(gamma=0.0, preset="paper"))
     assert held.chamfer_to_initial < 0.2 * loose.chamfer_to_initial
 
 
@@ -151,14 +161,14 @@ def test_a_loss_that_stops_being_a_number_keeps_the_best_before_it(chair, monkey
         return true_call(self, moved) * (torch.nan if next(calls) >= 3 else 1.0)
 
     monkeypatch.setattr(MaskObjective, "__call__", failing)
-    result = refine(points, mask, camera)
+    result = refine(points, mask, camera, PAPER)
     assert (result.stop_reason, result.steps, result.best_step) == ("non_finite", 2, 2)
     assert np.isfinite(result.points).all()
     calls = iter(range(2, 1000))
     with pytest.raises(TsoError, match="after the first step"):
-        refine(points, mask, camera)
+        refine(points, mask, camera, PAPER)
     with pytest.raises(TsoError, match="loss of the start"):
-        refine(points, mask, camera)
+        refine(points, mask, camera, PAPER)
 
 
 def test_reading_the_losses_rarely_as_on_a_gpu_changes_no_result(chair, monkeypatch):
@@ -175,7 +185,7 @@ def test_reading_the_losses_rarely_as_on_a_gpu_changes_no_result(chair, monkeypa
         return true_call(self, moved) * (torch.nan if len(calls) > 3 else 1.0)
 
     monkeypatch.setattr(MaskObjective, "__call__", failing)
-    result = refine(points, mask, camera)
+    result = refine(points, mask, camera, PAPER)
     assert (result.stop_reason, result.steps, result.best_step) == ("non_finite", 2, 2)
     assert len(calls) == loop.STEPS_UNREAD + 1
 
@@ -184,7 +194,7 @@ def test_ignored_pixels_leave_the_points_they_cover_alone(chair):
     points, mask, camera = chair
     known = np.zeros(mask.shape, bool)
     known[:, : mask.shape[1] // 2] = True
-    result = refine(points, View(mask, camera, known), config=RefineConfig(gamma=0.0))
+    result = refine(points, View(mask, camera, known), config=RefineConfig(gamma=0.0, preset="paper"))
     columns = camera.project(points)[0][:, 0]
     moved = np.linalg.norm(result.points - points, axis=1)
     # points well inside the ignored half, beyond the reach of the kernel
@@ -208,10 +218,17 @@ def test_an_orthographic_camera_refines_too(chair):
     assert result.loss_after < result.loss_before
 
 
-@pytest.mark.parametrize("mode", ["encoder", "encoder-decoder"])
-def test_a_network_mode_moves_only_its_own_weights_and_leaves_the_network_as_it_was(mode, monkeypatch):
-    torch.manual_seed(0)
-    network = build_network(points=64)
+@pytest.fixture
+def photo():
+    """A small network, a picture for it and a mask."""
+    mask = np.zeros((64, 64), np.float32)
+    mask[22:42, 25:40] = 1.0
+    return build_network(points=64), torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0)), mask
+
+
+@pytest.mark.parametrize("mode", ["encoder", "encoder-decoder", "latent"])
+def test_a_network_mode_moves_only_its_own_numbers_and_leaves_the_network_as_it_was(mode, photo, monkeypatch):
+    network, image, mask = photo
     before = {name: value.clone() for name, value in network.state_dict().items()}
     seen = {}
     true_descend = run.descend
@@ -221,16 +238,50 @@ def test_a_network_mode_moves_only_its_own_weights_and_leaves_the_network_as_it_
         return true_descend(produce, parameters, *rest)
 
     monkeypatch.setattr(run, "descend", spy)
-    mask = np.zeros((64, 64), np.float32)
-    mask[22:42, 25:40] = 1.0
-    image = torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0))
-    result = refine(None, mask, config=RefineConfig(mode, steps=3), network=network, image=image)
+    result = refine(None, mask, config=RefineConfig(mode, steps=3, preset="paper"), network=network, image=image)
     assert result.loss_after < result.loss_before
     assert result.gamma == (0.0 if mode == "encoder" else 1e6)
-    encoder = sum(p.numel() for p in network.encoder.parameters())
-    assert seen["count"] == (encoder if mode == "encoder" else encoder + sum(p.numel() for p in network.decoder.parameters()))
+    encoder, decoder = (sum(p.numel() for p in half.parameters()) for half in (network.encoder, network.decoder))
+    assert seen["count"] == {"encoder": encoder, "encoder-decoder": encoder + decoder, "latent": 128}[mode]
     for name, value in network.state_dict().items():
         assert torch.equal(value, before[name])
+    assert all(weight.requires_grad and weight.grad is None for weight in network.parameters())
+
+
+def test_the_latent_vector_starts_at_the_prediction_and_its_cloud_is_always_the_decoders(photo):
+    network, image, _ = photo
+    start = NetworkStart(network, image, "latent", torch.device("cpu"))
+    (latent,) = start.parameters
+    assert latent.shape == (1, 128)
+    with torch.no_grad():
+        torch.testing.assert_close(torch.tensor(start.cloud.initial).float(), network(image[None])[0], rtol=0, atol=1e-6)
+        latent += 0.1
+        expected = (network.decoder(latent)[0].double().numpy() - start.cloud.centre) / start.cloud.scale
+        np.testing.assert_allclose(start.produce()[0].numpy(), expected, atol=1e-6)
+
+
+def test_a_step_of_the_latent_variant_does_not_look_at_the_picture_again(photo, monkeypatch):
+    network, image, mask = photo
+    looks = []
+    true_forward = Encoder.forward
+    monkeypatch.setattr(Encoder, "forward", lambda encoder, images: looks.append(1) or true_forward(encoder, images))
+    refine(None, mask, config=RefineConfig("latent", steps=4), network=network, image=image)
+    assert len(looks) == 1
+
+
+def test_the_gradient_by_the_latent_vector_is_that_of_finite_differences(photo):
+    network, image, mask = photo
+    start = NetworkStart(network, image, "latent", torch.device("cpu"))
+    start._predict.double()
+    latent = start.parameters[0].detach().double()
+    view = objective.working_view(View(mask, Camera.canonical(64, 64)), None, start.cloud.centre, start.cloud.scale)
+    term = MaskObjective([[view]], start.counts, latent.new_zeros(1, 64, 3))
+
+    def loss(values):
+        start._given = values
+        return term(start.produce())
+
+    assert torch.autograd.gradcheck(loss, latent.requires_grad_(), eps=1e-6, atol=1e-3, rtol=1e-5)
 
 
 def test_what_cannot_be_refined_is_refused(chair):
@@ -290,9 +341,9 @@ def test_a_batch_of_clouds_of_different_sizes_comes_to_what_each_comes_to_alone(
         (far, View(mask, _shifted(camera, 100.0))),
         (points[::2] * 0.9, View(mask, camera, np.arange(256)[:, None] + np.zeros((256, 256)) < 200)),
     ]
-    for found, (own, views) in zip(refine_batch(scenes), scenes, strict=True):
-        alone = refine(own, views)
-        np.testing.assert_allclose(found.points, alone.points, atol=2e-5)
+    for found, (own, views) in zip(refine_batch(scenes, PAPER), scenes, strict=True):
+        alone = refine(own, views, config=PAPER)
+        np.testing.assert_allclose(found.points, alone.points, atol=1e-4)
         assert found.loss_after == pytest.approx(alone.loss_after, rel=1e-5)
         assert (found.steps, found.stop_reason) == (50, "max_steps")
         assert found.best_step == pytest.approx(alone.best_step, abs=2)
@@ -316,8 +367,19 @@ def test_in_a_batch_one_that_cannot_be_refined_stops_no_other(chair, monkeypatch
         return true_call(self, moved) * torch.tensor([1.0, torch.nan if next(calls) >= 3 else 1.0])
 
     monkeypatch.setattr(MaskObjective, "__call__", failing)
-    whole, broken = refine_batch([scenes[0], scenes[0]])
+    whole, broken = refine_batch([scenes[0], scenes[0]], PAPER)
     assert (whole.stop_reason, whole.steps) == ("max_steps", 50)
     assert (broken.stop_reason, broken.steps, broken.best_step) == ("non_finite", 2, 2)
     assert np.isfinite(broken.points).all()
-    np.testing.assert_allclose(whole.points, refine_batch([scenes[0]] * 2)[0].points, atol=1e-5)
+    np.testing.assert_allclose(whole.points, refine_batch([scenes[0]] * 2, PAPER)[0].points, atol=1e-5)
+
+
+def test_a_batch_refines_by_the_best_preset_as_one_at_a_time_does(chair):
+    points, mask, camera = chair
+    scenes = [(points, View(mask, camera)), (points[:900] * 0.9, View(mask, camera))]
+    for found, (own, views) in zip(refine_batch(scenes), scenes, strict=True):
+        alone = refine(own, views)
+        # Which of two points is nearer can hang on a last bit, and what follows with it: the same quality, not the same bits.
+        assert found.loss_after == pytest.approx(alone.loss_after, rel=0.02)
+        assert found.symmetry == pytest.approx(alone.symmetry)
+        np.testing.assert_allclose(found.points, alone.points, atol=0.05)

@@ -59,3 +59,36 @@ class Adam:
 def _laid_out_as(parameter: Tensor, grad: Tensor) -> Tensor:
     """The fused form goes through memory as it lies: a gradient that autograd expanded or transposed would be misread."""
     return grad if grad.stride() == parameter.stride() else torch.empty_like(parameter).copy_(grad)
+
+
+class UniformAdam:
+    """Adam whose steps keep the proportions of the gradient: one scale for each cloud, not one for each number.
+
+    Adam moves what hardly matters as far as what matters most: points that nothing asks to move leave their places. Here the
+    gradient is divided by a running mean of its largest vector in the cloud (as Nicolet et al. 2021 do for smooth fields).
+
+    Parameters
+    ----------
+    parameters : one leaf [B, N, D] with ``requires_grad``.
+    learning_rate : about how far the vector with the largest gradient moves in a step.
+    """
+
+    BETAS = (0.9, 0.999)
+
+    def __init__(self, parameters: list[Tensor], learning_rate: float) -> None:
+        (self._parameter,) = parameters
+        self._learning_rate = learning_rate
+        self._mean = torch.zeros_like(self._parameter)
+        self._square = self._parameter.new_zeros(len(self._parameter), 1, 1)
+        self._steps = 0
+
+    def step(self, loss: Tensor) -> None:
+        """One step down the gradient of ``loss``."""
+        (grad,) = torch.autograd.grad(loss, [self._parameter])
+        with torch.no_grad():
+            self._steps += 1
+            first, second = self.BETAS
+            self._mean.lerp_(grad, 1.0 - first)
+            self._square.lerp_(grad.square().sum(-1).amax(1).view(-1, 1, 1), 1.0 - second)
+            scale = (self._square / (1.0 - second**self._steps)).sqrt_() + 1e-12
+            self._parameter -= self._learning_rate / (1.0 - first**self._steps) * self._mean / scale

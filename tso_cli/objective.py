@@ -11,10 +11,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from .camera import Camera
+from .camera import NEAR, Camera
 from .errors import InputError
-from .losses import PixelWeights, mask_loss
-from .projection import CameraBatch, coarsened, default_sigma_sq, project
+from .losses import REFERENCE_PIXELS, PixelWeights, mask_loss
+from .projection import CameraBatch, Projected, coarsened, default_sigma_sq, project
+from .pull import PullTarget, mask_pull
 from .resample import area_resize
 from .scene import View
 
@@ -45,6 +46,13 @@ class WorkingView:
         """What views must have in common to be worked on together."""
         return self.camera.width, self.camera.height, self.camera.model, self.sigma_sq
 
+    @property
+    def size(self) -> float:
+        """Pixels of a 64x64 mask along a unit at the cloud's centre; outlines, and with them losses, grow with it."""
+        camera = self.camera
+        depth = 1.0 if camera.model == "orthographic" else max(float(camera.t[2]), NEAR)
+        return float(np.sqrt(camera.K[0, 0] * camera.K[1, 1] * REFERENCE_PIXELS / (camera.width * camera.height)) / depth)
+
 
 def working_view(view: View, sigma_sq: float | None, centre: NDArray[np.float64], scale: float) -> WorkingView:
     """Prepare ``view`` for a cloud normalised by ``(X - centre) / scale``.
@@ -72,47 +80,92 @@ def working_view(view: View, sigma_sq: float | None, centre: NDArray[np.float64]
     return WorkingView(mask, None if known is None else weight, camera.for_normalised(centre, scale), sigma_sq)
 
 
-class MaskObjective:
-    """Sum over views of the silhouette's binary cross-entropy (Eq. 4), for B clouds that are asked by views of their own.
+class _Views:
+    """V views of each of B clouds, one view of all clouds together.
 
     Parameters
     ----------
     views : [B][V] views of each cloud; view v is of one kind (:attr:`WorkingView.kind`) for all clouds.
     counts : [B] points of each cloud, those behind them are not there.
     like : [B, N, 3] tensor whose precision and device are used.
+    weights : [B, V] of the views' losses; None for 1.
 
     Attributes
     ----------
     moves : corrections of the cameras, None where they are taken as given.
     """
 
-    def __init__(self, views: Sequence[Sequence[WorkingView]], counts: Tensor, like: Tensor) -> None:
+    def __init__(
+        self, views: Sequence[Sequence[WorkingView]], counts: Tensor, like: Tensor, weights: Tensor | None = None
+    ) -> None:
         self.moves: CameraMoves | None = None
+        self.weights = None if weights is None else weights.to(like)
         self.views = [_Together.of(column, like) for column in zip(*views, strict=True)]
-        size = like.shape[1]
-        full = bool((counts == size).all())
-        self._there = None if full else (torch.arange(size) < counts.unsqueeze(1)).to(like.device).unsqueeze(1)  # [B, 1, N]
+        self.counts, size = counts, like.shape[1]
+        self.full = bool((counts == size).all())
+        self.there = (torch.arange(size) < counts.unsqueeze(1)).to(like.device)  # [B, N]
+
+    def projected(self, points: Tensor, view: _Together) -> Projected:
+        """Where ``points`` [B, N, 3] fall in that view, [B, N, 2] and [B, N]."""
+        cameras = view.cameras if self.moves is None else self.moves.apply(view.cameras, self.views.index(view))
+        points_px, valid = (found[:, 0] for found in project(points, cameras))
+        return Projected(points_px, valid if self.full else valid & self.there)
+
+    def total(self, losses: list[Tensor]) -> Tensor:
+        """The weighted sum [B] of the losses [B] of each view."""
+        stacked = torch.stack(losses, 1)
+        return (stacked if self.weights is None else self.weights * stacked).sum(1)
+
+
+class MaskObjective(_Views):
+    """Weighted sum over views of the silhouette's cross-entropy (Eq. 4), for B clouds that are asked by views of their own."""
+
+    def __init__(
+        self, views: Sequence[Sequence[WorkingView]], counts: Tensor, like: Tensor, weights: Tensor | None = None
+    ) -> None:
+        super().__init__(views, counts, like, weights)
+        self._targets = [PixelWeights.of(view.mask, view.known) for view in self.views]
 
     def __call__(self, points: Tensor) -> Tensor:
         """The loss [B] of the clouds ``points`` [B, N, 3]; infinite where a view shows no point at all."""
-        total = points.new_zeros(len(points))
-        for number, view in enumerate(self.views):
-            cameras = view.cameras if self.moves is None else self.moves.apply(view.cameras, number)
-            projected = project(points, cameras)
-            if self._there is not None:
-                projected = projected._replace(valid=projected.valid & self._there)
-            points_px, valid = projected.points_px[:, 0], projected.valid[:, 0]
+        return self.total(self.losses(points))
+
+    def losses(self, points: Tensor) -> list[Tensor]:
+        """The loss [B] by each view, without its weight."""
+        found = []
+        for view, target in zip(self.views, self._targets, strict=True):
+            points_px, valid = self.projected(points, view)
             # With no point to pull, the pixels that want one would ask for nothing: a cloud behind the camera would be perfect.
-            loss = mask_loss(points_px, valid, view.target, view.sigma_sq)
-            total = total + torch.where(valid.any(1), loss, torch.inf)
-        return total
+            found.append(torch.where(valid.any(1), mask_loss(points_px, valid, target, view.sigma_sq), torch.inf))
+        return found
+
+
+class PullObjective(_Views):
+    """Weighted sum over views of :func:`tso_cli.pull.mask_pull`, for B clouds that are asked by views of their own."""
+
+    def __init__(
+        self, views: Sequence[Sequence[WorkingView]], counts: Tensor, like: Tensor, weights: Tensor | None = None
+    ) -> None:
+        super().__init__(views, counts, like, weights)
+        self._targets = [PullTarget.of(view.mask, view.known) for view in self.views]
+        self.pixels = self.total([target.pixels().to(like) for target in self._targets])
+        """[B] foreground pixels of all views, of images of 64, weighted like their losses."""
+
+    def __call__(self, points: Tensor, reach: float) -> Tensor:
+        """The loss [B] of the clouds ``points`` [B, N, 3]; infinite where a view shows no point at all."""
+        found = []
+        for view, target in zip(self.views, self._targets, strict=True):
+            points_px, valid = self.projected(points, view)
+            found.append(torch.where(valid.any(1), mask_pull(points_px, valid, target, reach, self.counts), torch.inf))
+        return self.total(found)
 
 
 @dataclass(frozen=True, eq=False)
 class _Together:
     """One view of each of B clouds."""
 
-    target: PixelWeights  # [B, h, w]
+    mask: Tensor  # [B, h, w]
+    known: Tensor | None  # [B, h, w]
     cameras: CameraBatch  # [B, 1]
     sigma_sq: float
 
@@ -127,8 +180,5 @@ class _Together:
         known = None
         if any(view.known is not None for view in views):
             known = stacked([np.ones_like(view.mask) if view.known is None else view.known for view in views])
-        return cls(
-            PixelWeights.of(stacked([view.mask for view in views]), known),
-            CameraBatch.of([view.camera for view in views], like).one_each(),
-            first.sigma_sq,
-        )
+        cameras = CameraBatch.of([view.camera for view in views], like).one_each()
+        return cls(stacked([view.mask for view in views]), known, cameras, first.sigma_sq)

@@ -15,6 +15,8 @@ from .scene import View
 
 # Boxes of mask and projected cloud that overlap less than this belong to different cameras, units or axes.
 SMALLEST_BOX_IOU = 0.05
+# Twenty steps of a 200th bring a cloud by a tenth of its longest side; more of them change no result.
+SETTLING_STEPS, SETTLING_STEP = 20, 0.005
 
 Array = NDArray[np.float64]
 Box = tuple[float, float, float, float]
@@ -148,6 +150,47 @@ def place_in_front(points: Array, view: View) -> Camera:
             break
         camera = replace(camera, t=moved)
     return camera
+
+
+def settle(points: Array, view: View, sigma_sq: float | None = None, steps: int = SETTLING_STEPS) -> Camera:
+    """The view's camera, shifted to where the silhouette of a cloud agrees best with the mask (BCE, Eq. 4).
+
+    A box hangs on the outermost points of a prediction, and a prediction's are wrong. What the silhouette of the whole cloud
+    says is steadier; and whatever of the misfit a shift explains is then no longer asked of the shape.
+
+    Parameters
+    ----------
+    points : [N, 3], in the frame that the camera's R and t take to it.
+    view : mask and a camera that is about right already, as :func:`place_in_front` gives it.
+    sigma_sq : px^2; None for the view's default.
+    steps : of Adam, each of at most about 1/200 of the cloud's longest side.
+
+    Returns
+    -------
+    The camera with another t: the best of the steps, the start being one of them.
+    """
+    import torch
+
+    from .adam import Adam
+    from .losses import PixelWeights, mask_loss
+    from .projection import CameraBatch, default_sigma_sq, project
+
+    cloud = torch.as_tensor(points, dtype=torch.float32)[None]
+    sigma_sq = default_sigma_sq(view.camera.width, view.camera.height) if sigma_sq is None else sigma_sq
+    known = None if view.known is None else torch.as_tensor(view.known, dtype=torch.float32)[None]
+    target = PixelWeights.of(torch.as_tensor(view.mask, dtype=torch.float32)[None], known)
+    cameras = CameraBatch.of([view.camera], cloud)
+    shift = torch.zeros(3, requires_grad=True)
+    optimiser = Adam([shift], SETTLING_STEP * float(np.ptp(points, axis=0).max()))
+    lowest, best = np.inf, np.zeros(3)
+    for step in range(steps + 1):
+        seen = project(cloud, replace(cameras, t=cameras.t + shift))
+        loss = mask_loss(seen.points_px[:, 0], seen.valid[:, 0], target, sigma_sq).sum()
+        if loss.item() < lowest:
+            lowest, best = loss.item(), shift.detach().double().numpy().copy()
+        if step < steps:
+            optimiser.step(loss)
+    return replace(view.camera, t=view.camera.t + best)
 
 
 def view_to_world(points: Array, placed: Camera, camera: Camera) -> Array:

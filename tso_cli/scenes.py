@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from .camera import Camera
 from .errors import InputError
-from .files.cameras import find_camera, read_camera
+from .files.cameras import check_size, find_camera, read_camera
 from .files.clouds import PointCloud, read_cloud
 from .files.images import read_image, read_mask
+from .files.pairing import pair_with_masks
 from .network_input import network_input
-from .placement import place_in_front, view_to_world
+from .placement import place_in_front, settle, view_to_world
 from .scene import View
 
 if TYPE_CHECKING:
@@ -33,8 +34,8 @@ class Scene:
     Attributes
     ----------
     points : [N, 3] float64, the start: the file's cloud, or the network's prediction in the network's frame.
-    view : mask and the camera that projects `points` onto it (network modes: of the crop that the network saw).
-    camera_source : where the camera is from, in words.
+    views : masks and the cameras that project `points` onto them (network modes: one, of the crop that the network saw).
+    camera_sources : where the camera of each is from, in words.
     frame : of the output: "input" (the cloud's own), "view", "canonical" or "world".
     cloud : the file that `points` are from, None in the network modes.
     network, image : the network and its input [3, 64, 64], None in points mode.
@@ -43,8 +44,8 @@ class Scene:
     """
 
     points: Array
-    view: View
-    camera_source: str
+    views: tuple[View, ...]
+    camera_sources: tuple[str, ...]
     frame: str
     cloud: PointCloud | None = None
     network: BaseNetwork | None = None
@@ -52,20 +53,25 @@ class Scene:
     sigma_sq: float | None = None
     to_output: Callable[[Array], Array] = lambda points: points
 
+    @property
+    def view(self) -> View:
+        """The first view; the only one in the network modes."""
+        return self.views[0]
+
+    @property
+    def camera_source(self) -> str:
+        """Where the cameras are from, each file once."""
+        return ", ".join(dict.fromkeys(self.camera_sources))
+
 
 def load_view(
-    mask_file: Path,
-    camera_file: Path | None = None,
-    invert: bool = False,
-    ignore_file: Path | None = None,
-    search: bool = True,
+    mask_file: Path, camera_file: Path | None = None, invert: bool = False, ignore_file: Path | None = None
 ) -> tuple[View, Path | None]:
     """Read a mask and its camera: the one named, else one found beside the mask, else the canonical one.
 
     Parameters
     ----------
     ignore_file : an image whose foreground marks the pixels of the mask that say nothing.
-    search : False looks for no camera beside the mask.
 
     Returns
     -------
@@ -76,16 +82,75 @@ def load_view(
     InputError
         A file cannot be used, sizes differ, or the mask is all object or all background.
     """
+    source = camera_file or find_camera(mask_file)
+    return _read_view(mask_file, source, None, invert, ignore_file), source
+
+
+def load_views(
+    mask_files: Sequence[Path], camera_file: Path | None = None, invert: bool = False, ignore_files: Sequence[Path] = ()
+) -> tuple[tuple[View, ...], tuple[Path | None, ...]]:
+    """Read masks and their cameras: of the file named, else of those found beside the masks.
+
+    Views of one file are told apart by the masks that they name, else by their order
+    (:func:`tso_cli.files.pairing.pair_with_masks`). One mask is read as :func:`load_view` does.
+
+    Parameters
+    ----------
+    ignore_files : one for each mask, or none.
+
+    Returns
+    -------
+    The views, and the camera's file of each (None: the canonical camera, of a single mask only).
+
+    Raises
+    ------
+    InputError
+        As `load_view`; or masks, cameras and ignore maps do not pair up.
+    """
+    ignores = _ignores_of(mask_files, ignore_files)
+    sources = [camera_file or find_camera(mask_file) for mask_file in mask_files]
+    cameras: list[Camera | None] = [None] * len(mask_files)
+    for source in dict.fromkeys(sources):
+        own = [i for i, other in enumerate(sources) if other == source]
+        if source is None and len(mask_files) > 1:
+            raise InputError(
+                f"{mask_files[own[0]]}: no camera file was given or found beside it, expected one for each of "
+                f"{len(mask_files)} masks"
+            )
+        if source is not None and len(own) > 1:
+            for i, camera in zip(own, pair_with_masks(source, [mask_files[i] for i in own]), strict=True):
+                cameras[i] = camera
+    rows = zip(mask_files, sources, cameras, ignores, strict=True)
+    return tuple(_read_view(file, source, camera, invert, ignore) for file, source, camera, ignore in rows), tuple(sources)
+
+
+def _ignores_of(mask_files: Sequence[Path], ignore_files: Sequence[Path]) -> Sequence[Path | None]:
+    """The ignore map of each mask."""
+    if ignore_files and len(ignore_files) != len(mask_files):
+        raise InputError(
+            f"--ignore {ignore_files[0]}: found {len(ignore_files)} ignore maps for {len(mask_files)} masks, "
+            "expected one for each or none"
+        )
+    return ignore_files or [None] * len(mask_files)
+
+
+def _read_view(
+    mask_file: Path, camera_file: Path | None, camera: Camera | None, invert: bool, ignore_file: Path | None
+) -> View:
+    """The view of a mask and of its ``camera``, None for the one that ``camera_file`` has for it, else the canonical one."""
     mask = read_mask(mask_file, invert)
     height, width = mask.shape
     known = None
     if ignore_file is not None:
         known = read_mask(ignore_file) <= 0.5
         _same_size(ignore_file, known.shape, mask_file, mask.shape)
-    if camera_file is None and search:
-        camera_file = find_camera(mask_file)
-    camera = read_camera(camera_file, width, height, mask_file) if camera_file else Camera.canonical(width, height)
-    return View(mask, camera, known, name=str(mask_file)), camera_file
+    if camera_file is None:
+        camera = Camera.canonical(width, height)
+    elif camera is None:
+        camera = read_camera(camera_file, width, height, mask_file)
+    else:
+        check_size(camera_file, camera, width, height, mask_file)
+    return View(mask, camera, known, name=str(mask_file))
 
 
 def _same_size(file: Path, shape: tuple[int, ...], mask_file: Path | str, mask_shape: tuple[int, ...]) -> None:
@@ -102,25 +167,30 @@ def _said(camera_file: Path | None) -> str:
 
 def load_points_scene(
     cloud_file: Path,
-    mask_file: Path,
+    mask_files: Path | Sequence[Path],
     camera_file: Path | None = None,
     invert: bool = False,
-    ignore_file: Path | None = None,
+    ignore_files: Sequence[Path] = (),
     fit: bool = False,
 ) -> Scene:
-    """The scene of points mode; arguments and errors as :func:`load_view` and :func:`tso_cli.files.clouds.read_cloud`.
+    """The scene of points mode; arguments and errors as :func:`load_views` and :func:`tso_cli.files.clouds.read_cloud`.
 
-    ``fit`` finds the camera from mask and cloud (:func:`tso_cli.pose.fit_camera`) instead of reading one.
+    ``fit`` finds the camera of the one mask from mask and cloud (:func:`tso_cli.pose.fit_camera`) instead of reading it.
     """
+    masks = [mask_files] if isinstance(mask_files, Path) else mask_files
+    if fit and len(masks) != 1:
+        raise InputError(f"--camera fit finds the camera of one mask, found {len(masks)} masks; expected one, or a camera file")
     cloud = read_cloud(cloud_file)
-    view, camera_file = load_view(mask_file, camera_file, invert, ignore_file, search=not fit)
     if fit:
         from .pose import fit_camera
 
+        view = _read_view(masks[0], None, None, invert, _ignores_of(masks, ignore_files)[0])
         fitted = fit_camera(cloud.points, view.mask, view.known, name=str(cloud_file))
-        return Scene(cloud.points, replace(view, camera=fitted.camera), fitted.describe(), "input", cloud=cloud)
-    _warn_of_scale(cloud.points, view, cloud_file)
-    return Scene(cloud.points, view, _said(camera_file), "input", cloud=cloud)
+        return Scene(cloud.points, (replace(view, camera=fitted.camera),), (fitted.describe(),), "input", cloud=cloud)
+    views, camera_files = load_views(masks, camera_file, invert, ignore_files)
+    for view in views:
+        _warn_of_scale(cloud.points, view, cloud_file)
+    return Scene(cloud.points, views, tuple(map(_said, camera_files)), "input", cloud=cloud)
 
 
 def load_network_scene(
@@ -131,6 +201,7 @@ def load_network_scene(
     invert: bool = False,
     ignore_file: Path | None = None,
     world: bool = False,
+    settled: bool = False,
 ) -> Scene:
     """The scene of the network modes: the photo cropped as the checkpoint says, and the camera that sees the cloud in it.
 
@@ -142,6 +213,7 @@ def load_network_scene(
     Parameters
     ----------
     world : give the output of a view-aligned network in the world coordinates of the camera file.
+    settled : place a view-aligned network's cloud by its silhouette, not by its box alone (:func:`tso_cli.placement.settle`).
 
     Raises
     ------
@@ -163,7 +235,7 @@ def load_network_scene(
         raise InputError("--frame world needs the camera's R and t; found no camera file, expected --camera FILE")
     if config.frame == "view" and view.camera.model != "perspective":
         raise InputError(f"{camera_file}: model is {view.camera.model}, expected perspective for a view-aligned network")
-    return network_scene(image, view, network, config, _said(camera_file), camera_file is not None, world)
+    return network_scene(image, view, network, config, _said(camera_file), camera_file is not None, world, settled)
 
 
 def network_scene(
@@ -174,6 +246,7 @@ def network_scene(
     camera_source: str = "given",
     known_camera: bool = True,
     world: bool = False,
+    settled: bool = False,
 ) -> Scene:
     """The scene of a photo that is in memory already, with a network that may serve many of them.
 
@@ -181,7 +254,7 @@ def network_scene(
     ----------
     image : [H, W, 3] or [H, W, 4]; view : its mask and perspective camera.
     known_camera : False lets the canonical camera see the crop; for view-aligned networks only.
-    world : as in :func:`load_network_scene`.
+    world, settled : as in :func:`load_network_scene`.
     """
     import torch
 
@@ -194,6 +267,9 @@ def network_scene(
             crop = replace(crop, camera=Camera.canonical(config.image_size, config.image_size))
         placed = place_in_front(predicted, crop)
         crop = replace(crop, camera=placed)
+        if settled:
+            placed = settle(predicted, crop, config.sigma_sq)
+            crop = replace(crop, camera=placed)
         camera_source += f"; of it K counts, the network's cloud is placed to fill the mask, at distance {placed.t[2]:.3g}"
         if world:
             frame = "world"
@@ -203,8 +279,8 @@ def network_scene(
 
     return Scene(
         predicted,
-        crop,
-        camera_source,
+        (crop,),
+        (camera_source,),
         frame,
         network=network,
         image=given.image,

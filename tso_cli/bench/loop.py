@@ -12,7 +12,7 @@ from torch import Tensor
 from .. import device as devices
 from ..adam import Adam
 from ..errors import TsoError
-from ..losses import UNCOVERED, ChamferToInitial, affinity, mask_loss, silhouette_bce
+from ..losses import UNCOVERED, ChamferToInitial, PixelWeights, affinity, mask_loss, silhouette_bce
 from ..network import build_network
 from ..projection import project, silhouette_sums
 from ..refinement import RefineConfig, refine, refine_batch
@@ -97,6 +97,7 @@ def points_step(setting: Setting, sizes: Sequence[int] = STEP_SIZES) -> list[dic
         mask_term, chamfer, optimiser = mask_objective(moving), ChamferToInitial(iterate[0]), Adam([moving], 0.0)
         (view,) = mask_term.views
         points_px, valid = (part[:, 0].detach() for part in project(moving, view.cameras))
+        target = PixelWeights.of(view.mask, view.known)
         leaf, pull = moving.detach().clone().requires_grad_(), torch.ones_like(moving)
         alone = Adam([leaf], 0.0)
 
@@ -105,7 +106,7 @@ def points_step(setting: Setting, sizes: Sequence[int] = STEP_SIZES) -> list[dic
             optimiser.step(loss.sum())  # noqa: B023
 
         def masked(points_px: Tensor) -> Tensor:
-            return mask_loss(points_px, valid, view.target, view.sigma_sq)  # noqa: B023
+            return mask_loss(points_px, valid, target, view.sigma_sq)  # noqa: B023
 
         with devices.one_thread(count <= SMALL_CLOUD):
             timings = setting.race(
@@ -167,7 +168,7 @@ def batch(setting: Setting, batches: Sequence[int] | None = None, count: int = 1
         batches = (*BATCHES, *LARGE_BATCHES) if setting.device.type == "cuda" else BATCHES
     view = chair_view(256)
     clouds: list[np.ndarray[Any, np.dtype[np.float64]]] = [cloud(count, setting.seed + i) for i in range(max(batches))]
-    config = RefineConfig(steps=steps, device=str(setting.device), seed=setting.seed)
+    config = RefineConfig(steps=steps, device=str(setting.device), seed=setting.seed, preset="paper")
 
     def together(size: int) -> Work:
         def work() -> None:

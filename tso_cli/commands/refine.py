@@ -5,11 +5,9 @@ from __future__ import annotations
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
-from .. import __version__
 from ..errors import InputError
 from ..files.output import atomic_output, check_output
 from ..files.shipped import DEFAULT, named_checkpoint
@@ -21,19 +19,16 @@ from .refine_camera import (
     refuse_camera_output,
     write_used_cameras,
 )
+from .refine_result import document, print_check, print_result
 
-if TYPE_CHECKING:
-    from ..camera import Camera
-    from ..placement import Placement
-    from ..refinement import RefineResult
-    from ..scenes import Scene
-
-MODES = ("points", "encoder", "encoder-decoder")
+# A view of less weight is warned of.
+DOUBTED = 0.5
+MODES = ("points", "encoder", "encoder-decoder", "latent")
 
 
 @click.command("refine")
 @click.argument("source", type=options.FilePath())
-@click.argument("mask", type=options.FilePath())
+@click.argument("masks", metavar="[MASK]...", nargs=-1, type=options.FilePath())
 @click.option("--mode", type=click.Choice(MODES), default="points", show_default=True, help="What moves.")
 @click.option(
     "--checkpoint",
@@ -44,24 +39,52 @@ MODES = ("points", "encoder", "encoder-decoder")
     "--camera",
     "camera_file",
     type=options.CameraPath(),
-    help="Camera file, or `fit`: found from mask and cloud.  "
+    help="Camera file, of several masks their views; or `fit`: found from the one mask and the cloud.  "
     "[default: MASKSTEM.camera.json, else camera.json or cameras.json beside the mask, else canonical]",
 )
-@click.option("--refine-camera", is_flag=True, help="Move the camera with the points, held near the given one.")
-@click.option("--write-camera", type=options.FilePath(), help="Camera file of the fitted or refined camera, .json.")
+@click.option("--refine-camera", is_flag=True, help="Correct the cameras first, held near the given ones.")
+@click.option("--write-camera", type=options.FilePath(), help="Camera file of the fitted or refined cameras, .json.")
 @click.option("-o", "--output", type=options.FilePath(), help="Refined cloud, .ply.  [default: SOURCESTEM.refined.ply here]")
 @options.overwrite
 @click.option("--invert-mask", is_flag=True, help="The object is what is dark in the mask.")
-@click.option("--ignore", "ignore_file", type=options.FilePath(), help="Image whose bright pixels say nothing of the object.")
+@click.option(
+    "--ignore",
+    "ignore_files",
+    type=options.FilePath(),
+    multiple=True,
+    help="Image whose bright pixels say nothing of the object; once for each mask, or not at all.",
+)
 @click.option(
     "--frame",
     type=click.Choice(["view", "world"]),
     help="Axes of the cloud that a view-aligned network gives.  [default: view]",
 )
-@click.option("--preset", type=click.Choice(["paper"]), default="paper", show_default=True, help="What the defaults below are.")
-@click.option("--steps", type=click.IntRange(min=0), default=50, show_default=True, help="Adam steps; 0 writes the start.")
-@click.option("--learning-rate", type=float, help="[default: 5e-4 points, 1e-6 encoder, 5e-6 encoder-decoder]")
-@click.option("--gamma", type=float, help="Weight of the Chamfer distance to the start.  [default: 1e6; encoder 0]")
+@click.option(
+    "--preset",
+    type=click.Choice(["best", "paper"]),
+    default="best",
+    show_default=True,
+    help="What is done in points mode, and the defaults below.",
+)
+@click.option(
+    "--symmetry",
+    metavar="auto|none|x|y|z|a,b,c,d",
+    help="Mirror plane of the object: found, none, an axis of the cloud normal to a plane through its middle, or ax+by+cz=d.  "
+    "[default: auto; paper and encoder modes none]",
+)
+@click.option(
+    "--steps",
+    type=click.IntRange(min=0),
+    help="Steps; 0 writes the start.  [default: 90 points, 12 encoder modes, 30 latent; paper 50]",
+)
+@click.option(
+    "--learning-rate", type=float, help="[default: 2e-2 points, 3e-5 encoder modes, 1e-3 latent; paper 5e-4, 1e-6, 5e-6]"
+)
+@click.option(
+    "--gamma",
+    type=float,
+    help="Weight of the Chamfer distance to the start.  [default: 0 points, else 1e6; paper 1e6, encoder 0]",
+)
 @click.option(
     "--sigma-sq",
     type=float,
@@ -76,7 +99,7 @@ MODES = ("points", "encoder", "encoder-decoder")
 def command(
     ctx: click.Context,
     source: Path,
-    mask: Path,
+    masks: tuple[Path, ...],
     mode: str,
     checkpoint: Path | None,
     camera_file: Path | None,
@@ -85,10 +108,11 @@ def command(
     output: Path | None,
     overwrite: bool,
     invert_mask: bool,
-    ignore_file: Path | None,
+    ignore_files: tuple[Path, ...],
     frame: str | None,
     preset: str,
-    steps: int,
+    symmetry: str | None,
+    steps: int | None,
     learning_rate: float | None,
     gamma: float | None,
     sigma_sq: float | None,
@@ -98,49 +122,61 @@ def command(
     check: bool,
     as_json: bool,
 ) -> None:
-    """Make a point cloud agree with a mask and write the refined cloud.
+    """Make a point cloud agree with masks and write the refined cloud.
 
     \b
     tso refine --mode points CLOUD MASK
+    tso refine --mode points CLOUD MASK MASK ... --camera FILE
+    tso refine --mode points CLOUD --camera FILE
     tso refine --mode encoder IMAGE MASK [--checkpoint FILE]
     tso refine --mode encoder-decoder IMAGE MASK [--checkpoint FILE]
+
+    Several masks belong to the views of the camera file that name them, else to its views in their order; without any MASK, all
+    that the file names are used.
 
     The cloud that comes out is the file that went in with other coordinates: order, precision, colours, faces and every
     other attribute stay. None of the three variants draws random numbers; the seed is only recorded.
     """
     started = time.perf_counter()
-    _refuse_mixed_up(mode, source, checkpoint, frame)
+    _refuse_mixed_up(mode, source, masks, ignore_files, checkpoint, frame)
     fit = camera_file == options.FIT
     refuse_camera_options(mode, fit, refine_camera, write_camera)
+    if fit:
+        camera_file = None
     if mode != "points":
         checkpoint = named_checkpoint(checkpoint or Path(DEFAULT))
+    if not masks:
+        masks = _masks_of(camera_file)
     output = output or Path(f"{source.stem}.refined.ply")
     if not check:
-        _refuse_outputs(output, overlay, overwrite, (source, mask, camera_file, ignore_file))
-        refuse_camera_output(write_camera, overwrite, (source, mask, camera_file, ignore_file, output, overlay))
+        inputs = (source, *masks, camera_file, *ignore_files)
+        _refuse_outputs(output, overlay, overwrite, inputs)
+        refuse_camera_output(write_camera, overwrite, (*inputs, output, overlay))
     from ..placement import place, require_overlap
     from ..scenes import load_network_scene, load_points_scene
 
     if checkpoint is None:
-        scene = load_points_scene(source, mask, None if fit else camera_file, invert_mask, ignore_file, fit)
+        scene = load_points_scene(source, masks, camera_file, invert_mask, ignore_files, fit)
     else:
-        scene = load_network_scene(source, mask, checkpoint, camera_file, invert_mask, ignore_file, frame == "world")
+        ignore_file = ignore_files[0] if ignore_files else None
+        scene = load_network_scene(source, masks[0], checkpoint, camera_file, invert_mask, ignore_file, frame == "world")
         options.log(f"tso: checkpoint: {checkpoint}")
     options.log(f"tso: camera: {scene.camera_source}")
     if check:
-        placement = place(scene.points, scene.view)
-        _print_check(scene, placement, as_json)
-        require_overlap(placement, scene.view)
+        placements = [place(scene.points, view) for view in scene.views]
+        print_check(scene, placements, as_json)
+        for placement, view in zip(placements, scene.views, strict=True):
+            require_overlap(placement, view)
         return
     read = time.perf_counter() - started
     from ..refinement import RefineConfig, refine
 
     sigma_sq = scene.sigma_sq if sigma_sq is None else sigma_sq
-    config = RefineConfig(mode, steps, learning_rate, gamma, sigma_sq, device, seed, refine_camera)
+    config = RefineConfig(mode, steps, learning_rate, gamma, sigma_sq, device, seed, preset, symmetry, refine_camera)
     bar = options.ProgressBar("tso: refining")
     result = refine(
         None if scene.network else scene.points,
-        scene.view,
+        scene.views,
         config=config,
         network=scene.network,
         image=scene.image,
@@ -154,27 +190,44 @@ def command(
         if overlay is not None:
             from ..report.overlay import draw_overlay
 
-            draw_overlay(outputs.enter_context(atomic_output(overlay)), result, scene.view)
+            draw_overlay(outputs.enter_context(atomic_output(overlay)), result, scene.views)
         if write_camera is not None:
-            write_used_cameras(outputs.enter_context(atomic_output(write_camera)), result, [mask])
+            write_used_cameras(outputs.enter_context(atomic_output(write_camera)), result, masks)
         write_cloud(output, scene.to_output(result.points), like=scene.cloud, overwrite=overwrite)
     finished = time.perf_counter()
     seconds = {"read": read, **result.seconds, "write": finished - writing, "total": finished - started}
     if as_json:
-        document = _document(result, scene, checkpoint, output, overlay, preset, seconds)
-        options.echo_json(document | camera_records([scene.view], result))
+        found = document(result, scene, checkpoint, output, overlay, preset, seconds)
+        options.echo_json(found | camera_records(scene.views, result))
     else:
-        _print_result(result, output, overlay, seconds)
-        print_cameras([scene.view], result, refine_camera, write_camera)
+        print_result(result, scene, output, overlay, seconds)
+        print_cameras(scene.views, result, refine_camera, write_camera)
+    for view, weight in zip(scene.views, result.view_weights, strict=True):
+        if weight < DOUBTED:
+            options.log(
+                f"tso: warning: {view.name}: the other views contradict it, weight {weight:.2f}; is its mask or camera wrong?"
+            )
     if result.stop_reason == "non_finite":
         options.log(f"tso: warning: the loss was no number after step {result.steps}; the best before that was written")
     elif result.stop_reason == "interrupted":
-        options.log(f"tso: interrupted at step {result.steps} of {steps}; the best so far was written")
+        options.log(f"tso: interrupted at step {result.steps} of {config.settings().steps}; the best so far was written")
         ctx.exit(130)
 
 
-def _refuse_mixed_up(mode: str, source: Path, checkpoint: Path | None, frame: str | None) -> None:
+def _refuse_mixed_up(
+    mode: str,
+    source: Path,
+    masks: tuple[Path, ...],
+    ignore_files: tuple[Path, ...],
+    checkpoint: Path | None,
+    frame: str | None,
+) -> None:
     if mode != "points":
+        for name, count in (("MASK", len(masks)), ("--ignore", max(1, len(ignore_files)))):
+            if count != 1:
+                raise InputError(
+                    f"--mode {mode} predicts a cloud from one photo, {name} was given {count} times, expected once"
+                )
         return
     if checkpoint is not None:
         raise InputError(
@@ -189,6 +242,15 @@ def _refuse_mixed_up(mode: str, source: Path, checkpoint: Path | None, frame: st
         raise InputError("--frame is for the encoder modes; points mode keeps the frame of its cloud")
 
 
+def _masks_of(camera_file: Path | None) -> tuple[Path, ...]:
+    """The masks that the camera file names, for want of others."""
+    if camera_file is None:
+        raise InputError("no MASK was given, expected one or more, or --camera FILE whose views name their masks")
+    from ..files.pairing import named_masks
+
+    return tuple(named_masks(camera_file))
+
+
 def _refuse_outputs(output: Path, overlay: Path | None, overwrite: bool, inputs: tuple[Path | None, ...]) -> None:
     if output.suffix.lower() != ".ply":
         raise InputError(f"{output}: the suffix is {output.suffix!r}, expected .ply")
@@ -199,117 +261,3 @@ def _refuse_outputs(output: Path, overlay: Path | None, overwrite: bool, inputs:
         check_output(overlay, overwrite)
         if any(path is not None and path.resolve() == overlay.resolve() for path in inputs):
             raise InputError(f"{overlay}: is an input, expected another name for --overlay")
-
-
-def _describe_camera(camera: Camera, source: str) -> dict[str, Any]:
-    return {
-        "source": source,
-        "model": camera.model,
-        "width": camera.width,
-        "height": camera.height,
-        "K": camera.K.tolist(),
-        "R": camera.R.tolist(),
-        "t": camera.t.tolist(),
-    }
-
-
-def _document(
-    result: RefineResult,
-    scene: Scene,
-    checkpoint: Path | None,
-    output: Path,
-    overlay: Path | None,
-    preset: str,
-    seconds: dict[str, float],
-) -> dict[str, Any]:
-    return {
-        "mode": result.mode,
-        "preset": preset,
-        "checkpoint": checkpoint,
-        "output": output,
-        "overlay": overlay,
-        "camera": _describe_camera(scene.view.camera, scene.camera_source),
-        "frame": scene.frame,
-        "points": len(result.points),
-        "steps": result.steps,
-        "best_step": result.best_step,
-        "stop_reason": result.stop_reason,
-        "loss_before": result.loss_before,
-        "loss_after": result.loss_after,
-        "losses": result.losses,
-        "iou_before": result.iou_before,
-        "iou_after": result.iou_after,
-        "chamfer_to_initial": result.chamfer_to_initial,
-        "convention": {
-            "chamfer_to_initial": "squared distances, mean over points, both directions summed, longest side 1",
-            "iou": "silhouette > 0.5 against mask > 0.5, mean over views",
-            "loss": "BCE summed over pixels x 64^2/(W H) + gamma x Chamfer to the initial cloud",
-            "sigma_sq": "px^2 of the mask (encoder modes: mask, IoU and sigma_sq are those of the 64x64 crop)",
-        },
-        "learning_rate": result.learning_rate,
-        "gamma": result.gamma,
-        "sigma_sq": result.sigma_sq,
-        "device": result.device,
-        "seed": result.seed,
-        "seconds": seconds,
-        "version": __version__,
-    }
-
-
-def _print_result(result: RefineResult, output: Path, overlay: Path | None, seconds: dict[str, float]) -> None:
-    click.echo(f"{output}: {len(result.points):,} points, {result.steps} steps, best at step {result.best_step}")
-    click.echo(f"  IoU    {result.iou_before:.3f} -> {result.iou_after:.3f}   (silhouette > 0.5, mask > 0.5)")
-    click.echo(
-        f"  loss   {result.loss_before:.1f} -> {result.loss_after:.1f}   (BCE + {result.gamma:g} x Chamfer to the start)"
-    )
-    click.echo(
-        f"  moved  {result.chamfer_to_initial * 1e3:.3f}   (Chamfer to the start x1000: squared, mean over points, "
-        "both directions, longest side 1)"
-    )
-    click.echo(
-        f"  sigma_sq {result.sigma_sq:g} px^2, learning rate {result.learning_rate:g}, {result.device}, seed {result.seed}, "
-        f"{seconds['optimise']:.2f} s in the loop, {seconds['total']:.2f} s in all"
-    )
-    if overlay is not None:
-        click.echo(f"{overlay}: picture")
-
-
-def _print_check(scene: Scene, placement: Placement, as_json: bool) -> None:
-    from ..placement import SMALLEST_BOX_IOU, describe_box
-
-    camera = scene.view.camera
-    size = scene.points.max(0) - scene.points.min(0)
-    meets = placement.box_iou > SMALLEST_BOX_IOU
-    if as_json:
-        options.echo_json(
-            {
-                "camera": _describe_camera(camera, scene.camera_source),
-                "frame": scene.frame,
-                "extent": size.tolist(),
-                "placement": placement.as_dict(),
-                "meets": meets,
-                "version": __version__,
-            }
-        )
-        return
-    K = camera.K
-    click.echo(f"camera      {camera.model}, {camera.width}x{camera.height}, from {scene.camera_source}")
-    click.echo(f"            f {K[0, 0]:.4g} x {K[1, 1]:.4g} px, principal point ({K[0, 2]:.4g}, {K[1, 2]:.4g})")
-    click.echo(f"            R {camera.R.round(4).tolist()}, t {camera.t.round(4).tolist()}")
-    click.echo(f"cloud       {placement.points:,} points, extent {size[0]:.4g} x {size[1]:.4g} x {size[2]:.4g}")
-    if placement.depth is not None:
-        click.echo(
-            f"depth       {placement.depth[0]:.4g} to {placement.depth[1]:.4g}, {placement.behind:,} points behind the camera"
-        )
-    else:
-        click.echo("depth       all points lie behind the camera")
-    share = 100.0 / placement.points
-    click.echo(
-        f"points fall {placement.inside_image:,} inside the image ({placement.inside_image * share:.0f} %), "
-        f"{placement.inside_mask:,} on the mask ({placement.inside_mask * share:.0f} %)"
-    )
-    click.echo(f"mask        {describe_box(placement.mask_box)}")
-    if placement.points_box is not None:
-        click.echo(f"silhouette  {describe_box(placement.points_box)}")
-    verdict = "they meet" if meets else f"they do not meet (expected over {SMALLEST_BOX_IOU})"
-    click.echo(f"boxes       IoU {placement.box_iou:.3f}: {verdict}")

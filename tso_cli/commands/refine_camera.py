@@ -12,6 +12,7 @@ from ..errors import InputError
 from ..files.output import check_output
 
 if TYPE_CHECKING:
+    from ..camera import Camera
     from ..refinement import RefineResult
     from ..scene import View
 
@@ -47,34 +48,39 @@ def write_used_cameras(path: Path, result: RefineResult, masks: Sequence[Path]) 
 
 def print_cameras(views: Sequence[View], result: RefineResult, refined: bool, written: Path | None) -> None:
     """How far each camera moved, if they were to move, and the file they went to."""
-    if refined and not camera_records(views, result):
-        click.echo("  camera kept   (the correction asked for is under 1.5 standard deviations of 2 degrees and 1 %)")
-    for view, moved in zip(views, camera_records(views, result).get("refined_cameras", []), strict=False):
-        turned, shifted = moved["turned_degrees"], moved["shifted_share"]
-        click.echo(f"  camera turned {turned:.2f} degrees, shifted {100.0 * shifted:.2f} % of its distance   ({view.name})")
+    # No step: nothing was asked of the cameras.
+    for view, camera in zip(views, result.cameras, strict=True) if refined and result.steps else ():
+        if camera is view.camera:
+            from ..refinement.cameras import ACCEPTED
+
+            why = f"the correction asked for is under {ACCEPTED:g} standard deviations of 2 degrees and 1 %"
+            click.echo(f"  camera kept   ({why}; {view.name})")
+        else:
+            turned, shifted = _change(view, camera, result)
+            click.echo(f"  camera turned {turned:.2f} degrees, shifted {100.0 * shifted:.2f} % of its distance   ({view.name})")
     if written is not None:
         click.echo(f"{written}: camera")
 
 
 def camera_records(views: Sequence[View], result: RefineResult) -> dict[str, Any]:
-    """For JSON: every camera that moved, its turn in degrees and its shift as a share of its distance; empty if none did."""
+    """For JSON: every camera as used, its turn in degrees and its shift as a share of its distance; empty if none moved."""
     if all(view.camera is camera for view, camera in zip(views, result.cameras, strict=True)):
         return {}
+    records = []
+    for view, camera in zip(views, result.cameras, strict=True):
+        turned, shifted = _change(view, camera, result)
+        place = {"K": camera.K.tolist(), "R": camera.R.tolist(), "t": camera.t.tolist()}
+        records.append(place | {"turned_degrees": turned, "shifted_share": shifted})
+    return {"refined_cameras": records}
+
+
+def _change(view: View, camera: Camera, result: RefineResult) -> tuple[float, float]:
+    """Turn in degrees, and the shift of the cloud's middle as a share of its distance, from the view's camera to ``camera``."""
     import numpy as np
 
     from ..pose.rotations import angle_between
 
     middle = (result.initial.min(0) + result.initial.max(0)) / 2.0
-    records = []
-    for view, camera in zip(views, result.cameras, strict=True):
-        before, after = (c.R @ middle + c.t for c in (view.camera, camera))
-        records.append(
-            {
-                "K": camera.K.tolist(),
-                "R": camera.R.tolist(),
-                "t": camera.t.tolist(),
-                "turned_degrees": float(angle_between(view.camera.R, camera.R)),
-                "shifted_share": float(np.linalg.norm(after - before) / np.linalg.norm(before)),
-            }
-        )
-    return {"refined_cameras": records}
+    before, after = (c.R @ middle + c.t for c in (view.camera, camera))
+    shifted = np.linalg.norm(after - before) / np.linalg.norm(before)
+    return float(angle_between(view.camera.R, camera.R)), float(shifted)

@@ -107,19 +107,20 @@ def read_camera(path: str | Path, width: int, height: int, mask: str | Path | No
     path = Path(path)
     records = read_cameras(path)
     if len(records) > 1:
-        fitting = [r for r in records if r.mask is not None and mask is not None and _same_file(r.mask, mask)]
+        fitting = [r for r in records if r.mask is not None and mask is not None and same_file(r.mask, mask)]
         if len(fitting) != 1:
             named = f"the mask {mask}" if mask is not None else "a mask"
             raise InputError(f"{path}: {len(fitting)} of its {len(records)} views name {named}, expected one")
         records = fitting
-    elif mask is not None and records[0].mask is not None and not _same_file(records[0].mask, mask):
+    elif mask is not None and records[0].mask is not None and not same_file(records[0].mask, mask):
         warnings.warn(f"{path}: its one view names the mask {records[0].mask}, used for {mask}", stacklevel=2)
     camera = records[0].camera
     check_size(path, camera, width, height, mask)
     return camera
 
 
-def _same_file(a: str | Path, b: str | Path) -> bool:
+def same_file(a: str | Path, b: str | Path) -> bool:
+    """Whether two paths lead to one file."""
     return os.path.realpath(a) == os.path.realpath(b)
 
 

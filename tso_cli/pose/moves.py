@@ -34,28 +34,36 @@ class CameraMoves:
     ----------
     cameras : [B][V], each seeing its cloud normalised (centre at the origin, longest side 1).
     like : tensor whose precision and device are used.
+    learning_rate : of the Adam that moves ``parameter``, with which cameras move by a rate of their own.
 
     Attributes
     ----------
-    values : [B, V, 6] rotation vector (radians, camera axes) and shift (in distances to the cloud's centre), all 0.
+    parameter : [B, 2 V, 3], all 0; a turn and a shift of each view by turns, in units that suit the learning rate.
     """
 
-    def __init__(self, cameras: Sequence[Sequence[Camera]], like: Tensor) -> None:
+    def __init__(self, cameras: Sequence[Sequence[Camera]], like: Tensor, learning_rate: float = LEARNING_RATE) -> None:
         self._distance = torch.tensor(
             [[distance_of(camera) for camera in own] for own in cameras], dtype=like.dtype, device=like.device
         )
-        self.values = like.new_zeros(*self._distance.shape, 6).requires_grad_()
+        self._unit = LEARNING_RATE / learning_rate
+        batch, views = self._distance.shape
+        self.parameter = like.new_zeros(batch, 2 * views, 3).requires_grad_()
+
+    def values_of(self, parameter: Tensor) -> Tensor:
+        """[B, V, 6] rotation vectors (radians, camera axes) and shifts (in distances to the cloud's centre)."""
+        return self._unit * parameter.unflatten(1, (-1, 2)).flatten(2)
 
     def apply(self, cameras: CameraBatch, view: int) -> CameraBatch:
-        """The cameras [B, 1, ...] of the view of that number, moved; differentiable in ``values``."""
-        values = self.values[:, view : view + 1]
+        """The cameras [B, 1, ...] of the view of that number, moved; differentiable in ``parameter``."""
+        values = self.values_of(self.parameter)[:, view : view + 1]
         turned = _rotations(values[..., :3]) @ cameras.R
         shifted = cameras.t + values[..., 3:] * self._distance[:, view : view + 1, None]
         return replace(cameras, R=turned, t=shifted)
 
     def penalty(self) -> Tensor:
         """[B]: the squares of the corrections in standard deviations, summed over the views."""
-        turn, shift = self.values[..., :3] / TURN, self.values[..., 3:] / SHIFT
+        values = self.values_of(self.parameter)
+        turn, shift = values[..., :3] / TURN, values[..., 3:] / SHIFT
         return WEIGHT * (turn.square() + shift.square()).sum((1, 2))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .config import MODES, RefineConfig, RefineResult
+from .config import MODES, PRESETS, RefineConfig, RefineResult
 from .run import refine, refine_batch
 
-__all__ = ["MODES", "RefineConfig", "RefineResult", "refine", "refine_batch"]
+__all__ = ["MODES", "PRESETS", "RefineConfig", "RefineResult", "refine", "refine_batch"]

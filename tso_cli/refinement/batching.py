@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from ..errors import InputError
 from ..objective import WorkingView, working_view
 from ..placement import place, require_overlap
 from ..scene import View
-from .config import RefineConfig
+from ..symmetry import FAR_MISFIT, MEAN_MISFIT, MirrorPlane, find_mirror_plane
+from .config import Settings, parse_symmetry
 from .starts import Cloud
 
 # Clouds of one batch hold no more points than this together, and none less than half as many as the largest.
@@ -20,24 +23,58 @@ BATCH_PIXELS = 1 << 24
 
 @dataclass(frozen=True, eq=False)
 class Item:
-    """A cloud and what asks it."""
+    """A cloud and what asks it.
+
+    Attributes
+    ----------
+    views : what asks. working : the same as the loop sees it, followed by the mirrored ones where ``plane`` is one.
+    """
 
     cloud: Cloud
     views: tuple[View, ...]
     working: tuple[WorkingView, ...]
+    plane: MirrorPlane | None
+    symmetry_reason: str
 
     @classmethod
-    def of(cls, cloud: Cloud, views: tuple[View, ...], config: RefineConfig) -> Item:
+    def of(cls, cloud: Cloud, views: tuple[View, ...], config: Settings) -> Item:
         """Raises InputError where cloud and views do not meet."""
         for view in views:
             require_overlap(place(cloud.initial, view), view)
-        working = tuple(working_view(view, config.sigma_sq, cloud.centre, cloud.scale) for view in views)
-        return cls(cloud, views, working)
+        plane, reason = mirror_plane(cloud, config.symmetry)
+        return cls(cloud, (), (), plane, reason).seen_by(views, config)
+
+    def seen_by(self, views: tuple[View, ...], config: Settings) -> Item:
+        """The same cloud, asked by other views."""
+        shown = views if self.plane is None else (*views, *(self.plane.view(view) for view in views))
+        working = tuple(working_view(view, config.sigma_sq, self.cloud.centre, self.cloud.scale) for view in shown)
+        return replace(self, views=views, working=working)
 
     @property
     def pixels(self) -> int:
         """Of all views as the loop sees them."""
         return sum(view.mask.size for view in self.working)
+
+
+def mirror_plane(cloud: Cloud, symmetry: str) -> tuple[MirrorPlane | None, str]:
+    """The plane that ``symmetry`` (as in :class:`RefineConfig`) means for a cloud, and why it is this or none."""
+    wanted = parse_symmetry(symmetry)
+    if wanted == "none":
+        return None, "none asked for"
+    if wanted == "auto":
+        # In the units of the loop, and rounded far below what a sampling tells: neither unit nor origin of the input shows.
+        found = find_mirror_plane(cloud.normalised())
+        normal = found.normal.round(6) / np.linalg.norm(found.normal.round(6))
+        offset = cloud.scale * round(found.offset, 6) + float(normal @ cloud.centre)
+        plane = replace(found, normal=normal, offset=offset)
+        fits = f"the mirrored cloud lies {plane.misfit:.2f} spacings from the cloud on average, {plane.far:.2f} at its worst"
+        limits = f"(at most {MEAN_MISFIT} and {FAR_MISFIT})"
+        return (plane, f"{fits} {limits}") if plane.symmetric else (None, f"{fits}, too far {limits}")
+    if isinstance(wanted, str):
+        normal = np.eye(3)["xyz".index(wanted)]
+        return MirrorPlane(normal, float(normal @ cloud.centre)), "given"
+    length = float(np.linalg.norm(wanted[:3]))
+    return MirrorPlane(np.array(wanted[:3]) / length, wanted[3] / length), "given"
 
 
 def parts_of(scene: Any, number: int) -> tuple[Any, Any]:

@@ -2,67 +2,64 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import torch
 from torch import Tensor
 
+from ..losses import ChamferToInitial
 from ..objective import MaskObjective
-from ..pose.moves import LEARNING_RATE, CameraMoves, deviations, moved_camera
+from ..pose.moves import CameraMoves, deviations, moved_camera
 from ..scene import View
+from .batching import Item
+from .config import PAPER_GAMMA, PAPER_LEARNING_RATE, PAPER_STEPS
 from .loop import descend
-from .starts import Cloud, PointsStart
+from .starts import PointsStart
 
 # A correction of fewer standard deviations is what the silhouette of a wrong shape asks for of a right camera.
 ACCEPTED = 1.5
 
 
-def settled_views(
-    clouds: Sequence[Cloud],
-    views: Sequence[tuple[View, ...]],
-    mask_term: MaskObjective,
-    regulariser: Callable[[Tensor], Tensor],
-    start: PointsStart,
-    steps: int,
-    learning_rate: float,
-) -> tuple[list[tuple[View, ...]], bool]:
-    """The views of each cloud, with the cameras corrected that need it, and whether Ctrl-C kept them as they were.
+def settled_views(items: Sequence[Item], start: PointsStart) -> tuple[list[tuple[View, ...]], bool]:
+    """The views of each item, with the cameras corrected that need it, and whether Ctrl-C kept them as they were.
 
-    Points and cameras are moved together, the points held near their start (which pins what a move of all points and one of
-    all cameras have in common), the cameras near the given ones. A correction of over 1.5 standard deviations is kept, a
-    smaller one dropped. The points start anew afterwards: no way they went before the camera was right remains.
+    Points and cameras are moved together with the paper's settings, the points held near their start (which pins what a move
+    of all points and one of all cameras have in common), the cameras near the given ones. A correction of over 1.5 standard
+    deviations is kept, a smaller one dropped. Where the points went on the way is forgotten.
 
     Parameters
     ----------
-    mask_term : of the cameras as given; it is left as it was.
-    regulariser : weighted distance [B] of clouds [B, N, 3] to their start.
-    start, steps, learning_rate : of the points.
+    items : each asked by as many views, of the same kinds. start : of their clouds; it is left as it is.
     """
     first = start.produce().detach().clone()
-    moves = CameraMoves(
-        [[v.camera.for_normalised(c.centre, c.scale) for v in own] for c, own in zip(clouds, views, strict=True)], first
-    )
-    mask_term.moves = moves
     points = first.clone().requires_grad_()
-    try:
-        descent = descend(
-            lambda: points,
-            [points],
-            lambda moved: mask_term(moved) + regulariser(moved) + moves.penalty(),
-            steps,
-            learning_rate,
-            beside=[moves.values],
-            beside_rate=LEARNING_RATE,
-        )
-    finally:
-        mask_term.moves = None
+    chamfer = ChamferToInitial(first, start.counts)
+    rate, gamma = PAPER_LEARNING_RATE["points"], PAPER_GAMMA["points"]
+    # The mirror image of a wrong camera is wrong as well.
+    working = [item.working[: len(item.views)] for item in items]
+    moves = CameraMoves([[view.camera for view in own] for own in working], points, rate)
+    mask_term = MaskObjective(working, start.counts, points)
+    mask_term.moves = moves
+    size = points.shape[1]
+
+    def produce() -> Tensor:
+        # The corrections are more rows of the cloud: so the loop keeps those of its best iterate.
+        return torch.cat([points, moves.parameter], 1)
+
+    def objective(_: Tensor) -> Tensor:
+        return mask_term(points) + gamma * chamfer(points) + moves.penalty()
+
+    descent = descend(produce, [points, moves.parameter], objective, PAPER_STEPS, rate)
     if descent.interrupted:
-        return list(views), True
-    values = descent.best_beside[0].double().cpu().numpy()
+        return [item.views for item in items], True
+    values = moves.values_of(descent.best[:, size:]).double().cpu().numpy()
     values = np.where(deviations(values)[..., None] > ACCEPTED, values, 0.0)
-    settled = [
-        tuple(replace(v, camera=moved_camera(v.camera, by, c.centre, c.scale)) for v, by in zip(own, row, strict=True))
-        for c, own, row in zip(clouds, views, values, strict=True)
-    ]
-    return settled, False
+    return [
+        tuple(
+            replace(view, camera=moved_camera(view.camera, by, item.cloud.centre, item.cloud.scale))
+            for view, by in zip(item.views, row, strict=True)
+        )
+        for item, row in zip(items, values, strict=True)
+    ], False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,28 +11,43 @@ from numpy.typing import NDArray
 from ..camera import Camera
 from ..errors import InputError
 
-MODES = ("points", "encoder", "encoder-decoder")
-# The paper's learning rates, and gamma: the encoder variant uses the silhouette alone.
-PAPER_LEARNING_RATE = {"points": 5e-4, "encoder": 1e-6, "encoder-decoder": 5e-6}
-PAPER_GAMMA = {"points": 1e6, "encoder": 0.0, "encoder-decoder": 1e6}
+MODES = ("points", "encoder", "encoder-decoder", "latent")
+# The paper's steps, learning rates, and gamma: the encoder variant uses the silhouette alone. It has no latent variant: ours.
+PAPER_STEPS = 50
+PAPER_LEARNING_RATE = {"points": 5e-4, "encoder": 1e-6, "encoder-decoder": 5e-6, "latent": 1e-3}
+PAPER_GAMMA = {"points": 1e6, "encoder": 0.0, "encoder-decoder": 1e6, "latent": 1e6}
 
 Array = NDArray[np.float64]
 
 
+# The same of the preset "best", chosen on validation shapes (docs/accuracy.md).
+BEST_STEPS = {"points": 90, "encoder": 12, "encoder-decoder": 12, "latent": 30}
+BEST_LEARNING_RATE = {"points": 2e-2, "encoder": 3e-5, "encoder-decoder": 3e-5, "latent": 1e-3}
+BEST_GAMMA = {"points": 0.0, "encoder": 1e6, "encoder-decoder": 1e6, "latent": 1e6}
+PRESETS = ("best", "paper")
+
+
 @dataclass(frozen=True)
 class RefineConfig:
-    """Settings of one refinement; the defaults are the paper's.
+    """Settings of one refinement. What is None is as the preset has it.
 
     Parameters
     ----------
-    mode : "points" moves the points, "encoder" the encoder's weights, "encoder-decoder" all weights of the network.
-    steps : Adam steps; 0 returns the start.
-    learning_rate : None for the paper's 5e-4, 1e-6, 5e-6. In points mode it is stated for a cloud of longest side 1.
-    gamma : weight of the Chamfer distance to the start (longest side 1); None for the paper's 1e6, in encoder mode 0.
-    sigma_sq : variance of the projection's Gaussian, px^2 of the mask; None for 0.4 (max(W, H) / 64)^2.
-    refine_camera : move the camera of each view too, held near the given one; points mode.
+    mode : "points" moves the points, "encoder" the encoder's weights, "encoder-decoder" all weights of the network, "latent"
+        the 128 numbers between encoder and decoder.
+    steps : of the optimiser; 0 returns the start. Paper 50; best 90 in points mode, 12 of weights, 30 of the latent code.
+    learning_rate : in points mode stated for a cloud of longest side 1. Best: how far the point that is pulled hardest moves in
+        one of the first steps, 0.02; of weights 3e-5, of the latent code 1e-3. Paper: Adam's, 5e-4, 1e-6, 5e-6.
+    gamma : weight of the Chamfer distance to the start (longest side 1). Best 0 in points mode, else 1e6; paper
+        1e6, in encoder mode 0.
+    sigma_sq : variance of the projection's Gaussian, px^2 of the mask; None for 0.4 (max(W, H) / 64)^2. In points mode the
+        preset "best" uses it for judging the silhouette alone.
     device : "cpu", "cuda", "auto" or any name torch knows.
-    seed : recorded in the result; none of the three variants draws random numbers.
+    seed : recorded in the result; no variant draws random numbers.
+    preset : "best", or "paper": Eq. 7 with the paper's settings, exactly.
+    symmetry : "auto" (best) finds a mirror plane of the start and uses it if there is one; "none" (paper); "x", "y", "z", the
+        axis of the input normal to a plane through the middle of its bounding box; or "a,b,c,d", the plane ax + by + cz = d.
+    refine_camera : correct the camera of each view first, held near the given one; points mode.
 
     Raises
     ------
@@ -40,27 +56,80 @@ class RefineConfig:
     """
 
     mode: str = "points"
-    steps: int = 50
+    steps: int | None = None
     learning_rate: float | None = None
     gamma: float | None = None
     sigma_sq: float | None = None
     device: str = "cpu"
     seed: int = 0
+    preset: str = "best"
+    symmetry: str | None = None
     refine_camera: bool = False
 
     def __post_init__(self) -> None:
-        if self.mode not in MODES:
-            raise InputError(f"mode is {self.mode!r}, expected one of {', '.join(MODES)}")
+        for name, known in (("mode", MODES), ("preset", PRESETS)):
+            if getattr(self, name) not in known:
+                raise InputError(f"{name} is {getattr(self, name)!r}, expected one of {', '.join(known)}")
         if self.refine_camera and self.mode != "points":
             raise InputError(f"mode is {self.mode!r}, expected points to refine the camera")
         for name in ("steps", "seed"):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 0):
                 raise InputError(f"{name} is {value!r}, expected a whole number, 0 or more")
         for name, low, high in (("learning_rate", 0.0, 1e6), ("gamma", -1.0, 1e15), ("sigma_sq", 0.0, 1e9)):
             value = getattr(self, name)
             if value is not None and not (isinstance(value, (int, float)) and low < value <= high and value >= 0.0):
                 raise InputError(f"{name} is {value!r}, expected a number {'>= 0' if low else '> 0'}, at most {high:g}")
+        if self.symmetry is not None:
+            parse_symmetry(self.symmetry)
+
+    def settings(self) -> Settings:
+        """The same with the preset's values in place of None."""
+        best = self.preset == "best"
+        points = best and self.mode == "points"
+        rates, gammas = (BEST_LEARNING_RATE, BEST_GAMMA) if best else (PAPER_LEARNING_RATE, PAPER_GAMMA)
+        return Settings(
+            mode=self.mode,
+            preset=self.preset,
+            steps=(BEST_STEPS[self.mode] if best else PAPER_STEPS) if self.steps is None else self.steps,
+            learning_rate=rates[self.mode] if self.learning_rate is None else self.learning_rate,
+            gamma=gammas[self.mode] if self.gamma is None else self.gamma,
+            symmetry=("auto" if points else "none") if self.symmetry is None else self.symmetry,
+            sigma_sq=self.sigma_sq,
+            device=self.device,
+            seed=self.seed,
+            refine_camera=self.refine_camera,
+        )
+
+
+@dataclass(frozen=True)
+class Settings:
+    """A :class:`RefineConfig` whose every value is known, but for ``sigma_sq``, whose default is the view's."""
+
+    mode: str
+    preset: str
+    steps: int
+    learning_rate: float
+    gamma: float
+    symmetry: str
+    sigma_sq: float | None
+    device: str
+    seed: int
+    refine_camera: bool
+
+
+def parse_symmetry(text: str) -> str | tuple[float, float, float, float]:
+    """One of auto, none, x, y, z, or the four numbers of a,b,c,d; InputError for anything else."""
+    if text in ("auto", "none", "x", "y", "z"):
+        return text
+    expected = "expected auto, none, x, y, z or four numbers a,b,c,d of the plane ax + by + cz = d"
+    try:
+        a, b, c, d = (float(part) for part in text.split(","))
+    except (ValueError, AttributeError):
+        raise InputError(f"symmetry is {text!r}, {expected}") from None
+    if not math.isfinite(a + b + c + d) or a * a + b * b + c * c == 0.0:
+        raise InputError(f"symmetry is {text!r}, whose normal has no direction; {expected}")
+    return a, b, c, d
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,12 +142,16 @@ class RefineResult:
     mode : which parameters moved.
     steps : steps done; best_step : the step that the result is from (0: the start was best).
     stop_reason : "max_steps", "interrupted" (Ctrl-C: the best so far is kept) or "non_finite" (the loss was no number).
-    losses : the objective at the start and after every step; loss_before, loss_after : of the start and of the result.
+    losses : the objective at the start and after every step. loss_before, loss_after : of the start and of the result. With the
+        preset "best" the objective changes twice on the way: these two are both by the last.
     iou_before, iou_after : silhouette > 0.5 against mask > 0.5 at the mask's own resolution, mean over views.
+    view_ious : the two of each view. view_weights : of its loss in the objective, 1 unless the other views contradict it.
     chamfer_to_initial : squared distances, mean over points, both directions summed, for a cloud of longest side 1.
+    symmetry : a, b, c, d of the mirror plane ax + by + cz = d that was used, in the frame of the input, or None.
+    symmetry_reason : why, or why not.
     learning_rate, gamma, sigma_sq, device, seed : what was used; sigma_sq in px^2 of the first mask.
+    cameras : of each view; with ``refine_camera`` as they were corrected.
     seconds : wall time of each phase.
-    cameras : of each view; with ``refine_camera`` as they were moved.
     """
 
     points: Array
@@ -92,11 +165,16 @@ class RefineResult:
     loss_after: float
     iou_before: float
     iou_after: float
+    view_ious: list[tuple[float, float]]
+    view_weights: list[float]
     chamfer_to_initial: float
+    symmetry: tuple[float, float, float, float] | None
+    symmetry_reason: str
+    preset: str
     learning_rate: float
     gamma: float
     sigma_sq: float
     device: str
     seed: int
+    cameras: tuple[Camera, ...]
     seconds: dict[str, float] = field(default_factory=dict)
-    cameras: tuple[Camera, ...] = ()

@@ -18,12 +18,13 @@ from ..camera import Camera
 from ..errors import InputError, TsoError
 from ..kernels.choice import planned
 from ..losses import ChamferToInitial
-from ..metrics import iou
-from ..objective import MaskObjective
-from ..projection import default_sigma_sq, silhouettes_of
-from ..scene import View
+from ..objective import MaskObjective, PullObjective
+from ..projection import default_sigma_sq
+from ..weighting import weigh
 from .batching import Item, batches_of, parts_of
-from .config import PAPER_GAMMA, PAPER_LEARNING_RATE, RefineConfig, RefineResult
+from .best import descend_in_stages
+from .config import PAPER_STEPS, RefineConfig, RefineResult, Settings
+from .judging import view_ious
 from .loop import Descent, Progress, descend
 from .starts import Cloud, NetworkStart, PointsStart
 from .views import as_views
@@ -33,10 +34,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Clouds up to this size are moved by one CPU thread.
+# Clouds up to this size are moved by one CPU thread, where no picture is looked at on the way.
 SMALL_CLOUD = 8192
-# Silhouettes judged at once hold no more pixels than this together; bounds memory.
-PIXELS_AT_ONCE = 1 << 22
+LIGHT = ("points", "latent")
 
 
 def refine(
@@ -58,7 +58,7 @@ def refine(
         and ignore map.
     cameras : one for each mask; None for the canonical camera.
     config : settings, by default the paper's.
-    network : for the modes "encoder" and "encoder-decoder"; it is copied, never changed.
+    network : for the modes "encoder", "encoder-decoder" and "latent"; it is copied, never changed.
     image : [3, 64, 64] network input in [0, 1], array or tensor.
     progress : called after every step with (step, steps, loss).
 
@@ -73,23 +73,23 @@ def refine(
     TsoError
         The loss of the start, or after the first step, is not a finite number.
     """
-    config = config or RefineConfig()
+    settings = (config or RefineConfig()).settings()
     seconds: dict[str, float] = {}
     views = as_views(masks, cameras)
-    device = devices.resolve(config.device)
+    device = devices.resolve(settings.device)
     with _timed(seconds, "prepare"):
         start: PointsStart | NetworkStart
-        if config.mode == "points":
+        if settings.mode == "points":
             if points is None:
                 raise InputError("mode points needs points, found none")
             cloud = Cloud(points, "points")
             start = PointsStart([cloud], device)
         else:
-            start = NetworkStart(network, image, config.mode, device)
+            start = NetworkStart(network, image, settings.mode, device)
             cloud = start.cloud
-        item = Item.of(cloud, views, config)
-    with _planned([item], config):
-        (found,) = _refined([item], start, config, seconds, progress)
+        item = Item.of(cloud, views, settings)
+    with _planned([item], settings):
+        (found,) = _refined([item], start, settings, seconds, progress)
     if isinstance(found, TsoError):
         raise found
     return found
@@ -121,23 +121,23 @@ def refine_batch(
     InputError
         The mode is not "points", the device is not there, or ``scenes`` are none.
     """
-    config = config or RefineConfig()
+    settings = (config or RefineConfig()).settings()
     if not isinstance(scenes, Iterable):
         raise InputError(f"scenes is {scenes!r}, expected a sequence of (points, views)")
     scenes = list(scenes)
-    if config.mode != "points":
-        raise InputError(f"mode is {config.mode!r}, expected points for a batch")
-    device = devices.resolve(config.device)
+    if settings.mode != "points":
+        raise InputError(f"mode is {settings.mode!r}, expected points for a batch")
+    device = devices.resolve(settings.device)
     found: list[RefineResult | TsoError | None] = [None] * len(scenes)
     items: dict[int, Item] = {}
     for number, scene in enumerate(scenes):
         try:
             points, masks = parts_of(scene, number)
-            items[number] = Item.of(Cloud(points, f"points of scene {number}"), as_views(masks), config)
+            items[number] = Item.of(Cloud(points, f"points of scene {number}"), as_views(masks), settings)
         except TsoError as error:
             found[number] = error
     batches = batches_of(items)
-    done, total, interrupted = 0, len(batches) * config.steps, False
+    done, total, interrupted = 0, len(batches) * settings.steps, False
     for batch in batches:
         seconds: dict[str, float] = {}
 
@@ -148,19 +148,20 @@ def refine_batch(
         own = [items[number] for number in batch]
         with _timed(seconds, "prepare"):
             start = PointsStart([item.cloud for item in own], device)
-        with _planned(list(items.values()), config):
-            results = _refined(own, start, config, seconds, told if progress else None, at_start=interrupted)
+        with _planned(list(items.values()), settings):
+            results = _refined(own, start, settings, seconds, told if progress else None, at_start=interrupted)
         for number, result in zip(batch, results, strict=True):
             found[number] = result
             interrupted |= isinstance(result, RefineResult) and result.stop_reason == "interrupted"
-        done += config.steps
+        done += settings.steps
     return [result for result in found if result is not None]
 
 
-def _planned(items: list[Item], config: RefineConfig) -> AbstractContextManager[None]:
+def _planned(items: list[Item], settings: Settings) -> AbstractContextManager[None]:
     """All the work on the items, for :func:`tso_cli.kernels.choice.planned`."""
-    drawn = config.steps * sum(len(item.views) * len(item.cloud.initial) for item in items)
-    return planned(config.steps * sum(len(item.views) for item in items), drawn)
+    steps = settings.steps + (PAPER_STEPS if settings.refine_camera else 0)
+    drawn = steps * sum(len(item.working) * len(item.cloud.initial) for item in items)
+    return planned(steps * sum(len(item.working) for item in items), drawn)
 
 
 def compile_loops() -> None:
@@ -169,97 +170,84 @@ def compile_loops() -> None:
     mask[20:44, 20:44] = 1.0
     much = 1 << 60
     with planned(much, much):
-        refine(np.random.default_rng(0).uniform(-0.3, 0.3, (64, 3)), mask, config=RefineConfig(steps=1))
+        refine(np.random.default_rng(0).uniform(-0.3, 0.3, (64, 3)), mask, config=RefineConfig(steps=1, preset="paper"))
 
 
 def _refined(
     items: list[Item],
     start: PointsStart | NetworkStart,
-    config: RefineConfig,
+    settings: Settings,
     seconds: dict[str, float],
     progress: Progress | None,
     at_start: bool = False,
 ) -> list[RefineResult | TsoError]:
     """The loop, and the results of all items; ``at_start``: Ctrl-C came before it, and nothing moves."""
-    with _timed(seconds, "prepare"):
-        first = start.produce().detach().clone()
-        mask_term = MaskObjective([item.working for item in items], start.counts, first)
-        chamfer = ChamferToInitial(first, start.counts)
-    gamma = PAPER_GAMMA[config.mode] if config.gamma is None else config.gamma
-    learning_rate = config.learning_rate or PAPER_LEARNING_RATE[config.mode]
-
-    def objective(moved: Tensor) -> Tensor:
-        loss = mask_term(moved)
-        return loss + gamma * chamfer(moved) if gamma else loss
-
-    seen = [item.views for item in items]
-    if config.refine_camera and not at_start and isinstance(start, PointsStart):
+    staged = settings.preset == "best" and settings.mode == "points"
+    small = int(start.counts.sum()) <= SMALL_CLOUD
+    one_thread = small and settings.mode in LIGHT
+    given = [item.views for item in items]
+    if settings.refine_camera and settings.steps and not at_start and isinstance(start, PointsStart):
         from .cameras import settled_views
 
-        with _timed(seconds, "cameras"):
-            clouds = [item.cloud for item in items]
-            seen, at_start = settled_views(
-                clouds, seen, mask_term, lambda moved: gamma * chamfer(moved), start, config.steps, learning_rate
-            )
-            working = [Item.of(cloud, own, config).working for cloud, own in zip(clouds, seen, strict=True)]
-            mask_term = MaskObjective(working, start.counts, first)
-    small = first[..., 0].numel() <= SMALL_CLOUD
-    with _timed(seconds, "optimise"), devices.one_thread(small and isinstance(start, PointsStart)):
-        steps = 0 if at_start else config.steps
-        descent = descend(start.produce, start.parameters, objective, steps, learning_rate, None if at_start else progress)
+        with _timed(seconds, "cameras"), devices.one_thread(one_thread):
+            settled, at_start = settled_views(items, start)
+            items = [item.seen_by(views, settings) for item, views in zip(items, settled, strict=True)]
+    with _timed(seconds, "prepare"), devices.one_thread(one_thread):
+        first = start.produce().detach().clone()
+        chamfer = ChamferToInitial(first, start.counts)
+        views = [item.working for item in items]
+        weights = torch.ones(len(items), len(items[0].views), dtype=torch.float64)
+        if settings.preset == "best":
+            weights = weigh([item.working[: len(item.views)] for item in items], start.counts, first)
+        # What the mirror image shows is worth what its picture is.
+        every = weights.repeat(1, len(views[0]) // weights.shape[1])
+        mask_term = (PullObjective if staged else MaskObjective)(views, start.counts, first, every)
+
+    def held(moved: Tensor) -> Tensor:
+        return settings.gamma * chamfer(moved)
+
+    def objective(moved: Tensor) -> Tensor:
+        assert isinstance(mask_term, MaskObjective)
+        loss = mask_term(moved)
+        return loss + held(moved) if settings.gamma else loss
+
+    steps, told = (0, None) if at_start else (settings.steps, progress)
+    with _timed(seconds, "optimise"), devices.one_thread(one_thread):
+        if isinstance(mask_term, PullObjective):
+            further = held if settings.gamma else None
+            descent = descend_in_stages(first, start.counts, mask_term, further, steps, settings.learning_rate, told)
+        else:
+            descent = descend(start.produce, start.parameters, objective, steps, settings.learning_rate, told)
         descent = replace(descent, interrupted=descent.interrupted or at_start)
     with _timed(seconds, "judge"), devices.one_thread(small):
         moved_by = chamfer(descent.best).tolist()
         offsets = (descent.best.double() - first.double()).cpu().numpy()
-        judged = _judged(items, seen, offsets, config, first.device)
+        # What did not move keeps every bit of the input.
+        refined: list[Array] = [
+            item.cloud.initial + item.cloud.scale * offset[: len(item.cloud.initial)]
+            for item, offset in zip(items, offsets, strict=True)
+        ]
+        before = view_ious([item.cloud.initial for item in items], given, settings.sigma_sq, first.device)
+        after = view_ious(refined, [item.views for item in items], settings.sigma_sq, first.device)
     seconds = {phase: value / len(items) for phase, value in seconds.items()}
     return [
-        _result(item, seen[number], descent, number, own, moved_by[number], first.device, config, learning_rate, gamma, seconds)
-        for number, (item, own) in enumerate(zip(items, judged, strict=True))
+        _result(
+            item, descent, number, points, ious, weights[number].tolist(), moved_by[number], first.device, settings, seconds
+        )
+        for number, (item, points, *ious) in enumerate(zip(items, refined, before, after, strict=True))
     ]
-
-
-def _judged(
-    items: list[Item], seen: list[tuple[View, ...]], offsets: Array, config: RefineConfig, device: torch.device
-) -> list[tuple[Array, float, float]]:
-    """The refined points of each item, and its IoU before and after, mean over views.
-
-    ``seen`` are the views with the cameras of the end, ``offsets`` [B, N, 3] are normalised.
-    """
-    before = [item.cloud.initial for item in items]
-    # What did not move keeps every bit of the input.
-    after: list[Array] = [
-        item.cloud.initial + item.cloud.scale * offset[: len(item.cloud.initial)]
-        for item, offset in zip(items, offsets, strict=True)
-    ]
-    groups: dict[Any, list[tuple[int, View, Camera]]] = {}
-    for number, (item, moved) in enumerate(zip(items, seen, strict=True)):
-        for view, own in zip(item.views, moved, strict=True):
-            groups.setdefault((own.camera.width, own.camera.height, own.camera.model), []).append((number, view, own.camera))
-    scores: list[list[tuple[float, float]]] = [[] for _ in items]
-    for (width, height, _), group in groups.items():
-        size = max(1, PIXELS_AT_ONCE // (width * height))
-        for part in (group[i : i + size] for i in range(0, len(group), size)):
-            numbers, views, moved_cameras = zip(*part, strict=True)
-            stages = (before, [view.camera for view in views]), (after, moved_cameras)
-            shown = [silhouettes_of([c[n] for n in numbers], cams, config.sigma_sq, device) for c, cams in stages]
-            for number, view, *both in zip(numbers, views, *shown, strict=True):
-                first, last = (iou(silhouette, view.mask, view.known) for silhouette in both)
-                scores[number].append((first, last))
-    return [(points, *np.mean(own, 0).tolist()) for points, own in zip(after, scores, strict=True)]
 
 
 def _result(
     item: Item,
-    seen: tuple[View, ...],
     descent: Descent,
     number: int,
-    judged: tuple[Array, float, float],
+    points: Array,
+    ious: list[list[float]],
+    weights: list[float],
     moved_by: float,
     device: torch.device,
-    config: RefineConfig,
-    learning_rate: float,
-    gamma: float,
+    settings: Settings,
     seconds: dict[str, float],
 ) -> RefineResult | TsoError:
     losses = descent.losses[:, number]
@@ -269,28 +257,33 @@ def _result(
         return TsoError("the loss of the start is no finite number")
     if steps == 0 and not finite.all():
         return TsoError("the loss is no finite number after the first step (a smaller learning rate?)")
-    points, before, after = judged
+    before, after = np.mean(ious, 1).tolist()
     first_camera = item.views[0].camera
     return RefineResult(
         points=points,
         initial=item.cloud.initial,
-        mode=config.mode,
+        mode=settings.mode,
         steps=steps,
         best_step=int(descent.best_step[number]),
         stop_reason="non_finite" if not finite.all() else "interrupted" if descent.interrupted else "max_steps",
         losses=losses[finite].tolist(),
-        loss_before=float(losses[0]),
-        loss_after=float(losses[descent.best_step[number]]),
+        loss_before=float(descent.first_loss[number]),
+        loss_after=float(descent.best_loss[number]),
         iou_before=before,
         iou_after=after,
+        view_ious=list(zip(*ious, strict=True)),
+        view_weights=weights,
         chamfer_to_initial=moved_by,
-        learning_rate=learning_rate,
-        gamma=gamma,
-        sigma_sq=config.sigma_sq or default_sigma_sq(first_camera.width, first_camera.height),
+        symmetry=None if item.plane is None else (*item.plane.normal.tolist(), item.plane.offset),
+        symmetry_reason=item.symmetry_reason,
+        preset=settings.preset,
+        learning_rate=settings.learning_rate,
+        gamma=settings.gamma,
+        sigma_sq=settings.sigma_sq or default_sigma_sq(first_camera.width, first_camera.height),
         device=str(device),
-        seed=config.seed,
+        seed=settings.seed,
+        cameras=tuple(view.camera for view in item.views),
         seconds=seconds,
-        cameras=tuple(view.camera for view in seen),
     )
 
 

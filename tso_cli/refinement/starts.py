@@ -1,4 +1,4 @@
-"""What moves: the points of clouds, or the weights of the network that predicts one."""
+"""What moves: the points of clouds, or the weights or the latent vector of the network that predicts one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from ..errors import InputError
 from ..geometry import as_points, bounding_box_normalisation
@@ -63,30 +63,36 @@ class PointsStart:
 
 
 class NetworkStart:
-    """A copy of the network moves, and with it the cloud it predicts from the image.
+    """A copy of the network moves, or the latent vector between its halves, and with it the cloud it predicts from the image.
 
     Attributes
     ----------
     cloud : the prediction.
-    parameters : the weights that ``mode`` moves. counts : [1].
+    parameters : what ``mode`` moves: weights, or one tensor [1, 128]. counts : [1].
     """
 
     def __init__(self, network: BaseNetwork | None, image: Any, mode: str, device: torch.device) -> None:
         if network is None or image is None:
             raise InputError(f"mode {mode} needs a network and an image")
-        self._network = copy.deepcopy(network).float().to(device).eval()
-        self._image = torch.as_tensor(image, dtype=torch.float32, device=device).unsqueeze(0)
-        moving = self._network.encoder if mode == "encoder" else self._network
-        self._network.requires_grad_(False)
-        moving.requires_grad_(True)
-        self.parameters: list[Tensor] = list(moving.parameters())
+        network = copy.deepcopy(network).float().to(device).eval().requires_grad_(False)
+        given = torch.as_tensor(image, dtype=torch.float32, device=device).unsqueeze(0)
+        self._predict: nn.Module = network
+        if mode == "latent":
+            # The picture is looked at once: a step is then the decoder alone.
+            given = network.encoder(given).requires_grad_()
+            self._predict = network.decoder
+            self.parameters: list[Tensor] = [given]
+        else:
+            moving = network.encoder if mode == "encoder" else network
+            self.parameters = list(moving.requires_grad_(True).parameters())
+        self._given = given
         with torch.no_grad():
-            predicted = self._network(self._image)[0]
+            predicted = self._predict(given)[0]
         self.cloud = Cloud(predicted, "the network's prediction")
         self.counts = torch.tensor([len(self.cloud.initial)])
         self._centre = torch.as_tensor(self.cloud.centre, dtype=torch.float32, device=device)
 
     def produce(self) -> Tensor:
         """The cloud [1, N, 3] that the network predicts now, normalised as it was at the start."""
-        cloud: Tensor = (self._network(self._image) - self._centre) / self.cloud.scale
+        cloud: Tensor = (self._predict(self._given) - self._centre) / self.cloud.scale
         return cloud

@@ -57,7 +57,7 @@ def _run(folder: Path, name: str, mode: str, checkpoint: Path | None) -> dict[st
         scene = load_points_scene(folder / "initial.ply", folder / "mask.png")
     else:
         scene = load_network_scene(folder / "image.png", folder / "mask.png", checkpoint, world=True)
-    config = RefineConfig(mode, sigma_sq=scene.sigma_sq)
+    config = RefineConfig(mode, sigma_sq=scene.sigma_sq, preset="paper")
     results: list[RefineResult] = []
     seconds = []
     for _ in range(RUNS + 1):

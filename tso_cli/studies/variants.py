@@ -138,7 +138,7 @@ def judge_view(
     seconds: dict[str, float] = {}
     steps: dict[str, int] = {}
     for variant in VARIANTS:
-        settings = RefineConfig(variant, config.steps, sigma_sq=about.sigma_sq, device=config.device)
+        settings = RefineConfig(variant, config.steps, sigma_sq=about.sigma_sq, device=config.device, preset="paper")
         start = time.perf_counter()
         result = refine(
             scene.points if variant == "points" else None,

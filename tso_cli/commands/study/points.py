@@ -51,7 +51,7 @@ def points(
     from ...studies.points import study_points
     from ...studies.protocol import INITIAL_CHAMFER
 
-    config = RefineConfig("points", steps, learning_rate, gamma, sigma_sq, device)
+    config = RefineConfig("points", steps, learning_rate, gamma, sigma_sq, device, preset="paper")
     chosen = categories or tuple(INITIAL_CHAMFER)
     record = study_points(meshes, config, chosen, seed, limit, Reporter())
     keep(record, output, draw_points_study, overwrite)

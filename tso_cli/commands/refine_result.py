@@ -1,0 +1,164 @@
+"""What `tso refine` says of a scene before, and of a result after."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from .. import __version__
+from . import options
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from ..camera import Camera
+    from ..placement import Placement
+    from ..refinement import RefineResult
+    from ..scenes import Scene
+
+
+def _describe_camera(camera: Camera, source: str) -> dict[str, Any]:
+    return {
+        "source": source,
+        "model": camera.model,
+        "width": camera.width,
+        "height": camera.height,
+        "K": camera.K.tolist(),
+        "R": camera.R.tolist(),
+        "t": camera.t.tolist(),
+    }
+
+
+def document(
+    result: RefineResult,
+    scene: Scene,
+    checkpoint: Path | None,
+    output: Path,
+    overlay: Path | None,
+    preset: str,
+    seconds: dict[str, float],
+) -> dict[str, Any]:
+    return {
+        "mode": result.mode,
+        "preset": preset,
+        "checkpoint": checkpoint,
+        "output": output,
+        "overlay": overlay,
+        "camera": _describe_camera(scene.view.camera, scene.camera_sources[0]),
+        "views": [
+            {
+                "mask": view.name,
+                "camera": _describe_camera(view.camera, camera_source),
+                "iou_before": before,
+                "iou_after": after,
+                "weight": weight,
+            }
+            for view, camera_source, (before, after), weight in zip(
+                scene.views, scene.camera_sources, result.view_ious, result.view_weights, strict=True
+            )
+        ],
+        "frame": scene.frame,
+        "points": len(result.points),
+        "steps": result.steps,
+        "best_step": result.best_step,
+        "stop_reason": result.stop_reason,
+        "loss_before": result.loss_before,
+        "loss_after": result.loss_after,
+        "losses": result.losses,
+        "iou_before": result.iou_before,
+        "iou_after": result.iou_after,
+        "chamfer_to_initial": result.chamfer_to_initial,
+        "convention": {
+            "chamfer_to_initial": "squared distances, mean over points, both directions summed, longest side 1",
+            "iou": "silhouette > 0.5 against mask > 0.5, mean over views",
+            "loss": "sum over views of weight x BCE summed over pixels x 64^2/(W H), + gamma x Chamfer to the initial cloud",
+            "sigma_sq": "px^2 of the mask (encoder modes: mask, IoU and sigma_sq are those of the 64x64 crop)",
+        },
+        "learning_rate": result.learning_rate,
+        "gamma": result.gamma,
+        "sigma_sq": result.sigma_sq,
+        "device": result.device,
+        "seed": result.seed,
+        "seconds": seconds,
+        "version": __version__,
+    }
+
+
+def print_result(result: RefineResult, scene: Scene, output: Path, overlay: Path | None, seconds: dict[str, float]) -> None:
+    click.echo(f"{output}: {len(result.points):,} points, {result.steps} steps, best at step {result.best_step}")
+    mean = f", mean of {len(scene.views)} views" if len(scene.views) > 1 else ""
+    click.echo(f"  IoU    {result.iou_before:.3f} -> {result.iou_after:.3f}   (silhouette > 0.5, mask > 0.5{mean})")
+    if mean:
+        for view, (before, after), weight in zip(scene.views, result.view_ious, result.view_weights, strict=True):
+            click.echo(f"  view   {before:.3f} -> {after:.3f}   weight {weight:.2f}, {view.name}")
+    click.echo(
+        f"  loss   {result.loss_before:.1f} -> {result.loss_after:.1f}   (BCE + {result.gamma:g} x Chamfer to the start)"
+    )
+    click.echo(
+        f"  moved  {result.chamfer_to_initial * 1e3:.3f}   (Chamfer to the start x1000: squared, mean over points, "
+        "both directions, longest side 1)"
+    )
+    click.echo(
+        f"  sigma_sq {result.sigma_sq:g} px^2, learning rate {result.learning_rate:g}, {result.device}, seed {result.seed}, "
+        f"{seconds['optimise']:.2f} s in the loop, {seconds['total']:.2f} s in all"
+    )
+    if overlay is not None:
+        click.echo(f"{overlay}: picture")
+
+
+def print_check(scene: Scene, placements: list[Placement], as_json: bool) -> None:
+    from ..placement import SMALLEST_BOX_IOU
+
+    size = scene.points.max(0) - scene.points.min(0)
+    meets = [placement.box_iou > SMALLEST_BOX_IOU for placement in placements]
+    if as_json:
+        cameras = [_describe_camera(*one) for one in zip((v.camera for v in scene.views), scene.camera_sources, strict=True)]
+        options.echo_json(
+            {
+                "camera": cameras[0],
+                "frame": scene.frame,
+                "extent": size.tolist(),
+                "placement": placements[0].as_dict(),
+                "meets": all(meets),
+                "views": [
+                    {"mask": view.name, "camera": camera, "placement": placement.as_dict(), "meets": met}
+                    for view, camera, placement, met in zip(scene.views, cameras, placements, meets, strict=True)
+                ],
+                "version": __version__,
+            }
+        )
+        return
+    for number, placement in enumerate(placements):
+        view = scene.views[number]
+        if len(placements) > 1:
+            click.echo(f"view        {number + 1} of {len(placements)}, {view.name}")
+        _print_placement(view.camera, scene.camera_sources[number], size, placement, meets[number])
+
+
+def _print_placement(camera: Camera, source: str, size: NDArray[np.float64], placement: Placement, meets: bool) -> None:
+    from ..placement import SMALLEST_BOX_IOU, describe_box
+
+    K = camera.K
+    click.echo(f"camera      {camera.model}, {camera.width}x{camera.height}, from {source}")
+    click.echo(f"            f {K[0, 0]:.4g} x {K[1, 1]:.4g} px, principal point ({K[0, 2]:.4g}, {K[1, 2]:.4g})")
+    click.echo(f"            R {camera.R.round(4).tolist()}, t {camera.t.round(4).tolist()}")
+    click.echo(f"cloud       {placement.points:,} points, extent {size[0]:.4g} x {size[1]:.4g} x {size[2]:.4g}")
+    if placement.depth is not None:
+        click.echo(
+            f"depth       {placement.depth[0]:.4g} to {placement.depth[1]:.4g}, {placement.behind:,} points behind the camera"
+        )
+    else:
+        click.echo("depth       all points lie behind the camera")
+    share = 100.0 / placement.points
+    click.echo(
+        f"points fall {placement.inside_image:,} inside the image ({placement.inside_image * share:.0f} %), "
+        f"{placement.inside_mask:,} on the mask ({placement.inside_mask * share:.0f} %)"
+    )
+    click.echo(f"mask        {describe_box(placement.mask_box)}")
+    if placement.points_box is not None:
+        click.echo(f"silhouette  {describe_box(placement.points_box)}")
+    verdict = "they meet" if meets else f"they do not meet (expected over {SMALLEST_BOX_IOU})"
+    click.echo(f"boxes       IoU {placement.box_iou:.3f}: {verdict}")

@@ -1,0 +1,67 @@
+"""The pull of masks as one compiled loop on the CPU; its twin in plain torch is in :mod:`tso_cli.pull`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .compiled_losses import WithSlope
+from .compiled_nearest import cell_edge, nearest_in_cells, sort_into_cells
+from .jit import compiled, share
+
+if TYPE_CHECKING:
+    from ..pull import PullTarget
+
+
+def mask_pull(
+    points_px: Tensor, valid: Tensor, target: PullTarget, scale: float, covered: float, reach: float, weight: Tensor
+) -> Tensor:
+    """As :func:`tso_cli.pull.mask_pull`; ``weight`` [M] is a stray point's, ``scale`` pixels of 64 to one of the image."""
+    inside, outside, rows, columns = target
+    total, slope = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
+    edge = cell_edge(inside.shape[1], inside.shape[2], points_px.shape[1])
+    steps = 16 * inside.numel() + 16 * valid.numel()
+    arguments = (points_px, valid, inside, outside, rows, columns, edge, scale, covered**2, reach**2, weight, total, slope)
+    share(len(inside), steps, _pull, *arguments)
+    return WithSlope.apply(points_px, total, slope)
+
+
+@compiled
+def _pull(  # type: ignore[no-untyped-def]
+    first, last, points, valid, inside, outside, rows, columns, edge, scale, covered, reach, weight, total, slope
+):
+    height, width = inside.shape[1:]
+    area = scale * scale
+    for image in range(first, last):
+        loss = 0.0
+        cells = sort_into_cells(points[image], valid[image], height, width, edge)
+        for i in range(height):
+            for j in range(width):
+                n = nearest_in_cells(float(j), float(i), edge, cells) if inside[image, i, j] else -1
+                if n < 0:
+                    continue
+                by_x, by_y = points[image, n, 0] - j, points[image, n, 1] - i
+                squared = (by_x * by_x + by_y * by_y) * area
+                if squared > covered:
+                    kept = reach / (reach + squared)
+                    loss += squared * kept * area
+                    slope[image, n, 0] += 2.0 * area * area * kept * kept * by_x
+                    slope[image, n, 1] += 2.0 * area * area * kept * kept * by_y
+        for n in range(points.shape[1]):
+            x, y = np.rint(points[image, n, 0]), np.rint(points[image, n, 1])
+            # What lies outside the image is unknown, not background.
+            if not (valid[image, n] and x >= 0 and x < width and y >= 0 and y < height):
+                continue
+            i, j = int(y), int(x)
+            if not outside[image, i, j] or rows[image, i, j] < 0:
+                continue
+            by_x, by_y = points[image, n, 0] - columns[image, i, j], points[image, n, 1] - rows[image, i, j]
+            squared = (by_x * by_x + by_y * by_y) * area
+            kept = reach / (reach + squared)
+            loss += weight[image] * squared * kept
+            slope[image, n, 0] += 2.0 * weight[image] * area * kept * kept * by_x
+            slope[image, n, 1] += 2.0 * weight[image] * area * kept * kept * by_y
+        total[image] = loss

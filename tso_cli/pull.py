@@ -1,0 +1,113 @@
+"""What a mask asks of projected points directly: cover each of its pixels, and do not fall beside it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from .kernels.choice import compiled_pays
+from .kernels.nearest import nearest_marked, nearest_points
+
+# Lengths are stated in pixels of an image whose longer side has 64.
+REFERENCE_SIDE = 64.0
+# A pixel is covered once a point falls this near to its centre: as far as a point may be from the nearest pixel's corner.
+COVERED_WITHIN = 0.7
+# Points that stray are counted as if a cloud had so many: how densely a cloud is sampled says nothing of how wrong it is.
+REFERENCE_POINTS = 1024.0
+
+
+class PullTarget(NamedTuple):
+    """What M masks ask of points.
+
+    Attributes
+    ----------
+    inside, outside : [M, H, W] bool, pixels known to be foreground and background.
+    goal_rows, goal_columns : [M, H, W] int64, the foreground pixel nearest to each pixel.
+    """
+
+    inside: Tensor
+    outside: Tensor
+    goal_rows: Tensor
+    goal_columns: Tensor
+
+    @classmethod
+    def of(cls, mask: Tensor, known: Tensor | None = None) -> PullTarget:
+        """``mask`` [M, H, W] in [0, 1], foreground over 0.5; ``known`` [M, H, W], where it is under 0.5 nothing is asked."""
+        inside = mask > 0.5
+        outside = ~inside
+        if known is not None:
+            inside, outside = inside & (known >= 0.5), outside & (known >= 0.5)
+        return cls(inside, outside, *nearest_marked(inside))
+
+    @property
+    def side(self) -> int:
+        """Pixels along the longer side."""
+        return max(self.inside.shape[-2:])
+
+    def pixels(self) -> Tensor:
+        """[M] foreground pixels, of an image of 64."""
+        return self.inside.flatten(1).sum(1) * (REFERENCE_SIDE / self.side) ** 2
+
+
+def mask_pull(points_px: Tensor, valid: Tensor, target: PullTarget, reach: float, counts: Tensor | None = None) -> Tensor:
+    """Pull points to foreground pixels that none covers, and points on background back to the mask.
+
+    A foreground pixel whose nearest point is further than 0.7 px pulls that point; a point that falls on a background pixel
+    is pulled to the nearest foreground pixel. What is covered asks for nothing. With d the distance in pixels of an image whose
+    longer side has 64, each pair costs ``rho(d) = d^2 r^2 / (r^2 + d^2)`` (Geman and McClure): the square of what is near; what
+    is many times the reach r away hardly pulls, since it may be no counterpart at all.
+
+    Parameters
+    ----------
+    points_px, valid : [M, N, 2] column and row, [M, N] bool.
+    target : of M masks.
+    reach : r, pixels of an image of 64.
+    counts : [M] points of each cloud; None for N.
+
+    Returns
+    -------
+    [M], differentiable in ``points_px``: sum over pixels of an image of 64, and over points as if a cloud had 1,024.
+    """
+    scale = REFERENCE_SIDE / target.side
+    size = points_px.shape[1]
+    share = (
+        (REFERENCE_POINTS / counts).to(points_px)
+        if counts is not None
+        else points_px.new_full((len(valid),), REFERENCE_POINTS / size)
+    )
+    if compiled_pays(points_px):
+        from .kernels.compiled_pull import mask_pull as compiled_pull
+
+        return compiled_pull(points_px, valid, target, scale, COVERED_WITHIN, reach, share)
+    uncovered = _uncovered(points_px, valid, target, scale, reach)
+    return uncovered + _stray(points_px, valid, target, scale, reach) * share
+
+
+def _uncovered(points_px: Tensor, valid: Tensor, target: PullTarget, scale: float, reach: float) -> Tensor:
+    index = nearest_points(target.inside, points_px, valid)
+    image, row, column = torch.nonzero(index >= 0, as_tuple=True)
+    centres = torch.stack([column, row], 1).to(points_px)
+    squared = (points_px[image, index[image, row, column]] - centres).square().sum(1) * scale**2
+    cost = torch.where(squared > COVERED_WITHIN**2, _robust(squared, reach), 0.0) * scale**2
+    return points_px.new_zeros(len(points_px)).index_add(0, image, cost)
+
+
+def _stray(points_px: Tensor, valid: Tensor, target: PullTarget, scale: float, reach: float) -> Tensor:
+    height, width = target.inside.shape[-2:]
+    pixel = points_px.detach().round()
+    seen = valid & (pixel >= 0).all(-1) & (pixel < pixel.new_tensor([width, height])).all(-1)
+    column, row = torch.where(seen.unsqueeze(-1), pixel, 0.0).long().unbind(-1)
+    place = row * width + column  # [M, N]
+    rows, columns, outside = (
+        image.flatten(1).gather(1, place) for image in (target.goal_rows, target.goal_columns, target.outside)
+    )
+    stray = seen & outside & (rows >= 0)
+    goal = torch.stack([columns, rows], -1).to(points_px)
+    squared = torch.where(stray.unsqueeze(-1), points_px - goal, 0.0).square().sum(-1) * scale**2
+    return _robust(squared, reach).sum(-1)
+
+
+def _robust(squared: Tensor, reach: float) -> Tensor:
+    return squared * reach**2 / (reach**2 + squared)

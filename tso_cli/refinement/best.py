@@ -1,0 +1,110 @@
+"""The preset "best" of points mode: from coarse to fine, pulled by the mask, held by its start."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..adam import UniformAdam
+from ..objective import PullObjective
+from ..pull import REFERENCE_POINTS
+from ..smoothing import SmoothField
+from .loop import Descent, Objective, Progress, descend
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A third of the steps.
+
+    Parameters
+    ----------
+    smoothness : lambda of :class:`tso_cli.smoothing.SmoothField`. reach : of :func:`tso_cli.pull.mask_pull`, px.
+    pace : share of the learning rate.
+    """
+
+    smoothness: float
+    reach: float
+    pace: float
+
+
+# First the cloud moves nearly as a whole and hears of pixels far away, at last almost point by point and of near ones only.
+STAGES = (Stage(100.0, 6.0, 1.0), Stage(10.0, 3.0, 0.75), Stage(1.0, 2.0, 0.35))
+# What it costs a point to leave its start, squared distance (longest side 1), for a start whose mask pixels are 1 px^2 off on
+# average. A start that is further off is trusted less.
+ANCHOR, LEAST_ANCHOR, MOST_ANCHOR = 500.0, 100.0, 3000.0
+ANCHOR_REACH = 4.0
+
+
+def descend_in_stages(
+    first: Tensor,
+    counts: Tensor,
+    pull: PullObjective,
+    further: Objective | None,
+    steps: int,
+    learning_rate: float,
+    progress: Progress | None = None,
+) -> Descent:
+    """Move B clouds by smooth fields.
+
+    Parameters
+    ----------
+    first : [B, N, 3] normalised; counts : [B].
+    pull : of the masks. further : another term, or None.
+    steps : of all stages together.
+    learning_rate : about how far the node that is pulled hardest moves in one of the first steps.
+
+    Returns
+    -------
+    Descent; ``best`` is the best of the last stage, or the start where that has the lower loss by the last objective.
+    """
+    share = (REFERENCE_POINTS / counts).to(first)
+    anchor = (ANCHOR * pull.pixels / pull(first, ANCHOR_REACH)).clamp(LEAST_ANCHOR, MOST_ANCHOR) * share
+
+    def objective(moved: Tensor) -> Tensor:
+        loss = pull(moved, stage.reach) + anchor * (moved - first).square().sum((1, 2))
+        return loss + further(moved) if further else loss
+
+    field = SmoothField(first, counts)
+    parts, done, found = [], 0, first
+    ends = [round(steps * (i + 1) / len(STAGES)) for i in range(len(STAGES))]
+    for stage, end in zip(STAGES, ends, strict=True):
+        smoother = field.smoother(stage.smoothness)
+        moving = torch.zeros(field.shape, dtype=first.dtype, device=first.device, requires_grad=True)
+
+        def produce(base: Tensor = found, smoother: Tensor = smoother, moving: Tensor = moving) -> Tensor:
+            return base + field.spread(smoother @ moving)
+
+        def told(step: int, steps_here: int, loss: float, before: int = done) -> None:
+            assert progress is not None
+            progress(before + step, steps, loss)
+
+        part = descend(
+            produce, [moving], objective, end - done, stage.pace * learning_rate, told if progress else None, UniformAdam
+        )
+        parts.append(part)
+        found, done = part.best, end
+        if part.interrupted:
+            break
+    return _joined(parts, first, objective)
+
+
+def _joined(parts: list[Descent], first: Tensor, objective: Objective) -> Descent:
+    """The whole way, judged by the last objective."""
+    last = parts[-1]
+    with torch.no_grad():
+        at_start = objective(first).double()
+    best_loss = torch.from_numpy(last.best_loss).to(at_start)
+    better = best_loss < at_start
+    before = sum(len(part.losses) - 1 for part in parts[:-1])
+    losses = np.concatenate([parts[0].losses, *(part.losses[1:] for part in parts[1:])])
+    return Descent(
+        torch.where(better.view(-1, 1, 1), last.best, first),
+        np.where(better.cpu().numpy(), last.best_step + before, 0),
+        losses,
+        last.interrupted,
+        at_start.cpu().numpy(),
+        torch.where(better, best_loss, at_start).cpu().numpy(),
+    )

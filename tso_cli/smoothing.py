@@ -1,0 +1,104 @@
+"""Displacements that take neighbours along: the preconditioner of Nicolet et al. 2021, carried from meshes to clouds."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .geometry import farthest_point_sample
+
+# A cloud moves by a field that is known at so many nodes, at most; between them it is interpolated.
+NODES = 1024
+NEIGHBOURS = 8
+INTERPOLATED_FROM = 6
+# Nodes are looked for among so many points: enough that 1,024 of them lie evenly.
+CANDIDATES = 16_384
+
+
+class SmoothField:
+    """Displacement fields of B clouds as ``(I + lambda L)^-1 u``, L the graph Laplacian of each cloud's nodes.
+
+    A cloud of up to 1,024 points is its own nodes. A larger one has 1,024, spread by farthest-point sampling, and its points
+    take the weighted mean of the six nodes nearest to them: what a field costs to solve does not grow with the cloud.
+
+    "Large Steps in Inverse Rendering of Geometry" (Nicolet, Jacobson, Jakob, 2021) descends in u on a mesh: steps of the
+    gradient then move what is connected together, the further the larger lambda. Here the graph is that of the 8 nearest
+    neighbours.
+
+    Parameters
+    ----------
+    points : [B, N, 3]
+    counts : [B], how many points of each row are there; None for all.
+
+    Attributes
+    ----------
+    shape : B, M, 3 of u, M the largest number of nodes.
+    """
+
+    def __init__(self, points: Tensor, counts: Tensor | None = None) -> None:
+        points = points.detach()
+        sizes = [points.shape[1]] * len(points) if counts is None else counts.tolist()
+        nodes = [_nodes(cloud[:size]) for cloud, size in zip(points, sizes, strict=True)]
+        most = max(len(own) for own in nodes)
+        self.shape = (len(points), most, 3)
+        self._counts = torch.tensor([len(own) for own in nodes])
+        laplacian = [_laplacian(own, most) for own in nodes]
+        # Lambda is stated for 1,024 nodes: with fewer, neighbours are further apart and edges reach further.
+        self._laplacian = torch.stack([matrix * (len(own) / NODES) for matrix, own in zip(laplacian, nodes, strict=True)])
+        self._between: tuple[Tensor, Tensor] | None = None
+        if any(size > NODES for size in sizes):
+            pairs = [_interpolation(cloud[:size], own) for cloud, size, own in zip(points, sizes, nodes, strict=True)]
+            index = torch.zeros(*points.shape[:2], INTERPOLATED_FROM, dtype=torch.int64)
+            weight = torch.zeros(index.shape, dtype=points.dtype)
+            for row, (taken, share) in enumerate(pairs):
+                index[row, : len(taken), : taken.shape[1]], weight[row, : len(taken), : taken.shape[1]] = taken, share
+            index += torch.arange(len(points)).view(-1, 1, 1) * most
+            self._between = index.view(-1, INTERPOLATED_FROM).to(points.device), weight.view(-1, INTERPOLATED_FROM).to(points)
+
+    def smoother(self, weight: float) -> Tensor:
+        """``(I + weight L)^-1`` [B, M, M] of all clouds; symmetric."""
+        size = self.shape[1]
+        system = torch.eye(size, dtype=self._laplacian.dtype, device=self._laplacian.device) + weight * self._laplacian
+        return torch.stack([torch.cholesky_inverse(torch.linalg.cholesky(one)) for one in system])
+
+    def spread(self, values: Tensor) -> Tensor:
+        """[B, N, 3] at the points, from values [B, M, 3] at the nodes."""
+        if self._between is None:
+            return values
+        index, weight = self._between
+        found = torch.nn.functional.embedding_bag(index, values.flatten(0, 1), per_sample_weights=weight, mode="sum")
+        return found.view(len(values), -1, 3)
+
+
+def _nodes(cloud: Tensor) -> Tensor:
+    if len(cloud) <= NODES:
+        return cloud
+    step = -(-len(cloud) // CANDIDATES)
+    candidates = cloud[::step]
+    return candidates[torch.from_numpy(farthest_point_sample(candidates.double().cpu().numpy(), NODES)).to(cloud.device)]
+
+
+def _laplacian(nodes: Tensor, size: int) -> Tensor:
+    """[size, size] of the graph that joins two nodes where one is among the 8 nearest of the other."""
+    matrix = nodes.new_zeros(size, size)
+    count = len(nodes)
+    if count > 1:
+        apart = torch.cdist(nodes, nodes, compute_mode="donot_use_mm_for_euclid_dist").fill_diagonal_(torch.inf)
+        near = apart.topk(min(NEIGHBOURS, count - 1), largest=False).indices
+        joined = torch.zeros_like(apart).scatter_(1, near, 1.0)
+        joined = torch.maximum(joined, joined.T)
+        matrix[:count, :count] = torch.diag(joined.sum(1)) - joined
+    return matrix
+
+
+def _interpolation(cloud: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
+    """Numbers [n, 6] of the nodes nearest to each point, and their weights, which fall to 0 at the last."""
+    from scipy.spatial import cKDTree
+
+    distance, index = cKDTree(nodes.cpu().numpy()).query(cloud.cpu().numpy(), min(INTERPOLATED_FROM, len(nodes)), workers=-1)
+    distance, index = distance.reshape(len(cloud), -1), index.reshape(len(cloud), -1)
+    furthest = np.maximum(distance[:, -1:], np.finfo(np.float64).tiny)
+    # The smallest part keeps the sum from 0 where all are equally far.
+    weight = (1.0 - (distance / furthest) ** 2) ** 2 + 1e-6
+    return torch.from_numpy(index), torch.from_numpy(weight / weight.sum(1, keepdims=True)).to(cloud.dtype)
