@@ -81,6 +81,19 @@ def test_a_moved_copy_finds_its_neighbours_exactly(cloud, step):
     _assert_nearest(moved, start, to_start)
 
 
+@pytest.mark.usefixtures("search")
+@pytest.mark.parametrize("value", [torch.inf, -torch.inf, torch.nan])
+def test_a_point_that_is_not_finite_is_at_no_finite_distance_and_no_error(value):
+    start = torch.rand(50, 3, generator=torch.Generator().manual_seed(4))
+    nearest = StaticNearest(start)
+    moved = start + 0.3
+    moved[7, 1] = value
+    to_moved, to_start = nearest(moved)
+    apart = (start - moved[to_moved]).square().sum() + (moved - start[to_start]).square().sum()
+    assert not torch.isfinite(apart)
+    torch.testing.assert_close(nearest(start), (nearest.own, nearest.own))
+
+
 @settings(max_examples=50, deadline=None)
 @given(st.lists(st.tuples(*[st.floats(-1, 1, width=32)] * 6), min_size=2, max_size=30), st.floats(0, 1))
 def test_a_moved_copy_finds_its_neighbours_whatever_moved(rows, step):

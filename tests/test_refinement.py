@@ -15,6 +15,7 @@ from tso_cli.errors import InputError, TsoError
 from tso_cli.files.cameras import read_camera
 from tso_cli.files.clouds import read_cloud
 from tso_cli.files.images import read_mask
+from tso_cli.kernels.choice import planned
 from tso_cli.losses import chamfer
 from tso_cli.network import Encoder, build_network
 from tso_cli.objective import MaskObjective
@@ -330,7 +331,8 @@ def test_a_device_that_is_not_there_is_refused(chair):
         refine(*chair, RefineConfig(device="cuda"))
 
 
-def test_a_batch_of_clouds_of_different_sizes_comes_to_what_each_comes_to_alone(chair):
+@pytest.mark.parametrize("work", [0, 1 << 60], ids=["plain", "compiled"])
+def test_a_batch_of_clouds_of_different_sizes_comes_to_what_each_comes_to_alone(chair, work):
     points, mask, camera = chair
     larger = np.concatenate([points, points * 0.99])
     far = points + 100.0
@@ -341,9 +343,11 @@ def test_a_batch_of_clouds_of_different_sizes_comes_to_what_each_comes_to_alone(
         (far, View(mask, _shifted(camera, 100.0))),
         (points[::2] * 0.9, View(mask, camera, np.arange(256)[:, None] + np.zeros((256, 256)) < 200)),
     ]
-    for found, (own, views) in zip(refine_batch(scenes, PAPER), scenes, strict=True):
-        alone = refine(own, views, config=PAPER)
-        np.testing.assert_allclose(found.points, alone.points, atol=1e-4)
+    # in one form of the kernels: where a gradient is nearly zero, Adam makes a step of its last digits
+    with planned(work, work):
+        together, single = refine_batch(scenes, PAPER), [refine(own, views, config=PAPER) for own, views in scenes]
+    for found, alone in zip(together, single, strict=True):
+        np.testing.assert_allclose(found.points, alone.points, atol=2e-5)
         assert found.loss_after == pytest.approx(alone.loss_after, rel=1e-5)
         assert (found.steps, found.stop_reason) == (50, "max_steps")
         assert found.best_step == pytest.approx(alone.best_step, abs=2)

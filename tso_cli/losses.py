@@ -145,7 +145,9 @@ def affinity(
     form : "paper", Eq. 5 as printed with M^+ the pixels of a silhouette over 0.5: a stray silhouette pixel pays its squared
         distance to the mask; a mask pixel pays its squared distance to the silhouette times the value there, which rewards
         dimming that pixel. "points": each uncovered mask pixel (silhouette <= 0.5) pulls its nearest projected point, each
-        point that falls on background inside the image is pulled to the nearest mask pixel.
+        point that falls on background inside the image is pulled to the nearest mask pixel: nearest to the pixel it falls on,
+        any of those that are equally near. Which one is taken may differ between the plain form, the compiled one and a GPU's,
+        and with it what the point pays beside the centre of its pixel.
 
     Returns
     -------

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from typing import NamedTuple
 
 import torch
@@ -86,12 +88,30 @@ def mask_pull(points_px: Tensor, valid: Tensor, target: PullTarget, reach: float
 
 
 def _uncovered(points_px: Tensor, valid: Tensor, target: PullTarget, scale: float, reach: float) -> Tensor:
-    index = nearest_points(target.inside, points_px, valid)
+    asking = target.inside & ~_covered(points_px.detach(), valid, target.inside.shape[-2:], COVERED_WITHIN / scale)
+    index = nearest_points(asking, points_px, valid)
     image, row, column = torch.nonzero(index >= 0, as_tuple=True)
     centres = torch.stack([column, row], 1).to(points_px)
     squared = (points_px[image, index[image, row, column]] - centres).square().sum(1) * scale**2
-    cost = torch.where(squared > COVERED_WITHIN**2, _robust(squared, reach), 0.0) * scale**2
-    return points_px.new_zeros(len(points_px)).index_add(0, image, cost)
+    return points_px.new_zeros(len(points_px)).index_add(0, image, _robust(squared, reach) * scale**2)
+
+
+def _covered(points_px: Tensor, valid: Tensor, size: torch.Size, within: float) -> Tensor:
+    """[M, H, W], whether a point lies so near to the pixel's centre: what is covered need not look for its nearest point."""
+    height, width = size
+    # One more pixel all around takes what falls outside.
+    found = torch.zeros(len(points_px), (height + 2) * (width + 2), dtype=torch.bool, device=points_px.device)
+    limit = points_px.new_tensor([width, height])
+    nearest_pixel = (
+        torch.where(valid.unsqueeze(-1), points_px, -9.0 - within).clamp(-9.0 - within, max(size) + within + 9.0).round()
+    )
+    around = range(-math.ceil(within + 0.5) + 1, math.ceil(within + 0.5))
+    for by_x, by_y in itertools.product(around, around):
+        pixel = nearest_pixel + points_px.new_tensor([by_x, by_y])
+        near = (pixel - points_px).square().sum(-1) <= within**2
+        column, row = torch.minimum((pixel + 1.0).clamp_min(0.0), limit + 1.0).long().unbind(-1)
+        found.scatter_(1, torch.where(near, row * (width + 2) + column, 0), True)
+    return found.view(-1, height + 2, width + 2)[:, 1:-1, 1:-1]
 
 
 def _stray(points_px: Tensor, valid: Tensor, target: PullTarget, scale: float, reach: float) -> Tensor:

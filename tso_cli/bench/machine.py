@@ -67,9 +67,10 @@ def _memory() -> int | None:
 def rates(setting: Setting) -> list[dict[str, Any]]:
     """Records of how many float32 multiply-adds, and bytes, the device does in a second (`per_second`).
 
-    On the CPU, by compiled loops on as many threads as the rest is measured with: "multiply-add" in registers, the most there
-    is; "load, multiply-add, store" on numbers in the first-level cache, which a sum over scattered windows cannot beat. On a
-    GPU: "multiply-add" by the product of two float32 matrices of side 8,192, "copy" in bytes read and written.
+    On the CPU, by compiled loops on as many threads as the rest is measured with: "multiply-add" in registers, near the most
+    there is (a library's convolution was seen a quarter above it); "load, multiply-add, store" on numbers in the first-level
+    cache, which a sum over scattered windows cannot beat. On a GPU: "multiply-add" by the product of two float32 matrices of
+    side 8,192, "copy" in bytes read and written.
     """
     if setting.device.type == "cuda":
         matrix = torch.ones(MATRIX, MATRIX, device=setting.device)

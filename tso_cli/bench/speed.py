@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..errors import InputError
-from . import chamfer, loop, memory, network_forms, profile, silhouette, training
+from . import chamfer, loop, many_threads, memory, network_forms, profile, silhouette, training
 from .claims import claims
 from .machine import machine, rates, versions
 from .timing import Setting, threads
@@ -29,7 +29,11 @@ CONVENTION = {
     "network forms": "forward and backward of the network on one image in other layouts and precisions; Adam for its weights",
     "batch": "one cloud, all of `refine`: 50 steps, preparation and judgement; seconds of a call over the clouds in it",
     "start-up": "a whole process; low and high are the quickest and the slowest",
-    "training": "a step of 16 images without the optimiser; the bare network's forward and backward beside it",
+    "threads": "the same work on one thread and on all cores, by turns; over_first: how many times quicker than on the first",
+    "training": "a step of 16 images without the optimiser; the bare network's forward and backward beside it; waiting: share "
+    "of such steps in which the network waits for a batch that threads prepare ahead; roofline: images a second by the "
+    "multiply-adds of forward and backward, at the rate of a large matrix product or convolution in the same precision, the "
+    "higher of the two",
     "peak_memory_bytes": "growth of the most that was resident, one call in a fresh process (CUDA: of what was allocated)",
 }
 
@@ -53,6 +57,7 @@ PARTS: dict[str, Callable[[Setting, list[dict[str, Any]]], list[dict[str, Any]]]
     "terms": lambda setting, _: loop.terms(setting),
     "step": lambda setting, _: loop.points_step(setting) + loop.network_steps(setting) + network_forms.measure(setting),
     "batch": lambda setting, _: loop.batch(setting),
+    "threads": lambda setting, _: many_threads.measure(setting),
     "training": lambda setting, _: training.measure(setting),
     "start-up": _start_up,
 }

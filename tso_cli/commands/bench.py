@@ -13,7 +13,7 @@ import click
 from . import options
 from .records import answer, check_outputs, keep
 
-PARTS = ("limit", "silhouette", "chamfer", "terms", "step", "batch", "training", "start-up")
+PARTS = ("limit", "silhouette", "chamfer", "terms", "step", "batch", "threads", "training", "start-up")
 
 
 @click.group("bench")
@@ -52,7 +52,8 @@ def speed(
 
     All of it takes some five minutes, a quarter of an hour with --full; a part about one. limit: the machine's rates;
     silhouette, chamfer: the kernels at growing sizes; terms: each term of the loss beside the projector; step: one step of
-    every mode, taken apart; batch: many clouds in one call; training: images a second; start-up: whole processes.
+    every mode, taken apart; batch: many clouds in one call; threads: the same on one thread and on all cores; training: images
+    a second beside the network's roofline; start-up: whole processes.
 
     Contestants for the same work take turns in one process, on cpu or cuda. Other packages (chamferdist, pykeops,
     point_cloud_utils, pytorch3d, gsplat) are measured where they are installed.

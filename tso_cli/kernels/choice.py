@@ -15,9 +15,10 @@ from torch import Tensor
 # Importing the compiler and loading compiled code takes half a second to a second, once in a process. Fifty steps (a
 # refinement) win back more than that from this many points a step on; a training always has them.
 POINTS_WORTH_COMPILING = 8192
-# The same for work that is known beforehand, in seconds: what plain torch takes longer for a picture of a cloud and for each
-# point in it, and what loading and compiling take. On a slower machine all of them are larger.
-PER_PICTURE, PER_POINT = 2e-3, 1.5e-6
+# The same for work that is known beforehand, in seconds of one core: what plain torch takes longer for a picture of a cloud and
+# for each point in it (measured: 3.1, 7.8 and 31 ms a step for 1,024, 4,096 and 16,384 points), and what loading (0.3 to 0.6)
+# and compiling take. On a slower machine all of them are larger.
+PER_PICTURE, PER_POINT = 1.2e-3, 1.8e-6
 LOADING, COMPILING = 0.5, 10.0
 TO_COMPILE = "tso compile"
 
@@ -63,10 +64,10 @@ _plan: ContextVar[_Plan | None] = ContextVar("plan", default=None)
 
 
 def _on_disk() -> bool:
-    from . import compiled, compiled_mask, compiled_projection, compiled_static
+    from . import compiled, compiled_mask, compiled_projection, compiled_pull, compiled_static
     from .jit import kept
 
-    return kept(compiled._add, compiled_mask._run, compiled_projection._project, compiled_static._search)
+    return kept(compiled._add, compiled_mask._run, compiled_projection._project, compiled_static._search, compiled_pull._pull)
 
 
 def compiled_pays(points: Tensor) -> bool:

@@ -13,6 +13,8 @@ COMPARE_ALL_UP_TO = 8192
 # k-d trees, whose import takes a quarter of a second.
 MULTIPLY_UP_TO = 1500
 PAIRS_PER_PRODUCT = 1 << 17
+# Images up to this wide are searched by torch alone, which takes a millisecond; importing scipy takes a quarter of a second.
+BY_COLUMNS_UP_TO = 64
 # Pairs compared at once in plain torch; bounds memory at about 400 MB.
 PAIRS_PER_CHUNK = 1 << 24
 
@@ -125,7 +127,7 @@ def nearest_points(pixels: Tensor, points_px: Tensor, valid: Tensor) -> Tensor:
 
 def nearest_marked(marked: Tensor) -> tuple[Tensor, Tensor]:
     """Row and column [M, H, W] of the pixel ``marked`` [M, H, W] nearest to each pixel, -1 in images without one."""
-    if whole_batches(marked):
+    if whole_batches(marked) or marked.shape[2] <= BY_COLUMNS_UP_TO:
         return _nearest_marked_by_columns(marked)
     from scipy.ndimage import distance_transform_edt
 
@@ -184,7 +186,8 @@ class StaticNearest:
     """Nearest neighbours between a cloud that stays and its own moved copy.
 
     Early in an optimisation a moved point is still nearest to its own start. Where the triangle inequality proves that, no
-    search is made; the answers are exact either way.
+    search is made; the answers are exact either way. Where a moved point is not finite, nothing is near: each then has its own,
+    and the distance that follows from it is not finite either.
 
     Parameters
     ----------
@@ -215,6 +218,9 @@ class StaticNearest:
             return nearest(self.start, moved), nearest(moved, self.start)
         distance = (moved - self.start).norm(dim=1)
         to_start, to_moved = self.own, self.own
+        # a k-d tree takes no such points
+        if not torch.isfinite(distance.max()):
+            return to_moved, to_start
         # |m_i - s_j| >= |s_i - s_j| - |m_i - s_i|, so s_i is nearest to m_i while m_i moved under half the spacing at s_i.
         doubtful = torch.nonzero(2.0 * distance >= self.spacing).squeeze(1)
         if len(doubtful):

@@ -34,7 +34,7 @@ class Stage:
 STAGES = (Stage(100.0, 6.0, 1.0), Stage(10.0, 3.0, 0.75), Stage(1.0, 2.0, 0.35))
 # What it costs a point to leave its start, squared distance (longest side 1), for a start whose mask pixels are 1 px^2 off on
 # average. A start that is further off is trusted less.
-ANCHOR, LEAST_ANCHOR, MOST_ANCHOR = 500.0, 100.0, 3000.0
+ANCHOR, LEAST_ANCHOR, MOST_ANCHOR = 500.0, 30.0, 3000.0
 ANCHOR_REACH = 4.0
 
 
@@ -75,7 +75,7 @@ def descend_in_stages(
         moving = torch.zeros(field.shape, dtype=first.dtype, device=first.device, requires_grad=True)
 
         def produce(base: Tensor = found, smoother: Tensor = smoother, moving: Tensor = moving) -> Tensor:
-            return base + field.spread(smoother @ moving)
+            return base + field.displacement(smoother, moving)
 
         def told(step: int, steps_here: int, loss: float, before: int = done) -> None:
             assert progress is not None

@@ -117,6 +117,11 @@ class Settings:
     seed: int
     refine_camera: bool
 
+    @property
+    def staged(self) -> bool:
+        """Whether points are pulled in stages (refinement/best.py) and not moved down the paper's objective."""
+        return self.preset == "best" and self.mode == "points"
+
 
 def parse_symmetry(text: str) -> str | tuple[float, float, float, float]:
     """One of auto, none, x, y, z, or the four numbers of a,b,c,d; InputError for anything else."""

@@ -23,7 +23,7 @@ from ..projection import default_sigma_sq
 from ..weighting import weigh
 from .batching import Item, batches_of, parts_of
 from .best import descend_in_stages
-from .config import PAPER_STEPS, RefineConfig, RefineResult, Settings
+from .config import PAPER_STEPS, PRESETS, RefineConfig, RefineResult, Settings
 from .judging import view_ious
 from .loop import Descent, Progress, descend
 from .starts import Cloud, NetworkStart, PointsStart
@@ -159,7 +159,9 @@ def refine_batch(
 
 def _planned(items: list[Item], settings: Settings) -> AbstractContextManager[None]:
     """All the work on the items, for :func:`tso_cli.kernels.choice.planned`."""
-    steps = settings.steps + (PAPER_STEPS if settings.refine_camera else 0)
+    steps = settings.steps // 2 if settings.staged else settings.steps  # of the pull, plain torch makes half as much work
+    if settings.refine_camera:
+        steps += PAPER_STEPS
     drawn = steps * sum(len(item.working) * len(item.cloud.initial) for item in items)
     return planned(steps * sum(len(item.working) for item in items), drawn)
 
@@ -170,7 +172,8 @@ def compile_loops() -> None:
     mask[20:44, 20:44] = 1.0
     much = 1 << 60
     with planned(much, much):
-        refine(np.random.default_rng(0).uniform(-0.3, 0.3, (64, 3)), mask, config=RefineConfig(steps=1, preset="paper"))
+        for preset in PRESETS:
+            refine(np.random.default_rng(0).uniform(-0.3, 0.3, (64, 3)), mask, config=RefineConfig(steps=1, preset=preset))
 
 
 def _refined(
@@ -182,7 +185,6 @@ def _refined(
     at_start: bool = False,
 ) -> list[RefineResult | TsoError]:
     """The loop, and the results of all items; ``at_start``: Ctrl-C came before it, and nothing moves."""
-    staged = settings.preset == "best" and settings.mode == "points"
     small = int(start.counts.sum()) <= SMALL_CLOUD
     one_thread = small and settings.mode in LIGHT
     given = [item.views for item in items]
@@ -201,7 +203,7 @@ def _refined(
             weights = weigh([item.working[: len(item.views)] for item in items], start.counts, first)
         # What the mirror image shows is worth what its picture is.
         every = weights.repeat(1, len(views[0]) // weights.shape[1])
-        mask_term = (PullObjective if staged else MaskObjective)(views, start.counts, first, every)
+        mask_term = (PullObjective if settings.staged else MaskObjective)(views, start.counts, first, every)
 
     def held(moved: Tensor) -> Tensor:
         return settings.gamma * chamfer(moved)

@@ -139,6 +139,14 @@ def _steps(axis: Any, records: Records) -> None:
     axis.set_title("a step: measured parts over the whole")
 
 
+def _threads(axis: Any, records: Records) -> None:
+    most = max(r["threads"] for r in records)
+    bars = [(f"{r['name']}\n{_short(r['points'])} points", r["over_first"], "") for r in records if r["threads"] == most]
+    _bars(axis, bars, f"times quicker on {most} threads")
+    axis.axvline(most, color=INK, linestyle="--", linewidth=1.2, zorder=0)
+    axis.set_title("all cores beside one")
+
+
 def _training(axis: Any, records: Records) -> None:
     bars = [(f"{r['what'].partition(', ')[2]}, {r['precision']}\n{r['name']}", r["images_per_second"], "") for r in records]
     _bars(axis, bars, "images a second")
@@ -157,6 +165,7 @@ PANELS: tuple[tuple[tuple[str, ...], Panel], ...] = (
     (("batch",), _batch),
     (("step", "step, encoder", "step, encoder-decoder"), _steps),
     (("terms",), _terms),
+    (("threads",), _threads),
     (("training, points", "training, masks"), _training),
     (("start-up",), _start_up),
     (("rate",), _rates),

@@ -81,6 +81,8 @@ def sections(record: dict[str, Any]) -> list[Section]:
         _network(records),
         _forms(records),
         _batch(records),
+        _threads(records),
+        _training_rates(records),
         _training(records),
         _start_up(records),
     ]
@@ -172,14 +174,35 @@ def _batch(records: Records) -> Section:
     return Section("batch", "clouds of 1,024 points, 50 steps and all around them", header, rows)
 
 
+def _threads(records: Records) -> Section:
+    found = _of(records, "threads")
+    counts = list(dict.fromkeys(record["threads"] for record in found))
+    rows: list[list[Cell]] = []
+    for name in dict.fromkeys(record["name"] for record in found):
+        own = [record for record in found if record["name"] == name]
+        rows.append([name, _size(own[0]), *(_ms(record) for record in own), f"{own[-1]['over_first']:.2f}x"])
+    header = ["", "points", *(f"{count} thread{'s' if count > 1 else ''}" for count in counts), "quicker"]
+    return Section("threads", "the same work on more threads: ms", header, rows)
+
+
+def _training_rates(records: Records) -> Section:
+    rows: list[list[Cell]] = [
+        [r["name"], r["precision"], f"{r['per_second'] / 1e9:.1f}"] for r in _of(records, "training rate")
+    ]
+    return Section("training rate", "what the roofline is made of", ["", "precision", "10^9 multiply-adds a second"], rows)
+
+
 def _training(records: Records) -> Section:
     rows: list[list[Cell]] = []
     for supervision in ("points", "masks"):
         found = _of(records, f"training, {supervision}")
         for bare, whole in zip(found[::2], found[1::2], strict=True):
             speeds = [_digits(record["images_per_second"]) for record in (bare, whole)]
-            rows.append([supervision, bare["precision"], *speeds, f"{100.0 * whole['added']:.0f} %"])
-    header = ["supervision", "precision", "bare network, images/s", "step, images/s", "added"]
+            reached = f"{_digits(whole['roofline'])} ({100.0 * whole['images_per_second'] / whole['roofline']:.0f} %)"
+            shares = [f"{100.0 * whole[key]:.{digits}f} %" for key, digits in (("added", 0), ("waiting", 1))]
+            rows.append([supervision, bare["precision"], *speeds, shares[0], reached, shares[1]])
+    header = ["supervision", "precision", "bare network, images/s", "step, images/s", "added", "roofline, images/s (reached)"]
+    header.append("waits for data")
     return Section("training", "training: images a second", header, rows)
 
 

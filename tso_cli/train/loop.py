@@ -139,7 +139,7 @@ def train(
     def draw(step: int) -> list[Batch]:
         return draw_step(data, masked, config, processes, step, targets=objective is not None)
 
-    with _interrupt_flag() as interrupted, _ahead(draw, state.step, config.steps, config.workers) as next_batches:
+    with _interrupt_flag() as interrupted, ahead(draw, state.step, config.steps, config.workers) as next_batches:
         while state.step < config.steps and not processes.any(interrupted(), device):
             batches = next_batches()
             weight = state.schedule.weight if config.supervision != "points" else 0.0
@@ -213,7 +213,7 @@ def _require_data(data: TrainingData, masked: TrainingData | None, config: Train
 
 
 @contextmanager
-def _ahead(draw: Callable[[int], list[Batch]], first: int, steps: int, workers: int) -> Iterator[Callable[[], list[Batch]]]:
+def ahead(draw: Callable[[int], list[Batch]], first: int, steps: int, workers: int) -> Iterator[Callable[[], list[Batch]]]:
     """Batches of the steps from ``first`` on, one at each call, prepared by threads while the network is busy."""
     pool = ThreadPoolExecutor(workers, thread_name_prefix="tso-batch")
     waiting: deque[Future[list[Batch]]] = deque()
