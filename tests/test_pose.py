@@ -19,7 +19,6 @@ from tso_cli.pose.alignment import Poses, Target
 from tso_cli.pose.moves import CameraMoves, moved_camera
 from tso_cli.pose.rotations import angle_between, from_vectors, spread
 from tso_cli.projection import CameraBatch, project
-from tso_cli.refinement import RefineConfig, refine
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -155,33 +154,6 @@ def test_a_mask_one_pixel_wide_gets_some_camera(line):
     assert np.isfinite(found.camera.R).all() and 0.0 <= found.iou <= 1.0
 
 
-def _turned(camera, degrees):
-    axis = np.array([0.6, 0.64, 0.48])
-    return replace(camera, R=from_vectors(np.radians(degrees) * axis) @ camera.R)
-
-
-def test_a_camera_turned_by_eight_degrees_is_turned_back():
-    points, mask, camera = example("airplane")
-    given = _turned(camera, 8.0)
-    result = refine(points, mask, given, RefineConfig(refine_camera=True))
-    (found,) = result.cameras
-    assert angle_between(found.R, camera.R) < 6.0
-    np.testing.assert_array_equal(found.K, camera.K)
-    assert result.iou_after > refine(points, mask, given, RefineConfig(steps=0)).iou_after
-
-
-def test_a_right_camera_of_a_right_cloud_stays():
-    points, mask, camera = example("chair")
-    moved = refine(points, mask, camera, RefineConfig(refine_camera=True))
-    assert moved.cameras[0] is camera
-    np.testing.assert_array_equal(moved.points, refine(points, mask, camera).points)
-
-
-def test_without_the_option_the_camera_is_the_one_given():
-    points, mask, camera = example("chair", "initial")
-    assert refine(points, mask, camera, RefineConfig(steps=2)).cameras == (camera,)
-
-
 def test_a_moved_camera_in_file_units_sees_what_the_loop_saw():
     points, _, camera = example("car")
     big = replace(camera, t=10.0 * camera.t - camera.R @ np.array([3.0, 4.0, 5.0]))
@@ -194,11 +166,6 @@ def test_a_moved_camera_in_file_units_sees_what_the_loop_saw():
     seen = project(torch.as_tensor(points)[None], moves.apply(CameraBatch.of([local], moves.parameter).one_each(), 0))
     expected, _ = moved_camera(big, values, centre, scale).project(10.0 * points + centre)
     np.testing.assert_allclose(seen.points_px[0, 0].detach(), expected, atol=1e-8)
-
-
-def test_only_points_mode_moves_cameras():
-    with pytest.raises(InputError, match="expected points to refine the camera"):
-        RefineConfig(mode="encoder", refine_camera=True)
 
 
 @pytest.fixture
@@ -226,6 +193,19 @@ def test_the_command_fits_refines_and_writes_a_camera_that_reads_back(tmp_path, 
     assert tso(cloud, mask, "--camera", written, "--check")[0] == 0
 
 
+def test_the_cameras_of_several_masks_are_written_with_their_masks(tmp_path, tso):
+    first, second = EXAMPLES / "chair" / "mask.png", tmp_path / "mask.png"
+    second.write_bytes(first.read_bytes())
+    (tmp_path / "camera.json").write_bytes((EXAMPLES / "chair" / "camera.json").read_bytes())
+    written, cloud = tmp_path / "used.json", EXAMPLES / "chair" / "target.ply"
+    files = "--refine-camera", "--steps", "2", "-o", tmp_path / "out.ply", "--write-camera", written
+    code, stdout, stderr = tso(cloud, first, second, *files)
+    assert code == 0, stderr
+    assert stdout.count("camera kept") == 2
+    code, stdout, stderr = tso(cloud, "--camera", written, "--check")
+    assert code == 0 and f"view        2 of 2, {second}" in stdout, stderr
+
+
 def test_a_camera_file_called_fit_is_read_when_written_with_its_folder(tmp_path, monkeypatch, tso):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "fit").write_text("no camera")
@@ -238,6 +218,7 @@ def test_a_camera_file_called_fit_is_read_when_written_with_its_folder(tmp_path,
     [
         (("--mode", "encoder", "--camera", "fit"), "--camera fit is for --mode points"),
         (("--mode", "encoder", "--refine-camera"), "--refine-camera is for --mode points"),
+        ((EXAMPLES / "car" / "mask.png", "--camera", "fit"), "finds the camera of one mask, found 2 masks"),
         (("--write-camera", "camera.txt"), "expected .json"),
         (("--write-camera", EXAMPLES / "chair" / "camera.json"), "exists already"),
         (("--write-camera", EXAMPLES / "chair" / "camera.json", "--overwrite"), "is another file of this command"),

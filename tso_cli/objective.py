@@ -153,11 +153,15 @@ class PullObjective(_Views):
 
     def __call__(self, points: Tensor, reach: float) -> Tensor:
         """The loss [B] of the clouds ``points`` [B, N, 3]; infinite where a view shows no point at all."""
+        return self.total(self.losses(points, reach))
+
+    def losses(self, points: Tensor, reach: float) -> list[Tensor]:
+        """The loss [B] by each view, without its weight."""
         found = []
         for view, target in zip(self.views, self._targets, strict=True):
             points_px, valid = self.projected(points, view)
             found.append(torch.where(valid.any(1), mask_pull(points_px, valid, target, reach, self.counts), torch.inf))
-        return self.total(found)
+        return found
 
 
 @dataclass(frozen=True, eq=False)

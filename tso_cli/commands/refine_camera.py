@@ -51,10 +51,9 @@ def print_cameras(views: Sequence[View], result: RefineResult, refined: bool, wr
     # No step: nothing was asked of the cameras.
     for view, camera in zip(views, result.cameras, strict=True) if refined and result.steps else ():
         if camera is view.camera:
-            from ..refinement.cameras import ACCEPTED
+            from ..refinement.cameras import LEFT
 
-            why = f"the correction asked for is under {ACCEPTED:g} standard deviations of 2 degrees and 1 %"
-            click.echo(f"  camera kept   ({why}; {view.name})")
+            click.echo(f"  camera kept   (no small correction takes the misfit of the start under {LEFT:g} of it; {view.name})")
         else:
             turned, shifted = _change(view, camera, result)
             click.echo(f"  camera turned {turned:.2f} degrees, shifted {100.0 * shifted:.2f} % of its distance   ({view.name})")

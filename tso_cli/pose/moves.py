@@ -67,12 +67,6 @@ class CameraMoves:
         return WEIGHT * (turn.square() + shift.square()).sum((1, 2))
 
 
-def deviations(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Size [...] of corrections [..., 6] in standard deviations."""
-    size: NDArray[np.float64] = np.sqrt(np.square(values / ([TURN] * 3 + [SHIFT] * 3)).sum(-1))
-    return size
-
-
 def distance_of(camera: Camera) -> float:
     """What a shift is a share of: the depth of the origin; of an orthographic camera, which has none, the unit."""
     return 1.0 if camera.model == "orthographic" else abs(float(camera.t[2]))

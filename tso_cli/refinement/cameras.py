@@ -5,29 +5,32 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from ..losses import ChamferToInitial
-from ..objective import MaskObjective
-from ..pose.moves import CameraMoves, deviations, moved_camera
+from ..objective import MaskObjective, PullObjective
+from ..pose.moves import CameraMoves, moved_camera
 from ..scene import View
 from .batching import Item
 from .config import PAPER_GAMMA, PAPER_LEARNING_RATE, PAPER_STEPS
 from .loop import descend
 from .starts import PointsStart
 
-# A correction of fewer standard deviations is what the silhouette of a wrong shape asks for of a right camera.
-ACCEPTED = 1.5
+# A correction is accepted if it alone takes the misfit of the start in that view to under this share: the silhouette of a
+# wrong shape asks for corrections of a right camera too, but no camera makes a wrong shape fit.
+LEFT = 0.38
+# The misfit is tso_cli.pull.mask_pull with this reach, px: unlike the silhouette's it is near 0 for a cloud that fits.
+REACH = 4.0
 
 
 def settled_views(items: Sequence[Item], start: PointsStart) -> tuple[list[tuple[View, ...]], bool]:
     """The views of each item, with the cameras corrected that need it, and whether Ctrl-C kept them as they were.
 
     Points and cameras are moved together with the paper's settings, the points held near their start (which pins what a move
-    of all points and one of all cameras have in common), the cameras near the given ones. A correction of over 1.5 standard
-    deviations is kept, a smaller one dropped. Where the points went on the way is forgotten.
+    of all points and one of all cameras have in common), the cameras near the given ones. A correction is kept if with it
+    the start itself, not moved, fits the view's mask far better (:data:`LEFT`), else dropped. Where the points went on the way
+    is forgotten.
 
     Parameters
     ----------
@@ -54,8 +57,13 @@ def settled_views(items: Sequence[Item], start: PointsStart) -> tuple[list[tuple
     descent = descend(produce, [points, moves.parameter], objective, PAPER_STEPS, rate)
     if descent.interrupted:
         return [item.views for item in items], True
-    values = moves.values_of(descent.best[:, size:]).double().cpu().numpy()
-    values = np.where(deviations(values)[..., None] > ACCEPTED, values, 0.0)
+    pull = PullObjective(working, start.counts, first)
+    with torch.no_grad():
+        as_given = torch.stack(pull.losses(first, REACH), 1)
+        moves.parameter.copy_(descent.best[:, size:])
+        pull.moves = moves
+        accepted = torch.stack(pull.losses(first, REACH), 1) < LEFT * as_given
+        values = (moves.values_of(moves.parameter) * accepted.unsqueeze(2)).double().cpu().numpy()
     return [
         tuple(
             replace(view, camera=moved_camera(view.camera, by, item.cloud.centre, item.cloud.scale))

@@ -23,7 +23,7 @@ from ..projection import default_sigma_sq
 from ..weighting import weigh
 from .batching import Item, batches_of, parts_of
 from .best import descend_in_stages
-from .config import PAPER_STEPS, PRESETS, RefineConfig, RefineResult, Settings
+from .config import PRESETS, RefineConfig, RefineResult, Settings
 from .judging import view_ious
 from .loop import Descent, Progress, descend
 from .starts import Cloud, NetworkStart, PointsStart
@@ -160,8 +160,6 @@ def refine_batch(
 def _planned(items: list[Item], settings: Settings) -> AbstractContextManager[None]:
     """All the work on the items, for :func:`tso_cli.kernels.choice.planned`."""
     steps = settings.steps // 2 if settings.staged else settings.steps  # of the pull, plain torch makes half as much work
-    if settings.refine_camera:
-        steps += PAPER_STEPS
     drawn = steps * sum(len(item.working) * len(item.cloud.initial) for item in items)
     return planned(steps * sum(len(item.working) for item in items), drawn)
 
