@@ -13,7 +13,7 @@ from ..objective import MaskObjective, PullObjective
 from ..pose.moves import CameraMoves, moved_camera
 from ..scene import View
 from .batching import Item
-from .config import PAPER_GAMMA, PAPER_LEARNING_RATE, PAPER_STEPS
+from .config import PAPER_GAMMA, PAPER_LEARNING_RATE, PAPER_STEPS, Settings
 from .loop import descend
 from .starts import PointsStart
 
@@ -24,8 +24,8 @@ LEFT = 0.38
 REACH = 4.0
 
 
-def settled_views(items: Sequence[Item], start: PointsStart) -> tuple[list[tuple[View, ...]], bool]:
-    """The views of each item, with the cameras corrected that need it, and whether Ctrl-C kept them as they were.
+def settled(items: Sequence[Item], start: PointsStart, settings: Settings) -> tuple[list[Item], bool]:
+    """The items with the cameras corrected that need it, and whether Ctrl-C kept them as they were.
 
     Points and cameras are moved together with the paper's settings, the points held near their start (which pins what a move
     of all points and one of all cameras have in common), the cameras near the given ones. A correction is kept if with it
@@ -56,18 +56,28 @@ def settled_views(items: Sequence[Item], start: PointsStart) -> tuple[list[tuple
 
     descent = descend(produce, [points, moves.parameter], objective, PAPER_STEPS, rate)
     if descent.interrupted:
-        return [item.views for item in items], True
-    pull = PullObjective(working, start.counts, first)
-    with torch.no_grad():
-        as_given = torch.stack(pull.losses(first, REACH), 1)
-        moves.parameter.copy_(descent.best[:, size:])
-        pull.moves = moves
-        accepted = torch.stack(pull.losses(first, REACH), 1) < LEFT * as_given
-        values = (moves.values_of(moves.parameter) * accepted.unsqueeze(2)).double().cpu().numpy()
-    return [
+        return list(items), True
+    values = moves.values_of(descent.best[:, size:]).double().cpu().numpy()
+    corrected = [
         tuple(
             replace(view, camera=moved_camera(view.camera, by, item.cloud.centre, item.cloud.scale))
             for view, by in zip(item.views, row, strict=True)
         )
         for item, row in zip(items, values, strict=True)
-    ], False
+    ]
+    before, after = (_misfit(own, start.counts, first) for own in (items, _seen_by(items, corrected, settings)))
+    chosen = [
+        tuple(other if better else view for view, other, better in zip(item.views, views, row, strict=True))
+        for item, views, row in zip(items, corrected, (after < LEFT * before).tolist(), strict=True)
+    ]
+    return _seen_by(items, chosen, settings), False
+
+
+def _seen_by(items: Sequence[Item], views: Sequence[tuple[View, ...]], settings: Settings) -> list[Item]:
+    return [item.seen_by(own, settings) for item, own in zip(items, views, strict=True)]
+
+
+def _misfit(items: Sequence[Item], counts: Tensor, points: Tensor) -> Tensor:
+    """[B, V] how far ``points`` [B, N, 3] are from what each view asks."""
+    columns = zip(*(item.working[: len(item.views)] for item in items), strict=True)
+    return torch.stack([PullObjective([[view] for view in column], counts, points)(points, REACH) for column in columns], 1)

@@ -187,11 +187,10 @@ def _refined(
     one_thread = small and settings.mode in LIGHT
     given = [item.views for item in items]
     if settings.refine_camera and settings.steps and not at_start and isinstance(start, PointsStart):
-        from .cameras import settled_views
+        from .cameras import settled
 
         with _timed(seconds, "cameras"), devices.one_thread(one_thread):
-            settled, at_start = settled_views(items, start)
-            items = [item.seen_by(views, settings) for item, views in zip(items, settled, strict=True)]
+            items, at_start = settled(items, start, settings)
     with _timed(seconds, "prepare"), devices.one_thread(one_thread):
         first = start.produce().detach().clone()
         chamfer = ChamferToInitial(first, start.counts)
