@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from .camera import NEAR, Camera
+from .depth_pull import DepthTarget, depth_pull
 from .errors import InputError
 from .losses import REFERENCE_PIXELS, PixelWeights, mask_loss
 from .projection import CameraBatch, Projected, coarsened, default_sigma_sq, project
@@ -30,12 +31,14 @@ class WorkingView:
     ----------
     mask : [h, w]; known : [h, w] weight of each pixel, None where all count.
     camera : from normalised points to its pixels; sigma_sq : px^2 there.
+    depth : [h, w] normalised, NaN where it is not known; None without a depth map.
     """
 
     mask: NDArray[np.float64]
     known: NDArray[np.float64] | None
     camera: Camera
     sigma_sq: float
+    depth: NDArray[np.float64] | None = None
 
     @property
     def kind(self) -> tuple[int, int, str, float]:
@@ -73,7 +76,18 @@ def working_view(view: View, sigma_sq: float | None, centre: NDArray[np.float64]
     if camera is not view.camera:
         box = (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5)
         mask, weight = area_resize(mask, box, camera.width, camera.height, weights=weight)
-    return WorkingView(mask, None if known is None else weight, camera.for_normalised(centre, scale), sigma_sq)
+    depth = None if view.depth is None else _sampled(view.depth, camera) / scale
+    return WorkingView(mask, None if known is None else weight, camera.for_normalised(centre, scale), sigma_sq, depth)
+
+
+def _sampled(depth: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
+    """``depth`` at the pixel nearest to each of the camera's: a mean across an edge would lie in mid-air."""
+    height, width = depth.shape
+    rows, columns = (
+        np.floor((np.arange(count) + 0.5) * size / count).astype(int)
+        for count, size in ((camera.height, height), (camera.width, width))
+    )
+    return depth[rows[:, None], columns]
 
 
 class _Views:
@@ -131,22 +145,34 @@ class MaskObjective(_Views):
 
 
 class PullObjective(_Views):
-    """Weighted sum over views of :func:`tso_cli.pull.mask_pull`, for B clouds that are asked by views of their own."""
+    """Weighted sum over views of :func:`tso_cli.pull.mask_pull`, and of :func:`tso_cli.depth_pull.depth_pull` where there are
+    depth maps, for B clouds that are asked by views of their own."""
 
     def __init__(
         self, views: Sequence[Sequence[WorkingView]], counts: Tensor, like: Tensor, weights: Tensor | None = None
     ) -> None:
         super().__init__(views, counts, like, weights)
         self._targets = [PullTarget.of(view.mask, view.known) for view in self.views]
-        self.pixels = self.total([target.pixels().to(like) for target in self._targets])
-        """[B] foreground pixels of all views, of images of 64, weighted like their losses."""
+        self._depths = [
+            None if view.depth is None else DepthTarget.of(view.depth, target.inside, view.cameras)
+            for view, target in zip(self.views, self._targets, strict=True)
+        ]
+        asking = [
+            target.pixels() if depth is None else target.pixels() + depth.pixels()
+            for target, depth in zip(self._targets, self._depths, strict=True)
+        ]
+        self.pixels = self.total([pixels.to(like) for pixels in asking])
+        """[B] pixels of all views that ask, by mask or by depth, of images of 64, weighted like their losses."""
 
     def __call__(self, points: Tensor, reach: float) -> Tensor:
         """The loss [B] of the clouds ``points`` [B, N, 3]; infinite where a view shows no point at all."""
         found = []
-        for view, target in zip(self.views, self._targets, strict=True):
-            points_px, valid = self.projected(points, view)
-            found.append(torch.where(valid.any(1), mask_pull(points_px, valid, target, reach, self.counts), torch.inf))
+        for view, target, depth in zip(self.views, self._targets, self._depths, strict=True):
+            projected = self.projected(points, view)
+            loss = mask_pull(*projected, target, reach, self.counts)
+            if depth is not None:
+                loss = loss + depth_pull(points, projected, view.cameras, depth, reach, self.counts)
+            found.append(torch.where(projected.valid.any(1), loss, torch.inf))
         return self.total(found)
 
 
@@ -158,6 +184,7 @@ class _Together:
     known: Tensor | None  # [B, h, w]
     cameras: CameraBatch  # [B, 1]
     sigma_sq: float
+    depth: Tensor | None = None  # [B, h, w]
 
     @classmethod
     def of(cls, views: Sequence[WorkingView], like: Tensor) -> _Together:
@@ -170,5 +197,8 @@ class _Together:
         known = None
         if any(view.known is not None for view in views):
             known = stacked([np.ones_like(view.mask) if view.known is None else view.known for view in views])
+        depth = None
+        if any(view.depth is not None for view in views):
+            depth = stacked([np.full_like(view.mask, np.nan) if view.depth is None else view.depth for view in views])
         cameras = CameraBatch.of([view.camera for view in views], like).one_each()
-        return cls(stacked([view.mask for view in views]), known, cameras, first.sigma_sq)
+        return cls(stacked([view.mask for view in views]), known, cameras, first.sigma_sq, depth)

@@ -46,6 +46,20 @@ MODES = ("points", "encoder", "encoder-decoder", "latent")
     help="Image whose bright pixels say nothing of the object; once for each mask, or not at all.",
 )
 @click.option(
+    "--depth",
+    "depth_files",
+    type=options.FilePath(),
+    multiple=True,
+    help="Depth map along the camera's z, 16-bit PNG or .npy, 0 or NaN where unknown; once for each mask, or not at all.",
+)
+@click.option(
+    "--depth-scale",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=1.0,
+    show_default=True,
+    help="Units of the camera to a step of the depth map; 0.001 for millimetres beside metres.",
+)
+@click.option(
     "--frame",
     type=click.Choice(["view", "world"]),
     help="Axes of the cloud that a view-aligned network gives.  [default: view]",
@@ -98,6 +112,8 @@ def command(
     overwrite: bool,
     invert_mask: bool,
     ignore_files: tuple[Path, ...],
+    depth_files: tuple[Path, ...],
+    depth_scale: float,
     frame: str | None,
     preset: str,
     symmetry: str | None,
@@ -128,18 +144,20 @@ def command(
     """
     started = time.perf_counter()
     _refuse_mixed_up(mode, source, masks, ignore_files, checkpoint, frame)
+    if depth_files and (mode, preset) != ("points", "best"):
+        raise InputError(f"--depth is for --mode points --preset best, found --mode {mode} --preset {preset}")
     if mode != "points":
         checkpoint = named_checkpoint(checkpoint or Path(DEFAULT))
     if not masks:
         masks = _masks_of(camera_file)
     output = output or Path(f"{source.stem}.refined.ply")
     if not check:
-        _refuse_outputs(output, overlay, overwrite, (source, *masks, camera_file, *ignore_files))
+        _refuse_outputs(output, overlay, overwrite, (source, *masks, camera_file, *ignore_files, *depth_files))
     from ..placement import place, require_overlap
     from ..scenes import load_network_scene, load_points_scene
 
     if checkpoint is None:
-        scene = load_points_scene(source, masks, camera_file, invert_mask, ignore_files)
+        scene = load_points_scene(source, masks, camera_file, invert_mask, ignore_files, depth_files, depth_scale)
     else:
         ignore_file = ignore_files[0] if ignore_files else None
         scene = load_network_scene(source, masks[0], checkpoint, camera_file, invert_mask, ignore_file, frame == "world")
