@@ -46,7 +46,7 @@ def run(*words: str) -> int:
     return stopped.value.code
 
 
-def test_a_depth_map_halves_what_the_mask_leaves_of_the_gap(chair, capsys):
+def test_a_depth_map_takes_off_a_quarter_more_than_the_mask_alone(chair, capsys):
     common = ("--symmetry", "none", "--json")
     assert run("-o", "mask.ply", *common) == 0
     assert run("-o", "depth.ply", "--depth", "depth.png", "--depth-scale", "0.0001", *common) == 0
