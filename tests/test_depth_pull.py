@@ -11,7 +11,7 @@ from tso_cli.depth_pull import DepthTarget, depth_pull
 from tso_cli.errors import InputError
 from tso_cli.geometry import normalise_longest_side
 from tso_cli.metrics import chamfer
-from tso_cli.objective import working_view
+from tso_cli.objective import PullObjective, working_view
 from tso_cli.projection import CameraBatch, Projected, project
 from tso_cli.refinement import refine_batch
 from tso_cli.scene import View
@@ -43,7 +43,7 @@ def loss(points: torch.Tensor, depth: np.ndarray, reach: float = 3.0) -> torch.T
     inside = torch.ones(1, SIZE, SIZE, dtype=torch.bool)
     target = DepthTarget.of(torch.tensor(depth, dtype=points.dtype)[None], inside, cameras)
     projected = Projected(*(found[:, 0] for found in project(points, cameras)))
-    return depth_pull(points, projected, cameras, target, reach, torch.tensor([points.shape[1]]))
+    return depth_pull(points, projected, target, reach, torch.tensor([points.shape[1]]))
 
 
 def grid(depth: float, step: float = 1.0) -> np.ndarray:
@@ -161,6 +161,19 @@ def test_the_result_does_not_depend_on_the_unit_and_scenes_with_and_without_dept
     both = refine_batch([(start, view), (start, alone)], config)
     assert np.abs(both[0].points - found).max() < 1e-5
     assert np.abs(both[1].points - refine(start, alone, config=config).points).max() < 1e-5
+
+
+def test_views_with_and_without_a_depth_map_add_up():
+    start, view = seen_sheet()
+    other = View(view.mask.T.copy(), Camera(CAMERA.K, np.diag([1.0, 1.0, 1.0]), CAMERA.t, SIZE, SIZE))
+    points = torch.tensor(start)[None]
+
+    def total(*views: View) -> float:
+        working = [working_view(one, None, np.zeros(3), 1.0) for one in views]
+        return float(PullObjective([working], torch.tensor([len(start)]), points)(points, 3.0))
+
+    assert total(view, other) == pytest.approx(total(view) + total(other), rel=1e-6)
+    assert total(view) > total(View(view.mask, CAMERA)) + 10.0
 
 
 def test_a_depth_map_that_cannot_be_used_is_refused_in_one_line():

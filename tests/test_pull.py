@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tso_cli import pull
-from tso_cli.pull import COVERED_WITHIN, PullTarget, mask_pull
+from tso_cli.pull import COVERED_WITHIN, PullTarget, mask_pull, unresolved
 
 
 def _mask(seed: int = 0, height: int = 24, width: int = 32) -> torch.Tensor:
@@ -90,3 +90,21 @@ def test_an_image_of_twice_the_size_says_the_same():
     points = torch.tensor(np.random.default_rng(2).uniform(5, 55, (1, 40, 2)))
     finer = mask.repeat_interleave(2, 1).repeat_interleave(2, 2)
     assert _loss((points + 0.5) * 2 - 0.5, finer).item() == pytest.approx(_loss(points, mask).item(), rel=0.05)
+
+
+def test_a_strip_thinner_than_a_pixel_is_not_resolved_and_a_wider_one_is():
+    along = torch.linspace(0, 6, 12, dtype=torch.float64)
+    across = torch.tensor([-0.5, 0.5] * 6, dtype=torch.float64)
+    strips = torch.stack([torch.stack([along, width * across], -1) for width in (0.2, 1.5)])
+    assert unresolved(strips, 64).tolist() == [True, False]
+    assert unresolved(2.0 * strips, 128).tolist() == [True, False]
+
+
+def test_parts_that_pixels_do_not_resolve_are_not_pulled_back():
+    points, mask = _points(), _mask()
+    valid, target = torch.ones(points.shape[:2], dtype=torch.bool), PullTarget.of(mask)
+    every = mask_pull(points, valid, target, 3.0, thin=torch.ones_like(valid))
+    none = mask_pull(points, valid, target, 3.0, thin=torch.zeros_like(valid))
+    torch.testing.assert_close(none, mask_pull(points, valid, target, 3.0))
+    assert (every < none).all()
+    assert (every > 0.0).all()

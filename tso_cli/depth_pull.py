@@ -26,12 +26,14 @@ class DepthTarget(NamedTuple):
     surface : [M, H, W, 3] where their surface lies, in the frame of the cloud.
     front : [M, H, W] the least depth of the pixel and its eight neighbours; minus infinity where the pixel has none.
     per_unit : [M, H, W] pixels, of an image of 64, to a unit of length at that depth.
+    cameras : [M, 1].
     """
 
     known: Tensor
     surface: Tensor
     front: Tensor
     per_unit: Tensor
+    cameras: CameraBatch
 
     @classmethod
     def of(cls, depth: Tensor, inside: Tensor, cameras: CameraBatch) -> DepthTarget:
@@ -47,16 +49,14 @@ class DepthTarget(NamedTuple):
         # A point between two pixels may lie before one of them and on the surface all the same.
         least = -torch.nn.functional.max_pool2d(-torch.where(known, depth, torch.inf).unsqueeze(1), 3, 1, 1).squeeze(1)
         focal = (K[..., 0, 0] * K[..., 1, 1]).sqrt().unsqueeze(-1) * (REFERENCE_SIDE / max(height, width))
-        return cls(known, surface, torch.where(known, least, -torch.inf), focal / safe)
+        return cls(known, surface, torch.where(known, least, -torch.inf), focal / safe, cameras)
 
     def pixels(self) -> Tensor:
         """[M] pixels that have a depth, of an image of 64."""
         return self.known.flatten(1).sum(1) * (REFERENCE_SIDE / max(self.known.shape[1:])) ** 2
 
 
-def depth_pull(
-    points: Tensor, projected: Projected, cameras: CameraBatch, target: DepthTarget, reach: float, counts: Tensor
-) -> Tensor:
+def depth_pull(points: Tensor, projected: Projected, target: DepthTarget, reach: float, counts: Tensor) -> Tensor:
     """Pull points to surfaces that none has reached, and push back what lies in front of a surface.
 
     A pixel whose surface is further than 0.7 px from the nearest point, in space, pulls that point; a point that lies more
@@ -86,7 +86,8 @@ def depth_pull(
     seen = projected.valid & (pixel >= 0).all(-1) & (pixel < pixel.new_tensor([width, height])).all(-1)
     u, v = torch.where(seen.unsqueeze(-1), pixel, 0.0).long().unbind(-1)
     front, per_unit = (image.flatten(1).gather(1, v * width + u) for image in (target.front, target.per_unit))
-    depth = (points * cameras.R[:, 0, 2].unsqueeze(1)).sum(-1) + cameras.t[:, 0, 2].unsqueeze(1)
+    R, t = target.cameras.R[:, 0], target.cameras.t[:, 0]
+    depth = (points * R[:, 2].unsqueeze(1)).sum(-1) + t[:, 2].unsqueeze(1)
     ahead = (front - depth) * per_unit
     before = seen & (ahead.detach() > REACHED_WITHIN)
     pushed = robust(torch.where(before, ahead, 0.0).square(), reach).sum(1)

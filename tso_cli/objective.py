@@ -15,9 +15,10 @@ from .depth_pull import DepthTarget, depth_pull
 from .errors import InputError
 from .losses import REFERENCE_PIXELS, PixelWeights, mask_loss
 from .projection import CameraBatch, Projected, coarsened, default_sigma_sq, project
-from .pull import PullTarget, mask_pull
+from .pull import PullTarget, mask_pull, unresolved
 from .resample import area_resize
 from .scene import View
+from .smoothing import SmoothField
 
 # A silhouette blurred by this variance (px^2) is resolved by its pixels: it is the paper's setting.
 RESOLVED_SIGMA_SQ = 0.4
@@ -144,36 +145,62 @@ class MaskObjective(_Views):
         return found
 
 
-class PullObjective(_Views):
-    """Weighted sum over views of :func:`tso_cli.pull.mask_pull`, and of :func:`tso_cli.depth_pull.depth_pull` where there are
-    depth maps, for B clouds that are asked by views of their own."""
+class PullObjective:
+    """Weighted sum over views of :func:`tso_cli.pull.mask_pull`, for B clouds that are asked by views of their own, and of
+    :func:`tso_cli.depth_pull.depth_pull` where they have depth maps.
+
+    Views of one kind are worked on together: for small clouds, what a step costs is mostly the number of its operations.
+
+    Parameters
+    ----------
+    views, counts, like, weights : as :class:`MaskObjective`.
+    """
 
     def __init__(
         self, views: Sequence[Sequence[WorkingView]], counts: Tensor, like: Tensor, weights: Tensor | None = None
     ) -> None:
-        super().__init__(views, counts, like, weights)
-        self._targets = [PullTarget.of(view.mask, view.known) for view in self.views]
-        self._depths = [
-            None if view.depth is None else DepthTarget.of(view.depth, target.inside, view.cameras)
-            for view, target in zip(self.views, self._targets, strict=True)
-        ]
-        asking = [
-            target.pixels() if depth is None else target.pixels() + depth.pixels()
-            for target, depth in zip(self._targets, self._depths, strict=True)
-        ]
-        self.pixels = self.total([pixels.to(like) for pixels in asking])
+        kinds = [view.kind for view in views[0]]
+        members = {kind: [v for v, other in enumerate(kinds) if other == kind] for kind in kinds}
+        self._groups = []
+        self._depths: list[DepthTarget | None] = []
+        for group in members.values():
+            every = _Together.of([own[v] for own in views for v in group], like)
+            target = PullTarget.of(every.mask, every.known)
+            cameras = every.cameras.grouped(len(group))
+            share = torch.ones(len(views), len(group)) if weights is None else weights[:, group]
+            self._groups.append((target, cameras, share.to(like), counts.repeat_interleave(len(group))))
+            self._depths.append(None if every.depth is None else DepthTarget.of(every.depth, target.inside, every.cameras))
+        self._there = (torch.arange(like.shape[1]) < counts.unsqueeze(1)).to(like.device).unsqueeze(1)  # [B, 1, N]
+        self._thin: list[Tensor | None] = [None] * len(self._groups)
+        found = []
+        for (target, _, share, _), depth in zip(self._groups, self._depths, strict=True):
+            pixels = target.pixels() if depth is None else target.pixels() + depth.pixels()
+            found.append((share * pixels.view_as(share)).sum(1))
+        self.pixels = torch.stack(found).sum(0)
         """[B] pixels of all views that ask, by mask or by depth, of images of 64, weighted like their losses."""
+
+    def look(self, points: Tensor, field: SmoothField) -> None:
+        """Find out, for the calls from here on, which parts of the clouds ``points`` the views do not resolve."""
+        nodes = torch.take_along_dim(points.detach(), field.nodes.unsqueeze(-1), 1)
+        for number, (target, cameras, share, _) in enumerate(self._groups):
+            points_px, _ = project(nodes, cameras)  # [B, G, M, 2]
+            patches = field.patches.unsqueeze(1).expand(-1, share.shape[1], -1, -1)
+            around = torch.take_along_dim(points_px.unsqueeze(2), patches.flatten(2).unsqueeze(2).unsqueeze(-1), 3)
+            thin = unresolved(around.squeeze(2).unflatten(2, patches.shape[2:]), target.side)
+            self._thin[number] = torch.stack([field.of_nearest_node(own) for own in thin.unbind(1)], 1).flatten(0, 1)
 
     def __call__(self, points: Tensor, reach: float) -> Tensor:
         """The loss [B] of the clouds ``points`` [B, N, 3]; infinite where a view shows no point at all."""
-        found = []
-        for view, target, depth in zip(self.views, self._targets, self._depths, strict=True):
-            projected = self.projected(points, view)
-            loss = mask_pull(*projected, target, reach, self.counts)
+        total = points.new_zeros(len(points))
+        for (target, cameras, share, counts), thin, depth in zip(self._groups, self._thin, self._depths, strict=True):
+            points_px, valid = project(points, cameras)
+            points_px, valid = points_px.flatten(0, 1), (valid & self._there).flatten(0, 1)
+            losses = mask_pull(points_px, valid, target, reach, counts, thin)
             if depth is not None:
-                loss = loss + depth_pull(points, projected, view.cameras, depth, reach, self.counts)
-            found.append(torch.where(projected.valid.any(1), loss, torch.inf))
-        return self.total(found)
+                each = points.repeat_interleave(share.shape[1], 0)
+                losses = losses + depth_pull(each, Projected(points_px, valid), depth, reach, counts)
+            total = total + (share * torch.where(valid.any(1), losses, torch.inf).view_as(share)).sum(1)
+        return total
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,6 +54,11 @@ class CameraBatch:
         """V cameras as those of V clouds, which have one each: [V, 1, ...]."""
         return replace(self, K=self.K.unsqueeze(1), R=self.R.unsqueeze(1), t=self.t.unsqueeze(1))
 
+    def grouped(self, views: int) -> CameraBatch:
+        """Cameras of B V clouds with one each as those of B clouds with V ``views``: [B, V, ...]."""
+        K, R, t = (part.flatten(0, 1).unflatten(0, (-1, views)) for part in (self.K, self.R, self.t))
+        return replace(self, K=K, R=R, t=t)
+
 
 class Projected(NamedTuple):
     """Where points fall in every view."""

@@ -16,6 +16,8 @@ from .kernels.nearest import nearest_marked, nearest_points
 REFERENCE_SIDE = 64.0
 # A pixel is covered once a point falls this near to its centre: as far as a point may be from the nearest pixel's corner.
 COVERED_WITHIN = 0.7
+# Standard deviation across a part that pixels just do not show.
+THIN = 0.25
 # Points that stray are counted as if a cloud had so many: how densely a cloud is sampled says nothing of how wrong it is.
 REFERENCE_POINTS = 1024.0
 
@@ -53,7 +55,14 @@ class PullTarget(NamedTuple):
         return self.inside.flatten(1).sum(1) * (REFERENCE_SIDE / self.side) ** 2
 
 
-def mask_pull(points_px: Tensor, valid: Tensor, target: PullTarget, reach: float, counts: Tensor | None = None) -> Tensor:
+def mask_pull(
+    points_px: Tensor,
+    valid: Tensor,
+    target: PullTarget,
+    reach: float,
+    counts: Tensor | None = None,
+    thin: Tensor | None = None,
+) -> Tensor:
     """Pull points to foreground pixels that none covers, and points on background back to the mask.
 
     A foreground pixel whose nearest point is further than 0.7 px pulls that point; a point that falls on a background pixel
@@ -67,6 +76,7 @@ def mask_pull(points_px: Tensor, valid: Tensor, target: PullTarget, reach: float
     target : of M masks.
     reach : r, pixels of an image of 64.
     counts : [M] points of each cloud; None for N.
+    thin : [M, N] bool, points that are not pulled back to the mask: see :func:`unresolved`.
 
     Returns
     -------
@@ -82,9 +92,29 @@ def mask_pull(points_px: Tensor, valid: Tensor, target: PullTarget, reach: float
     if compiled_pays(points_px):
         from .kernels.compiled_pull import mask_pull as compiled_pull
 
-        return compiled_pull(points_px, valid, target, scale, COVERED_WITHIN, reach, share)
+        shown = valid if thin is None else valid & ~thin
+        return compiled_pull(points_px, valid, shown, target, scale, COVERED_WITHIN, reach, share)
     uncovered = _uncovered(points_px, valid, target, scale, reach)
-    return uncovered + _stray(points_px, valid, target, scale, reach) * share
+    shown = valid if thin is None else valid & ~thin
+    return uncovered + _stray(points_px, shown, target, scale, reach) * share
+
+
+def unresolved(patches_px: Tensor, side: int) -> Tensor:
+    """Whether a part is seen so edge-on, or is so thin, that pixels do not show it: that it is beside the mask tells nothing.
+
+    Parameters
+    ----------
+    patches_px : [..., K, 2] where the neighbours of a point fall.
+    side : pixels along the longer side of the image.
+
+    Returns
+    -------
+    [...] bool: their standard deviation across is under 0.25 px of an image of 64, that of a strip 0.87 px wide.
+    """
+    x, y = (patches_px - patches_px.mean(-2, keepdim=True)).unbind(-1)
+    xx, yy, xy = x.square().mean(-1), y.square().mean(-1), (x * y).mean(-1)
+    half, apart = (xx + yy) / 2.0, ((xx - yy) / 2.0).square() + xy.square()
+    return half - apart.sqrt() < (THIN * side / REFERENCE_SIDE) ** 2
 
 
 def _uncovered(points_px: Tensor, valid: Tensor, target: PullTarget, scale: float, reach: float) -> Tensor:
@@ -99,18 +129,17 @@ def _uncovered(points_px: Tensor, valid: Tensor, target: PullTarget, scale: floa
 def _covered(points_px: Tensor, valid: Tensor, size: torch.Size, within: float) -> Tensor:
     """[M, H, W], whether a point lies so near to the pixel's centre: what is covered need not look for its nearest point."""
     height, width = size
-    # One more pixel all around takes what falls outside.
+    # One more pixel all around takes what falls outside, and what is not there.
     found = torch.zeros(len(points_px), (height + 2) * (width + 2), dtype=torch.bool, device=points_px.device)
-    limit = points_px.new_tensor([width, height])
-    nearest_pixel = (
-        torch.where(valid.unsqueeze(-1), points_px, -9.0 - within).clamp(-9.0 - within, max(size) + within + 9.0).round()
-    )
+    x, y = torch.where(valid.unsqueeze(-1), points_px, -2.0 - within).movedim(-1, 0).contiguous()
+    # A point further outside than this is near no pixel, and its number would not fit.
+    x, y = x.clamp(-2.0 - within, width + within + 1.0), y.clamp(-2.0 - within, height + within + 1.0)
+    column, row = x.round(), y.round()
     around = range(-math.ceil(within + 0.5) + 1, math.ceil(within + 0.5))
-    for by_x, by_y in itertools.product(around, around):
-        pixel = nearest_pixel + points_px.new_tensor([by_x, by_y])
-        near = (pixel - points_px).square().sum(-1) <= within**2
-        column, row = torch.minimum((pixel + 1.0).clamp_min(0.0), limit + 1.0).long().unbind(-1)
-        found.scatter_(1, torch.where(near, row * (width + 2) + column, 0), True)
+    across, down = ([((to + by), (to + by - at).square()) for by in around] for to, at in ((column, x), (row, y)))
+    for (columns, far_x), (rows, far_y) in itertools.product(across, down):
+        inside = (far_x + far_y <= within**2) & (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+        found.scatter_(1, torch.where(inside, (rows + 1.0) * (width + 2) + columns + 1.0, 0.0).long(), True)
     return found.view(-1, height + 2, width + 2)[:, 1:-1, 1:-1]
 
 

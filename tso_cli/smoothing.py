@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -13,16 +12,19 @@ from .geometry import farthest_point_sample
 # A cloud moves by a field that is known at so many nodes, at most; between them it is interpolated.
 NODES = 1024
 NEIGHBOURS = 8
+PATCH = 12
 INTERPOLATED_FROM = 6
 # Nodes are looked for among so many points: enough that 1,024 of them lie evenly.
 CANDIDATES = 16_384
+# Distances compared at once; bounds memory.
+PAIRS_AT_ONCE = 1 << 24
 
 
 class SmoothField:
     """Displacement fields of B clouds as ``(I + lambda L)^-1 u``, L the graph Laplacian of each cloud's nodes.
 
-    A cloud of up to 1,024 points is its own nodes. A larger one has 1,024, spread by farthest-point sampling, and its points
-    take the weighted mean of the six nodes nearest to them: what a field costs to solve does not grow with the cloud.
+    A cloud of up to ``nodes`` points is its own nodes. A larger one has so many, spread by farthest-point sampling, and its
+    points take the weighted mean of the six nodes nearest to them: what a field costs to solve does not grow with the cloud.
 
     "Large Steps in Inverse Rendering of Geometry" (Nicolet, Jacobson, Jakob, 2021) descends in u on a mesh: steps of the
     gradient then move what is connected together, the further the larger lambda. Here the graph is that of the 8 nearest
@@ -32,25 +34,32 @@ class SmoothField:
     ----------
     points : [B, N, 3]
     counts : [B], how many points of each row are there; None for all.
+    nodes : at most so many for each cloud.
 
     Attributes
     ----------
     shape : B, M, 3 of u, M the largest number of nodes.
+    nodes : [B, M] int64, which points are nodes; those behind the last of a cloud are 0, like its points' nodes.
+    patches : [B, M, 12] int64, the nodes nearest to each node, itself among them.
     """
 
-    def __init__(self, points: Tensor, counts: Tensor | None = None) -> None:
+    def __init__(self, points: Tensor, counts: Tensor | None = None, nodes: int = NODES) -> None:
         points = points.detach()
         sizes = [points.shape[1]] * len(points) if counts is None else counts.tolist()
-        nodes = [_nodes(cloud[:size]) for cloud, size in zip(points, sizes, strict=True)]
-        most = max(len(own) for own in nodes)
+        places = [_nodes(cloud[:size], nodes) for cloud, size in zip(points, sizes, strict=True)]
+        most = max(len(own) for own in places)
+        self.nodes = _padded(places, most).to(points.device)
+        places = [cloud[own] for cloud, own in zip(points, places, strict=True)]
+        near = [_nearest_nodes(own) for own in places]
+        self.patches = _padded(near, most).to(points.device)
         self.shape = (len(points), most, 3)
-        self._counts = torch.tensor([len(own) for own in nodes])
-        laplacian = [_laplacian(own, most) for own in nodes]
+        self._counts = torch.tensor([len(own) for own in places])
+        laplacian = [_laplacian(own, index, most) for own, index in zip(places, near, strict=True)]
         # Lambda is stated for 1,024 nodes: with fewer, neighbours are further apart and edges reach further.
-        self._laplacian = torch.stack([matrix * (len(own) / NODES) for matrix, own in zip(laplacian, nodes, strict=True)])
+        self._laplacian = torch.stack([matrix * (len(own) / NODES) for matrix, own in zip(laplacian, places, strict=True)])
         self._between: tuple[Tensor, Tensor] | None = None
-        if any(size > NODES for size in sizes):
-            pairs = [_interpolation(cloud[:size], own) for cloud, size, own in zip(points, sizes, nodes, strict=True)]
+        if any(size > nodes for size in sizes):
+            pairs = [_interpolation(cloud[:size], own) for cloud, size, own in zip(points, sizes, places, strict=True)]
             index = torch.zeros(*points.shape[:2], INTERPOLATED_FROM, dtype=torch.int64)
             weight = torch.zeros(index.shape, dtype=points.dtype)
             for row, (taken, share) in enumerate(pairs):
@@ -63,6 +72,12 @@ class SmoothField:
         size = self.shape[1]
         system = torch.eye(size, dtype=self._laplacian.dtype, device=self._laplacian.device) + weight * self._laplacian
         return torch.stack([torch.cholesky_inverse(torch.linalg.cholesky(one)) for one in system])
+
+    def of_nearest_node(self, values: Tensor) -> Tensor:
+        """[B, N] at the points, the value [B, M] of the node nearest to each."""
+        if self._between is None:
+            return values
+        return values.flatten()[self._between[0][:, 0]].view(len(values), -1)
 
     def displacement(self, smoother: Tensor, values: Tensor) -> Tensor:
         """[B, N, 3] at the points, from ``u`` [B, M, 3] at the nodes; differentiable in ``u``."""
@@ -94,22 +109,37 @@ class _Smoothed(torch.autograd.Function):
         return _Smoothed.apply(grad_outputs[0], matrix), None
 
 
-def _nodes(cloud: Tensor) -> Tensor:
-    if len(cloud) <= NODES:
-        return cloud
+def _nodes(cloud: Tensor, most: int) -> Tensor:
+    """Numbers of the points that are nodes."""
+    every = torch.arange(len(cloud))
+    if len(cloud) <= most:
+        return every
     step = -(-len(cloud) // CANDIDATES)
     candidates = cloud[::step]
-    return candidates[torch.from_numpy(farthest_point_sample(candidates.double().cpu().numpy(), NODES)).to(cloud.device)]
+    return every[::step][torch.from_numpy(farthest_point_sample(candidates.double().cpu().numpy(), most))]
 
 
-def _laplacian(nodes: Tensor, size: int) -> Tensor:
+def _padded(rows: list[Tensor], size: int) -> Tensor:
+    """Rows of different lengths as one tensor, filled up with 0."""
+    full = rows[0].new_zeros(len(rows), size, *rows[0].shape[1:])
+    for row, own in zip(full, rows, strict=True):
+        row[: len(own)] = own
+    return full
+
+
+def _nearest_nodes(nodes: Tensor) -> Tensor:
+    """[M, 12] the nodes nearest to each, itself first; where there are fewer, itself again."""
+    apart = torch.cdist(nodes, nodes, compute_mode="donot_use_mm_for_euclid_dist").fill_diagonal_(-1.0)
+    near = apart.topk(min(PATCH, len(nodes)), largest=False).indices
+    return torch.cat([near, near[:, :1].expand(-1, PATCH - near.shape[1])], 1)
+
+
+def _laplacian(nodes: Tensor, near: Tensor, size: int) -> Tensor:
     """[size, size] of the graph that joins two nodes where one is among the 8 nearest of the other."""
     matrix = nodes.new_zeros(size, size)
     count = len(nodes)
     if count > 1:
-        apart = torch.cdist(nodes, nodes, compute_mode="donot_use_mm_for_euclid_dist").fill_diagonal_(torch.inf)
-        near = apart.topk(min(NEIGHBOURS, count - 1), largest=False).indices
-        joined = torch.zeros_like(apart).scatter_(1, near, 1.0)
+        joined = nodes.new_zeros(count, count).scatter_(1, near[:, 1 : NEIGHBOURS + 1], 1.0).fill_diagonal_(0.0)
         joined = torch.maximum(joined, joined.T)
         matrix[:count, :count] = torch.diag(joined.sum(1)) - joined
     return matrix
@@ -117,11 +147,11 @@ def _laplacian(nodes: Tensor, size: int) -> Tensor:
 
 def _interpolation(cloud: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
     """Numbers [n, 6] of the nodes nearest to each point, and their weights, which fall to 0 at the last."""
-    from scipy.spatial import cKDTree
-
-    distance, index = cKDTree(nodes.cpu().numpy()).query(cloud.cpu().numpy(), min(INTERPOLATED_FROM, len(nodes)), workers=-1)
-    distance, index = distance.reshape(len(cloud), -1), index.reshape(len(cloud), -1)
-    furthest = np.maximum(distance[:, -1:], np.finfo(np.float64).tiny)
+    count = min(INTERPOLATED_FROM, len(nodes))
+    parts = cloud.split(max(1, PAIRS_AT_ONCE // len(nodes)))
+    found = [torch.cdist(part, nodes).topk(count, largest=False) for part in parts]
+    index, distance = torch.cat([part.indices for part in found]), torch.cat([part.values for part in found])
+    furthest = distance[:, -1:].clamp_min(torch.finfo(distance.dtype).tiny)
     # The smallest part keeps the sum from 0 where all are equally far.
-    weight = (1.0 - (distance / furthest) ** 2) ** 2 + 1e-6
-    return torch.from_numpy(index), torch.from_numpy(weight / weight.sum(1, keepdims=True)).to(cloud.dtype)
+    weight = (1.0 - (distance / furthest).square()).square() + 1e-6
+    return index.cpu(), (weight / weight.sum(1, keepdim=True)).cpu()

@@ -74,11 +74,14 @@ def document(
         "convention": {
             "chamfer_to_initial": "squared distances, mean over points, both directions summed, longest side 1",
             "iou": "silhouette > 0.5 against mask > 0.5, mean over views",
-            "loss": "sum over views of weight x BCE summed over pixels x 64^2/(W H), + gamma x Chamfer to the initial cloud",
+            "loss": result.objective + "; the mask's part is a sum over views, each times its weight",
+            "symmetry": "a, b, c, d of the mirror plane ax + by + cz = d in the frame of the input, null for none",
             "sigma_sq": "px^2 of the mask (encoder modes: mask, IoU and sigma_sq are those of the 64x64 crop)",
         },
         "learning_rate": result.learning_rate,
         "gamma": result.gamma,
+        "symmetry": result.symmetry,
+        "symmetry_reason": result.symmetry_reason,
         "sigma_sq": result.sigma_sq,
         "device": result.device,
         "seed": result.seed,
@@ -94,19 +97,27 @@ def print_result(result: RefineResult, scene: Scene, output: Path, overlay: Path
     if mean:
         for view, (before, after), weight in zip(scene.views, result.view_ious, result.view_weights, strict=True):
             click.echo(f"  view   {before:.3f} -> {after:.3f}   weight {weight:.2f}, {view.name}")
-    click.echo(
-        f"  loss   {result.loss_before:.1f} -> {result.loss_after:.1f}   (BCE + {result.gamma:g} x Chamfer to the start)"
-    )
+    click.echo(f"  loss   {result.loss_before:.1f} -> {result.loss_after:.1f}   ({result.objective})")
     click.echo(
         f"  moved  {result.chamfer_to_initial * 1e3:.3f}   (Chamfer to the start x1000: squared, mean over points, "
         "both directions, longest side 1)"
     )
+    if result.preset == "best" and result.mode == "points":
+        click.echo(f"  mirror {_plane(result)}")
     click.echo(
         f"  sigma_sq {result.sigma_sq:g} px^2, learning rate {result.learning_rate:g}, {result.device}, seed {result.seed}, "
         f"{seconds['optimise']:.2f} s in the loop, {seconds['total']:.2f} s in all"
     )
     if overlay is not None:
         click.echo(f"{overlay}: picture")
+
+
+def _plane(result: RefineResult) -> str:
+    if result.symmetry is None:
+        return f"no plane: {result.symmetry_reason}"
+    *normal, offset = result.symmetry
+    terms = [f"{number:+.3f} {axis}" for number, axis in zip(normal, "xyz", strict=True) if abs(number) >= 5e-4]
+    return f"plane {' '.join(terms).lstrip('+')} = {offset:.4g}: {result.symmetry_reason}"
 
 
 def print_check(scene: Scene, placements: list[Placement], as_json: bool) -> None:

@@ -17,21 +17,43 @@ if TYPE_CHECKING:
 
 
 def mask_pull(
-    points_px: Tensor, valid: Tensor, target: PullTarget, scale: float, covered: float, reach: float, weight: Tensor
+    points_px: Tensor,
+    valid: Tensor,
+    shown: Tensor,
+    target: PullTarget,
+    scale: float,
+    covered: float,
+    reach: float,
+    weight: Tensor,
 ) -> Tensor:
     """As :func:`tso_cli.pull.mask_pull`; ``weight`` [M] is a stray point's, ``scale`` pixels of 64 to one of the image."""
     inside, outside, rows, columns = target
     total, slope = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
     edge = cell_edge(inside.shape[1], inside.shape[2], points_px.shape[1])
     steps = 16 * inside.numel() + 16 * valid.numel()
-    arguments = (points_px, valid, inside, outside, rows, columns, edge, scale, covered**2, reach**2, weight, total, slope)
+    arguments = (
+        points_px,
+        valid,
+        shown,
+        inside,
+        outside,
+        rows,
+        columns,
+        edge,
+        scale,
+        covered**2,
+        reach**2,
+        weight,
+        total,
+        slope,
+    )
     share(len(inside), steps, _pull, *arguments)
     return WithSlope.apply(points_px, total, slope)
 
 
 @compiled
 def _pull(  # type: ignore[no-untyped-def]
-    first, last, points, valid, inside, outside, rows, columns, edge, scale, covered, reach, weight, total, slope
+    first, last, points, valid, shown, inside, outside, rows, columns, edge, scale, covered, reach, weight, total, slope
 ):
     height, width = inside.shape[1:]
     area = scale * scale
@@ -53,7 +75,7 @@ def _pull(  # type: ignore[no-untyped-def]
         for n in range(points.shape[1]):
             x, y = np.rint(points[image, n, 0]), np.rint(points[image, n, 1])
             # What lies outside the image is unknown, not background.
-            if not (valid[image, n] and x >= 0 and x < width and y >= 0 and y < height):
+            if not (shown[image, n] and x >= 0 and x < width and y >= 0 and y < height):
                 continue
             i, j = int(y), int(x)
             if not outside[image, i, j] or rows[image, i, j] < 0:

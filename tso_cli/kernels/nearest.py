@@ -162,15 +162,17 @@ def _multiplied(queries: Tensor, data: Tensor) -> Tensor:
     data = data.double()
     centre = data.mean(0)
     data = data - centre
-    half = data.square().sum(1) / 2.0
+    # A product with ones adds a few columns many times as fast as `sum`.
+    ones = data.new_ones(data.shape[1])
+    half = data.square() @ ones / 2.0
     found = []
     for part in (queries.double() - centre).split(max(1, PAIRS_PER_PRODUCT // len(data))):
         # numpy's argmin is three times as fast as torch's
         index = torch.from_numpy(torch.addmm(half, part, data.T, alpha=-1.0).numpy().argmin(1))
         # A distance of 0 is the least there is. Of others rounding moves the square by 2e-8 of it at most, less than float32
         # can tell apart, unless they are this small.
-        squared = (part - data[index]).square().sum(1)
-        close = torch.nonzero((squared > 0.0) & (squared < 1e-7 * part.square().sum(1))).squeeze(1)
+        squared = (part - data[index]).square() @ ones
+        close = torch.nonzero((squared > 0.0) & (squared < 1e-7 * (part.square() @ ones))).squeeze(1)
         if len(close):
             index[close] = torch.cdist(part[close], data, compute_mode="donot_use_mm_for_euclid_dist").argmin(1)
         found.append(index)

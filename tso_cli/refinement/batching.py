@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..device import one_thread
 from ..errors import InputError
 from ..objective import WorkingView, working_view
 from ..placement import place, require_overlap
@@ -63,7 +64,8 @@ def mirror_plane(cloud: Cloud, symmetry: str) -> tuple[MirrorPlane | None, str]:
         return None, "none asked for"
     if wanted == "auto":
         # In the units of the loop, and rounded far below what a sampling tells: neither unit nor origin of the input shows.
-        found = find_mirror_plane(cloud.normalised())
+        with one_thread(True):
+            found = find_mirror_plane(cloud.normalised())
         normal = found.normal.round(6) / np.linalg.norm(found.normal.round(6))
         offset = cloud.scale * round(found.offset, 6) + float(normal @ cloud.centre)
         plane = replace(found, normal=normal, offset=offset)

@@ -11,7 +11,7 @@ from torch import Tensor
 from ..adam import UniformAdam
 from ..objective import PullObjective
 from ..pull import REFERENCE_POINTS
-from ..smoothing import SmoothField
+from ..smoothing import NODES, SmoothField
 from .loop import Descent, Objective, Progress, descend
 
 
@@ -22,19 +22,20 @@ class Stage:
     Parameters
     ----------
     smoothness : lambda of :class:`tso_cli.smoothing.SmoothField`. reach : of :func:`tso_cli.pull.mask_pull`, px.
-    pace : share of the learning rate.
+    pace : share of the learning rate. nodes : of the field.
     """
 
     smoothness: float
     reach: float
     pace: float
+    nodes: int = NODES
 
 
 # First the cloud moves nearly as a whole and hears of pixels far away, at last almost point by point and of near ones only.
-STAGES = (Stage(100.0, 6.0, 1.0), Stage(10.0, 3.0, 0.75), Stage(1.0, 2.0, 0.35))
+STAGES = (Stage(100.0, 6.0, 1.0, 256), Stage(10.0, 3.0, 0.75, 512), Stage(1.0, 3.0, 0.35))
 # What it costs a point to leave its start, squared distance (longest side 1), for a start whose mask pixels are 1 px^2 off on
 # average. A start that is further off is trusted less.
-ANCHOR, LEAST_ANCHOR, MOST_ANCHOR = 500.0, 30.0, 3000.0
+ANCHOR, LEAST_ANCHOR, MOST_ANCHOR = 350.0, 30.0, 3000.0
 ANCHOR_REACH = 4.0
 
 
@@ -67,14 +68,19 @@ def descend_in_stages(
         loss = pull(moved, stage.reach) + anchor * (moved - first).square().sum((1, 2))
         return loss + further(moved) if further else loss
 
-    field = SmoothField(first, counts)
+    fields = {nodes: SmoothField(first, counts, nodes) for nodes in {stage.nodes for stage in STAGES}}
+    finest = fields[max(fields)]
     parts, done, found = [], 0, first
     ends = [round(steps * (i + 1) / len(STAGES)) for i in range(len(STAGES))]
     for stage, end in zip(STAGES, ends, strict=True):
+        field = fields[stage.nodes]
+        pull.look(found, finest)
         smoother = field.smoother(stage.smoothness)
         moving = torch.zeros(field.shape, dtype=first.dtype, device=first.device, requires_grad=True)
 
-        def produce(base: Tensor = found, smoother: Tensor = smoother, moving: Tensor = moving) -> Tensor:
+        def produce(
+            base: Tensor = found, field: SmoothField = field, smoother: Tensor = smoother, moving: Tensor = moving
+        ) -> Tensor:
             return base + field.displacement(smoother, moving)
 
         def told(step: int, steps_here: int, loss: float, before: int = done) -> None:

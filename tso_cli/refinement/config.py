@@ -174,3 +174,11 @@ class RefineResult:
     device: str
     seed: int
     seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def objective(self) -> str:
+        """What the losses are of, in words."""
+        held = f"{self.gamma:g} x Chamfer to the start"
+        if self.preset == "paper" or self.mode != "points":
+            return f"BCE + {held}"
+        return "pull of the mask + what it costs to leave the start" + (f" + {held}" if self.gamma else "")
