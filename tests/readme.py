@@ -15,6 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from tests.readme_accuracy import accuracy_tables, sizes_table
 from tso_cli.report.speed_table import left_out_lines, machine_line, sections
 
 ROOT = Path(__file__).parents[1]
@@ -22,8 +23,9 @@ README = ROOT / "README.md"
 RESULTS = ROOT / "docs" / "results.md"
 NETWORK = ROOT / "docs" / "network.md"
 PERFORMANCE = ROOT / "docs" / "performance.md"
+ACCURACY = ROOT / "docs" / "accuracy.md"
 PHOTOS = ROOT / "docs" / "photos.md"
-PAGES = (README, RESULTS, NETWORK, PERFORMANCE, PHOTOS)
+PAGES = (README, RESULTS, NETWORK, PERFORMANCE, ACCURACY, PHOTOS)
 FIGURES = ROOT / "docs" / "figures"
 CONSOLE = re.compile(r"```console\n(.*?)```", re.DOTALL)
 
@@ -240,14 +242,20 @@ TABLES = {
 def tables() -> dict[str, str]:
     """Name -> table, from the kept figures."""
     made = {}
+    accuracy = {}
     for path in sorted(FIGURES.glob("*.json")):
         record = json.loads(path.read_text())
-        if {"summary", "examples"} & set(record):
+        if record.get("study") == "accuracy":
+            accuracy[path.stem] = record
+            made |= {f"{path.stem} {name}": table for name, table in accuracy_tables(record).items()}
+        elif {"summary", "examples"} & set(record):
             made[path.stem] = TABLES[path.stem](record)
         if "bench" in record:
             made |= {f"{path.stem} {name}": table for name, table in speed_tables(record).items()}
         if "claims" in record:
             made[f"{path.stem} claims"] = claims_list(record)
+    if {"accuracy", "accuracy-large"} <= set(accuracy):
+        made["accuracy sizes"] = sizes_table(accuracy["accuracy"], accuracy["accuracy-large"])
     return made
 
 

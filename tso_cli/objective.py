@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -19,6 +20,9 @@ from .pull import PullTarget, mask_pull, unresolved
 from .resample import area_resize
 from .scene import View
 from .smoothing import SmoothField
+
+if TYPE_CHECKING:
+    from .pose.moves import CameraMoves
 
 # A silhouette blurred by this variance (px^2) is resolved by its pixels: it is the paper's setting.
 RESOLVED_SIGMA_SQ = 0.4
@@ -100,11 +104,16 @@ class _Views:
     counts : [B] points of each cloud, those behind them are not there.
     like : [B, N, 3] tensor whose precision and device are used.
     weights : [B, V] of the views' losses; None for 1.
+
+    Attributes
+    ----------
+    moves : corrections of the cameras, None where they are taken as given.
     """
 
     def __init__(
         self, views: Sequence[Sequence[WorkingView]], counts: Tensor, like: Tensor, weights: Tensor | None = None
     ) -> None:
+        self.moves: CameraMoves | None = None
         self.weights = None if weights is None else weights.to(like)
         self.views = [_Together.of(column, like) for column in zip(*views, strict=True)]
         self.counts, size = counts, like.shape[1]
@@ -113,7 +122,8 @@ class _Views:
 
     def projected(self, points: Tensor, view: _Together) -> Projected:
         """Where ``points`` [B, N, 3] fall in that view, [B, N, 2] and [B, N]."""
-        points_px, valid = (found[:, 0] for found in project(points, view.cameras))
+        cameras = view.cameras if self.moves is None else self.moves.apply(view.cameras, self.views.index(view))
+        points_px, valid = (found[:, 0] for found in project(points, cameras))
         return Projected(points_px, valid if self.full else valid & self.there)
 
     def total(self, losses: list[Tensor]) -> Tensor:

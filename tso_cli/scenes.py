@@ -107,12 +107,7 @@ def load_views(
     InputError
         As `load_view`; or masks, cameras and ignore maps do not pair up.
     """
-    if ignore_files and len(ignore_files) != len(mask_files):
-        raise InputError(
-            f"--ignore {ignore_files[0]}: found {len(ignore_files)} ignore maps for {len(mask_files)} masks, "
-            "expected one for each or none"
-        )
-    ignores: Sequence[Path | None] = ignore_files or [None] * len(mask_files)
+    ignores = _ignores_of(mask_files, ignore_files)
     sources = [camera_file or find_camera(mask_file) for mask_file in mask_files]
     cameras: list[Camera | None] = [None] * len(mask_files)
     for source in dict.fromkeys(sources):
@@ -129,10 +124,20 @@ def load_views(
     return tuple(_read_view(file, source, camera, invert, ignore) for file, source, camera, ignore in rows), tuple(sources)
 
 
+def _ignores_of(mask_files: Sequence[Path], ignore_files: Sequence[Path]) -> Sequence[Path | None]:
+    """The ignore map of each mask."""
+    if ignore_files and len(ignore_files) != len(mask_files):
+        raise InputError(
+            f"--ignore {ignore_files[0]}: found {len(ignore_files)} ignore maps for {len(mask_files)} masks, "
+            "expected one for each or none"
+        )
+    return ignore_files or [None] * len(mask_files)
+
+
 def _read_view(
     mask_file: Path, camera_file: Path | None, camera: Camera | None, invert: bool, ignore_file: Path | None
 ) -> View:
-    """The view of a mask and of its ``camera``, None for the one that ``camera_file`` has for it."""
+    """The view of a mask and of its ``camera``, None for the one that ``camera_file`` has for it, else the canonical one."""
     mask = read_mask(mask_file, invert)
     height, width = mask.shape
     known = None
@@ -180,15 +185,26 @@ def load_points_scene(
     camera_file: Path | None = None,
     invert: bool = False,
     ignore_files: Sequence[Path] = (),
+    fit: bool = False,
     depth_files: Sequence[Path] = (),
     depth_scale: float = 1.0,
 ) -> Scene:
     """The scene of points mode; arguments and errors as :func:`load_views` and :func:`tso_cli.files.clouds.read_cloud`.
 
-    ``depth_files`` are one for each mask, or none; ``depth_scale`` is that of :func:`tso_cli.files.images.read_depth`.
+    ``fit`` finds the camera of the one mask from mask and cloud (:func:`tso_cli.pose.fit_camera`) instead of reading it;
+    it goes without depth maps. These are one for each mask, or none; ``depth_scale`` is that of
+    :func:`tso_cli.files.images.read_depth`.
     """
-    cloud = read_cloud(cloud_file)
     masks = [mask_files] if isinstance(mask_files, Path) else mask_files
+    if fit and len(masks) != 1:
+        raise InputError(f"--camera fit finds the camera of one mask, found {len(masks)} masks; expected one, or a camera file")
+    cloud = read_cloud(cloud_file)
+    if fit:
+        from .pose import fit_camera
+
+        view = _read_view(masks[0], None, None, invert, _ignores_of(masks, ignore_files)[0])
+        fitted = fit_camera(cloud.points, view.mask, view.known, name=str(cloud_file))
+        return Scene(cloud.points, (replace(view, camera=fitted.camera),), (fitted.describe(),), "input", cloud=cloud)
     views, camera_files = load_views(masks, camera_file, invert, ignore_files)
     if depth_files:
         views = _with_depths(views, depth_files, depth_scale)

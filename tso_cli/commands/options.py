@@ -11,12 +11,23 @@ from typing import Any
 
 import click
 
+# What `--camera` takes instead of a file.
+FIT = Path("fit")
+
 
 class FilePath(click.Path):
     """A path as :class:`pathlib.Path`. Whether it can be read is the reader's to say, in one voice for every file."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
+
+
+class CameraPath(FilePath):
+    """A camera file, or the word `fit`: that stays the path ``FIT``; a file of that name, written ./fit, is made absolute."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        path = super().convert(value, param, ctx)
+        return path.absolute() if path == FIT and str(value) != str(FIT) else path
 
 
 overwrite = click.option("--overwrite", is_flag=True, help="Replace an output that exists.")

@@ -12,6 +12,13 @@ from ..errors import InputError
 from ..files.output import atomic_output, check_output
 from ..files.shipped import DEFAULT, named_checkpoint
 from . import options
+from .refine_camera import (
+    camera_records,
+    print_cameras,
+    refuse_camera_options,
+    refuse_camera_output,
+    write_used_cameras,
+)
 from .refine_result import document, print_check, print_result
 
 # A view of less weight is warned of.
@@ -31,10 +38,12 @@ MODES = ("points", "encoder", "encoder-decoder", "latent")
 @click.option(
     "--camera",
     "camera_file",
-    type=options.FilePath(),
-    help="Camera file, of several masks their views.  [default: MASKSTEM.camera.json, else camera.json or cameras.json beside "
-    "the mask, else canonical]",
+    type=options.CameraPath(),
+    help="Camera file, of several masks their views; or `fit`: found from the one mask and the cloud.  "
+    "[default: MASKSTEM.camera.json, else camera.json or cameras.json beside the mask, else canonical]",
 )
+@click.option("--refine-camera", is_flag=True, help="Correct the cameras first, held near the given ones.")
+@click.option("--write-camera", type=options.FilePath(), help="Camera file of the fitted or refined cameras, .json.")
 @click.option("-o", "--output", type=options.FilePath(), help="Refined cloud, .ply.  [default: SOURCESTEM.refined.ply here]")
 @options.overwrite
 @click.option("--invert-mask", is_flag=True, help="The object is what is dark in the mask.")
@@ -108,6 +117,8 @@ def command(
     mode: str,
     checkpoint: Path | None,
     camera_file: Path | None,
+    refine_camera: bool,
+    write_camera: Path | None,
     output: Path | None,
     overwrite: bool,
     invert_mask: bool,
@@ -144,20 +155,25 @@ def command(
     """
     started = time.perf_counter()
     _refuse_mixed_up(mode, source, masks, ignore_files, checkpoint, frame)
-    if depth_files and (mode, preset) != ("points", "best"):
-        raise InputError(f"--depth is for --mode points --preset best, found --mode {mode} --preset {preset}")
+    fit = camera_file == options.FIT
+    _refuse_depths(mode, preset, fit, depth_files)
+    refuse_camera_options(mode, fit, refine_camera, write_camera)
+    if fit:
+        camera_file = None
     if mode != "points":
         checkpoint = named_checkpoint(checkpoint or Path(DEFAULT))
     if not masks:
         masks = _masks_of(camera_file)
     output = output or Path(f"{source.stem}.refined.ply")
     if not check:
-        _refuse_outputs(output, overlay, overwrite, (source, *masks, camera_file, *ignore_files, *depth_files))
+        inputs = (source, *masks, camera_file, *ignore_files, *depth_files)
+        _refuse_outputs(output, overlay, overwrite, inputs)
+        refuse_camera_output(write_camera, overwrite, (*inputs, output, overlay))
     from ..placement import place, require_overlap
     from ..scenes import load_network_scene, load_points_scene
 
     if checkpoint is None:
-        scene = load_points_scene(source, masks, camera_file, invert_mask, ignore_files, depth_files, depth_scale)
+        scene = load_points_scene(source, masks, camera_file, invert_mask, ignore_files, fit, depth_files, depth_scale)
     else:
         ignore_file = ignore_files[0] if ignore_files else None
         scene = load_network_scene(source, masks[0], checkpoint, camera_file, invert_mask, ignore_file, frame == "world")
@@ -173,7 +189,7 @@ def command(
     from ..refinement import RefineConfig, refine
 
     sigma_sq = scene.sigma_sq if sigma_sq is None else sigma_sq
-    config = RefineConfig(mode, steps, learning_rate, gamma, sigma_sq, device, seed, preset, symmetry)
+    config = RefineConfig(mode, steps, learning_rate, gamma, sigma_sq, device, seed, preset, symmetry, refine_camera)
     bar = options.ProgressBar("tso: refining")
     result = refine(
         None if scene.network else scene.points,
@@ -192,13 +208,17 @@ def command(
             from ..report.overlay import draw_overlay
 
             draw_overlay(outputs.enter_context(atomic_output(overlay)), result, scene.views)
+        if write_camera is not None:
+            write_used_cameras(outputs.enter_context(atomic_output(write_camera)), result, masks)
         write_cloud(output, scene.to_output(result.points), like=scene.cloud, overwrite=overwrite)
     finished = time.perf_counter()
     seconds = {"read": read, **result.seconds, "write": finished - writing, "total": finished - started}
     if as_json:
-        options.echo_json(document(result, scene, checkpoint, output, overlay, preset, seconds))
+        found = document(result, scene, checkpoint, output, overlay, preset, seconds)
+        options.echo_json(found | camera_records(scene.views, result))
     else:
         print_result(result, scene, output, overlay, seconds)
+        print_cameras(scene.views, result, refine_camera, write_camera)
     for view, weight in zip(scene.views, result.view_weights, strict=True):
         if weight < DOUBTED:
             options.log(
@@ -237,6 +257,13 @@ def _refuse_mixed_up(
         )
     if frame is not None:
         raise InputError("--frame is for the encoder modes; points mode keeps the frame of its cloud")
+
+
+def _refuse_depths(mode: str, preset: str, fit: bool, depth_files: tuple[Path, ...]) -> None:
+    if depth_files and (mode, preset) != ("points", "best"):
+        raise InputError(f"--depth is for --mode points --preset best, found --mode {mode} --preset {preset}")
+    if depth_files and fit:
+        raise InputError("--depth needs a camera whose distance is known, found --camera fit; expected a camera file")
 
 
 def _masks_of(camera_file: Path | None) -> tuple[Path, ...]:

@@ -28,7 +28,7 @@ class Item:
 
     Attributes
     ----------
-    views : what was given. working : the same as the loop sees it, followed by the mirrored ones where ``plane`` is one.
+    views : what asks. working : the same as the loop sees it, followed by the mirrored ones where ``plane`` is one.
     """
 
     cloud: Cloud
@@ -47,9 +47,13 @@ class Item:
         for view in views:
             require_overlap(place(cloud.initial, view), view)
         plane, reason = mirror_plane(cloud, config.symmetry)
-        shown = views if plane is None else (*views, *(plane.view(view) for view in views))
-        working = tuple(working_view(view, config.sigma_sq, cloud.centre, cloud.scale) for view in shown)
-        return cls(cloud, views, working, plane, reason)
+        return cls(cloud, (), (), plane, reason).seen_by(views, config)
+
+    def seen_by(self, views: tuple[View, ...], config: Settings) -> Item:
+        """The same cloud, asked by other views."""
+        shown = views if self.plane is None else (*views, *(self.plane.view(view) for view in views))
+        working = tuple(working_view(view, config.sigma_sq, self.cloud.centre, self.cloud.scale) for view in shown)
+        return replace(self, views=views, working=working)
 
     @property
     def pixels(self) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..adam import UniformAdam
+from ..adam import Adam, UniformAdam
 from ..objective import PullObjective
 from ..pull import REFERENCE_POINTS
 from ..smoothing import NODES, SmoothField
@@ -17,7 +17,7 @@ from .loop import Descent, Objective, Progress, descend
 
 @dataclass(frozen=True)
 class Stage:
-    """A third of the steps.
+    """An equal part of the steps.
 
     Parameters
     ----------
@@ -33,10 +33,30 @@ class Stage:
 
 # First the cloud moves nearly as a whole and hears of pixels far away, at last almost point by point and of near ones only.
 STAGES = (Stage(100.0, 6.0, 1.0, 256), Stage(10.0, 3.0, 0.75, 512), Stage(1.0, 3.0, 0.35))
-# What it costs a point to leave its start, squared distance (longest side 1), for a start whose mask pixels are 1 px^2 off on
-# average. A start that is further off is trusted less.
-ANCHOR, LEAST_ANCHOR, MOST_ANCHOR = 350.0, 30.0, 3000.0
 ANCHOR_REACH = 4.0
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What the preset is made of; a study changes one ingredient at a time.
+
+    Parameters
+    ----------
+    stages : share the steps evenly, in this order.
+    anchor : what it costs a point to leave its start, squared distance (longest side 1), for a start whose mask pixels are
+        1 px^2 off on average. A start that is further off is trusted less: ``least_anchor`` and ``most_anchor`` bound it.
+    optimiser : of every stage. looks : whether parts that pixels do not show are left alone.
+    """
+
+    stages: tuple[Stage, ...] = STAGES
+    anchor: float = 350.0
+    least_anchor: float = 30.0
+    most_anchor: float = 3000.0
+    optimiser: type[Adam] | type[UniformAdam] = UniformAdam
+    looks: bool = True
+
+
+BEST = Recipe()
 
 
 def descend_in_stages(
@@ -47,6 +67,7 @@ def descend_in_stages(
     steps: int,
     learning_rate: float,
     progress: Progress | None = None,
+    recipe: Recipe = BEST,
 ) -> Descent:
     """Move B clouds by smooth fields.
 
@@ -56,25 +77,29 @@ def descend_in_stages(
     pull : of the masks. further : another term, or None.
     steps : of all stages together.
     learning_rate : about how far the node that is pulled hardest moves in one of the first steps.
+    recipe : what else the descent is made of.
 
     Returns
     -------
     Descent; ``best`` is the best of the last stage, or the start where that has the lower loss by the last objective.
     """
     share = (REFERENCE_POINTS / counts).to(first)
-    anchor = (ANCHOR * pull.pixels / pull(first, ANCHOR_REACH)).clamp(LEAST_ANCHOR, MOST_ANCHOR) * share
+    trusted = recipe.anchor * pull.pixels / pull(first, ANCHOR_REACH)
+    anchor = trusted.clamp(recipe.least_anchor, recipe.most_anchor) * share
 
     def objective(moved: Tensor) -> Tensor:
         loss = pull(moved, stage.reach) + anchor * (moved - first).square().sum((1, 2))
         return loss + further(moved) if further else loss
 
-    fields = {nodes: SmoothField(first, counts, nodes) for nodes in {stage.nodes for stage in STAGES}}
+    stages = recipe.stages
+    fields = {nodes: SmoothField(first, counts, nodes) for nodes in {stage.nodes for stage in stages}}
     finest = fields[max(fields)]
     parts, done, found = [], 0, first
-    ends = [round(steps * (i + 1) / len(STAGES)) for i in range(len(STAGES))]
-    for stage, end in zip(STAGES, ends, strict=True):
+    ends = [round(steps * (i + 1) / len(stages)) for i in range(len(stages))]
+    for stage, end in zip(stages, ends, strict=True):
         field = fields[stage.nodes]
-        pull.look(found, finest)
+        if recipe.looks:
+            pull.look(found, finest)
         smoother = field.smoother(stage.smoothness)
         moving = torch.zeros(field.shape, dtype=first.dtype, device=first.device, requires_grad=True)
 
@@ -87,9 +112,8 @@ def descend_in_stages(
             assert progress is not None
             progress(before + step, steps, loss)
 
-        part = descend(
-            produce, [moving], objective, end - done, stage.pace * learning_rate, told if progress else None, UniformAdam
-        )
+        rate = stage.pace * learning_rate
+        part = descend(produce, [moving], objective, end - done, rate, told if progress else None, recipe.optimiser)
         parts.append(part)
         found, done = part.best, end
         if part.interrupted:

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera import Camera
 from ..errors import InputError
+
+if TYPE_CHECKING:
+    from .best import Recipe
 
 MODES = ("points", "encoder", "encoder-decoder", "latent")
 # The paper's steps, learning rates, and gamma: the encoder variant uses the silhouette alone. It has no latent variant: ours.
@@ -46,6 +51,8 @@ class RefineConfig:
     preset : "best", or "paper": Eq. 7 with the paper's settings, exactly.
     symmetry : "auto" (best) finds a mirror plane of the start and uses it if there is one; "none" (paper); "x", "y", "z", the
         axis of the input normal to a plane through the middle of its bounding box; or "a,b,c,d", the plane ax + by + cz = d.
+    refine_camera : correct the camera of each view first, held near the given one; points mode.
+    recipe : what the preset "best" of points mode is made of, for studies; None for :data:`tso_cli.refinement.best.BEST`.
 
     Raises
     ------
@@ -62,11 +69,15 @@ class RefineConfig:
     seed: int = 0
     preset: str = "best"
     symmetry: str | None = None
+    refine_camera: bool = False
+    recipe: Recipe | None = None
 
     def __post_init__(self) -> None:
         for name, known in (("mode", MODES), ("preset", PRESETS)):
             if getattr(self, name) not in known:
                 raise InputError(f"{name} is {getattr(self, name)!r}, expected one of {', '.join(known)}")
+        if self.refine_camera and self.mode != "points":
+            raise InputError(f"mode is {self.mode!r}, expected points to refine the camera")
         for name in ("steps", "seed"):
             value = getattr(self, name)
             if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 0):
@@ -93,12 +104,14 @@ class RefineConfig:
             sigma_sq=self.sigma_sq,
             device=self.device,
             seed=self.seed,
+            refine_camera=self.refine_camera,
+            recipe=self.recipe,
         )
 
 
 @dataclass(frozen=True)
 class Settings:
-    """A :class:`RefineConfig` whose every value is known, but for ``sigma_sq``, whose default is the view's."""
+    """A :class:`RefineConfig` whose every value is known, but for ``sigma_sq``, whose default is the view's, and ``recipe``."""
 
     mode: str
     preset: str
@@ -109,6 +122,8 @@ class Settings:
     sigma_sq: float | None
     device: str
     seed: int
+    refine_camera: bool
+    recipe: Recipe | None
 
     @property
     def staged(self) -> bool:
@@ -148,6 +163,7 @@ class RefineResult:
     symmetry : a, b, c, d of the mirror plane ax + by + cz = d that was used, in the frame of the input, or None.
     symmetry_reason : why, or why not.
     learning_rate, gamma, sigma_sq, device, seed : what was used; sigma_sq in px^2 of the first mask.
+    cameras : of each view; with ``refine_camera`` as they were corrected.
     seconds : wall time of each phase.
     """
 
@@ -173,6 +189,7 @@ class RefineResult:
     sigma_sq: float
     device: str
     seed: int
+    cameras: tuple[Camera, ...]
     seconds: dict[str, float] = field(default_factory=dict)
 
     @property

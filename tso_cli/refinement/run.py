@@ -18,14 +18,13 @@ from ..camera import Camera
 from ..errors import InputError, TsoError
 from ..kernels.choice import planned
 from ..losses import ChamferToInitial
-from ..metrics import iou
 from ..objective import MaskObjective, PullObjective
-from ..projection import default_sigma_sq, silhouettes_of
-from ..scene import View
+from ..projection import default_sigma_sq
 from ..weighting import weigh
 from .batching import Item, batches_of, parts_of
-from .best import descend_in_stages
+from .best import BEST, descend_in_stages
 from .config import PRESETS, RefineConfig, RefineResult, Settings
+from .judging import view_ious
 from .loop import Descent, Progress, descend
 from .starts import Cloud, NetworkStart, PointsStart
 from .views import as_views
@@ -34,13 +33,10 @@ if TYPE_CHECKING:
     from ..network import BaseNetwork
 
 Array = NDArray[np.float64]
-Pairs = list[tuple[float, float]]
 
 # Clouds up to this size are moved by one CPU thread, where no picture is looked at on the way.
 SMALL_CLOUD = 8192
 LIGHT = ("points", "latent")
-# Silhouettes judged at once hold no more pixels than this together; bounds memory.
-PIXELS_AT_ONCE = 1 << 22
 
 
 def refine(
@@ -189,6 +185,12 @@ def _refined(
     """The loop, and the results of all items; ``at_start``: Ctrl-C came before it, and nothing moves."""
     small = int(start.counts.sum()) <= SMALL_CLOUD
     one_thread = small and settings.mode in LIGHT
+    given = [item.views for item in items]
+    if settings.refine_camera and settings.steps and not at_start and isinstance(start, PointsStart):
+        from .cameras import settled
+
+        with _timed(seconds, "cameras"), devices.one_thread(one_thread):
+            items, at_start = settled(items, start, settings)
     with _timed(seconds, "prepare"), devices.one_thread(one_thread):
         first = start.produce().detach().clone()
         chamfer = ChamferToInitial(first, start.counts)
@@ -212,50 +214,36 @@ def _refined(
     with _timed(seconds, "optimise"), devices.one_thread(one_thread):
         if isinstance(mask_term, PullObjective):
             further = held if settings.gamma else None
-            descent = descend_in_stages(first, start.counts, mask_term, further, steps, settings.learning_rate, told)
+            recipe = settings.recipe or BEST
+            descent = descend_in_stages(first, start.counts, mask_term, further, steps, settings.learning_rate, told, recipe)
         else:
             descent = descend(start.produce, start.parameters, objective, steps, settings.learning_rate, told)
         descent = replace(descent, interrupted=descent.interrupted or at_start)
     with _timed(seconds, "judge"), devices.one_thread(small):
         moved_by = chamfer(descent.best).tolist()
         offsets = (descent.best.double() - first.double()).cpu().numpy()
-        judged = _judged(items, offsets, settings, first.device)
+        # What did not move keeps every bit of the input.
+        refined: list[Array] = [
+            item.cloud.initial + item.cloud.scale * offset[: len(item.cloud.initial)]
+            for item, offset in zip(items, offsets, strict=True)
+        ]
+        before = view_ious([item.cloud.initial for item in items], given, settings.sigma_sq, first.device)
+        after = view_ious(refined, [item.views for item in items], settings.sigma_sq, first.device)
     seconds = {phase: value / len(items) for phase, value in seconds.items()}
     return [
-        _result(item, descent, number, own, weights[number].tolist(), moved_by[number], first.device, settings, seconds)
-        for number, (item, own) in enumerate(zip(items, judged, strict=True))
+        _result(
+            item, descent, number, points, ious, weights[number].tolist(), moved_by[number], first.device, settings, seconds
+        )
+        for number, (item, points, *ious) in enumerate(zip(items, refined, before, after, strict=True))
     ]
-
-
-def _judged(items: list[Item], offsets: Array, settings: Settings, device: torch.device) -> list[tuple[Array, Pairs]]:
-    """The refined points of each item, and the IoU of its views before and after. ``offsets`` [B, N, 3] are normalised."""
-    before = [item.cloud.initial for item in items]
-    # What did not move keeps every bit of the input.
-    after: list[Array] = [
-        item.cloud.initial + item.cloud.scale * offset[: len(item.cloud.initial)]
-        for item, offset in zip(items, offsets, strict=True)
-    ]
-    groups: dict[Any, list[tuple[int, int, View]]] = {}
-    for number, item in enumerate(items):
-        for index, view in enumerate(item.views):
-            groups.setdefault((view.camera.width, view.camera.height, view.camera.model), []).append((number, index, view))
-    scores: list[Pairs] = [[(0.0, 0.0)] * len(item.views) for item in items]
-    for (width, height, _), group in groups.items():
-        size = max(1, PIXELS_AT_ONCE // (width * height))
-        for part in (group[i : i + size] for i in range(0, len(group), size)):
-            cameras = [view.camera for *_, view in part]
-            seen = [silhouettes_of([c[n] for n, *_ in part], cameras, settings.sigma_sq, device) for c in (before, after)]
-            for (number, index, view), *both in zip(part, *seen, strict=True):
-                first, last = (iou(silhouette, view.mask, view.known) for silhouette in both)
-                scores[number][index] = (first, last)
-    return list(zip(after, scores, strict=True))
 
 
 def _result(
     item: Item,
     descent: Descent,
     number: int,
-    judged: tuple[Array, Pairs],
+    points: Array,
+    ious: list[list[float]],
     weights: list[float],
     moved_by: float,
     device: torch.device,
@@ -269,8 +257,7 @@ def _result(
         return TsoError("the loss of the start is no finite number")
     if steps == 0 and not finite.all():
         return TsoError("the loss is no finite number after the first step (a smaller learning rate?)")
-    points, ious = judged
-    before, after = np.mean(ious, 0).tolist()
+    before, after = np.mean(ious, 1).tolist()
     first_camera = item.views[0].camera
     return RefineResult(
         points=points,
@@ -284,7 +271,7 @@ def _result(
         loss_after=float(descent.best_loss[number]),
         iou_before=before,
         iou_after=after,
-        view_ious=ious,
+        view_ious=list(zip(*ious, strict=True)),
         view_weights=weights,
         chamfer_to_initial=moved_by,
         symmetry=None if item.plane is None else (*item.plane.normal.tolist(), item.plane.offset),
@@ -295,6 +282,7 @@ def _result(
         sigma_sq=settings.sigma_sq or default_sigma_sq(first_camera.width, first_camera.height),
         device=str(device),
         seed=settings.seed,
+        cameras=tuple(view.camera for view in item.views),
         seconds=seconds,
     )
 

@@ -85,14 +85,13 @@ def evenly_chosen(count: int, most: int) -> list[int]:
 
 def _before_and_after(result: RefineResult, view: View) -> list[Row]:
     seen = _from_camera(result, view)
+    silhouettes = _silhouettes(result, view, 0, result.sigma_sq)
     rows = []
-    for name, points, (x, y, z), iou in zip(
-        ("before", "after"), (result.initial, result.points), seen, result.view_ious[0], strict=True
-    ):
+    for name, silhouette, (x, y, z), iou in zip(("before", "after"), silhouettes, seen, result.view_ious[0], strict=True):
         # OpenCV axes: x right, y down, z away. From the right of the camera, what is far lies to the right.
         rows.append(
             [
-                (f"{name}: IoU {iou:.3f}", _compared(points, view, result.sigma_sq)),
+                (f"{name}: IoU {iou:.3f}", silhouette),
                 (f"{name}: from the camera", _dots(x, y, z)),
                 (f"{name}: from the camera's right", _dots(z, y, -x)),
             ]
@@ -105,9 +104,10 @@ def _row_of_view(result: RefineResult, views: Sequence[View], number: int) -> Ro
     # What was not asked for is each view's own default.
     first = views[0].camera
     sigma_sq = None if result.sigma_sq == default_sigma_sq(first.width, first.height) else result.sigma_sq
+    shown_before, shown_after = _silhouettes(result, view, number, sigma_sq)
     return [
-        (f"view {number + 1} before: IoU {before:.3f}", _compared(result.initial, view, sigma_sq)),
-        (f"after: IoU {after:.3f}, weight {weight:.2f}", _compared(result.points, view, sigma_sq)),
+        (f"view {number + 1} before: IoU {before:.3f}", shown_before),
+        (f"after: IoU {after:.3f}, weight {weight:.2f}", shown_after),
         (f"after: from camera {number + 1}", _dots(*_from_camera(result, view)[1])),
     ]
 
@@ -121,8 +121,10 @@ def _from_camera(result: RefineResult, view: View) -> list[NDArray[np.float64]]:
     return [((points - middle) / half).T for points in rotated]
 
 
-def _compared(points: NDArray[np.float64], view: View, sigma_sq: float | None) -> Image.Image:
-    return _fitted(compare(silhouette_of(points, view.camera, sigma_sq), view))
+def _silhouettes(result: RefineResult, view: View, number: int, sigma_sq: float | None) -> list[Image.Image]:
+    """Mask against silhouette before, seen by the camera as it was given, and after, seen by the one that was used."""
+    stages = (result.initial, view.camera), (result.points, result.cameras[number])
+    return [_fitted(compare(silhouette_of(points, camera, sigma_sq), view)) for points, camera in stages]
 
 
 def _draw(rows: list[Row], heading: str | None, entries: Sequence[tuple[Colour, str]]) -> Image.Image:

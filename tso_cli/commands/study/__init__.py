@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from .accuracy import accuracy
 from .affinity import affinity
 from .examples import examples
 from .failures import failures
@@ -21,5 +22,5 @@ def command() -> None:
     """Ask a question of the method, on many shapes, and keep the answer as JSON beside a chart."""
 
 
-for study in (points, examples, network, variants, sigma, supervision, views, weight, affinity, failures):
+for study in (points, accuracy, examples, network, variants, sigma, supervision, views, weight, affinity, failures):
     command.add_command(study)

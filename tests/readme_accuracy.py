@@ -1,0 +1,114 @@
+"""The tables of docs/accuracy.md, from the kept records of `tso study accuracy`."""
+
+from __future__ import annotations
+
+SHOWN = ("paper", "best", "best, no symmetry", "best, two masks", "best, four masks")
+
+
+def accuracy_tables(record: dict) -> dict[str, str]:
+    """Table name -> Markdown, of one record."""
+    if record["settings"]["ablation"]:
+        return {"ablation": ablation_table(record)}
+    found = {f"{kind}": kind_table(own) for kind, own in record["summary"].items()}
+    if "other" in record["summary"]:
+        found["ratios"] = ratios_table(record["summary"]["other"])
+        found["bounds"] = bounds_table(record["summary"])
+    found["settings"] = settings_line(record)
+    return found
+
+
+def settings_line(record: dict) -> str:
+    """What the figures are of."""
+    settings = record["settings"]
+    shapes = f"{settings['shapes']} {settings['part']} shapes ({', '.join(settings['categories'])})"
+    masks = f"masks of {settings['size']}x{settings['size']}, {settings['points']:,} points"
+    return f"{shapes}, {settings['views']} views each, {masks}, seed {settings['seed']}, {settings['device']}."
+
+
+def ratios_table(summary: dict) -> str:
+    """Mean Chamfer after / before and median seconds, a column a variant."""
+    names = [name for name in SHOWN if name in next(iter(summary.values()))["variants"]]
+    rows = [["from", *names], ["---"] * (len(names) + 1)]
+    for category, group in summary.items():
+        cells = [
+            f"{group['variants'][name]['mean_ratio']:.2f}, {group['variants'][name]['median_seconds']:.2f} s" for name in names
+        ]
+        rows.append([f"{category}, {1e3 * group['before']['chamfer']:.1f}", *cells])
+    return _markdown(rows)
+
+
+def kind_table(summary: dict) -> str:
+    """Everything measured of the cases of one kind."""
+    header = ["category, cases", "variant", "Chamfer x1000", "mean ratio", "median", "worst", "made worse", "by over 5 %"]
+    header += ["excess over the floor", "16,384 target points", "F-score", "EMD x1000", "IoU", "seconds", "in a batch"]
+    rows = [header, ["---"] * len(header)]
+    for category, group in summary.items():
+        before = group["before"]
+        for name, own in group["variants"].items():
+            rows.append(
+                [
+                    f"{category}, {group['cases']}",
+                    name,
+                    f"{1e3 * before['chamfer']:.2f} -> {1e3 * own['chamfer']:.2f}",
+                    *(f"{own[key]:.3f}" for key in ("mean_ratio", "median_ratio", "worst_ratio")),
+                    f"{100 * own['worse'] / group['cases']:.0f} %",
+                    f"{100 * own['worse_by_5'] / group['cases']:.0f} %",
+                    _number(own["chamfer_excess"]),
+                    f"{own['dense_ratio']:.3f}",
+                    f"{before['f_score']:.2f} -> {own['f_score']:.2f}",
+                    "" if own["emd"] is None else f"{1e3 * before['emd']:.0f} -> {1e3 * own['emd']:.0f}",
+                    f"{own['iou_before']:.2f} -> {own['iou']:.2f}",
+                    _number(own["median_seconds"], 2),
+                    _number(own["batch_seconds"], 2),
+                ]
+            )
+    return _markdown(rows)
+
+
+def bounds_table(summary: dict) -> str:
+    """The level reached, and what bounds a refinement."""
+    header = ["start", "category", "shapes", "Chamfer x1000 of the start", "floor / before", "all but depth right / before"]
+    rows = [header, ["---"] * len(header)]
+    for kind, categories in summary.items():
+        for category, group in categories.items():
+            before = group["before"]
+            bounds = [_number(before.get(f"{bound}_ratio"), 2) for bound in ("floor", "in_plane")]
+            rows.append([kind, category, str(group["shapes"]), f"{1e3 * before['chamfer']:.2f}", *bounds])
+    return _markdown(rows)
+
+
+def ablation_table(record: dict) -> str:
+    """Mean ratio, share made worse and worst ratio; a row an ingredient, a column a kind and category."""
+    columns = [(kind, category) for kind, own in record["summary"].items() for category in own]
+    groups = [record["summary"][kind][category]["variants"] for kind, category in columns]
+    rows = [["", *(f"{category}, {kind}" for kind, category in columns)], ["---"] * (len(columns) + 1)]
+    cases = [record["summary"][kind][category]["cases"] for kind, category in columns]
+    for name in groups[0]:
+        cells = [
+            f"{own[name]['mean_ratio']:.2f} ({100 * own[name]['worse'] / count:.0f} %, {own[name]['worst_ratio']:.2f})"
+            for own, count in zip(groups, cases, strict=True)
+        ]
+        rows.append([name, *cells])
+    return _markdown(rows)
+
+
+def sizes_table(small: dict, large: dict) -> str:
+    """The default and the paper's preset on few and on many points and pixels, from the same starts."""
+    labels = [f"{r['settings']['points']:,} points, {r['settings']['size']}x{r['settings']['size']}" for r in (small, large)]
+    rows = [["category", *(f"{name}, {label}" for name in ("paper", "best") for label in labels), "gains at least as much"]]
+    rows.append(["---"] * len(rows[0]))
+    for category in small["summary"]["other"]:
+        groups = [record["summary"]["other"].get(category) for record in (small, large)]
+        if groups[1] is not None:
+            ratios = [[group["variants"][name]["mean_ratio"] for group in groups] for name in ("paper", "best")]
+            cells = [f"{ratio:.3f}" for own in ratios for ratio in own]
+            rows.append([category, *cells, "yes" if ratios[1][1] <= ratios[1][0] else "**no**"])
+    return _markdown(rows)
+
+
+def _number(value: float | None, decimals: int = 3) -> str:
+    return "" if value is None else f"{value:.{decimals}f}"
+
+
+def _markdown(rows: list[list[str]]) -> str:
+    return "\n".join("| " + " | ".join(row) + " |" for row in rows)

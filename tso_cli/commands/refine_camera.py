@@ -1,0 +1,85 @@
+"""What `tso refine` says and writes of cameras that were fitted or refined."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ..errors import InputError
+from ..files.output import check_output
+
+if TYPE_CHECKING:
+    from ..camera import Camera
+    from ..refinement import RefineResult
+    from ..scene import View
+
+
+def refuse_camera_options(mode: str, fit: bool, refine_camera: bool, write_camera: Path | None) -> None:
+    """InputError for an option that only points mode has."""
+    given = {"--camera fit": fit, "--refine-camera": refine_camera, "--write-camera": write_camera is not None}
+    for name, there in given.items():
+        if there and mode != "points":
+            raise InputError(
+                f"{name} is for --mode points, found --mode {mode}, which places its cloud before the camera itself"
+            )
+
+
+def refuse_camera_output(path: Path | None, overwrite: bool, others: Sequence[Path | None]) -> None:
+    """InputError for a camera file that cannot be written, or would replace another file of the command."""
+    if path is None:
+        return
+    if path.suffix.lower() != ".json":
+        raise InputError(f"{path}: the suffix is {path.suffix!r}, expected .json")
+    check_output(path, overwrite)
+    if any(other is not None and other.resolve() == path.resolve() for other in others):
+        raise InputError(f"{path}: is another file of this command, expected another name for --write-camera")
+
+
+def write_used_cameras(path: Path, result: RefineResult, masks: Sequence[Path]) -> None:
+    """The cameras of the result as a camera file that names their masks."""
+    from ..files.cameras import CameraRecord, write_cameras
+
+    pairs = zip(result.cameras, masks, strict=True)
+    write_cameras(path, [CameraRecord(camera, mask) for camera, mask in pairs], overwrite=True)
+
+
+def print_cameras(views: Sequence[View], result: RefineResult, refined: bool, written: Path | None) -> None:
+    """How far each camera moved, if they were to move, and the file they went to."""
+    # No step: nothing was asked of the cameras.
+    for view, camera in zip(views, result.cameras, strict=True) if refined and result.steps else ():
+        if camera is view.camera:
+            from ..refinement.cameras import LEFT
+
+            click.echo(f"  camera kept   (no small correction takes the misfit of the start under {LEFT:g} of it; {view.name})")
+        else:
+            turned, shifted = _change(view, camera, result)
+            click.echo(f"  camera turned {turned:.2f} degrees, shifted {100.0 * shifted:.2f} % of its distance   ({view.name})")
+    if written is not None:
+        click.echo(f"{written}: camera")
+
+
+def camera_records(views: Sequence[View], result: RefineResult) -> dict[str, Any]:
+    """For JSON: every camera as used, its turn in degrees and its shift as a share of its distance; empty if none moved."""
+    if all(view.camera is camera for view, camera in zip(views, result.cameras, strict=True)):
+        return {}
+    records = []
+    for view, camera in zip(views, result.cameras, strict=True):
+        turned, shifted = _change(view, camera, result)
+        place = {"K": camera.K.tolist(), "R": camera.R.tolist(), "t": camera.t.tolist()}
+        records.append(place | {"turned_degrees": turned, "shifted_share": shifted})
+    return {"refined_cameras": records}
+
+
+def _change(view: View, camera: Camera, result: RefineResult) -> tuple[float, float]:
+    """Turn in degrees, and the shift of the cloud's middle as a share of its distance, from the view's camera to ``camera``."""
+    import numpy as np
+
+    from ..pose.rotations import angle_between
+
+    middle = (result.initial.min(0) + result.initial.max(0)) / 2.0
+    before, after = (c.R @ middle + c.t for c in (view.camera, camera))
+    shifted = np.linalg.norm(after - before) / np.linalg.norm(before)
+    return float(angle_between(view.camera.R, camera.R)), float(shifted)

@@ -1,0 +1,178 @@
+"""Poses of a cloud before a mask: projection, and Gauss-Newton on two-way nearest neighbours in the image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .rotations import from_vectors
+
+Array = NDArray[np.float64]
+
+# The nearest point of a cloud of radius 0.87 (longest side 1) keeps at least a tenth of the centre's depth.
+LARGEST_NEARNESS = 1.0
+# Distances below this, px, are within the pixel: nothing is asked.
+TOLERANCE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """P poses of one cloud of longest side 1 whose centre is the origin.
+
+    The pose of a camera is written so that focal length and distance part: ``scale`` px a unit at the centre's depth is what
+    the picture shows; ``focal`` then only says how strong the perspective is.
+
+    Attributes
+    ----------
+    R : [P, 3, 3] world to camera. centre : [P, 2] pixel of the cloud's centre.
+    scale : [P] px a unit at the depth of the centre. focal : [P] px. So the depth of the centre is focal / scale.
+    """
+
+    R: Array
+    centre: Array
+    scale: Array
+    focal: Array
+
+    def __len__(self) -> int:
+        return len(self.R)
+
+    def __getitem__(self, rows: NDArray[np.generic] | slice) -> Poses:
+        return Poses(self.R[rows], self.centre[rows], self.scale[rows], self.focal[rows])
+
+    @classmethod
+    def joined(cls, parts: Sequence[Poses]) -> Poses:
+        """All poses of several batches."""
+        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
+
+    def resized(self, factor: float) -> Poses:
+        """The same poses for an image of ``factor`` times as many pixels along a side (pixel centres at integers)."""
+        centre = (self.centre + 0.5) * factor - 0.5
+        return Poses(self.R, centre, self.scale * factor, self.focal * factor)
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """The mask, resampled to a small square around the object.
+
+    Attributes
+    ----------
+    mask : [S, S] in [0, 1]. known : [S, S] weight of each pixel. principal : [2] of the whole picture, in these pixels.
+    cut : whether the object leaves the picture, so that points outside of it are no error.
+    """
+
+    mask: Array
+    known: Array
+    principal: Array
+    cut: bool
+
+    def foreground(self) -> NDArray[np.bool_]:
+        """[S, S] the object; one so thin that no pixel is half covered still has its best covered ones."""
+        seen = self.mask * (self.known > 0.0)
+        covered: NDArray[np.bool_] = seen > 0.5 * seen.max()
+        return covered
+
+    def inside(self) -> Array:
+        """[M, 2] column and row of the object's pixels."""
+        return np.argwhere(self.foreground())[:, ::-1].astype(np.float64)
+
+
+def project(points: Array, poses: Poses, principal: Array) -> tuple[Array, Array, Array]:
+    """Pixels [P, N, 2] of ``points`` [N, 3]; with it the rotated points [P, N, 3] and 1 / relative depth [P, N]."""
+    rotated = points @ poses.R.transpose(0, 2, 1)
+    nearness = (poses.scale / poses.focal)[:, None]
+    inverse = 1.0 / np.maximum(1.0 + nearness * rotated[..., 2], 0.05)
+    plane = poses.scale[:, None, None] * rotated[..., :2] + (poses.centre - principal)[:, None]
+    return principal + plane * inverse[..., None], rotated, inverse
+
+
+def improve(
+    points: Array, poses: Poses, target: Target, steps: int, prior: tuple[float | Array, float], robust: float
+) -> Poses:
+    """Gauss-Newton: every mask pixel draws the nearest projected point, every stray point goes to the nearest mask pixel.
+
+    Parameters
+    ----------
+    points : [N, 3], longest side 1, centred.
+    prior : focal length in px (one, or [P]) and the standard deviation of its logarithm, which hold ``focal``; a deviation of
+        0 fixes it.
+    robust : px; distances far beyond it hardly count (weights 1 / (1 + (d / robust)^2)).
+    """
+    pixels = target.inside()
+    for _ in range(steps):
+        px, rotated, inverse = project(points, poses, target.principal)
+        to_point, to_pixel = _nearest(pixels, px)
+        rows = np.arange(len(poses))[:, None]
+        # Pairs of a point and where it should go, each direction with as much weight as the other.
+        every = np.broadcast_to(np.arange(len(points)), to_pixel.shape)
+        missing = to_point, pixels - px[rows, to_point], np.full(to_point.shape, 1.0 / len(pixels))
+        stray = every, pixels[to_pixel] - px, _counts(px, target) / len(points)
+        jacobian = _jacobian(px - target.principal, rotated, inverse, poses)
+        normal, gradient = np.zeros((len(poses), 7, 7)), np.zeros((len(poses), 7))
+        for index, goal, share in (missing, stray):
+            distance = np.linalg.norm(goal, axis=2)
+            beyond = np.maximum(1.0 - TOLERANCE / np.maximum(distance, TOLERANCE), 0.0)
+            weight = np.sqrt(share * (beyond > 0.0) / (1.0 + np.square(distance / robust)))
+            J: Array = (jacobian[rows, index] * weight[..., None, None]).reshape(len(poses), -1, 7)
+            residual = (goal * (beyond * weight)[..., None]).reshape(len(poses), -1, 1)
+            normal += J.transpose(0, 2, 1) @ J
+            gradient += (J.transpose(0, 2, 1) @ residual)[..., 0]
+        poses = _moved(poses, normal, gradient, prior, target.mask.shape[0])
+    return poses
+
+
+def _nearest(pixels: Array, px: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """For each pixel [M, 2] the nearest of the points [P, N, 2], and for each point the nearest pixel: [P, M], [P, N]."""
+    a, b = pixels.astype(np.float32), px.astype(np.float32)
+    squared = b @ (-2.0 * a.T)  # [P, N, M]
+    squared += np.square(a).sum(1)
+    to_pixel = squared.argmin(2)
+    squared += np.square(b).sum(2)[..., None]
+    return squared.argmin(1), to_pixel
+
+
+def _counts(px: Array, target: Target) -> Array:
+    """[P, N] 1 where a stray point is an error: on known background, and outside unless the object leaves the picture."""
+    size = target.mask.shape[0]
+    cell = np.rint(px)
+    within = ((cell >= 0) & (cell < size)).all(2)
+    column, row = np.where(within[..., None], cell, 0).astype(np.int64).transpose(2, 0, 1)
+    known = target.known[row, column] > 0.5
+    return np.where(within, known, not target.cut).astype(np.float64)
+
+
+def _jacobian(offset: Array, rotated: Array, inverse: Array, poses: Poses) -> Array:
+    """[P, N, 2, 7] derivative of pixels by rotation vector, centre, log scale and log focal."""
+    nearness = (poses.scale / poses.focal)[:, None]
+    J = np.zeros((*offset.shape, 7))
+    x, y, z = np.moveaxis(rotated, -1, 0)
+    scale = poses.scale[:, None]
+    # Depth enters through d = 1 + nearness z: the pixel's offset falls by offset * nearness dz / d.
+    for axis, (dx, dy, dz) in enumerate(((0.0 * x, -z, y), (z, 0.0 * x, -x), (-y, x, 0.0 * x))):
+        J[..., 0, axis] = (scale * dx - offset[..., 0] * nearness * dz) * inverse
+        J[..., 1, axis] = (scale * dy - offset[..., 1] * nearness * dz) * inverse
+    J[..., 0, 3] = J[..., 1, 4] = inverse
+    by_nearness = offset * (nearness * z * inverse)[..., None]
+    J[..., 5] = scale[..., None] * rotated[..., :2] * inverse[..., None] - by_nearness
+    J[..., 6] = by_nearness
+    return J
+
+
+def _moved(poses: Poses, normal: Array, gradient: Array, prior: tuple[float | Array, float], size: int) -> Poses:
+    """One damped step of each pose."""
+    focal, deviation = prior
+    # The prior weighs as residuals of a fiftieth of the image would.
+    held = 1e9 if deviation == 0.0 else (0.02 * size / deviation) ** 2
+    normal[:, 6, 6] += held
+    gradient[:, 6] += held * np.log(focal / poses.focal)
+    diagonal = np.einsum("pii->pi", normal)
+    diagonal += 1e-3 * diagonal + 1e-6
+    step: Array = np.asarray(np.linalg.solve(normal, gradient[..., None])[..., 0], np.float64)
+    # Half a radian and a third of the size at once are beyond what the linear model knows.
+    step /= np.maximum(np.abs(step[:, [0, 1, 2, 5, 6]]).max(1, keepdims=True) / 0.4, 1.0)
+    scale = poses.scale * np.exp(step[:, 5])
+    focal_now = np.maximum(poses.focal * np.exp(step[:, 6]), scale / LARGEST_NEARNESS)
+    turn: Array = step[:, :3]
+    return Poses(from_vectors(turn) @ poses.R, poses.centre + step[:, 3:5], scale, focal_now)

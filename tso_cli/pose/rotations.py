@@ -1,0 +1,53 @@
+"""Rotations as matrices [..., 3, 3]: from rotation vectors, spread evenly, and how far apart."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def cross_matrix(vectors: Array) -> Array:
+    """[..., 3, 3] matrices whose product with w is ``vectors`` [..., 3] x w."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    rows = [np.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
+    return np.stack(rows, -2)
+
+
+def from_vectors(vectors: Array) -> Array:
+    """Rotations about ``vectors`` [..., 3] by their lengths, radians (Rodrigues)."""
+    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
+    cross = cross_matrix(vectors)
+    # sinc keeps small angles exact: numpy's is sin(pi x) / (pi x).
+    first = np.sinc(angle / np.pi)
+    second = 0.5 * np.square(np.sinc(angle / (2.0 * np.pi)))
+    turned: Array = np.eye(3) + first * cross + second * (cross @ cross)
+    return turned
+
+
+def spread(directions: int, turns: int) -> Array:
+    """[directions * turns, 3, 3] camera rotations: viewing directions evenly on the sphere, each with in-plane turns.
+
+    The directions are a Fibonacci lattice; turns are evenly spaced.
+    """
+    number = np.arange(directions) + 0.5
+    height = 1.0 - 2.0 * number / directions
+    azimuth = number * (np.pi * (3.0 - np.sqrt(5.0)))
+    radius = np.sqrt(1.0 - height * height)
+    forward = np.stack([radius * np.cos(azimuth), height, radius * np.sin(azimuth)], 1)
+    # The lattice has no point at the poles, so the y axis is never parallel to a direction.
+    right = np.cross(forward, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    upright = np.stack([right, np.cross(forward, right), forward], 1)  # rows are the camera's axes
+    angle = 2.0 * np.pi * np.arange(turns) / turns
+    turn = from_vectors(angle[:, None] * np.array([0.0, 0.0, 1.0]))
+    return (turn[None] @ upright[:, None]).reshape(-1, 3, 3)
+
+
+def angle_between(a: Array, b: Array) -> Array:
+    """Angle [...] in degrees of the rotation that leads from ``a`` to ``b`` [..., 3, 3], 0 to 180."""
+    trace = np.einsum("...ij,...ij->...", a, b)
+    degrees: Array = np.degrees(np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0)))
+    return degrees

@@ -1,0 +1,111 @@
+"""Many poses to start from, scored at once by coarse silhouettes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .alignment import Poses, Target, project
+from .rotations import angle_between, spread
+
+Array = NDArray[np.float64]
+
+# Viewing directions 16 degrees apart, each with turns of 20 degrees about it.
+DIRECTIONS, TURNS = 150, 18
+# Poses scored at once; bounds memory.
+AT_ONCE = 600
+# Cells around the image in which points outside of it are counted.
+BORDER = 2
+
+
+def starts(points: Array, target: Target, focal: float) -> tuple[Poses, Array]:
+    """Starting poses over all directions, and their scores (:func:`coarse_iou`).
+
+    Scale and centre of each are those that give the box of the projected points the area and the middle of the mask's.
+
+    Parameters
+    ----------
+    points : [N, 3], longest side 1, centred.
+    focal : px of the target.
+    """
+    rotations = spread(DIRECTIONS, TURNS)
+    inside = target.inside()
+    low, high = inside.min(0) - 0.5, inside.max(0) + 0.5
+    middle, size = (low + high) / 2.0, float(np.sqrt(np.prod(high - low)))
+    found, scores = [], []
+    for part in (rotations[i : i + AT_ONCE] for i in range(0, len(rotations), AT_ONCE)):
+        count = len(part)
+        poses = Poses(part, np.tile(middle, (count, 1)), np.full(count, min(size, focal)), np.full(count, focal))
+        # Perspective makes the box about proportional to the scale: twice comes near enough.
+        for _ in range(2):
+            px, _, _ = project(points, poses, target.principal)
+            first, last = px.min(1), px.max(1)
+            grow = size / np.sqrt(np.maximum(np.prod(last - first, axis=1), 1.0))
+            centre = poses.centre + (middle - (first + last) / 2.0)
+            poses = Poses(part, centre, np.minimum(poses.scale * grow, focal), poses.focal)
+        found.append(poses)
+        scores.append(coarse_iou(points, poses, target))
+    return Poses.joined(found), np.concatenate(scores)
+
+
+def coarse_iou(points: Array, poses: Poses, target: Target) -> Array:
+    """Soft IoU [P] of the mask and the cells that points fall in, both spread over their neighbours.
+
+    Spreading only the points would favour poses that make the cloud small and so dense.
+    """
+    size = target.mask.shape[0]
+    px, _, _ = project(points, poses, target.principal)
+    cell = np.clip(np.rint(px), -BORDER, size - 1 + BORDER).astype(np.int64) + BORDER
+    wide = size + 2 * BORDER
+    flat = (np.arange(len(poses))[:, None] * wide + cell[..., 1]) * wide + cell[..., 0]
+    hits = np.bincount(flat.ravel(), minlength=len(poses) * wide * wide).reshape(-1, wide, wide).astype(np.float32)
+    own = slice(BORDER, -BORDER)
+    silhouette = _spread_out(hits)[:, own, own]
+    mask = _spread_out(np.pad(target.mask, BORDER)[None].astype(np.float32))[:, own, own]
+    known = target.known.astype(np.float32)
+    common = (np.minimum(silhouette, mask) * known).sum((1, 2))
+    either = (np.maximum(silhouette, mask) * known).sum((1, 2))
+    outside = 0.0 if target.cut else hits.sum((1, 2)) - hits[:, own, own].sum((1, 2))
+    iou: Array = common / (either + outside)
+    return iou
+
+
+def _spread_out(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """What covers a cell covers half of the cells around it, and is never more than 1."""
+    soft = 2.0 * image
+    for axis in (1, 2):
+        soft = soft + 0.5 * (np.roll(soft, 1, axis) + np.roll(soft, -1, axis))
+    covered: NDArray[np.float32] = np.minimum(soft, 1.0)
+    return covered
+
+
+def closed_iou(points: Array, poses: Poses, target: Target, reach: float) -> Array:
+    """IoU [P] of mask and cloud, both widened by ``reach`` (units of the cloud): gaps between points are closed, alike in both.
+
+    Unlike the silhouette's IoU it does not depend on how densely the cloud is sampled or how large it is seen.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    size = target.mask.shape[0]
+    grid = np.indices((size, size))[::-1].reshape(2, -1).T.astype(np.float32)  # [S S, 2] column, row
+    to_mask = distance_transform_edt(~target.foreground())
+    scores = np.empty(len(poses))
+    for i, (px, scale) in enumerate(zip(project(points, poses, target.principal)[0], poses.scale, strict=True)):
+        px = px.astype(np.float32)
+        squared = (grid @ (-2.0 * px.T) + np.square(px).sum(1)).min(1) + np.square(grid).sum(1)
+        to_point = np.sqrt(np.maximum(squared, 0.0)).reshape(size, size)
+        # A pixel belongs to a widened shape by the share of it that lies within reach.
+        cloud, mask = (np.clip(reach * scale + 0.5 - distance, 0.0, 1.0) for distance in (to_point, to_mask))
+        scores[i] = (np.minimum(cloud, mask) * target.known).sum() / (np.maximum(cloud, mask) * target.known).sum()
+    return scores
+
+
+def apart(poses: Poses, score: Array, degrees: float, count: int) -> NDArray[np.int64]:
+    """Indices of at most ``count`` poses, best first, none within ``degrees`` of a better one."""
+    order = np.argsort(-score, kind="stable")
+    chosen: list[int] = []
+    while len(order) and len(chosen) < count:
+        best = order[0]
+        chosen.append(int(best))
+        order = order[angle_between(poses.R[order], poses.R[best]) > degrees]
+    return np.array(chosen)

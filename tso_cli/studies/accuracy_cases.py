@@ -1,0 +1,217 @@
+"""Cases to measure the accuracy of a refinement on: unseen shapes, masks of them, and clouds that are wrong in a known way."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import CANONICAL_ROTATION, Camera
+from ..errors import InputError
+from ..files.meshes import read_mesh
+from ..files.shipped import CATEGORIES
+from ..geometry import Array, farthest_point_sample, sample_surface
+from ..metrics import chamfer
+from ..network import BaseNetwork, NetworkConfig
+from ..render import RayScene, RenderSettings, fitting_distance, look_at, normalise, render_view, sample_cameras
+from ..scene import View
+from ..scenes import network_scene
+from .parts import Shape, shapes_of_part
+
+KINDS = ("other", "near", "cut", "network")
+"""Where the start is from; "cut" is "other" with an object that the border cuts."""
+# The Chamfer distance (longest side 1) that another shape's cloud should have from the truth; a category without one starts
+# from its most similar training shape.
+LEVELS = {"other": {"airplane": 2.0e-3, "car": 1.6e-3}, "near": {"airplane": 0.4e-3, "car": 0.8e-3}}
+LEVELS["cut"] = LEVELS["other"]
+SAMPLES, JUDGED = 16_384, 1024
+"""Points of a surface, and how many of them say which start is how far off."""
+MASKS = 4
+"""Of every case but those of the network, which sees one picture."""
+CUT_SHARE = 0.75
+"""Distance of the camera of kind "cut", of that from which the whole object is seen."""
+PICTURE = 128
+"""Pixels each way of the picture that the network's crop is cut from."""
+
+
+@dataclass(frozen=True, eq=False)
+class AccuracyCase:
+    """One thing to refine.
+
+    Attributes
+    ----------
+    kind : of `KINDS`. category, shape : of the truth. view : its number. start : the shape the initial cloud is from.
+    initial, target : [N, 3]; dense : [16384, 3], more points of the target. Longest side 1, centred; of kind "network" turned
+        into the axes of the camera.
+    views : the first is the case's own, the others are further evidence.
+    floor, floor_dense : Chamfer distance of another sampling of the truth, N points, to ``target`` and to ``dense``.
+    image : [3, 64, 64], what the network saw; None where there is none.
+    """
+
+    kind: str
+    category: str
+    shape: str
+    view: int
+    start: str
+    initial: Array
+    target: Array
+    dense: Array
+    views: tuple[View, ...]
+    floor: float
+    floor_dense: float
+    image: NDArray[np.float32] | None = None
+
+
+class CaseBuilder:
+    """Makes the cases of any shape; everything random depends on the seed and the shape's name alone.
+
+    Parameters
+    ----------
+    folder, split_file : as in :func:`tso_cli.studies.parts.shapes_of_part`; starts are shapes of its list "train".
+    views : random views of each shape. size : pixels of a mask each way. points : of initial and target clouds.
+    network, about : for kind "network": a view-aligned network.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        split_file: Path,
+        views: int,
+        size: int,
+        points: int,
+        seed: int = 0,
+        network: BaseNetwork | None = None,
+        about: NetworkConfig | None = None,
+    ) -> None:
+        self._folder, self._split_file = folder, split_file
+        self._views, self._size, self._points, self._seed = views, size, points, seed
+        self._network, self._about = network, about
+        self._starts: dict[str, list[tuple[str, Array, Array]]] = {}
+
+    def cases(self, shape: Shape, kind: str) -> list[AccuracyCase]:
+        """The cases of one shape, one for each of the views."""
+        mesh = normalise(read_mesh(shape.path))
+        rng = self._rng(shape, "truth")
+        dense, again = (sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng) for _ in range(2))
+        target, other = _subset(dense, self._points), _subset(again, self._points)
+        floors = chamfer(other, target).chamfer, chamfer(other, dense).chamfer
+        scene = RayScene(mesh)
+        rng = self._rng(shape, kind)
+        if kind == "network":
+            return [
+                self._predicted(shape, number, mesh.vertices, scene, target, dense, floors, rng)
+                for number in range(self._views)
+            ]
+        start, initial = self._start(shape.category, _subset(dense, JUDGED), LEVELS[kind].get(shape.category, 0.0))
+        # Each view has the next three beside it.
+        count = self._views + MASKS - 1
+        views = [self._seen(shape, number, mesh.vertices, scene, kind == "cut", rng) for number in range(count)]
+        return [
+            AccuracyCase(
+                kind,
+                shape.category,
+                shape.name,
+                number,
+                start,
+                initial,
+                target,
+                dense,
+                tuple(views[number : number + MASKS]),
+                *floors,
+            )
+            for number in range(self._views)
+        ]
+
+    def _rng(self, shape: Shape, what: str) -> np.random.Generator:
+        return np.random.default_rng([self._seed, zlib.crc32(shape.name.encode()), zlib.crc32(what.encode())])
+
+    def _start(self, category: str, target: Array, level: float) -> tuple[str, Array]:
+        """Name and cloud of the training shape whose distance from the truth is nearest to ``level``."""
+        if category not in self._starts:
+            found = []
+            for shape in shapes_of_part(self._folder, self._split_file, "train", [category]):
+                mesh = normalise(read_mesh(shape.path))
+                samples = sample_surface(mesh.vertices, mesh.faces, SAMPLES, self._rng(shape, "truth"))
+                found.append((shape.name, samples, _subset(samples, JUDGED)))
+            self._starts[category] = found
+        starts = self._starts[category]
+        away = [abs(chamfer(few, target).chamfer - level) for _, _, few in starts]
+        name, samples, _ = starts[int(np.argmin(away))]
+        return name, _subset(samples, self._points)
+
+    def _seen(self, shape: Shape, number: int, vertices: Array, scene: RayScene, cut: bool, rng: np.random.Generator) -> View:
+        settings = RenderSettings(views=1, size=(self._size, self._size))
+        while True:
+            camera = _nearer(settings, vertices, rng) if cut else sample_cameras(settings, vertices, rng)[0]
+            mask = render_view(scene, camera, rng).mask
+            # From its narrow side a long object fits the picture from nearer too: then another direction is drawn.
+            if not cut or _touches_border(mask):
+                return View(mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, mask {number}")
+
+    def _predicted(
+        self,
+        shape: Shape,
+        number: int,
+        vertices: Array,
+        scene: RayScene,
+        target: Array,
+        dense: Array,
+        floors: tuple[float, float],
+        rng: np.random.Generator,
+    ) -> AccuracyCase:
+        """What the network makes of a picture, before a camera whose distance from the object is known."""
+        assert self._network is not None and self._about is not None
+        camera = sample_cameras(RenderSettings(views=1, size=(PICTURE, PICTURE)), vertices, rng)[0]
+        picture = render_view(scene, camera, rng)
+        view = View(picture.mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, view {number}")
+        seen = network_scene(picture.image, view, self._network, self._about)
+        # The object stands centred at the origin, and so does what the network predicts.
+        known = replace(seen.view.camera, t=np.array([0.0, 0.0, camera.t[2]]))
+        turn = (CANONICAL_ROTATION @ camera.R).T
+        return AccuracyCase(
+            "network",
+            shape.category,
+            shape.name,
+            number,
+            "prediction",
+            seen.points,
+            target @ turn,
+            dense @ turn,
+            (replace(seen.view, camera=known),),
+            *floors,
+            image=seen.image,
+        )
+
+
+def kinds_of(category: str, kinds: Sequence[str]) -> list[str]:
+    """Those of ``kinds`` that there are for a category."""
+    near, known = category in LEVELS["near"], category in CATEGORIES
+    return [kind for kind in kinds if (kind != "near" or near) and (kind != "network" or known)]
+
+
+def check_points(points: int, kinds: Sequence[str], about: NetworkConfig | None) -> None:
+    """InputError where clouds of so many points cannot be had."""
+    if not JUDGED <= points <= SAMPLES:
+        raise InputError(f"points is {points}, expected {JUDGED} to {SAMPLES}")
+    if "network" in kinds and about is not None and about.points != points:
+        raise InputError(f"points is {points}, expected {about.points}, as many as the network predicts, for kind network")
+
+
+def _subset(samples: Array, count: int) -> Array:
+    """So many of ``samples`` [S, 3], spread evenly."""
+    return samples if count == len(samples) else samples[farthest_point_sample(samples, count)]
+
+
+def _nearer(settings: RenderSettings, vertices: Array, rng: np.random.Generator) -> Camera:
+    azimuth, elevation = rng.uniform(*settings.azimuth), rng.uniform(*settings.elevation)
+    camera = look_at(azimuth, elevation, 1.0, settings.size)
+    return look_at(azimuth, elevation, CUT_SHARE * fitting_distance(vertices, camera), settings.size)
+
+
+def _touches_border(mask: NDArray[np.uint8]) -> bool:
+    inside = mask > 127
+    return bool(inside[[0, -1]].any() or inside[:, [0, -1]].any())
