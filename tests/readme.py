@@ -24,7 +24,8 @@ RESULTS = ROOT / "docs" / "results.md"
 NETWORK = ROOT / "docs" / "network.md"
 PERFORMANCE = ROOT / "docs" / "performance.md"
 ACCURACY = ROOT / "docs" / "accuracy.md"
-PAGES = (README, RESULTS, NETWORK, PERFORMANCE, ACCURACY)
+PHOTOS = ROOT / "docs" / "photos.md"
+PAGES = (README, RESULTS, NETWORK, PERFORMANCE, ACCURACY, PHOTOS)
 FIGURES = ROOT / "docs" / "figures"
 CONSOLE = re.compile(r"```console\n(.*?)```", re.DOTALL)
 
@@ -189,6 +190,19 @@ def sigma_table(record: dict) -> str:
     return "\n".join(rows)
 
 
+def photos_table(record: dict) -> str:
+    """Starts, presets and numbers of photos, judged by the other photos; auto found no symmetry and is left out."""
+    rows = ["| start carved by | photos | preset | IoU, mean | worst | points beside a mask, mean | worst |", "|---" * 7 + "|"]
+    for own in record["summary"]:
+        if own["symmetry"] == "auto":
+            continue
+        cells = [f"{len(own['start'])} photo" + "s" * (len(own["start"]) > 1)]
+        cells += [str(len(own["masks"])) if own["masks"] else "", own["preset"] or "*start*"]
+        cells += [f"{own['iou']:.3f}", f"{own['worst_iou']:.3f}", f"{own['beside']:.1%}", f"{own['most_beside']:.1%}"]
+        rows.append("| " + " | ".join(cells) + " |")
+    return "\n".join(rows)
+
+
 def speed_tables(record: dict) -> dict[str, str]:
     """What is measured of the speed -> its table as Markdown; what was left out, and the machine."""
     made = {
@@ -221,6 +235,7 @@ TABLES = {
     "lambda": settings_table,
     "affinity": affinity_table,
     "failures": failures_table,
+    "photos": photos_table,
 }
 
 

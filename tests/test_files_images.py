@@ -13,7 +13,7 @@ from PIL import Image
 
 from tests.corruption import assert_one_line, assert_reads_or_refuses, repair_png
 from tso_cli.errors import InputError
-from tso_cli.files.images import PIXEL_LIMIT, read_image, read_mask, write_image
+from tso_cli.files.images import PIXEL_LIMIT, read_depth, read_image, read_mask, write_image
 
 SHAPE = np.zeros((6, 9), dtype=bool)
 SHAPE[1:4, 2:7] = True
@@ -300,3 +300,30 @@ def test_any_damage_is_read_or_refused_in_one_line(tmp_path, read, name):
     if (name == "array.npy") is (read is read_mask) or name != "array.npy":
         assert was_read > 10
     assert refused > 50
+
+
+def test_a_depth_map_keeps_sixteen_bits_and_its_scale_and_what_is_unknown_becomes_nan(tmp_path):
+    values = np.array([[0, 1, 1000], [2345, 40000, 65535]], np.uint16)
+    Image.fromarray(values).save(tmp_path / "depth.png")
+    wanted = np.where(values == 0, np.nan, values / 1000.0)
+    np.testing.assert_allclose(read_depth(tmp_path / "depth.png", 0.001), wanted)
+    floats = np.array([[0.0, np.nan, np.inf], [0.5, 2.0, 3.0]], np.float32)
+    np.save(tmp_path / "depth.npy", floats)
+    Image.fromarray(floats).save(tmp_path / "depth.tiff")
+    for name in ("depth.npy", "depth.tiff"):
+        np.testing.assert_allclose(read_depth(tmp_path / name), [[np.nan] * 3, [0.5, 2.0, 3.0]])
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        (np.zeros((4, 4)), "holds no depth > 0"),
+        (np.full((4, 4), -2.0), "smallest depth is -2"),
+        (np.ones((4, 4, 3)), r"float64 \[4, 4, 3\], expected a depth map \[H, W\]"),
+        (np.ones((4, 4), bool), "expected a depth map"),
+    ],
+)
+def test_an_array_that_is_no_depth_map_is_refused(tmp_path, values, said):
+    np.save(tmp_path / "depth.npy", values)
+    with pytest.raises(InputError, match=said):
+        read_depth(tmp_path / "depth.npy")

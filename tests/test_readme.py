@@ -58,7 +58,7 @@ def test_a_command_of_the_readme_prints_what_the_readme_shows(command, shown, fo
 def test_the_tables_of_the_pages_are_those_of_the_kept_figures():
     for page in PAGES:
         assert page.read_text() == with_tables(page.read_text())
-        assert re.search(r"<!-- (points|network|speed machine|accuracy settings) -->", page.read_text())
+        assert re.search(r"<!-- (points|network|speed machine|accuracy settings|photos) -->", page.read_text())
 
 
 def test_the_kept_figures_meet_what_the_paper_promises():

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from .camera import NEAR, Camera
+from .depth_pull import DepthTarget, depth_pull
 from .errors import InputError
 from .losses import REFERENCE_PIXELS, PixelWeights, mask_loss
 from .projection import CameraBatch, Projected, coarsened, default_sigma_sq, project
@@ -35,12 +36,14 @@ class WorkingView:
     ----------
     mask : [h, w]; known : [h, w] weight of each pixel, None where all count.
     camera : from normalised points to its pixels; sigma_sq : px^2 there.
+    depth : [h, w] normalised, NaN where it is not known; None without a depth map.
     """
 
     mask: NDArray[np.float64]
     known: NDArray[np.float64] | None
     camera: Camera
     sigma_sq: float
+    depth: NDArray[np.float64] | None = None
 
     @property
     def kind(self) -> tuple[int, int, str, float]:
@@ -78,7 +81,18 @@ def working_view(view: View, sigma_sq: float | None, centre: NDArray[np.float64]
     if camera is not view.camera:
         box = (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5)
         mask, weight = area_resize(mask, box, camera.width, camera.height, weights=weight)
-    return WorkingView(mask, None if known is None else weight, camera.for_normalised(centre, scale), sigma_sq)
+    depth = None if view.depth is None else _sampled(view.depth, camera) / scale
+    return WorkingView(mask, None if known is None else weight, camera.for_normalised(centre, scale), sigma_sq, depth)
+
+
+def _sampled(depth: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
+    """``depth`` at the pixel nearest to each of the camera's: a mean across an edge would lie in mid-air."""
+    height, width = depth.shape
+    rows, columns = (
+        np.floor((np.arange(count) + 0.5) * size / count).astype(int)
+        for count, size in ((camera.height, height), (camera.width, width))
+    )
+    return depth[rows[:, None], columns]
 
 
 class _Views:
@@ -142,7 +156,8 @@ class MaskObjective(_Views):
 
 
 class PullObjective:
-    """Weighted sum over views of :func:`tso_cli.pull.mask_pull`, for B clouds that are asked by views of their own.
+    """Weighted sum over views of :func:`tso_cli.pull.mask_pull`, for B clouds that are asked by views of their own, and of
+    :func:`tso_cli.depth_pull.depth_pull` where they have depth maps.
 
     Views of one kind are worked on together: for small clouds, what a step costs is mostly the number of its operations.
 
@@ -157,17 +172,22 @@ class PullObjective:
         kinds = [view.kind for view in views[0]]
         members = {kind: [v for v, other in enumerate(kinds) if other == kind] for kind in kinds}
         self._groups = []
+        self._depths: list[DepthTarget | None] = []
         for group in members.values():
             every = _Together.of([own[v] for own in views for v in group], like)
             target = PullTarget.of(every.mask, every.known)
             cameras = every.cameras.grouped(len(group))
             share = torch.ones(len(views), len(group)) if weights is None else weights[:, group]
             self._groups.append((target, cameras, share.to(like), counts.repeat_interleave(len(group))))
+            self._depths.append(None if every.depth is None else DepthTarget.of(every.depth, target.inside, every.cameras))
         self._there = (torch.arange(like.shape[1]) < counts.unsqueeze(1)).to(like.device).unsqueeze(1)  # [B, 1, N]
         self._thin: list[Tensor | None] = [None] * len(self._groups)
-        found = [(share * target.pixels().view_as(share)).sum(1) for target, _, share, _ in self._groups]
+        found = []
+        for (target, _, share, _), depth in zip(self._groups, self._depths, strict=True):
+            pixels = target.pixels() if depth is None else target.pixels() + depth.pixels()
+            found.append((share * pixels.view_as(share)).sum(1))
         self.pixels = torch.stack(found).sum(0)
-        """[B] foreground pixels of all views, of images of 64, weighted like their losses."""
+        """[B] pixels of all views that ask, by mask or by depth, of images of 64, weighted like their losses."""
 
     def look(self, points: Tensor, field: SmoothField) -> None:
         """Find out, for the calls from here on, which parts of the clouds ``points`` the views do not resolve."""
@@ -182,10 +202,13 @@ class PullObjective:
     def __call__(self, points: Tensor, reach: float) -> Tensor:
         """The loss [B] of the clouds ``points`` [B, N, 3]; infinite where a view shows no point at all."""
         total = points.new_zeros(len(points))
-        for (target, cameras, share, counts), thin in zip(self._groups, self._thin, strict=True):
+        for (target, cameras, share, counts), thin, depth in zip(self._groups, self._thin, self._depths, strict=True):
             points_px, valid = project(points, cameras)
-            valid = (valid & self._there).flatten(0, 1)
-            losses = mask_pull(points_px.flatten(0, 1), valid, target, reach, counts, thin)
+            points_px, valid = points_px.flatten(0, 1), (valid & self._there).flatten(0, 1)
+            losses = mask_pull(points_px, valid, target, reach, counts, thin)
+            if depth is not None:
+                each = points.repeat_interleave(share.shape[1], 0)
+                losses = losses + depth_pull(each, Projected(points_px, valid), depth, reach, counts)
             total = total + (share * torch.where(valid.any(1), losses, torch.inf).view_as(share)).sum(1)
         return total
 
@@ -198,6 +221,7 @@ class _Together:
     known: Tensor | None  # [B, h, w]
     cameras: CameraBatch  # [B, 1]
     sigma_sq: float
+    depth: Tensor | None = None  # [B, h, w]
 
     @classmethod
     def of(cls, views: Sequence[WorkingView], like: Tensor) -> _Together:
@@ -210,5 +234,8 @@ class _Together:
         known = None
         if any(view.known is not None for view in views):
             known = stacked([np.ones_like(view.mask) if view.known is None else view.known for view in views])
+        depth = None
+        if any(view.depth is not None for view in views):
+            depth = stacked([np.full_like(view.mask, np.nan) if view.depth is None else view.depth for view in views])
         cameras = CameraBatch.of([view.camera for view in views], like).one_each()
-        return cls(stacked([view.mask for view in views]), known, cameras, first.sigma_sq)
+        return cls(stacked([view.mask for view in views]), known, cameras, first.sigma_sq, depth)

@@ -123,7 +123,7 @@ def _uncovered(points_px: Tensor, valid: Tensor, target: PullTarget, scale: floa
     image, row, column = torch.nonzero(index >= 0, as_tuple=True)
     centres = torch.stack([column, row], 1).to(points_px)
     squared = (points_px[image, index[image, row, column]] - centres).square().sum(1) * scale**2
-    return points_px.new_zeros(len(points_px)).index_add(0, image, _robust(squared, reach) * scale**2)
+    return points_px.new_zeros(len(points_px)).index_add(0, image, robust(squared, reach) * scale**2)
 
 
 def _covered(points_px: Tensor, valid: Tensor, size: torch.Size, within: float) -> Tensor:
@@ -155,8 +155,9 @@ def _stray(points_px: Tensor, valid: Tensor, target: PullTarget, scale: float, r
     stray = seen & outside & (rows >= 0)
     goal = torch.stack([columns, rows], -1).to(points_px)
     squared = torch.where(stray.unsqueeze(-1), points_px - goal, 0.0).square().sum(-1) * scale**2
-    return _robust(squared, reach).sum(-1)
+    return robust(squared, reach).sum(-1)
 
 
-def _robust(squared: Tensor, reach: float) -> Tensor:
+def robust(squared: Tensor, reach: float) -> Tensor:
+    """Geman and McClure's cost of squared distances: the square of what is near, at most ``reach`` squared."""
     return squared * reach**2 / (reach**2 + squared)

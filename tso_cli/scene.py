@@ -20,6 +20,8 @@ class View:
     mask : [H, W] float in [0, 1], inside 1; foreground is > 0.5. Soft values are kept.
     camera : its width and height are the mask's.
     known : [H, W] bool, False where the mask says nothing, or None when every pixel counts.
+    depth : [H, W] how far the surface lies along the camera's z, in the units of its t; 0 and what is not finite are
+        unknown. It says something of foreground pixels alone. None: there is no depth map.
     name : what messages call it, usually the file.
     """
 
@@ -27,6 +29,7 @@ class View:
     camera: Camera
     known: NDArray[np.bool_] | None = None
     name: str = "mask"
+    depth: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         mask = np.asarray(self.mask, dtype=np.float32)
@@ -41,6 +44,8 @@ class View:
                 f"{self.name}: the mask is {width}x{height}, its camera is for "
                 f"{self.camera.width}x{self.camera.height} (width x height), expected the same"
             )
+        if self.depth is not None:
+            object.__setattr__(self, "depth", self._checked_depth(self.depth))
         counted = mask
         if self.known is not None:
             known = np.asarray(self.known, dtype=bool)
@@ -53,6 +58,25 @@ class View:
             raise InputError(f"{self.name}: no pixel is foreground (> 0.5), expected an object")
         if inside == counted.size:
             raise InputError(f"{self.name}: every pixel is foreground, expected some background (try --invert-mask?)")
+
+    def _checked_depth(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The depth map, NaN where nothing is known."""
+        depth: NDArray[np.float64] = np.array(given, dtype=np.float64)
+        if depth.shape != self.mask.shape:
+            height, width = self.mask.shape
+            raise InputError(
+                f"{self.name}: the depth map has shape {list(depth.shape)}, the mask is {width}x{height}, "
+                f"expected [{height}, {width}]"
+            )
+        if self.camera.model != "perspective":
+            raise InputError(f"{self.name}: its camera is {self.camera.model}, expected perspective for a depth map")
+        depth[~np.isfinite(depth) | (depth == 0.0)] = np.nan
+        if np.nanmin(depth, initial=np.inf) < 0.0:
+            raise InputError(f"{self.name}: the smallest depth is {np.nanmin(depth):g}, expected 0 (unknown) or more")
+        known = np.isfinite(depth) & (self.mask > 0.5)
+        if not (known if self.known is None else known & self.known).any():
+            raise InputError(f"{self.name}: no foreground pixel has a depth, expected some > 0")
+        return depth
 
     def box(self) -> tuple[float, float, float, float]:
         """Left, top, right, bottom edges of the foreground in pixel coordinates."""

@@ -15,7 +15,7 @@ from .camera import Camera
 from .errors import InputError
 from .files.cameras import check_size, find_camera, read_camera
 from .files.clouds import PointCloud, read_cloud
-from .files.images import read_image, read_mask
+from .files.images import read_depth, read_image, read_mask
 from .files.pairing import pair_with_masks
 from .network_input import network_input
 from .placement import place_in_front, settle, view_to_world
@@ -161,6 +161,20 @@ def _same_size(file: Path, shape: tuple[int, ...], mask_file: Path | str, mask_s
         )
 
 
+def _with_depths(views: tuple[View, ...], depth_files: Sequence[Path], scale: float) -> tuple[View, ...]:
+    if len(depth_files) != len(views):
+        raise InputError(
+            f"--depth {depth_files[0]}: found {len(depth_files)} depth maps for {len(views)} masks, "
+            "expected one for each or none"
+        )
+    found = []
+    for view, file in zip(views, depth_files, strict=True):
+        depth = read_depth(file, scale)
+        _same_size(file, depth.shape, view.name, view.mask.shape)
+        found.append(replace(view, depth=depth))
+    return tuple(found)
+
+
 def _said(camera_file: Path | None) -> str:
     return str(camera_file) if camera_file else "canonical (no camera file was given or found beside the mask)"
 
@@ -172,10 +186,14 @@ def load_points_scene(
     invert: bool = False,
     ignore_files: Sequence[Path] = (),
     fit: bool = False,
+    depth_files: Sequence[Path] = (),
+    depth_scale: float = 1.0,
 ) -> Scene:
     """The scene of points mode; arguments and errors as :func:`load_views` and :func:`tso_cli.files.clouds.read_cloud`.
 
-    ``fit`` finds the camera of the one mask from mask and cloud (:func:`tso_cli.pose.fit_camera`) instead of reading it.
+    ``fit`` finds the camera of the one mask from mask and cloud (:func:`tso_cli.pose.fit_camera`) instead of reading it;
+    it goes without depth maps. These are one for each mask, or none; ``depth_scale`` is that of
+    :func:`tso_cli.files.images.read_depth`.
     """
     masks = [mask_files] if isinstance(mask_files, Path) else mask_files
     if fit and len(masks) != 1:
@@ -188,8 +206,12 @@ def load_points_scene(
         fitted = fit_camera(cloud.points, view.mask, view.known, name=str(cloud_file))
         return Scene(cloud.points, (replace(view, camera=fitted.camera),), (fitted.describe(),), "input", cloud=cloud)
     views, camera_files = load_views(masks, camera_file, invert, ignore_files)
+    if depth_files:
+        views = _with_depths(views, depth_files, depth_scale)
     for view in views:
         _warn_of_scale(cloud.points, view, cloud_file)
+    for view, depth_file in zip(views, depth_files, strict=False):
+        _warn_of_depth(cloud.points, view, depth_file)
     return Scene(cloud.points, views, tuple(map(_said, camera_files)), "input", cloud=cloud)
 
 
@@ -298,5 +320,18 @@ def _warn_of_scale(points: Array, view: View, cloud_file: Path) -> None:
         warnings.warn(
             f"{cloud_file}: its longest side is {size:.3g} and its distance from the camera {distance:.3g}; "
             "are both in one unit?",
+            stacklevel=2,
+        )
+
+
+def _warn_of_depth(points: Array, view: View, depth_file: Path) -> None:
+    """Warn of a depth map that shows the object nowhere near the cloud: the sign of another unit."""
+    assert view.depth is not None
+    found = float(np.nanmedian(np.where(view.mask > 0.5, view.depth, np.nan)))
+    depth = view.camera.project(points)[1]
+    if not 0.5 * depth.min() < found < 2.0 * depth.max():
+        warnings.warn(
+            f"{depth_file}: its median depth on the object is {found:.3g}, the cloud's depths are {depth.min():.3g} to "
+            f"{depth.max():.3g}; is --depth-scale right?",
             stacklevel=2,
         )

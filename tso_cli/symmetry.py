@@ -58,7 +58,8 @@ class MirrorPlane:
         R = flip[:, None] * (camera.R @ matrix)
         t = flip * (camera.t + 2.0 * self.offset * (camera.R @ self.normal))
         known = None if view.known is None else view.known[:, ::-1]
-        return View(view.mask[:, ::-1], replace(camera, K=K, R=R, t=t), known, f"{view.name}, mirrored")
+        depth = None if view.depth is None else view.depth[:, ::-1]
+        return View(view.mask[:, ::-1], replace(camera, K=K, R=R, t=t), known, f"{view.name}, mirrored", depth)
 
 
 def find_mirror_plane(points: Array) -> MirrorPlane:

@@ -55,6 +55,20 @@ MODES = ("points", "encoder", "encoder-decoder", "latent")
     help="Image whose bright pixels say nothing of the object; once for each mask, or not at all.",
 )
 @click.option(
+    "--depth",
+    "depth_files",
+    type=options.FilePath(),
+    multiple=True,
+    help="Depth map along the camera's z, 16-bit PNG or .npy, 0 or NaN where unknown; once for each mask, or not at all.",
+)
+@click.option(
+    "--depth-scale",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=1.0,
+    show_default=True,
+    help="Units of the camera to a step of the depth map; 0.001 for millimetres beside metres.",
+)
+@click.option(
     "--frame",
     type=click.Choice(["view", "world"]),
     help="Axes of the cloud that a view-aligned network gives.  [default: view]",
@@ -109,6 +123,8 @@ def command(
     overwrite: bool,
     invert_mask: bool,
     ignore_files: tuple[Path, ...],
+    depth_files: tuple[Path, ...],
+    depth_scale: float,
     frame: str | None,
     preset: str,
     symmetry: str | None,
@@ -140,6 +156,7 @@ def command(
     started = time.perf_counter()
     _refuse_mixed_up(mode, source, masks, ignore_files, checkpoint, frame)
     fit = camera_file == options.FIT
+    _refuse_depths(mode, preset, fit, depth_files)
     refuse_camera_options(mode, fit, refine_camera, write_camera)
     if fit:
         camera_file = None
@@ -149,14 +166,14 @@ def command(
         masks = _masks_of(camera_file)
     output = output or Path(f"{source.stem}.refined.ply")
     if not check:
-        inputs = (source, *masks, camera_file, *ignore_files)
+        inputs = (source, *masks, camera_file, *ignore_files, *depth_files)
         _refuse_outputs(output, overlay, overwrite, inputs)
         refuse_camera_output(write_camera, overwrite, (*inputs, output, overlay))
     from ..placement import place, require_overlap
     from ..scenes import load_network_scene, load_points_scene
 
     if checkpoint is None:
-        scene = load_points_scene(source, masks, camera_file, invert_mask, ignore_files, fit)
+        scene = load_points_scene(source, masks, camera_file, invert_mask, ignore_files, fit, depth_files, depth_scale)
     else:
         ignore_file = ignore_files[0] if ignore_files else None
         scene = load_network_scene(source, masks[0], checkpoint, camera_file, invert_mask, ignore_file, frame == "world")
@@ -240,6 +257,13 @@ def _refuse_mixed_up(
         )
     if frame is not None:
         raise InputError("--frame is for the encoder modes; points mode keeps the frame of its cloud")
+
+
+def _refuse_depths(mode: str, preset: str, fit: bool, depth_files: tuple[Path, ...]) -> None:
+    if depth_files and (mode, preset) != ("points", "best"):
+        raise InputError(f"--depth is for --mode points --preset best, found --mode {mode} --preset {preset}")
+    if depth_files and fit:
+        raise InputError("--depth needs a camera whose distance is known, found --camera fit; expected a camera file")
 
 
 def _masks_of(camera_file: Path | None) -> tuple[Path, ...]:

@@ -60,6 +60,42 @@ def read_mask(path: str | Path, invert: bool = False) -> NDArray[np.float32]:
     return np.float32(1.0) - mask if invert else mask
 
 
+def read_depth(path: str | Path, scale: float = 1.0) -> NDArray[np.float64]:
+    """Read a depth map as [H, W], in the units of the camera, NaN where it is unknown.
+
+    A picture has one grey channel, best of 16 bits (PNG, TIFF; floating-point TIFF too); a .npy file holds [H, W], integers
+    or floating-point numbers. 0, NaN and infinity are unknown.
+
+    Parameters
+    ----------
+    scale : units of the camera to a step of the file: 0.001 for a file in millimetres and a camera in metres.
+
+    Raises
+    ------
+    InputError
+        The file is not such a map, or a depth is negative.
+    """
+    path = Path(path)
+    what = "a depth map"
+    data = read_bytes(path, what, _FILE_LIMIT)
+    if path.suffix.lower() == ".npy":
+        values = read_array(data, path)
+        if values.ndim != 2 or values.dtype.kind not in "fiu" or 0 in values.shape:
+            raise InputError(f"{path}: holds {values.dtype} {list(values.shape)}, expected a depth map [H, W]")
+        _check_size(values.shape[1], values.shape[0], path)
+    else:
+        values = _decode(data, path, what, _depth_values)
+    with np.errstate(invalid="ignore"):  # NaN of the kind that signals
+        depth = np.array(values, dtype=np.float64)
+    depth[~np.isfinite(depth) | (depth == 0.0)] = np.nan
+    least = np.nanmin(depth, initial=np.inf)
+    if least < 0.0:
+        raise InputError(f"{path}: its smallest depth is {least:g}, expected 0 (unknown) or more")
+    if least == np.inf:
+        raise InputError(f"{path}: holds no depth > 0, expected some (0 means unknown)")
+    return depth * scale
+
+
 def read_image(path: str | Path) -> NDArray[np.uint8]:
     """Read a picture as [H, W, 3], or [H, W, 4] where it has an alpha channel.
 
@@ -153,6 +189,12 @@ def _mask_values(image: Image.Image, path: Path) -> NDArray[Any]:
             raise InputError(f"{path}: its values span {values.min()} to {values.max()}, expected 0 to 65535")
         return values.astype(np.uint16)
     return np.asarray(image.convert("RGB")).max(axis=2)
+
+
+def _depth_values(image: Image.Image, path: Path) -> NDArray[Any]:
+    if image.mode not in ("L", "I", "F") and not image.mode.startswith("I;16"):
+        raise InputError(f"{path}: is a picture of mode {image.mode}, expected a depth map of one grey channel, 16 bits")
+    return np.asarray(image)
 
 
 def _palette_values(image: Image.Image) -> NDArray[Any]:

@@ -40,6 +40,10 @@ class Item:
     @classmethod
     def of(cls, cloud: Cloud, views: tuple[View, ...], config: Settings) -> Item:
         """Raises InputError where cloud and views do not meet."""
+        if not config.staged and any(view.depth is not None for view in views):
+            raise InputError(
+                f"a view has a depth map, expected mode points with preset best, found {config.mode} with {config.preset}"
+            )
         for view in views:
             require_overlap(place(cloud.initial, view), view)
         plane, reason = mirror_plane(cloud, config.symmetry)

@@ -54,8 +54,8 @@ def refine(
     Parameters
     ----------
     points : [N, 3] array or tensor; None in the network modes, where the network's prediction is the start.
-    masks : one [H, W] array in [0, 1], a sequence of them, or :class:`tso_cli.scene.View` objects, which bring their own camera
-        and ignore map.
+    masks : one [H, W] array in [0, 1], a sequence of them, or :class:`tso_cli.scene.View` objects, which bring their own
+        camera, ignore map and depth map.
     cameras : one for each mask; None for the canonical camera.
     config : settings, by default the paper's.
     network : for the modes "encoder", "encoder-decoder" and "latent"; it is copied, never changed.

@@ -1,0 +1,193 @@
+"""Photos of an object on a dark ground: masks, camera file and a start for `tso refine`, and a judgement by other photos.
+
+The photos are not part of this repository; docs/photos.md says where they are from and what comes out.
+
+python examples/temple_ring.py prepare templeRing temple            masks, views.json and start.ply
+tso refine --mode points temple/start.ply temple/templeR0013.png ... --camera temple/views.json -o temple/refined.ply
+python examples/temple_ring.py judge temple temple/refined.ply --used templeR0013 ...
+python examples/temple_ring.py compare temple -o photos.json        two starts; 1, 2 and 4 masks; both presets
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from tso_cli import Camera, RefineConfig, refine
+from tso_cli.files.cameras import CameraRecord, read_cameras, write_cameras
+from tso_cli.files.clouds import read_cloud, write_cloud
+from tso_cli.files.images import read_image, read_mask, write_image
+from tso_cli.metrics import iou
+from tso_cli.projection import silhouette_of
+from tso_cli.scene import View
+
+Array = NDArray[np.float64]
+
+# Brightness that only the object reaches; the stand under it stays below.
+THRESHOLD = 70
+# The box that the data's description gives for the object, and how much room is left around it.
+BOX = np.array([[-0.023121, -0.038009, -0.091940], [0.078626, 0.121636, -0.017395]])
+ROOM = 0.1
+# Cells along the longest side of the coarse hull, the points drawn on it, and their noise, share of the longest side.
+CELLS, POINTS, NOISE = 24, 2048, 0.03
+
+
+def mask_of(image: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """The largest bright thing in a picture [H, W, 3], its holes filled: shadows between its parts count as object."""
+    bright = ndimage.gaussian_filter(image[..., :3].max(2).astype(np.float64), 1.0) > THRESHOLD
+    bright = ndimage.binary_closing(ndimage.binary_opening(bright, iterations=2), iterations=6)
+    labels, count = ndimage.label(bright)
+    if count == 0:
+        raise SystemExit(f"no pixel is brighter than {THRESHOLD}, expected an object on a dark ground")
+    largest = 1 + int(np.argmax(np.bincount(labels.ravel())[1:]))
+    filled: NDArray[np.bool_] = ndimage.binary_fill_holes(labels == largest)
+    return filled
+
+
+def read_parameters(path: Path) -> dict[str, tuple[Array, Array, Array]]:
+    """Name of a photo -> K, R, t, from a file of the Middlebury form: a count, then "name K R t" row by row."""
+    rows = [line.split() for line in path.read_text().splitlines()[1:] if line.strip()]
+    numbers = {row[0]: np.array(row[1:], dtype=np.float64) for row in rows}
+    return {name: (n[:9].reshape(3, 3), n[9:18].reshape(3, 3), n[18:21]) for name, n in numbers.items()}
+
+
+def spread(views: list[View], count: int) -> list[View]:
+    """So many of the views from the first to the last, evenly."""
+    return [views[i] for i in np.linspace(0, len(views) - 1, count).round().astype(int)]
+
+
+def coarse_hull(views: list[View], rng: np.random.Generator) -> Array:
+    """Points [POINTS, 3] on the surface of the cells that every mask shows, with noise."""
+    low, high = BOX[0] - ROOM * np.ptp(BOX, 0), BOX[1] + ROOM * np.ptp(BOX, 0)
+    side = float((high - low).max()) / CELLS
+    axes = [np.arange(a + side / 2.0, b, side) for a, b in zip(low, high, strict=True)]
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
+    full = np.ones(centres.shape[:3], dtype=bool)
+    for view in views:
+        full &= inside(centres.reshape(-1, 3), view).reshape(full.shape)
+    surface = centres[full & ~ndimage.binary_erosion(full)]
+    if not len(surface):
+        raise SystemExit("the masks leave nothing of the box, expected masks and cameras of one object")
+    drawn = surface[rng.integers(len(surface), size=POINTS)] + rng.uniform(-side / 2.0, side / 2.0, (POINTS, 3))
+    noisy: Array = drawn + NOISE * np.ptp(drawn, 0).max() * rng.standard_normal((POINTS, 3))
+    return noisy
+
+
+def inside(points: Array, view: View) -> NDArray[np.bool_]:
+    """Which of the points [N, 3] fall on the mask."""
+    column, row = view.camera.project(points)[0].round().T
+    height, width = view.mask.shape
+    seen = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    found = np.zeros(len(points), dtype=bool)
+    found[seen] = view.mask[row[seen].astype(int), column[seen].astype(int)] > 0.5
+    return found
+
+
+def read_views(folder: Path) -> list[View]:
+    """All views that ``prepare`` left in a folder."""
+    return [View(read_mask(r.mask), r.camera, name=r.mask.stem) for r in read_cameras(folder / "views.json") if r.mask]
+
+
+def prepare(photos: Path, folder: Path) -> None:
+    """Masks, camera file and start, of the photos that the parameters name and that are there."""
+    (parameters,) = photos.glob("*_par.txt")
+    folder.mkdir(parents=True, exist_ok=True)
+    records = []
+    for name, (K, R, t) in read_parameters(parameters).items():
+        if not (photos / name).is_file():
+            continue
+        mask = mask_of(read_image(photos / name))
+        write_image(folder / name, mask, overwrite=True)
+        records.append(CameraRecord(Camera(K, R, t, mask.shape[1], mask.shape[0]), mask=folder / name))
+    write_cameras(folder / "views.json", records, overwrite=True)
+    views = read_views(folder)
+    middle = views[len(views) // 2]
+    write_cloud(folder / "start.ply", coarse_hull([middle], np.random.default_rng(0)), overwrite=True)
+    print(f"{folder}: {len(views)} masks, views.json, and start.ply, the box carved by {middle.name}")
+
+
+def judged(points: Array, views: list[View]) -> dict[str, float]:
+    """How well a cloud agrees with masks: IoU of its silhouette, and the share of its points that fall beside a mask."""
+    scores = [iou(silhouette_of(points, view.camera), view.mask) for view in views]
+    beside = [float((~inside(points, view)).mean()) for view in views]
+    return {
+        "iou": float(np.mean(scores)),
+        "worst_iou": float(np.min(scores)),
+        "beside": float(np.mean(beside)),
+        "most_beside": float(np.max(beside)),
+    }
+
+
+def judge(folder: Path, cloud: Path, used: list[str]) -> None:
+    """Print how start and refined cloud agree with the masks that were not used."""
+    others = [view for view in read_views(folder) if view.name not in used]
+    print(f"{len(others)} masks that were not used")
+    for path in (folder / "start.ply", cloud):
+        found = judged(read_cloud(path).points, others)
+        print(
+            f"{path}: IoU {found['iou']:.3f}, worst {found['worst_iou']:.3f}; "
+            f"{found['beside']:.1%} of the points beside a mask, at most {found['most_beside']:.1%}"
+        )
+
+
+def compare(folder: Path, output: Path) -> None:
+    """Two starts refined on 1, 2 and 4 masks with both presets, judged by the masks that no start and no run has seen."""
+    views = read_views(folder)
+    middle, four = views[len(views) // 2], spread(views, 4)
+    used = {view.name for view in (middle, *four)}
+    others = [view for view in views if view.name not in used]
+    rows = []
+    for carved in ([middle], four):
+        start = coarse_hull(carved, np.random.default_rng(0))
+        begin = {"start": [view.name for view in carved]}
+        rows.append({**begin, "masks": [], "preset": None, "symmetry": None, **judged(start, others)})
+        for count in (1, 2, 4):
+            own = spread(views, count)
+            for preset, symmetry in (("paper", "none"), ("best", "none"), ("best", "auto")):
+                result = refine(start, own, config=RefineConfig(preset=preset, symmetry=symmetry))
+                row = {**begin, "masks": [view.name for view in own], "preset": preset, "symmetry": symmetry}
+                row |= judged(result.points, others)
+                row |= {"iou_used_before": result.iou_before, "iou_used": result.iou_after}
+                row |= {"symmetry_plane": result.symmetry, "seconds": sum(result.seconds.values())}
+                rows.append(row)
+                print(json.dumps(row))
+    record = {
+        "photos": len(views),
+        "judged_by": [view.name for view in others],
+        "points": POINTS,
+        "noise": NOISE,
+        "conventions": "silhouette > 0.5 against mask > 0.5 at the photo's size; sigma^2 0.4 (W/64)^2 px^2; seed 0; cpu",
+        "summary": rows,
+    }
+    output.write_text(json.dumps(record, indent=1) + "\n")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    tasks = parser.add_subparsers(dest="task", required=True)
+    one = tasks.add_parser("prepare")
+    one.add_argument("photos", type=Path)
+    one.add_argument("folder", type=Path)
+    two = tasks.add_parser("judge")
+    two.add_argument("folder", type=Path)
+    two.add_argument("cloud", type=Path)
+    two.add_argument("--used", nargs="+", required=True, help="names of the masks that the cloud was refined on")
+    three = tasks.add_parser("compare")
+    three.add_argument("folder", type=Path)
+    three.add_argument("-o", "--output", type=Path, required=True)
+    given = parser.parse_args()
+    if given.task == "prepare":
+        prepare(given.photos, given.folder)
+    elif given.task == "judge":
+        judge(given.folder, given.cloud, given.used)
+    else:
+        compare(given.folder, given.output)
+
+
+if __name__ == "__main__":
+    main()
