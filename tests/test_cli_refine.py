@@ -470,7 +470,7 @@ def test_an_interrupt_writes_the_best_so_far(folder, capsys, monkeypatch):
 
     monkeypatch.setattr(PullObjective, "__call__", interrupted)
     assert tso("refine", "initial.ply", "mask.png") == 130
-    assert "interrupted at step 6 of 90" in capsys.readouterr().err
+    assert "interrupted at step 6 of 60" in capsys.readouterr().err
     assert Path("initial.refined.ply").exists()
 
 

@@ -89,10 +89,10 @@ MODES = ("points", "encoder", "encoder-decoder", "latent")
 @click.option(
     "--steps",
     type=click.IntRange(min=0),
-    help="Steps; 0 writes the start.  [default: 90 points, 12 encoder modes, 30 latent; paper 50]",
+    help="Steps; 0 writes the start.  [default: 60 points, 12 encoder modes, 30 latent; paper 50]",
 )
 @click.option(
-    "--learning-rate", type=float, help="[default: 2e-2 points, 3e-5 encoder modes, 1e-3 latent; paper 5e-4, 1e-6, 5e-6]"
+    "--learning-rate", type=float, help="[default: 4e-2 points, 3e-5 encoder modes, 1e-3 latent; paper 5e-4, 1e-6, 5e-6]"
 )
 @click.option(
     "--gamma",

@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 
 
 # The same of the preset "best", chosen on validation shapes (docs/accuracy.md).
-BEST_STEPS = {"points": 90, "encoder": 12, "encoder-decoder": 12, "latent": 30}
-BEST_LEARNING_RATE = {"points": 2e-2, "encoder": 3e-5, "encoder-decoder": 3e-5, "latent": 1e-3}
+BEST_STEPS = {"points": 60, "encoder": 12, "encoder-decoder": 12, "latent": 30}
+BEST_LEARNING_RATE = {"points": 4e-2, "encoder": 3e-5, "encoder-decoder": 3e-5, "latent": 1e-3}
 BEST_GAMMA = {"points": 0.0, "encoder": 1e6, "encoder-decoder": 1e6, "latent": 1e6}
 PRESETS = ("best", "paper")
 
@@ -39,9 +39,9 @@ class RefineConfig:
     ----------
     mode : "points" moves the points, "encoder" the encoder's weights, "encoder-decoder" all weights of the network, "latent"
         the 128 numbers between encoder and decoder.
-    steps : of the optimiser; 0 returns the start. Paper 50; best 90 in points mode, 12 of weights, 30 of the latent code.
+    steps : of the optimiser; 0 returns the start. Paper 50; best 60 in points mode, 12 of weights, 30 of the latent code.
     learning_rate : in points mode stated for a cloud of longest side 1. Best: how far the point that is pulled hardest moves in
-        one of the first steps, 0.02; of weights 3e-5, of the latent code 1e-3. Paper: Adam's, 5e-4, 1e-6, 5e-6.
+        one of the first steps, 0.04; of weights 3e-5, of the latent code 1e-3. Paper: Adam's, 5e-4, 1e-6, 5e-6.
     gamma : weight of the Chamfer distance to the start (longest side 1). Best 0 in points mode, else 1e6; paper
         1e6, in encoder mode 0.
     sigma_sq : variance of the projection's Gaussian, px^2 of the mask; None for 0.4 (max(W, H) / 64)^2. In points mode the
