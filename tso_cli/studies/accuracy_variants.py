@@ -66,8 +66,8 @@ ABLATION = {
     "no bounded reach": _made(stages=tuple(replace(stage, reach=1000.0) for stage in BEST.stages)),
     "what pixels do not show pulled back too": _made(looks=False),
     "Adam for each number": Variant(RefineConfig(learning_rate=ADAM_RATE, recipe=replace(BEST, optimiser=Adam))),
-    "half the steps": Variant(RefineConfig(steps=45)),
-    "twice the steps": Variant(RefineConfig(steps=180)),
+    "half the steps": Variant(RefineConfig(steps=30)),
+    "twice the steps": Variant(RefineConfig(steps=120)),
     "Chamfer to the start added": Variant(RefineConfig(gamma=1e6)),
 }
 """The default preset with one ingredient changed in each row, between the paper's and itself."""
