@@ -79,7 +79,7 @@ def test_the_command_of_the_readme_works_as_written(folder, capsys):
     assert "IoU" in captured.out
     refined, initial = read_cloud("initial.refined.ply").points, read_cloud("initial.ply").points
     assert refined.shape == initial.shape
-    assert 0.0 < np.abs(refined - initial).max() < 0.1
+    assert 0.0 < np.abs(refined - initial).max() < 0.2
 
 
 def test_json_is_one_document_with_everything_promised(folder, capsys):
