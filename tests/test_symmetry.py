@@ -50,6 +50,13 @@ def test_a_chair_with_one_arm_has_no_plane():
     assert not find_mirror_plane(lopsided).symmetric
 
 
+def test_the_plane_of_a_large_cloud_is_found_whatever_the_order_of_its_points():
+    rng = np.random.default_rng(0)
+    body = np.repeat(_cloud("chair"), 40, axis=0) + rng.normal(scale=2e-3, size=(40 * 1024, 3))
+    for axis in range(3):
+        assert find_mirror_plane(body[body[:, axis].argsort()]).symmetric
+
+
 def test_a_random_heap_of_points_has_no_plane():
     assert not find_mirror_plane(np.random.default_rng(0).normal(size=(300, 3)) ** 3).symmetric
 

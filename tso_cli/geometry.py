@@ -9,6 +9,9 @@ from .errors import InputError
 
 Array = NDArray[np.float64]
 
+# Enough that a thousand of them lie evenly.
+CANDIDATES = 16_384
+
 
 def as_points(points: ArrayLike, name: str = "cloud") -> Array:
     """``points`` as a float64 array [N, 3] with N >= 1 and finite coordinates; InputError naming ``name`` otherwise."""
@@ -72,6 +75,20 @@ def farthest_point_sample(points: ArrayLike, count: int, start: int = 0) -> NDAr
         nearest[index] = -1.0
         index = int(nearest.argmax())
     return chosen
+
+
+def spread_subset(points: ArrayLike, count: int) -> NDArray[np.int64]:
+    """Indices of at most ``count`` points [N, 3] that lie evenly; all of them where there are no more.
+
+    Of a large cloud every so many-th point is a candidate of :func:`farthest_point_sample`, 16,384 at most: the time does
+    not grow with the cloud.
+    """
+    array = as_points(points)
+    every = np.arange(len(array))
+    if len(array) <= count:
+        return every
+    candidates = every[:: -(-len(array) // CANDIDATES)]
+    return candidates[farthest_point_sample(array[candidates], min(count, len(candidates)))]
 
 
 def bounding_box_normalisation(points: ArrayLike, name: str = "cloud") -> tuple[Array, float]:

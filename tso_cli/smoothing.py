@@ -7,15 +7,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .geometry import farthest_point_sample
+from .geometry import spread_subset
 
 # A cloud moves by a field that is known at so many nodes, at most; between them it is interpolated.
 NODES = 1024
 NEIGHBOURS = 8
 PATCH = 12
 INTERPOLATED_FROM = 6
-# Nodes are looked for among so many points: enough that 1,024 of them lie evenly.
-CANDIDATES = 16_384
 # Distances compared at once; bounds memory.
 PAIRS_AT_ONCE = 1 << 24
 
@@ -46,14 +44,16 @@ class SmoothField:
     def __init__(self, points: Tensor, counts: Tensor | None = None, nodes: int = NODES) -> None:
         points = points.detach()
         sizes = [points.shape[1]] * len(points) if counts is None else counts.tolist()
-        places = [_nodes(cloud[:size], nodes) for cloud, size in zip(points, sizes, strict=True)]
+        places = [
+            torch.from_numpy(spread_subset(cloud[:size].double().cpu().numpy(), nodes))
+            for cloud, size in zip(points, sizes, strict=True)
+        ]
         most = max(len(own) for own in places)
         self.nodes = _padded(places, most).to(points.device)
         places = [cloud[own] for cloud, own in zip(points, places, strict=True)]
         near = [_nearest_nodes(own) for own in places]
         self.patches = _padded(near, most).to(points.device)
         self.shape = (len(points), most, 3)
-        self._counts = torch.tensor([len(own) for own in places])
         laplacian = [_laplacian(own, index, most) for own, index in zip(places, near, strict=True)]
         # Lambda is stated for 1,024 nodes: with fewer, neighbours are further apart and edges reach further.
         self._laplacian = torch.stack([matrix * (len(own) / NODES) for matrix, own in zip(laplacian, places, strict=True)])
@@ -107,16 +107,6 @@ class _Smoothed(torch.autograd.Function):
     def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor | None, ...]:
         (matrix,) = ctx.saved_tensors
         return _Smoothed.apply(grad_outputs[0], matrix), None
-
-
-def _nodes(cloud: Tensor, most: int) -> Tensor:
-    """Numbers of the points that are nodes."""
-    every = torch.arange(len(cloud))
-    if len(cloud) <= most:
-        return every
-    step = -(-len(cloud) // CANDIDATES)
-    candidates = cloud[::step]
-    return every[::step][torch.from_numpy(farthest_point_sample(candidates.double().cpu().numpy(), most))]
 
 
 def _padded(rows: list[Tensor], size: int) -> Tensor:

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from .geometry import as_points, farthest_point_sample
+from .geometry import as_points, farthest_point_sample, spread_subset
 from .kernels.nearest import nearest
 from .scene import View
 
@@ -70,11 +70,7 @@ def find_mirror_plane(points: Array) -> MirrorPlane:
     closed form.
     """
     points = as_points(points)
-    judged = (
-        points[farthest_point_sample(points[:: -(-len(points) // 16_384)], min(JUDGED, len(points)))]
-        if len(points) > JUDGED
-        else points
-    )
+    judged = points[spread_subset(points, JUDGED)]
     if len(judged) < 4:
         return MirrorPlane(np.array([1.0, 0.0, 0.0]), float(points[:, 0].mean()), np.inf, np.inf)
     few = judged[farthest_point_sample(judged, min(SEARCHED, len(judged)))]
