@@ -9,7 +9,7 @@ from torch import Tensor
 
 from .kernels.choice import whole_batches
 from .kernels.nearest import nearest, nearest_in_rows
-from .projection import CameraBatch, Projected
+from .projection import CameraBatch, Projected, pixels_under
 from .pull import REFERENCE_POINTS, REFERENCE_SIDE, robust
 
 # A pixel's surface is reached once a point is this near to it, and a point is in front of a surface that is further than
@@ -81,11 +81,8 @@ def depth_pull(points: Tensor, projected: Projected, target: DepthTarget, reach:
     asked = torch.where(squared.detach() > REACHED_WITHIN**2, robust(squared, reach), 0.0) * pixel_area
     missed = points.new_zeros(len(points)).index_add(0, image, asked)
 
-    height, width = target.known.shape[1:]
-    pixel = projected.points_px.detach().round()
-    seen = projected.valid & (pixel >= 0).all(-1) & (pixel < pixel.new_tensor([width, height])).all(-1)
-    u, v = torch.where(seen.unsqueeze(-1), pixel, 0.0).long().unbind(-1)
-    front, per_unit = (image.flatten(1).gather(1, v * width + u) for image in (target.front, target.per_unit))
+    place, seen = pixels_under(*projected, *target.known.shape[1:])
+    front, per_unit = (image.flatten(1).gather(1, place) for image in (target.front, target.per_unit))
     R, t = target.cameras.R[:, 0], target.cameras.t[:, 0]
     depth = (points * R[:, 2].unsqueeze(1)).sum(-1) + t[:, 2].unsqueeze(1)
     ahead = (front - depth) * per_unit

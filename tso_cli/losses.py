@@ -11,6 +11,7 @@ from torch import Tensor
 from .kernels.choice import compiled_pays, whole_batches
 from .kernels.nearest import StaticNearest, nearest_both_ways, nearest_in_rows, nearest_marked, nearest_points
 from .kernels.splat import NEGLIGIBLE, cheapest, splat, window_radius
+from .projection import pixels_under
 
 # Windows are square: a sum below this may come from the corner of one while a nearer point lies beyond its side.
 UNCOVERED = NEGLIGIBLE
@@ -189,13 +190,7 @@ def _stray_points(points_px: Tensor, valid: Tensor, inside: Tensor) -> Tensor:
 
         return pull_to_mask(points_px, valid, inside)
     rows, columns = nearest_marked(inside)
-    height, width = inside.shape[-2:]
-    pixel = points_px.detach().round()
-    # What lies outside the image is unknown, not background.
-    limit = pixel.new_tensor([width, height])
-    seen = valid & (pixel >= 0).all(-1) & (pixel < limit).all(-1)
-    column, row = torch.where(seen.unsqueeze(-1), pixel, 0.0).long().unbind(-1)
-    place = row * width + column  # [M, N]
+    place, seen = pixels_under(points_px, valid, *inside.shape[-2:])
     goal = torch.stack([index.flatten(1).gather(1, place) for index in (columns, rows)], -1)
     stray = seen & ~inside.flatten(1).gather(1, place) & (goal[..., 0] >= 0)
     return torch.where(stray.unsqueeze(-1), points_px - goal, 0.0).square().sum((-1, -2))

@@ -95,8 +95,8 @@ def _sampled(depth: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
     return depth[rows[:, None], columns]
 
 
-class _Views:
-    """V views of each of B clouds, one view of all clouds together.
+class MaskObjective:
+    """Weighted sum over views of the silhouette's cross-entropy (Eq. 4), for B clouds that are asked by views of their own.
 
     Parameters
     ----------
@@ -116,9 +116,10 @@ class _Views:
         self.moves: CameraMoves | None = None
         self.weights = None if weights is None else weights.to(like)
         self.views = [_Together.of(column, like) for column in zip(*views, strict=True)]
-        self.counts, size = counts, like.shape[1]
+        size = like.shape[1]
         self.full = bool((counts == size).all())
         self.there = (torch.arange(size) < counts.unsqueeze(1)).to(like.device)  # [B, N]
+        self._targets = [PixelWeights.of(view.mask, view.known) for view in self.views]
 
     def projected(self, points: Tensor, view: _Together) -> Projected:
         """Where ``points`` [B, N, 3] fall in that view, [B, N, 2] and [B, N]."""
@@ -126,24 +127,10 @@ class _Views:
         points_px, valid = (found[:, 0] for found in project(points, cameras))
         return Projected(points_px, valid if self.full else valid & self.there)
 
-    def total(self, losses: list[Tensor]) -> Tensor:
-        """The weighted sum [B] of the losses [B] of each view."""
-        stacked = torch.stack(losses, 1)
-        return (stacked if self.weights is None else self.weights * stacked).sum(1)
-
-
-class MaskObjective(_Views):
-    """Weighted sum over views of the silhouette's cross-entropy (Eq. 4), for B clouds that are asked by views of their own."""
-
-    def __init__(
-        self, views: Sequence[Sequence[WorkingView]], counts: Tensor, like: Tensor, weights: Tensor | None = None
-    ) -> None:
-        super().__init__(views, counts, like, weights)
-        self._targets = [PixelWeights.of(view.mask, view.known) for view in self.views]
-
     def __call__(self, points: Tensor) -> Tensor:
         """The loss [B] of the clouds ``points`` [B, N, 3]; infinite where a view shows no point at all."""
-        return self.total(self.losses(points))
+        losses = torch.stack(self.losses(points), 1)
+        return (losses if self.weights is None else self.weights * losses).sum(1)
 
     def losses(self, points: Tensor) -> list[Tensor]:
         """The loss [B] by each view, without its weight."""

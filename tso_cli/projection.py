@@ -95,6 +95,17 @@ def project(points: Tensor, cameras: CameraBatch, near: float = NEAR) -> Project
     return Projected(plane @ linear.transpose(-1, -2) + centre.unsqueeze(-2), valid)
 
 
+def pixels_under(points_px: Tensor, valid: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
+    """On which pixels points fall: their numbers ``row * width + column`` [M, N], and whether they fall on any [M, N].
+
+    What lies outside the image is unknown, not background, and has number 0. ``points_px`` [M, N, 2], ``valid`` [M, N].
+    """
+    pixel = points_px.detach().round()
+    seen = valid & (pixel >= 0).all(-1) & (pixel < pixel.new_tensor([width, height])).all(-1)
+    column, row = torch.where(seen.unsqueeze(-1), pixel, 0.0).long().unbind(-1)
+    return row * width + column, seen
+
+
 def silhouette_sums(projected: Projected, cameras: CameraBatch, sigma_sq: float, kernel: str = "auto") -> Tensor:
     """The sums s [B, V, H, W] whose tanh is the silhouette (Eq. 2). Losses take s: it keeps what tanh rounds away."""
     points_px, valid = projected

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from .kernels.choice import compiled_pays
 from .kernels.nearest import nearest_marked, nearest_points
+from .projection import pixels_under
 
 # Lengths are stated in pixels of an image whose longer side has 64.
 REFERENCE_SIDE = 64.0
@@ -144,11 +145,7 @@ def _covered(points_px: Tensor, valid: Tensor, size: torch.Size, within: float) 
 
 
 def _stray(points_px: Tensor, valid: Tensor, target: PullTarget, scale: float, reach: float) -> Tensor:
-    height, width = target.inside.shape[-2:]
-    pixel = points_px.detach().round()
-    seen = valid & (pixel >= 0).all(-1) & (pixel < pixel.new_tensor([width, height])).all(-1)
-    column, row = torch.where(seen.unsqueeze(-1), pixel, 0.0).long().unbind(-1)
-    place = row * width + column  # [M, N]
+    place, seen = pixels_under(points_px, valid, *target.inside.shape[-2:])
     rows, columns, outside = (
         image.flatten(1).gather(1, place) for image in (target.goal_rows, target.goal_columns, target.outside)
     )

@@ -124,13 +124,14 @@ def load_views(
     return tuple(_read_view(file, source, camera, invert, ignore) for file, source, camera, ignore in rows), tuple(sources)
 
 
+def _require_one_each(option: str, what: str, files: Sequence[Path], masks: int) -> None:
+    if files and len(files) != masks:
+        raise InputError(f"{option} {files[0]}: found {len(files)} {what} for {masks} masks, expected one for each or none")
+
+
 def _ignores_of(mask_files: Sequence[Path], ignore_files: Sequence[Path]) -> Sequence[Path | None]:
     """The ignore map of each mask."""
-    if ignore_files and len(ignore_files) != len(mask_files):
-        raise InputError(
-            f"--ignore {ignore_files[0]}: found {len(ignore_files)} ignore maps for {len(mask_files)} masks, "
-            "expected one for each or none"
-        )
+    _require_one_each("--ignore", "ignore maps", ignore_files, len(mask_files))
     return ignore_files or [None] * len(mask_files)
 
 
@@ -162,11 +163,7 @@ def _same_size(file: Path, shape: tuple[int, ...], mask_file: Path | str, mask_s
 
 
 def _with_depths(views: tuple[View, ...], depth_files: Sequence[Path], scale: float) -> tuple[View, ...]:
-    if len(depth_files) != len(views):
-        raise InputError(
-            f"--depth {depth_files[0]}: found {len(depth_files)} depth maps for {len(views)} masks, "
-            "expected one for each or none"
-        )
+    _require_one_each("--depth", "depth maps", depth_files, len(views))
     found = []
     for view, file in zip(views, depth_files, strict=True):
         depth = read_depth(file, scale)

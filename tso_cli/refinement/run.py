@@ -57,14 +57,14 @@ def refine(
     masks : one [H, W] array in [0, 1], a sequence of them, or :class:`tso_cli.scene.View` objects, which bring their own
         camera, ignore map and depth map.
     cameras : one for each mask; None for the canonical camera.
-    config : settings, by default the paper's.
+    config : settings, by default those of the preset "best".
     network : for the modes "encoder", "encoder-decoder" and "latent"; it is copied, never changed.
     image : [3, 64, 64] network input in [0, 1], array or tensor.
     progress : called after every step with (step, steps, loss).
 
     Returns
     -------
-    RefineResult; its points are the best iterate of BCE + gamma * Chamfer, the start being a candidate.
+    RefineResult; its points are the best iterate of the preset's objective, the start being a candidate.
 
     Raises
     ------

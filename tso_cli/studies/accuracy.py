@@ -20,6 +20,7 @@ from .accuracy_summary import claims, summarise
 from .accuracy_variants import alone, refined, variants_of
 from .parts import SPLIT, Shape, shapes_of_part
 from .protocol import Report
+from .resumed import cases_of
 from .variants import weights_hash
 
 CATEGORIES = ("chair", "airplane", "car", "sofa", "table")
@@ -111,7 +112,7 @@ def study_accuracy(
     builder, network, digest = builder_of(folder, config, split_file, checkpoint)
     settings = {**asdict(config), "shapes": len(shapes), "network": digest}
     settings |= {"categories": list(config.categories), "kinds": list(config.kinds)}
-    cases = _cases_of(earlier, settings)
+    cases = cases_of("accuracy", earlier, settings)
     done = {(case["kind"], case["shape"]) for case in cases}
     groups = _groups(shapes, config)
     for number, (kind, group) in enumerate(groups, 1):
@@ -209,23 +210,6 @@ def _groups(shapes: list[Shape], config: AccuracyConfig) -> list[tuple[str, list
         for kind in kinds_of(category, config.kinds):
             found += [(kind, own[i : i + size]) for i in range(0, len(own), size)]
     return found
-
-
-def _cases_of(earlier: dict[str, Any] | None, settings: dict[str, Any]) -> list[dict[str, Any]]:
-    """The cases of an earlier record, which must be of the same settings."""
-    if earlier is None:
-        return []
-    found = earlier.get("settings"), earlier.get("cases")
-    if earlier.get("study") != "accuracy" or not (isinstance(found[0], dict) and isinstance(found[1], list)):
-        raise InputError(
-            f"the record to go on from is of the study {earlier.get('study')!r}, expected one of tso study accuracy"
-        )
-    for key, value in settings.items():
-        if found[0].get(key) != value:
-            raise InputError(
-                f"the record to go on from has {key} {found[0].get(key)!r}, now it is {value!r}; expected the same"
-            )
-    return list(found[1])
 
 
 def _record(settings: dict[str, Any], cases: list[dict[str, Any]], complete: bool) -> dict[str, Any]:

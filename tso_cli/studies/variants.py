@@ -25,6 +25,7 @@ from ..scene import View
 from ..scenes import network_scene
 from .parts import SPLIT, SeenShape, Shape, see, shapes_of_part
 from .protocol import Report
+from .resumed import cases_of
 from .variants_summary import PAPER, VARIANTS, claims, summarise
 from .visibility import visible_points
 
@@ -101,7 +102,7 @@ def study_variants(
         "sigma_sq": about.sigma_sq,
         "network": weights_hash(network),
     }
-    cases = _cases_of(earlier, settings)
+    cases = cases_of("tso", earlier, settings)
     done = {case["shape"] for case in cases}
     render = RenderSettings(views=config.views, size=(config.size, config.size))
     for shape in shapes:
@@ -181,21 +182,6 @@ def distances(prediction: Array, target: Array, sees: NDArray[np.bool_]) -> dict
         "visible": float(forward[sees].mean()) if sees.any() else None,
         "occluded": float(forward[~sees].mean()) if not sees.all() else None,
     }
-
-
-def _cases_of(earlier: dict[str, Any] | None, settings: dict[str, Any]) -> list[dict[str, Any]]:
-    """The cases of an earlier record, which must be of the same settings."""
-    if earlier is None:
-        return []
-    if earlier.get("study") != "tso" or not (
-        isinstance(earlier.get("settings"), dict) and isinstance(earlier.get("cases"), list)
-    ):
-        raise InputError(f"the record to go on from is of the study {earlier.get('study')!r}, expected one of tso study tso")
-    for key, value in settings.items():
-        found = earlier["settings"].get(key)
-        if found != value:
-            raise InputError(f"the record to go on from has {key} {found!r}, now it is {value!r}; expected the same")
-    return list(earlier["cases"])
 
 
 def _record(settings: dict[str, Any], cases: list[dict[str, Any]], complete: bool) -> dict[str, Any]:
