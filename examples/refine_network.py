@@ -11,7 +11,7 @@ from tso_cli.files.clouds import read_cloud
 from tso_cli.files.shipped import named_checkpoint
 from tso_cli.geometry import normalise_longest_side
 from tso_cli.metrics import chamfer
-from tso_cli.scenes import load_network_scene
+from tso_cli.network_scenes import load_network_scene
 
 chair = Path(__file__).parent / "chair"
 target = normalise_longest_side(read_cloud(chair / "target.ply").points)

@@ -413,6 +413,16 @@ def test_a_view_aligned_cloud_can_be_had_in_world_coordinates(folder, checkpoint
     assert _json(capsys)["placement"]["box_iou"] > 0.5
 
 
+def test_a_view_aligned_cloud_can_be_placed_where_the_camera_file_has_the_object(folder, checkpoint, capsys):
+    common = ("refine", "--mode", "latent", "image.png", "mask.png", "--checkpoint", checkpoint, "--steps", "1")
+    distances = {}
+    for placing in ("silhouette", "box", "camera"):
+        assert tso(*common, "-o", f"{placing}.ply", "--place", placing, "--json") == 0
+        distances[placing] = _json(capsys)["camera"]["t"][2]
+    assert distances["camera"] == json.loads(Path("camera.json").read_text())["t"][2]
+    assert len(set(distances.values())) == 3
+
+
 def test_a_network_without_a_camera_file_sees_the_crop_through_the_canonical_camera(folder, checkpoint, capsys):
     Path("camera.json").unlink()
     arguments = ("refine", "--mode", "encoder", "image.png", "mask.png", "--checkpoint", checkpoint, "--steps", "1", "--json")
@@ -420,6 +430,8 @@ def test_a_network_without_a_camera_file_sees_the_crop_through_the_canonical_cam
     assert _json(capsys)["camera"]["K"][0][0] == 120.0
     assert tso(*arguments, "--frame", "world", "-o", "w.ply") == 2
     assert "--frame world needs" in capsys.readouterr().err
+    assert tso(*arguments, "--place", "camera", "-o", "w.ply") == 2
+    assert "--place camera needs" in capsys.readouterr().err
 
 
 def test_a_canonical_frame_network_needs_a_camera_file(folder, tmp_path, capsys):
@@ -469,9 +481,14 @@ def test_an_interrupt_writes_the_best_so_far(folder, capsys, monkeypatch):
         return true_call(self, moved, reach)
 
     monkeypatch.setattr(PullObjective, "__call__", interrupted)
-    assert tso("refine", "initial.ply", "mask.png") == 130
-    assert "interrupted at step 6 of 60" in capsys.readouterr().err
+    assert tso("refine", "initial.ply", "mask.png", "--symmetry", "none") == 130
+    assert "interrupted at step 6 of 48" in capsys.readouterr().err
     assert Path("initial.refined.ply").exists()
+    # while the mirror plane is put to the test nothing has moved yet
+    calls = iter(range(100))
+    assert tso("refine", "initial.ply", "mask.png", "-o", "start.ply") == 130
+    assert "interrupted at step 0 of 48" in capsys.readouterr().err
+    np.testing.assert_array_equal(read_cloud("start.ply").points, read_cloud("initial.ply").points)
 
 
 # What is done to the folder, the arguments, and words that the one line of error must hold.
@@ -509,6 +526,7 @@ BAD = {
     "truncated checkpoint": ("tensor:base.safetensors", "image.png mask.png ENCODER base.safetensors", "base.safetensors"),
     "image of another size": ("resize:image.png", "image.png mask.png ENCODER CHECKPOINT", "image.png 128x128 256x256"),
     "frame in points mode": ("", "initial.ply mask.png --frame world", "--frame"),
+    "place in points mode": ("", "initial.ply mask.png --place camera", "--place camera"),
     "missing output folder": ("", "initial.ply mask.png -o nowhere/out.ply", "nowhere exist"),
     "existing output": ("text:out.ply:precious", "initial.ply mask.png -o out.ply", "out.ply exists --overwrite"),
     "existing overlay": ("text:out.png:precious", "initial.ply mask.png --overlay out.png", "out.png exists --overwrite"),

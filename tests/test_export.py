@@ -55,7 +55,7 @@ def test_the_copy_is_half_the_size_and_predicts_the_same(base, capsys):
 
 def test_the_largest_change_is_that_of_the_examples_points(base, capsys):
     from tso_cli.files.shipped import CATEGORIES, examples_folder
-    from tso_cli.scenes import load_network_scene
+    from tso_cli.network_scenes import load_network_scene
 
     assert tso("export", base, "-o", "small.safetensors", "--json") == 0
     document = json.loads(capsys.readouterr().out)

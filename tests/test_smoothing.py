@@ -75,6 +75,31 @@ def test_a_large_cloud_moves_by_the_field_of_its_nodes():
     assert moved[order[:50]].mean() > 5.0 * moved[order[2500:]].mean()
 
 
+def test_points_stand_for_the_less_surface_the_closer_they_lie():
+    flat = np.stack(np.meshgrid(np.linspace(0.0, 1.0, 12), np.linspace(0.0, 1.0, 12), [0.0]), -1).reshape(-1, 3)
+    cloud = torch.tensor(np.concatenate([flat, 0.5 * flat + [3.0, 0.0, 0.0]]))[None]
+    areas = SmoothField(cloud).areas(cloud, torch.tensor([288]))[0]
+    torch.testing.assert_close(areas[:144] / areas[144:], torch.full((144,), 4.0, dtype=torch.float64), rtol=1e-6, atol=0)
+    assert areas.mean() == pytest.approx(1.0)
+
+
+def test_points_of_a_large_cloud_share_the_surface_of_their_node():
+    rng = np.random.default_rng(0)
+    flat = np.concatenate([rng.uniform(size=(6000, 3)), rng.uniform(size=(2000, 3)) + [1.0, 0.0, 0.0]]) * [1.0, 1.0, 0.0]
+    cloud = torch.tensor(flat)[None]
+    areas = SmoothField(cloud).areas(cloud, torch.tensor([8000]))[0]
+    assert areas[6000:].mean() / areas[:6000].mean() == pytest.approx(3.0, rel=0.15)
+
+
+def test_what_is_behind_the_points_of_a_cloud_does_not_change_their_areas():
+    small, large = _cloud(40), _cloud(NODES + 90, 1)
+    padded = torch.cat([small, torch.zeros(1, NODES + 50, 3, dtype=torch.float64)], 1)
+    both, counts = torch.cat([padded, large]), torch.tensor([40, NODES + 90])
+    areas = SmoothField(both, counts).areas(both, counts)
+    torch.testing.assert_close(areas[:1, :40], SmoothField(small).areas(small, counts[:1]))
+    torch.testing.assert_close(areas[1:], SmoothField(large).areas(large, counts[1:]))
+
+
 def test_the_gradient_is_that_of_finite_differences():
     field = SmoothField(_cloud(NODES + 20))
     smoother = field.smoother(3.0)

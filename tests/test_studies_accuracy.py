@@ -268,7 +268,7 @@ def fake(kind: str, category: str, number: int, ratios: dict[str, float], before
     }
 
 
-GOOD = dict(zip(POINTS, (0.95, 0.35, 0.55, 0.25, 0.2), strict=True))
+GOOD = dict(zip(POINTS, (0.95, 0.35, 0.55, 0.25, 0.2, 0.4, 0.35), strict=True))
 
 
 def held(cases: list[dict]) -> dict[str, bool]:

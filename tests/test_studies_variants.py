@@ -141,10 +141,10 @@ def test_the_truth_in_the_cameras_axes_is_at_distance_zero_whatever_its_scale(sp
     in_view = (seen.target @ camera.R.T) * [1.0, -1.0, -1.0]
     ours = variants.network_scene
 
-    def perfect(image, view, network, about):
+    def perfect(image, view, network, about, placing):
         from dataclasses import replace
 
-        scene = ours(image, view, network, about)
+        scene = ours(image, view, network, about, placing=placing)
         return replace(scene, points=2.0 * in_view + 0.1)
 
     def untouched(points, view, config, network, image):
@@ -180,8 +180,8 @@ def test_every_variant_starts_from_the_networks_prediction_and_moves_it(split, c
 
 def test_the_judged_distance_is_that_of_eval_under_the_papers_protocol(split, checkpoint):
     from tso_cli.metrics import chamfer
+    from tso_cli.network_scenes import network_scene
     from tso_cli.scene import View
-    from tso_cli.scenes import network_scene
 
     record = study_variants(MESHES, checkpoint, QUICK, split)
     seen = see(shapes_of_part(MESHES, split, categories=["car"])[0], RenderSettings(views=1, size=(64, 64)), 0)

@@ -9,12 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tso_cli.camera import Camera
 from tso_cli.errors import InputError
 from tso_cli.files.cameras import read_camera
 from tso_cli.files.clouds import read_cloud
 from tso_cli.files.images import read_mask
 from tso_cli.projection import silhouette_of
-from tso_cli.refinement import RefineConfig, refine
+from tso_cli.refinement import RefineConfig, refine, refine_batch
+from tso_cli.render import look_at
 from tso_cli.scene import View
 from tso_cli.symmetry import MirrorPlane, find_mirror_plane
 
@@ -64,6 +66,72 @@ def test_a_random_heap_of_points_has_no_plane():
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_too_few_points_have_no_plane(count):
     assert not find_mirror_plane(np.eye(3)[:count]).symmetric
+
+
+@pytest.mark.parametrize("name", ["chair", "airplane", "car"])
+def test_the_plane_stays_where_it_is_however_the_last_bits_are_rounded(name):
+    points = _cloud(name)
+    planes = [
+        find_mirror_plane(points + np.random.default_rng(seed).normal(scale=1e-13, size=points.shape)) for seed in range(3)
+    ]
+    images = [plane.reflect(points) for plane in planes]
+    for image in images[1:]:
+        np.testing.assert_allclose(image, images[0], atol=1e-6)
+
+
+def _seen(points: np.ndarray) -> tuple[np.ndarray, Camera]:
+    """The mask of a cloud seen from half right, and its camera."""
+    camera = look_at(35.0, 20.0, 2.2, (64, 64))
+    return (silhouette_of(points, camera) > 0.5).astype(np.float32), camera
+
+
+def _boxes(*sides: float) -> np.ndarray:
+    """A slab with a post on its top at each of ``sides``; evenly sampled, so that it is its own mirror image if they are."""
+
+    def grid(*axes: np.ndarray) -> np.ndarray:
+        return np.stack(np.meshgrid(*axes), -1).reshape(-1, 3)
+
+    deep = np.linspace(-0.3, 0.3, 16)
+    slab = grid(np.linspace(-0.5, 0.5, 26), np.linspace(-0.1, 0.1, 6), deep)
+    post = grid(np.linspace(-0.08, 0.08, 5), np.linspace(0.14, 0.5, 10), deep)
+    return np.concatenate([slab, *(post + [side, 0.0, 0.0] for side in sides)])
+
+
+def test_the_flipped_picture_helps_where_the_object_is_its_own_mirror_image():
+    mask, camera = _seen(_boxes(-0.42, 0.42) * [1.1, 1.1, 1.0])
+    found = refine(_boxes(-0.42, 0.42), mask, camera)
+    assert found.symmetry is not None
+    assert "at most 1.15" in found.symmetry_reason
+
+
+def test_the_flipped_picture_is_given_up_where_the_object_has_lost_one_side():
+    mask, camera = _seen(_boxes(-0.42))
+    start = _boxes(-0.42, 0.42)
+    found = refine(start, mask, camera)
+    assert found.symmetry is None
+    assert "over 1.15" in found.symmetry_reason
+    np.testing.assert_array_equal(found.points, refine(start, mask, camera, RefineConfig(symmetry="none")).points)
+
+
+def test_a_cloud_with_two_pictures_and_one_with_a_picture_and_its_mirror_image_are_not_mistaken_for_each_other():
+    start, (mask, camera) = _boxes(-0.42, 0.42), _seen(_boxes(-0.42, 0.42) * [1.1, 1.1, 1.0])
+    lopsided = start[start[:, 0] < 0.3]
+    view = View(mask, camera)
+    config = RefineConfig(steps=12)
+    together = refine_batch([(start, [view]), (lopsided, [view, view])], config)
+    assert [len(result.view_ious) for result in together] == [1, 2]
+    for result, (points, views) in zip(together, [(start, [view]), (lopsided, [view, view])], strict=True):
+        np.testing.assert_allclose(result.points, refine(points, views, config=config).points, atol=1e-4)
+
+
+def test_one_cloud_of_a_batch_may_lose_its_plane_and_the_others_keep_theirs():
+    start = _boxes(-0.42, 0.42)
+    scenes = [(start, View(*_seen(truth))) for truth in (_boxes(-0.42), _boxes(-0.42, 0.42) * [1.1, 1.1, 1.0])]
+    config = RefineConfig(steps=12)
+    together = refine_batch(scenes, config)
+    assert [result.symmetry is None for result in together] == [True, False]
+    for result, (points, view) in zip(together, scenes, strict=True):
+        np.testing.assert_allclose(result.points, refine(points, view, config=config).points, atol=1e-4)
 
 
 @settings(max_examples=25, deadline=None)

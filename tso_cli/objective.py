@@ -196,7 +196,9 @@ class PullObjective:
             if depth is not None:
                 each = points.repeat_interleave(share.shape[1], 0)
                 losses = losses + depth_pull(each, Projected(points_px, valid), depth, reach, counts)
-            total = total + (share * torch.where(valid.any(1), losses, torch.inf).view_as(share)).sum(1)
+            # A view that does not count may show no point either.
+            seen = valid.any(1).view_as(share) | (share == 0.0)
+            total = total + torch.where(seen, share * losses.view_as(share), torch.inf).sum(1)
         return total
 
 

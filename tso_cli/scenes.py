@@ -15,14 +15,12 @@ from .camera import Camera
 from .errors import InputError
 from .files.cameras import check_size, find_camera, read_camera
 from .files.clouds import PointCloud, read_cloud
-from .files.images import read_depth, read_image, read_mask
+from .files.images import read_depth, read_mask
 from .files.pairing import pair_with_masks
-from .network_input import network_input
-from .placement import place_in_front, settle, view_to_world
 from .scene import View
 
 if TYPE_CHECKING:
-    from .network import BaseNetwork, NetworkConfig
+    from .network import BaseNetwork
 
 Array = NDArray[np.float64]
 
@@ -144,7 +142,7 @@ def _read_view(
     known = None
     if ignore_file is not None:
         known = read_mask(ignore_file) <= 0.5
-        _same_size(ignore_file, known.shape, mask_file, mask.shape)
+        same_size(ignore_file, known.shape, mask_file, mask.shape)
     if camera_file is None:
         camera = Camera.canonical(width, height)
     elif camera is None:
@@ -154,7 +152,8 @@ def _read_view(
     return View(mask, camera, known, name=str(mask_file))
 
 
-def _same_size(file: Path, shape: tuple[int, ...], mask_file: Path | str, mask_shape: tuple[int, ...]) -> None:
+def same_size(file: Path, shape: tuple[int, ...], mask_file: Path | str, mask_shape: tuple[int, ...]) -> None:
+    """InputError where an image of that [H, W, ...] shape and a mask differ in size."""
     if shape[:2] != mask_shape:
         raise InputError(
             f"{file}: is {shape[1]}x{shape[0]}, the mask {mask_file} is {mask_shape[1]}x{mask_shape[0]} (width x height), "
@@ -167,12 +166,13 @@ def _with_depths(views: tuple[View, ...], depth_files: Sequence[Path], scale: fl
     found = []
     for view, file in zip(views, depth_files, strict=True):
         depth = read_depth(file, scale)
-        _same_size(file, depth.shape, view.name, view.mask.shape)
+        same_size(file, depth.shape, view.name, view.mask.shape)
         found.append(replace(view, depth=depth))
     return tuple(found)
 
 
-def _said(camera_file: Path | None) -> str:
+def said(camera_file: Path | None) -> str:
+    """Where a camera comes from, in words."""
     return str(camera_file) if camera_file else "canonical (no camera file was given or found beside the mask)"
 
 
@@ -209,103 +209,7 @@ def load_points_scene(
         _warn_of_scale(cloud.points, view, cloud_file)
     for view, depth_file in zip(views, depth_files, strict=False):
         _warn_of_depth(cloud.points, view, depth_file)
-    return Scene(cloud.points, views, tuple(map(_said, camera_files)), "input", cloud=cloud)
-
-
-def load_network_scene(
-    image_file: Path,
-    mask_file: Path,
-    checkpoint: Path,
-    camera_file: Path | None = None,
-    invert: bool = False,
-    ignore_file: Path | None = None,
-    world: bool = False,
-    settled: bool = False,
-) -> Scene:
-    """The scene of the network modes: the photo cropped as the checkpoint says, and the camera that sees the cloud in it.
-
-    A view-aligned network predicts in the axes of the camera: of a camera file only K counts, and the cloud is set before
-    the camera so that it fills the mask's box (:func:`tso_cli.placement.place_in_front`). Without a camera file, K is the
-    canonical one of the crop. A canonical-frame network predicts in the frame of its training objects: R and t of the camera
-    file lead from there to the picture.
-
-    Parameters
-    ----------
-    world : give the output of a view-aligned network in the world coordinates of the camera file.
-    settled : place a view-aligned network's cloud by its silhouette, not by its box alone (:func:`tso_cli.placement.settle`).
-
-    Raises
-    ------
-    InputError
-        A file cannot be used, image and mask differ in size, or the frame asked for needs a camera file.
-    """
-    from .files.checkpoints import load_network
-
-    view, camera_file = load_view(mask_file, camera_file, invert, ignore_file)
-    image = read_image(image_file)
-    _same_size(image_file, image.shape, mask_file, view.mask.shape)
-    network, config = load_network(checkpoint)
-    if camera_file is None and config.frame != "view":
-        raise InputError(
-            f"{checkpoint}: predicts in the canonical frame of its training objects, which needs the camera's R and t; "
-            "found no camera file, expected --camera FILE"
-        )
-    if camera_file is None and world:
-        raise InputError("--frame world needs the camera's R and t; found no camera file, expected --camera FILE")
-    if config.frame == "view" and view.camera.model != "perspective":
-        raise InputError(f"{camera_file}: model is {view.camera.model}, expected perspective for a view-aligned network")
-    return network_scene(image, view, network, config, _said(camera_file), camera_file is not None, world, settled)
-
-
-def network_scene(
-    image: NDArray[np.uint8],
-    view: View,
-    network: BaseNetwork,
-    config: NetworkConfig,
-    camera_source: str = "given",
-    known_camera: bool = True,
-    world: bool = False,
-    settled: bool = False,
-) -> Scene:
-    """The scene of a photo that is in memory already, with a network that may serve many of them.
-
-    Parameters
-    ----------
-    image : [H, W, 3] or [H, W, 4]; view : its mask and perspective camera.
-    known_camera : False lets the canonical camera see the crop; for view-aligned networks only.
-    world, settled : as in :func:`load_network_scene`.
-    """
-    import torch
-
-    given = network_input(image, view, config.image_size, config.crop_share, config.background)
-    with torch.no_grad():
-        predicted = network(torch.from_numpy(given.image).unsqueeze(0))[0].double().numpy()
-    crop, to_output, frame = given.view(view.name), Scene.to_output, config.frame
-    if config.frame == "view":
-        if not known_camera:
-            crop = replace(crop, camera=Camera.canonical(config.image_size, config.image_size))
-        placed = place_in_front(predicted, crop)
-        crop = replace(crop, camera=placed)
-        if settled:
-            placed = settle(predicted, crop, config.sigma_sq)
-            crop = replace(crop, camera=placed)
-        camera_source += f"; of it K counts, the network's cloud is placed to fill the mask, at distance {placed.t[2]:.3g}"
-        if world:
-            frame = "world"
-
-            def to_output(points: Array) -> Array:
-                return view_to_world(points, placed, view.camera)
-
-    return Scene(
-        predicted,
-        (crop,),
-        (camera_source,),
-        frame,
-        network=network,
-        image=given.image,
-        sigma_sq=config.sigma_sq,
-        to_output=to_output,
-    )
+    return Scene(cloud.points, views, tuple(map(said, camera_files)), "input", cloud=cloud)
 
 
 def _warn_of_scale(points: Array, view: View, cloud_file: Path) -> None:

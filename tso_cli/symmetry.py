@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 # Planes are looked for with so many points, and judged with four times as many.
 SEARCHED, JUDGED = 256, 1024
 UPDATES = 8
+# The best of them is then improved until it stays, however long that takes within reason: else it would depend on how this
+# machine rounds, and two machines would refine alike clouds differently.
+MOST_UPDATES, STILL = 40, 1e-9
 # A cloud is taken to be symmetric if its mirror image lies on it as near as another sample of the same surface would:
 # distances in units of the spacing of its points, on average and for the points that lie furthest off.
 MEAN_MISFIT, FAR_MISFIT, FAR_SHARE = 0.6, 1.2, 0.97
@@ -81,16 +84,25 @@ def find_mirror_plane(points: Array) -> MirrorPlane:
     for axis in axes:
         plane = MirrorPlane(axis, float(axis @ centre))
         for _ in range(UPDATES):
-            plane = _improved(plane, few)
+            plane, _ = _improved(plane, few)
         found.append(_judged(plane, judged, few, spacing))
     plane = min(found, key=lambda plane: plane.misfit)
-    for _ in range(2):
-        plane = _improved(plane, judged)
+    tried = []
+    for _ in range(MOST_UPDATES):
+        improved, misfit = _improved(plane, judged)
+        tried.append((misfit, plane))
+        # A normal's sign means nothing.
+        if np.abs(plane.reflect(few) - improved.reflect(few)).max() < STILL * spacing:
+            break
+        plane = improved
+    # Where pairs change to and fro it goes round in a circle, whose best plane is the same wherever it was entered.
+    plane = min(tried, key=lambda one: one[0])[1]
     return _judged(plane, judged, judged, spacing)
 
 
-def _improved(plane: MirrorPlane, points: Array) -> MirrorPlane:
-    """With y the point nearest to the mirror image of x: the plane that makes sum |mirrored x - y|^2 least."""
+def _improved(plane: MirrorPlane, points: Array) -> tuple[MirrorPlane, float]:
+    """With y the point nearest to the mirror image of x: the plane that makes sum |mirrored x - y|^2 least, and what that sum
+    is for the plane given, mean over the pairs that count."""
     image = plane.reflect(points)
     pairs = points[_nearest(image, points)]
     apart = np.linalg.norm(image - pairs, axis=1)
@@ -100,7 +112,7 @@ def _improved(plane: MirrorPlane, points: Array) -> MirrorPlane:
     mean_x, mean_y = x.mean(0), y.mean(0)
     product = (x - mean_x).T @ (y - mean_y)
     normal = np.linalg.eigh(product + product.T)[1][:, 0]
-    return MirrorPlane(normal, float(normal @ (mean_x + mean_y)) / 2.0)
+    return MirrorPlane(normal, float(normal @ (mean_x + mean_y)) / 2.0), float(np.square(apart[kept]).mean())
 
 
 def _judged(plane: MirrorPlane, cloud: Array, queries: Array, spacing: float) -> MirrorPlane:

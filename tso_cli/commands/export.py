@@ -58,7 +58,7 @@ def _largest_change(folder: Path, *checkpoints: Path) -> float:
     """The largest distance between a point that one checkpoint predicts for an example and the other's."""
     import numpy as np
 
-    from ..scenes import load_network_scene
+    from ..network_scenes import load_network_scene
 
     first, second = (load_network_scene(folder / "image.png", folder / "mask.png", path).points for path in checkpoints)
     return float(np.sqrt(np.square(first - second).sum(1)).max())

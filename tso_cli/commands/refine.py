@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -20,6 +21,9 @@ from .refine_camera import (
     write_used_cameras,
 )
 from .refine_result import document, print_check, print_result
+
+if TYPE_CHECKING:
+    from ..network_scenes import Placing
 
 # A view of less weight is warned of.
 DOUBTED = 0.5
@@ -74,6 +78,13 @@ MODES = ("points", "encoder", "encoder-decoder", "latent")
     help="Axes of the cloud that a view-aligned network gives.  [default: view]",
 )
 @click.option(
+    "--place",
+    "place_by",
+    type=click.Choice(["silhouette", "box", "camera"]),
+    help="Where a view-aligned network's cloud stands: where its silhouette, or its box, fills the mask; or where the camera "
+    "file has an object of longest side 1 around the origin.  [default: silhouette]",
+)
+@click.option(
     "--preset",
     type=click.Choice(["best", "paper"]),
     default="best",
@@ -89,15 +100,17 @@ MODES = ("points", "encoder", "encoder-decoder", "latent")
 @click.option(
     "--steps",
     type=click.IntRange(min=0),
-    help="Steps; 0 writes the start.  [default: 60 points, 12 encoder modes, 30 latent; paper 50]",
+    help="Steps; 0 writes the start.  [default: 48 points for each mask, up to four, 12 encoder modes, 30 latent; paper 50]",
 )
 @click.option(
-    "--learning-rate", type=float, help="[default: 4e-2 points, 3e-5 encoder modes, 1e-3 latent; paper 5e-4, 1e-6, 5e-6]"
+    "--learning-rate",
+    type=float,
+    help="[default: 4e-2 points, 3e-5 encoder, 6e-5 encoder-decoder, 1e-3 latent; paper 5e-4, 1e-6, 5e-6]",
 )
 @click.option(
     "--gamma",
     type=float,
-    help="Weight of the Chamfer distance to the start.  [default: 0 points, else 1e6; paper 1e6, encoder 0]",
+    help="Weight of the Chamfer distance to the start.  [default: 0; paper 1e6, encoder 0]",
 )
 @click.option(
     "--sigma-sq",
@@ -126,6 +139,7 @@ def command(
     depth_files: tuple[Path, ...],
     depth_scale: float,
     frame: str | None,
+    place_by: Placing | None,
     preset: str,
     symmetry: str | None,
     steps: int | None,
@@ -154,7 +168,7 @@ def command(
     other attribute stay. None of the three variants draws random numbers; the seed is only recorded.
     """
     started = time.perf_counter()
-    _refuse_mixed_up(mode, source, masks, ignore_files, checkpoint, frame)
+    _refuse_mixed_up(mode, source, masks, ignore_files, checkpoint, frame, place_by)
     fit = camera_file == options.FIT
     _refuse_depths(mode, preset, fit, depth_files)
     refuse_camera_options(mode, fit, refine_camera, write_camera)
@@ -169,14 +183,19 @@ def command(
         inputs = (source, *masks, camera_file, *ignore_files, *depth_files)
         _refuse_outputs(output, overlay, overwrite, inputs)
         refuse_camera_output(write_camera, overwrite, (*inputs, output, overlay))
-    from ..placement import place, require_overlap
-    from ..scenes import load_network_scene, load_points_scene
+    with options.loading():
+        from ..placement import place, require_overlap
+        from ..scenes import load_points_scene
 
     if checkpoint is None:
         scene = load_points_scene(source, masks, camera_file, invert_mask, ignore_files, fit, depth_files, depth_scale)
     else:
+        from ..network_scenes import load_network_scene
+
         ignore_file = ignore_files[0] if ignore_files else None
-        scene = load_network_scene(source, masks[0], checkpoint, camera_file, invert_mask, ignore_file, frame == "world")
+        scene = load_network_scene(
+            source, masks[0], checkpoint, camera_file, invert_mask, ignore_file, frame == "world", place_by or "silhouette"
+        )
         options.log(f"tso: checkpoint: {checkpoint}")
     options.log(f"tso: camera: {scene.camera_source}")
     if check:
@@ -186,7 +205,8 @@ def command(
             require_overlap(placement, view)
         return
     read = time.perf_counter() - started
-    from ..refinement import RefineConfig, refine
+    with options.loading():
+        from ..refinement import RefineConfig, refine
 
     sigma_sq = scene.sigma_sq if sigma_sq is None else sigma_sq
     config = RefineConfig(mode, steps, learning_rate, gamma, sigma_sq, device, seed, preset, symmetry, refine_camera)
@@ -227,7 +247,9 @@ def command(
     if result.stop_reason == "non_finite":
         options.log(f"tso: warning: the loss was no number after step {result.steps}; the best before that was written")
     elif result.stop_reason == "interrupted":
-        options.log(f"tso: interrupted at step {result.steps} of {config.settings().steps}; the best so far was written")
+        options.log(
+            f"tso: interrupted at step {result.steps} of {config.settings(len(scene.views)).steps}; the best so far was written"
+        )
         ctx.exit(130)
 
 
@@ -238,6 +260,7 @@ def _refuse_mixed_up(
     ignore_files: tuple[Path, ...],
     checkpoint: Path | None,
     frame: str | None,
+    place_by: str | None,
 ) -> None:
     if mode != "points":
         for name, count in (("MASK", len(masks)), ("--ignore", max(1, len(ignore_files)))):
@@ -257,6 +280,8 @@ def _refuse_mixed_up(
         )
     if frame is not None:
         raise InputError("--frame is for the encoder modes; points mode keeps the frame of its cloud")
+    if place_by is not None:
+        raise InputError("--place is for the encoder modes; points mode takes its cloud to be where the camera file has it")
 
 
 def _refuse_depths(mode: str, preset: str, fit: bool, depth_files: tuple[Path, ...]) -> None:

@@ -97,7 +97,7 @@ def batches_of(items: dict[int, Item]) -> list[list[int]]:
     """Numbers of the items that are worked on together: views of one kind, sizes within a factor of two, bounded memory."""
     groups: dict[Any, list[int]] = {}
     for number, item in items.items():
-        groups.setdefault(tuple(view.kind for view in item.working), []).append(number)
+        groups.setdefault((len(item.views), *(view.kind for view in item.working)), []).append(number)
     batches: list[list[int]] = []
     for group in groups.values():
         most = BATCH_PIXELS // items[group[0]].pixels

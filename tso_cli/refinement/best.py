@@ -1,4 +1,4 @@
-"""The preset "best" of points mode: from coarse to fine, pulled by the mask, held by its start."""
+"""The preset "best": pulled by the mask, held by the start, and points from coarse to fine."""
 
 from __future__ import annotations
 
@@ -44,19 +44,53 @@ class Recipe:
     ----------
     stages : share the steps evenly, in this order.
     anchor : what it costs a point to leave its start, squared distance (longest side 1), for a start whose mask pixels are
-        1 px^2 off on average. A start that is further off is trusted less: ``least_anchor`` and ``most_anchor`` bound it.
+        e = 1 px^2 off on average. A start that is further off is trusted less, anchor / e^decay; ``least_anchor`` and
+        ``most_anchor`` bound it.
+    by_area : whether points hold by the surface that they stand for, or all alike.
     optimiser : of every stage. looks : whether parts that pixels do not show are left alone.
     """
 
     stages: tuple[Stage, ...] = STAGES
     anchor: float = 350.0
+    decay: float = 1.0
     least_anchor: float = 30.0
     most_anchor: float = 3000.0
+    by_area: bool = True
     optimiser: type[Adam] | type[UniformAdam] = UniformAdam
     looks: bool = True
 
 
 BEST = Recipe()
+# Of the modes that move a network: its weights take many points along anyway, and where its prediction is far off the picture
+# it has mistaken the shape, which no small change of weights puts right.
+NETWORK = Recipe(stages=(Stage(0.0, 3.0, 1.0),), anchor=500.0, decay=0.5, optimiser=Adam)
+
+
+def held_and_pulled(first: Tensor, counts: Tensor, pull: PullObjective, recipe: Recipe = NETWORK) -> Objective:
+    """The pull of the masks and what it costs to leave the start, for B clouds ``first`` [B, N, 3] of ``counts`` [B] points."""
+    field = SmoothField(first, counts)
+    anchors = anchors_of(first, counts, pull, field, recipe)
+    pull.look(first, field)
+    (stage,) = recipe.stages
+
+    def objective(moved: Tensor) -> Tensor:
+        return pull(moved, stage.reach) + cost(moved, first, anchors)
+
+    return objective
+
+
+def anchors_of(first: Tensor, counts: Tensor, pull: PullObjective, field: SmoothField, recipe: Recipe) -> Tensor:
+    """[B, N] what the square of a point's way from its start costs."""
+    off = pull(first, ANCHOR_REACH) / pull.pixels
+    trusted = (recipe.anchor / off**recipe.decay).clamp(recipe.least_anchor, recipe.most_anchor)
+    each = (trusted * (REFERENCE_POINTS / counts).to(first)).unsqueeze(1)
+    # What holds a piece of surface is as strong where points are few as where they are many.
+    return each * (field.areas(first, counts) if recipe.by_area else torch.ones_like(first[..., 0]))
+
+
+def cost(moved: Tensor, first: Tensor, anchors: Tensor) -> Tensor:
+    """[B] of leaving the start."""
+    return (anchors * (moved - first).square().sum(2)).sum(1)
 
 
 def descend_in_stages(
@@ -68,6 +102,7 @@ def descend_in_stages(
     learning_rate: float,
     progress: Progress | None = None,
     recipe: Recipe = BEST,
+    fields: dict[int, SmoothField] | None = None,
 ) -> Descent:
     """Move B clouds by smooth fields.
 
@@ -78,22 +113,23 @@ def descend_in_stages(
     steps : of all stages together.
     learning_rate : about how far the node that is pulled hardest moves in one of the first steps.
     recipe : what else the descent is made of.
+    fields : those of ``first`` by their nodes, as far as they are known; further ones are added.
 
     Returns
     -------
     Descent; ``best`` is the best of the last stage, or the start where that has the lower loss by the last objective.
     """
-    share = (REFERENCE_POINTS / counts).to(first)
-    trusted = recipe.anchor * pull.pixels / pull(first, ANCHOR_REACH)
-    anchor = trusted.clamp(recipe.least_anchor, recipe.most_anchor) * share
+    stages = recipe.stages
+    fields = {} if fields is None else fields
+    for nodes in {stage.nodes for stage in stages} - fields.keys():
+        fields[nodes] = SmoothField(first, counts, nodes)
+    finest = fields[max(stage.nodes for stage in stages)]
+    anchors = anchors_of(first, counts, pull, finest, recipe)
 
     def objective(moved: Tensor) -> Tensor:
-        loss = pull(moved, stage.reach) + anchor * (moved - first).square().sum((1, 2))
+        loss = pull(moved, stage.reach) + cost(moved, first, anchors)
         return loss + further(moved) if further else loss
 
-    stages = recipe.stages
-    fields = {nodes: SmoothField(first, counts, nodes) for nodes in {stage.nodes for stage in stages}}
-    finest = fields[max(fields)]
     parts, done, found = [], 0, first
     ends = [round(steps * (i + 1) / len(stages)) for i in range(len(stages))]
     for stage, end in zip(stages, ends, strict=True):

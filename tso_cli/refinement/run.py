@@ -20,12 +20,13 @@ from ..kernels.choice import planned
 from ..losses import ChamferToInitial
 from ..objective import MaskObjective, PullObjective
 from ..projection import default_sigma_sq
+from ..smoothing import SmoothField
 from ..weighting import weigh
 from .batching import Item, batches_of, parts_of
-from .best import BEST, descend_in_stages
+from .best import BEST, descend_in_stages, held_and_pulled
 from .config import PRESETS, RefineConfig, RefineResult, Settings
 from .judging import view_ious
-from .loop import Descent, Progress, descend
+from .loop import Descent, Objective, Progress, descend
 from .starts import Cloud, NetworkStart, PointsStart
 from .views import as_views
 
@@ -73,9 +74,9 @@ def refine(
     TsoError
         The loss of the start, or after the first step, is not a finite number.
     """
-    settings = (config or RefineConfig()).settings()
-    seconds: dict[str, float] = {}
     views = as_views(masks, cameras)
+    settings = (config or RefineConfig()).settings(len(views))
+    seconds: dict[str, float] = {}
     device = devices.resolve(settings.device)
     with _timed(seconds, "prepare"):
         start: PointsStart | NetworkStart
@@ -121,7 +122,8 @@ def refine_batch(
     InputError
         The mode is not "points", the device is not there, or ``scenes`` are none.
     """
-    settings = (config or RefineConfig()).settings()
+    config = config or RefineConfig()
+    settings = config.settings()
     if not isinstance(scenes, Iterable):
         raise InputError(f"scenes is {scenes!r}, expected a sequence of (points, views)")
     scenes = list(scenes)
@@ -137,8 +139,9 @@ def refine_batch(
         except TsoError as error:
             found[number] = error
     batches = batches_of(items)
-    done, total, interrupted = 0, len(batches) * settings.steps, False
-    for batch in batches:
+    every = [config.settings(len(items[batch[0]].views)) for batch in batches]
+    done, total, interrupted = 0, sum(own.steps for own in every), False
+    for batch, settings in zip(batches, every, strict=True):
         seconds: dict[str, float] = {}
 
         def told(step: int, steps: int, loss: float, before: int = done) -> None:
@@ -198,25 +201,29 @@ def _refined(
         weights = torch.ones(len(items), len(items[0].views), dtype=torch.float64)
         if settings.preset == "best":
             weights = weigh([item.working[: len(item.views)] for item in items], start.counts, first)
-        # What the mirror image shows is worth what its picture is.
-        every = weights.repeat(1, len(views[0]) // weights.shape[1])
-        mask_term = (PullObjective if settings.staged else MaskObjective)(views, start.counts, first, every)
+        fields: dict[int, SmoothField] = {}
+        items, of_all, at_start = _mirrored(items, start.counts, first, weights, settings, at_start, fields)
+        views = [item.working for item in items]
 
     def held(moved: Tensor) -> Tensor:
         return settings.gamma * chamfer(moved)
 
-    def objective(moved: Tensor) -> Tensor:
-        assert isinstance(mask_term, MaskObjective)
-        loss = mask_term(moved)
-        return loss + held(moved) if settings.gamma else loss
-
+    further = held if settings.gamma else None
     steps, told = (0, None) if at_start else (settings.steps, progress)
     with _timed(seconds, "optimise"), devices.one_thread(one_thread):
-        if isinstance(mask_term, PullObjective):
-            further = held if settings.gamma else None
+        if settings.staged:
+            pull = PullObjective(views, start.counts, first, of_all)
             recipe = settings.recipe or BEST
-            descent = descend_in_stages(first, start.counts, mask_term, further, steps, settings.learning_rate, told, recipe)
+            descent = descend_in_stages(first, start.counts, pull, further, steps, settings.learning_rate, told, recipe, fields)
         else:
+            term: Objective = MaskObjective(views, start.counts, first, of_all)
+            if settings.preset == "best":
+                term = held_and_pulled(first, start.counts, PullObjective(views, start.counts, first, of_all))
+
+            def objective(moved: Tensor) -> Tensor:
+                loss = term(moved)
+                return loss + further(moved) if further else loss
+
             descent = descend(start.produce, start.parameters, objective, steps, settings.learning_rate, told)
         descent = replace(descent, interrupted=descent.interrupted or at_start)
     with _timed(seconds, "judge"), devices.one_thread(small):
@@ -236,6 +243,26 @@ def _refined(
         )
         for number, (item, points, *ious) in enumerate(zip(items, refined, before, after, strict=True))
     ]
+
+
+def _mirrored(
+    items: list[Item],
+    counts: Tensor,
+    first: Tensor,
+    weights: Tensor,
+    settings: Settings,
+    at_start: bool,
+    fields: dict[int, SmoothField],
+) -> tuple[list[Item], Tensor, bool]:
+    """The items, the weights of all their views, and whether Ctrl-C came, as :func:`tso_cli.refinement.evidence.borne_out`."""
+    if len(items[0].working) == weights.shape[1]:
+        return items, weights, at_start
+    if settings.symmetry == "auto" and settings.steps and not at_start:
+        from .evidence import borne_out
+
+        return borne_out(items, counts, first, weights, settings, fields)
+    # What the mirror image shows is worth what its picture is.
+    return items, weights.repeat(1, 2), at_start
 
 
 def _result(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +17,9 @@ from ..files.shipped import CATEGORIES
 from ..geometry import Array, farthest_point_sample, sample_surface
 from ..metrics import chamfer
 from ..network import BaseNetwork, NetworkConfig
+from ..network_scenes import network_scene
 from ..render import RayScene, RenderSettings, fitting_distance, look_at, normalise, render_view, sample_cameras
 from ..scene import View
-from ..scenes import network_scene
 from .parts import Shape, shapes_of_part
 
 KINDS = ("other", "near", "cut", "network")
@@ -168,9 +168,7 @@ class CaseBuilder:
         camera = sample_cameras(RenderSettings(views=1, size=(PICTURE, PICTURE)), vertices, rng)[0]
         picture = render_view(scene, camera, rng)
         view = View(picture.mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, view {number}")
-        seen = network_scene(picture.image, view, self._network, self._about)
-        # The object stands centred at the origin, and so does what the network predicts.
-        known = replace(seen.view.camera, t=np.array([0.0, 0.0, camera.t[2]]))
+        seen = network_scene(picture.image, view, self._network, self._about, placing="camera")
         turn = (CANONICAL_ROTATION @ camera.R).T
         return AccuracyCase(
             "network",
@@ -181,7 +179,7 @@ class CaseBuilder:
             seen.points,
             target @ turn,
             dense @ turn,
-            (replace(seen.view, camera=known),),
+            (seen.view,),
             *floors,
             image=seen.image,
         )

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .accuracy_variants import COMBINED, DEFAULT, NO_SYMMETRY, PAPER, TWO_MASKS
+from .accuracy_variants import BOTH_COMBINED, COMBINED, DEFAULT, NO_SYMMETRY, PAPER, TWO_MASKS
 
 Summary = dict[str, Any]
 Cases = list[dict[str, Any]]
@@ -170,7 +170,7 @@ def _network(cases: Cases) -> list[dict[str, Any]]:
     holds = all(1.0 - ours[mode] >= NETWORK_TIMES * (1.0 - theirs[mode]) and ours[mode] < 1.0 for mode in ours)
     text = ", ".join(f"{mode} {theirs[mode]:.3f} to {ours[mode]:.3f}" for mode in ours)
     best = min(
-        (DEFAULT, NO_SYMMETRY, COMBINED, *(f"{mode}, {DEFAULT}" for mode in ours if mode != "points")),
+        (DEFAULT, NO_SYMMETRY, COMBINED, BOTH_COMBINED, *(f"{mode}, {DEFAULT}" for mode in ours if mode != "points")),
         key=lambda name: ratio[name],
     )
     return [

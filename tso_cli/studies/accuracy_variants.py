@@ -38,12 +38,15 @@ def _made(**changes: object) -> Variant:
 PAPER, DEFAULT = "paper", "best"
 NO_SYMMETRY, TWO_MASKS, FOUR_MASKS = "best, no symmetry", "best, two masks", "best, four masks"
 COMBINED = "latent, then points"
+BOTH_COMBINED = "encoder-decoder, then points"
 POINTS = {
     PAPER: Variant(RefineConfig(preset="paper")),
     DEFAULT: Variant(),
     NO_SYMMETRY: Variant(RefineConfig(symmetry="none")),
     TWO_MASKS: Variant(masks=2),
     FOUR_MASKS: Variant(masks=4),
+    "best, 12 steps": Variant(RefineConfig(steps=12)),
+    "best, 144 steps": Variant(RefineConfig(steps=144)),
 }
 NETWORK_MODES = ("encoder", "encoder-decoder", "latent")
 NETWORK = {name: POINTS[name] for name in (PAPER, DEFAULT, NO_SYMMETRY)} | {
@@ -51,6 +54,7 @@ NETWORK = {name: POINTS[name] for name in (PAPER, DEFAULT, NO_SYMMETRY)} | {
         f"{mode}, {preset}": Variant(RefineConfig(mode, preset=preset)) for mode in NETWORK_MODES for preset in (PAPER, DEFAULT)
     },
     COMBINED: Variant(RefineConfig("latent"), then=RefineConfig()),
+    BOTH_COMBINED: Variant(RefineConfig("encoder-decoder"), then=RefineConfig()),
 }
 # Adam's steps are as long for every number, however small its gradient: at the same rate the cloud falls apart.
 ADAM_RATE = 2e-3
@@ -62,12 +66,13 @@ ABLATION = {
     "1,024 nodes in every stage": _made(stages=tuple(replace(stage, nodes=NODES) for stage in BEST.stages)),
     "one stage": _made(stages=(Stage(10.0, 3.0, 1.0),)),
     "no anchor": _made(anchor=0.0, least_anchor=0.0, most_anchor=0.0),
+    "points that hold all alike": _made(by_area=False),
     "anchor alike for all": _made(least_anchor=BEST.anchor, most_anchor=BEST.anchor),
     "no bounded reach": _made(stages=tuple(replace(stage, reach=1000.0) for stage in BEST.stages)),
     "what pixels do not show pulled back too": _made(looks=False),
     "Adam for each number": Variant(RefineConfig(learning_rate=ADAM_RATE, recipe=replace(BEST, optimiser=Adam))),
-    "half the steps": Variant(RefineConfig(steps=30)),
-    "twice the steps": Variant(RefineConfig(steps=120)),
+    "half the steps": Variant(RefineConfig(steps=24)),
+    "twice the steps": Variant(RefineConfig(steps=96)),
     "Chamfer to the start added": Variant(RefineConfig(gamma=1e6)),
 }
 """The default preset with one ingredient changed in each row, between the paper's and itself."""

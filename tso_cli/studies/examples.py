@@ -11,8 +11,9 @@ from ..files.clouds import read_cloud
 from ..files.shipped import CATEGORIES, examples_folder
 from ..geometry import normalise_longest_side
 from ..metrics import chamfer
+from ..network_scenes import load_network_scene
 from ..refinement import RefineConfig, RefineResult, refine
-from ..scenes import Scene, load_network_scene, load_points_scene
+from ..scenes import Scene, load_points_scene
 from .protocol import Report
 
 RUNS = 5

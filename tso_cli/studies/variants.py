@@ -19,10 +19,10 @@ from ..files.checkpoints import load_network
 from ..geometry import Array, normalise_longest_side
 from ..metrics import nearest_squared
 from ..network import BaseNetwork, NetworkConfig
+from ..network_scenes import network_scene
 from ..refinement import RefineConfig, refine
 from ..render import RenderSettings
 from ..scene import View
-from ..scenes import network_scene
 from .parts import SPLIT, SeenShape, Shape, see, shapes_of_part
 from .protocol import Report
 from .resumed import cases_of
@@ -133,7 +133,7 @@ def judge_view(
     """Predict from one picture, refine with every variant, and measure all four clouds under both protocols."""
     picture = seen.views[number]
     view = View(picture.mask.astype(np.float32) / 255.0, picture.camera, name=f"{shape.name}, view {number}")
-    scene = network_scene(picture.image, view, network, about)
+    scene = network_scene(picture.image, view, network, about, placing="box")
     clouds = {"before": scene.points}
     ious: dict[str, float] = {}
     seconds: dict[str, float] = {}
