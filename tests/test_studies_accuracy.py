@@ -240,13 +240,14 @@ def test_a_study_changes_one_ingredient_of_the_preset_at_a_time(cars):
     plain = moved(RefineConfig())
     np.testing.assert_array_equal(moved(RefineConfig(recipe=BEST)), plain)
     changed = {name: variant for name, variant in ABLATION.items() if variant.config.recipe is not None}
-    assert len(changed) == 8
+    assert len(changed) == 9
     for name, variant in changed.items():
         recipe = variant.config.recipe
         differing = {key for key, value in vars(recipe).items() if value != getattr(BEST, key)}
-        assert differing in ({"stages"}, {"optimiser"}, {"looks"}) or all("anchor" in key for key in differing), name
-        # A far start is held by the least anchor in any case, and a car has no thin parts; the other rows show at once.
-        if "anchor" not in name and recipe.looks:
+        assert differing in ({"stages"}, {"optimiser"}, {"looks"}, {"by_area"}) or all("anchor" in key for key in differing), name
+        # A far start is held by the least anchor in any case, a car has no thin parts, and its points lie evenly; the other rows
+        # show at once.
+        if "anchor" not in name and recipe.looks and recipe.by_area:
             assert np.abs(moved(variant.config) - plain).max() > 1e-4, name
 
 
