@@ -108,3 +108,24 @@ def test_parts_that_pixels_do_not_resolve_are_not_pulled_back():
     torch.testing.assert_close(none, mask_pull(points, valid, target, 3.0))
     assert (every < none).all()
     assert (every > 0.0).all()
+
+
+def test_of_an_object_that_the_border_cuts_points_beyond_the_border_are_not_drawn_back():
+    mask = torch.zeros(1, 64, 64)
+    mask[0, 20:40, :30] = 1.0  # it goes on to the left
+    inside, beyond = torch.tensor([[[10.0, 30.0]]]), torch.tensor([[[10.0, 30.0], [-6.0, 22.0]]])
+    target = PullTarget.of(mask)
+    alone = mask_pull(inside, torch.ones(1, 1, dtype=torch.bool), target, 6.0, torch.tensor([1024.0]))
+    both = beyond.requires_grad_()
+    loss = mask_pull(both, torch.ones(1, 2, dtype=torch.bool), target, 6.0, torch.tensor([1024.0]))
+    assert loss.item() == pytest.approx(alone.item())
+    loss.sum().backward()
+    assert (both.grad[0, 1] == 0.0).all()
+
+
+def test_of_an_object_that_is_seen_whole_a_point_beyond_the_border_is_drawn_in():
+    mask = torch.zeros(1, 64, 64)
+    mask[0, 20:40, 2:30] = 1.0
+    point = torch.tensor([[[-6.0, 22.0]]], requires_grad=True)
+    mask_pull(point, torch.ones(1, 1, dtype=torch.bool), PullTarget.of(mask), 6.0).sum().backward()
+    assert point.grad[0, 0, 0] < 0.0

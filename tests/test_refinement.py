@@ -19,8 +19,10 @@ from tso_cli.kernels.choice import planned
 from tso_cli.losses import chamfer
 from tso_cli.network import Encoder, build_network
 from tso_cli.objective import MaskObjective
+from tso_cli.projection import silhouette_of
 from tso_cli.refinement import PRESETS, RefineConfig, loop, refine, refine_batch, run
 from tso_cli.refinement.starts import NetworkStart
+from tso_cli.render import look_at
 from tso_cli.scene import View
 
 PAPER = RefineConfig(preset="paper")
@@ -387,3 +389,16 @@ def test_a_batch_refines_by_the_best_preset_as_one_at_a_time_does(chair):
         assert found.loss_after == pytest.approx(alone.loss_after, rel=0.02)
         assert found.symmetry == pytest.approx(alone.symmetry)
         np.testing.assert_allclose(found.points, alone.points, atol=0.05)
+
+
+def test_what_no_picture_shows_stays_nearly_where_it_was():
+    """A long bar goes out of the picture on the left; the picture wants it higher where it shows it."""
+    axes = np.linspace(-2.0, 0.4, 120), np.linspace(-0.1, 0.1, 5), np.linspace(-0.1, 0.1, 4)
+    bar = np.stack(np.meshgrid(*axes), -1).reshape(-1, 3)
+    camera = look_at(0.0, 0.0, 2.2, (64, 64))
+    seen = camera.project(bar)[0][:, 0] > -0.5
+    assert 0.3 < seen.mean() < 0.7
+    mask = (silhouette_of(bar + [0.0, 0.06, 0.0], camera) > 0.5).astype(np.float32)
+    moved = refine(bar, mask, camera, RefineConfig(symmetry="none")).points[:, 1] - bar[:, 1]
+    assert moved[seen].mean() > 0.03
+    assert np.abs(moved[~seen]).mean() < 0.04 * moved[seen].mean()

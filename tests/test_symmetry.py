@@ -81,7 +81,7 @@ def test_the_plane_stays_where_it_is_however_the_last_bits_are_rounded(name):
 
 def _seen(points: np.ndarray) -> tuple[np.ndarray, Camera]:
     """The mask of a cloud seen from half right, and its camera."""
-    camera = look_at(35.0, 20.0, 2.2, (64, 64))
+    camera = look_at(35.0, 20.0, 3.0, (64, 64))
     return (silhouette_of(points, camera) > 0.5).astype(np.float32), camera
 
 

@@ -186,6 +186,15 @@ class PullObjective:
             thin = unresolved(around.squeeze(2).unflatten(2, patches.shape[2:]), target.side)
             self._thin[number] = torch.stack([field.of_nearest_node(own) for own in thin.unbind(1)], 1).flatten(0, 1)
 
+    def asked(self, points: Tensor) -> Tensor:
+        """[B, N] which of the points [B, N, 3] some view tells something of."""
+        found = torch.zeros_like(points[..., 0], dtype=torch.bool)
+        for target, cameras, share, _ in self._groups:
+            points_px, valid = project(points.detach(), cameras)
+            asked = target.asked(points_px.flatten(0, 1), valid.flatten(0, 1)).view_as(valid)
+            found = found | (asked & (share > 0.0).unsqueeze(-1)).any(1)
+        return found
+
     def __call__(self, points: Tensor, reach: float) -> Tensor:
         """The loss [B] of the clouds ``points`` [B, N, 3]; infinite where a view shows no point at all."""
         total = points.new_zeros(len(points))
@@ -197,7 +206,7 @@ class PullObjective:
                 each = points.repeat_interleave(share.shape[1], 0)
                 losses = losses + depth_pull(each, Projected(points_px, valid), depth, reach, counts)
             # A view that does not count may show no point either.
-            seen = valid.any(1).view_as(share) | (share == 0.0)
+            seen = target.asked(points_px.detach(), valid).any(1).view_as(share) | (share == 0.0)
             total = total + torch.where(seen, share * losses.view_as(share), torch.inf).sum(1)
         return total
 

@@ -30,12 +30,14 @@ class PullTarget(NamedTuple):
     ----------
     inside, outside : [M, H, W] bool, pixels known to be foreground and background.
     goal_rows, goal_columns : [M, H, W] int64, the foreground pixel nearest to each pixel.
+    cut : [M] bool, whether the object goes on beyond the border of its picture; None where none does.
     """
 
     inside: Tensor
     outside: Tensor
     goal_rows: Tensor
     goal_columns: Tensor
+    cut: Tensor | None
 
     @classmethod
     def of(cls, mask: Tensor, known: Tensor | None = None) -> PullTarget:
@@ -44,12 +46,20 @@ class PullTarget(NamedTuple):
         outside = ~inside
         if known is not None:
             inside, outside = inside & (known >= 0.5), outside & (known >= 0.5)
-        return cls(inside, outside, *nearest_marked(inside))
+        cut = inside[:, [0, -1]].flatten(1).any(1) | inside[:, :, [0, -1]].flatten(1).any(1)
+        return cls(inside, outside, *nearest_marked(inside), cut if bool(cut.any()) else None)
 
     @property
     def side(self) -> int:
         """Pixels along the longer side."""
         return max(self.inside.shape[-2:])
+
+    def asked(self, points_px: Tensor, valid: Tensor) -> Tensor:
+        """[M, N] which points [M, N, 2] a mask tells something of: of a cut object, those within the picture."""
+        if self.cut is None:
+            return valid
+        _, within = pixels_under(points_px, valid, *self.inside.shape[-2:])
+        return torch.where(self.cut.unsqueeze(1), within, valid)
 
     def pixels(self) -> Tensor:
         """[M] foreground pixels, of an image of 64."""
@@ -69,7 +79,8 @@ def mask_pull(
     A foreground pixel whose nearest point is further than 0.7 px pulls that point; a point that falls on a background pixel
     is pulled to the nearest foreground pixel. What is covered asks for nothing. With d the distance in pixels of an image whose
     longer side has 64, each pair costs ``rho(d) = d^2 r^2 / (r^2 + d^2)`` (Geman and McClure): the square of what is near; what
-    is many times the reach r away hardly pulls, since it may be no counterpart at all.
+    is many times the reach r away hardly pulls, since it may be no counterpart at all. Where the border cuts the object, points
+    beyond it are no one's counterpart: they are where they should be, for all one knows.
 
     Parameters
     ----------
@@ -85,6 +96,7 @@ def mask_pull(
     """
     scale = REFERENCE_SIDE / target.side
     size = points_px.shape[1]
+    valid = target.asked(points_px.detach(), valid)
     share = (
         (REFERENCE_POINTS / counts).to(points_px)
         if counts is not None

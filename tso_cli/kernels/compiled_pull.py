@@ -27,7 +27,7 @@ def mask_pull(
     weight: Tensor,
 ) -> Tensor:
     """As :func:`tso_cli.pull.mask_pull`; ``weight`` [M] is a stray point's, ``scale`` pixels of 64 to one of the image."""
-    inside, outside, rows, columns = target
+    inside, outside, rows, columns, _ = target
     total, slope = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
     edge = cell_edge(inside.shape[1], inside.shape[2], points_px.shape[1])
     steps = 16 * inside.numel() + 16 * valid.numel()

@@ -24,7 +24,7 @@ from .resumed import cases_of
 from .variants import weights_hash
 
 CATEGORIES = ("chair", "airplane", "car", "sofa", "table")
-ABLATED = ("other", "near")
+ABLATED = ("other", "near", "cut")
 GROUP = 32
 """Cases that are refined together: their dense matrices fill 0.4 GiB."""
 TIMED = 6

@@ -27,7 +27,7 @@ from ..records import Reporter, answer, check_outputs, earlier_record, resume
     "kinds",
     multiple=True,
     type=click.Choice(["other", "near", "cut", "network"]),
-    help="Where the starts are from. May be repeated.  [default: all; with --ablation other and near]",
+    help="Where the starts are from. May be repeated.  [default: all; with --ablation all but network]",
 )
 @click.option("--views", type=click.IntRange(min=1), default=2, show_default=True, help="Random views of each shape.")
 @click.option("--size", type=click.IntRange(16, 1024), default=64, show_default=True, help="Of the masks, pixels each way.")
