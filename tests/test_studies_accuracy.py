@@ -225,7 +225,7 @@ def test_a_stopped_study_goes_on_with_the_next_group_and_ends_alike(split, quick
 def test_settings_that_cannot_be_are_refused(split):
     with pytest.raises(InputError, match="points is 100, expected 1024 to 16384"):
         study_accuracy(MESHES, replace(QUICK, points=100), split)
-    with pytest.raises(InputError, match="'cut', expected one of other, near with ablation"):
+    with pytest.raises(InputError, match="'network', expected one of other, near, cut with ablation"):
         AccuracyConfig(kinds=("network",), ablation=True)
     with pytest.raises(InputError, match="checkpoint"):
         study_accuracy(MESHES, replace(QUICK, kinds=("network",)), split)
