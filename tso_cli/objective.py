@@ -175,6 +175,9 @@ class PullObjective:
             found.append((share * pixels.view_as(share)).sum(1))
         self.pixels = torch.stack(found).sum(0)
         """[B] pixels of all views that ask, by mask or by depth, of images of 64, weighted like their losses."""
+        cut = [torch.zeros_like(s, dtype=torch.bool) if t.cut is None else t.cut.view_as(s) for t, _, s, _ in self._groups]
+        self.cut = torch.cat(cut, 1).all(1)
+        """[B] whether the border cuts the object in every view."""
 
     def look(self, points: Tensor, field: SmoothField) -> None:
         """Find out, for the calls from here on, which parts of the clouds ``points`` the views do not resolve."""

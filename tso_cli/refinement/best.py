@@ -47,7 +47,8 @@ class Recipe:
         e = 1 px^2 off on average. A start that is further off is trusted less, anchor / e^decay; ``least_anchor`` and
         ``most_anchor`` bound it.
     by_area : whether points hold by the surface that they stand for, or all alike.
-    unseen : how many times as much it costs where no view shows anything, beyond the border of a picture that cuts the object.
+    cut : how many times as much it costs all points of an object that no view shows whole.
+    unseen : how many times as much it then costs those that no view shows, beyond the borders.
     optimiser : of every stage. looks : whether parts that pixels do not show are left alone.
     """
 
@@ -57,6 +58,7 @@ class Recipe:
     least_anchor: float = 30.0
     most_anchor: float = 3000.0
     by_area: bool = True
+    cut: float = 3.0
     unseen: float = 20.0
     optimiser: type[Adam] | type[UniformAdam] = UniformAdam
     looks: bool = True
@@ -88,6 +90,7 @@ def anchors_of(first: Tensor, counts: Tensor, pull: PullObjective, field: Smooth
     each = (trusted * (REFERENCE_POINTS / counts).to(first)).unsqueeze(1)
     # What holds a piece of surface is as strong where points are few as where they are many.
     areas = field.areas(first, counts) if recipe.by_area else torch.ones_like(first[..., 0])
+    each = torch.where(pull.cut.unsqueeze(1), recipe.cut * each, each)
     return each * areas * torch.where(pull.asked(first), 1.0, recipe.unseen)
 
 

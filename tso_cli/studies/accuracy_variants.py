@@ -67,7 +67,7 @@ ABLATION = {
     "one stage": _made(stages=(Stage(10.0, 3.0, 1.0),)),
     "no anchor": _made(anchor=0.0, least_anchor=0.0, most_anchor=0.0),
     "points that hold all alike": _made(by_area=False),
-    "what no picture shows held like the rest": _made(unseen=1.0),
+    "a cut object held like a whole one": _made(cut=1.0, unseen=1.0),
     "anchor alike for all": _made(least_anchor=BEST.anchor, most_anchor=BEST.anchor),
     "no bounded reach": _made(stages=tuple(replace(stage, reach=1000.0) for stage in BEST.stages)),
     "what pixels do not show pulled back too": _made(looks=False),
