@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tso_cli import pull
-from tso_cli.pull import COVERED_WITHIN, PullTarget, mask_pull, unresolved
+from tso_cli.pull import COVERED_WITHIN, PullTarget, mask_pull, resolved
 
 
 def _mask(seed: int = 0, height: int = 24, width: int = 32) -> torch.Tensor:
@@ -92,20 +92,24 @@ def test_an_image_of_twice_the_size_says_the_same():
     assert _loss((points + 0.5) * 2 - 0.5, finer).item() == pytest.approx(_loss(points, mask).item(), rel=0.05)
 
 
-def test_a_strip_thinner_than_a_pixel_is_not_resolved_and_a_wider_one_is():
+def test_a_strip_thinner_than_a_pixel_tells_little_and_a_wider_one_all():
     along = torch.linspace(0, 6, 12, dtype=torch.float64)
     across = torch.tensor([-0.5, 0.5] * 6, dtype=torch.float64)
-    strips = torch.stack([torch.stack([along, width * across], -1) for width in (0.2, 1.5)])
-    assert unresolved(strips, 64).tolist() == [True, False]
-    assert unresolved(2.0 * strips, 128).tolist() == [True, False]
+    strips = torch.stack([torch.stack([along, width * across], -1) for width in (0.2, 1.0, 2.0)])
+    # half as far from the middle as it is wide, which is its standard deviation
+    expected = torch.tensor([0.0, (0.5 - 0.2) / 0.6, 1.0], dtype=torch.float64)
+    torch.testing.assert_close(resolved(strips, 64), expected)
+    torch.testing.assert_close(resolved(2.0 * strips, 128), expected)
 
 
-def test_parts_that_pixels_do_not_resolve_are_not_pulled_back():
+def test_parts_are_pulled_back_as_far_as_pixels_resolve_them():
     points, mask = _points(), _mask()
     valid, target = torch.ones(points.shape[:2], dtype=torch.bool), PullTarget.of(mask)
-    every = mask_pull(points, valid, target, 3.0, thin=torch.ones_like(valid))
-    none = mask_pull(points, valid, target, 3.0, thin=torch.zeros_like(valid))
+    every, half, none = (
+        mask_pull(points, valid, target, 3.0, shown=torch.full_like(points[..., 0], x)) for x in (0.0, 0.5, 1.0)
+    )
     torch.testing.assert_close(none, mask_pull(points, valid, target, 3.0))
+    torch.testing.assert_close(half, (every + none) / 2.0)
     assert (every < none).all()
     assert (every > 0.0).all()
 

@@ -16,7 +16,7 @@ from .depth_pull import DepthTarget, depth_pull
 from .errors import InputError
 from .losses import REFERENCE_PIXELS, PixelWeights, mask_loss
 from .projection import CameraBatch, Projected, coarsened, default_sigma_sq, project
-from .pull import PullTarget, mask_pull, unresolved
+from .pull import PullTarget, mask_pull, resolved
 from .resample import area_resize
 from .scene import View
 from .smoothing import SmoothField
@@ -168,7 +168,7 @@ class PullObjective:
             self._groups.append((target, cameras, share.to(like), counts.repeat_interleave(len(group))))
             self._depths.append(None if every.depth is None else DepthTarget.of(every.depth, target.inside, every.cameras))
         self._there = (torch.arange(like.shape[1]) < counts.unsqueeze(1)).to(like.device).unsqueeze(1)  # [B, 1, N]
-        self._thin: list[Tensor | None] = [None] * len(self._groups)
+        self._shown: list[Tensor | None] = [None] * len(self._groups)
         found = []
         for (target, _, share, _), depth in zip(self._groups, self._depths, strict=True):
             pixels = target.pixels() if depth is None else target.pixels() + depth.pixels()
@@ -186,8 +186,8 @@ class PullObjective:
             points_px, _ = project(nodes, cameras)  # [B, G, M, 2]
             patches = field.patches.unsqueeze(1).expand(-1, share.shape[1], -1, -1)
             around = torch.take_along_dim(points_px.unsqueeze(2), patches.flatten(2).unsqueeze(2).unsqueeze(-1), 3)
-            thin = unresolved(around.squeeze(2).unflatten(2, patches.shape[2:]), target.side)
-            self._thin[number] = torch.stack([field.of_nearest_node(own) for own in thin.unbind(1)], 1).flatten(0, 1)
+            shown = resolved(around.squeeze(2).unflatten(2, patches.shape[2:]), target.side)
+            self._shown[number] = torch.stack([field.of_nearest_node(own) for own in shown.unbind(1)], 1).flatten(0, 1)
 
     def asked(self, points: Tensor) -> Tensor:
         """[B, N] which of the points [B, N, 3] some view tells something of."""
@@ -201,10 +201,10 @@ class PullObjective:
     def __call__(self, points: Tensor, reach: float) -> Tensor:
         """The loss [B] of the clouds ``points`` [B, N, 3]; infinite where a view shows no point at all."""
         total = points.new_zeros(len(points))
-        for (target, cameras, share, counts), thin, depth in zip(self._groups, self._thin, self._depths, strict=True):
+        for (target, cameras, share, counts), shown, depth in zip(self._groups, self._shown, self._depths, strict=True):
             points_px, valid = project(points, cameras)
             points_px, valid = points_px.flatten(0, 1), (valid & self._there).flatten(0, 1)
-            losses = mask_pull(points_px, valid, target, reach, counts, thin)
+            losses = mask_pull(points_px, valid, target, reach, counts, shown)
             if depth is not None:
                 each = points.repeat_interleave(share.shape[1], 0)
                 losses = losses + depth_pull(each, Projected(points_px, valid), depth, reach, counts)

@@ -17,8 +17,8 @@ from .projection import pixels_under
 REFERENCE_SIDE = 64.0
 # A pixel is covered once a point falls this near to its centre: as far as a point may be from the nearest pixel's corner.
 COVERED_WITHIN = 0.7
-# Standard deviation across a part that pixels just do not show.
-THIN = 0.25
+# Standard deviations across parts, px of an image of 64: those that pixels just do not show, and those that they surely do.
+THIN, THICK = 0.2, 0.8
 # Points that stray are counted as if a cloud had so many: how densely a cloud is sampled says nothing of how wrong it is.
 REFERENCE_POINTS = 1024.0
 
@@ -72,7 +72,7 @@ def mask_pull(
     target: PullTarget,
     reach: float,
     counts: Tensor | None = None,
-    thin: Tensor | None = None,
+    shown: Tensor | None = None,
 ) -> Tensor:
     """Pull points to foreground pixels that none covers, and points on background back to the mask.
 
@@ -88,7 +88,7 @@ def mask_pull(
     target : of M masks.
     reach : r, pixels of an image of 64.
     counts : [M] points of each cloud; None for N.
-    thin : [M, N] bool, points that are not pulled back to the mask: see :func:`unresolved`.
+    shown : [M, N] how much it tells that a point is beside the mask, 0 to 1: see :func:`resolved`; None for 1.
 
     Returns
     -------
@@ -102,18 +102,17 @@ def mask_pull(
         if counts is not None
         else points_px.new_full((len(valid),), REFERENCE_POINTS / size)
     )
+    counted = valid.to(points_px) if shown is None else torch.where(valid, shown, 0.0)
     if compiled_pays(points_px):
         from .kernels.compiled_pull import mask_pull as compiled_pull
 
-        shown = valid if thin is None else valid & ~thin
-        return compiled_pull(points_px, valid, shown, target, scale, COVERED_WITHIN, reach, share)
+        return compiled_pull(points_px, valid, counted, target, scale, COVERED_WITHIN, reach, share)
     uncovered = _uncovered(points_px, valid, target, scale, reach)
-    shown = valid if thin is None else valid & ~thin
-    return uncovered + _stray(points_px, shown, target, scale, reach) * share
+    return uncovered + _stray(points_px, valid, counted, target, scale, reach) * share
 
 
-def unresolved(patches_px: Tensor, side: int) -> Tensor:
-    """Whether a part is seen so edge-on, or is so thin, that pixels do not show it: that it is beside the mask tells nothing.
+def resolved(patches_px: Tensor, side: int) -> Tensor:
+    """Whether pixels show a part, or it is seen so edge-on, or so thin, that it tells nothing if it is beside the mask.
 
     Parameters
     ----------
@@ -122,12 +121,14 @@ def unresolved(patches_px: Tensor, side: int) -> Tensor:
 
     Returns
     -------
-    [...] bool: their standard deviation across is under 0.25 px of an image of 64, that of a strip 0.87 px wide.
+    [...] 0 where their standard deviation across is under 0.2 px of an image of 64, that of a strip 0.7 px wide; 1 where it
+    is over 0.8 px; evenly rising between.
     """
     x, y = (patches_px - patches_px.mean(-2, keepdim=True)).unbind(-1)
     xx, yy, xy = x.square().mean(-1), y.square().mean(-1), (x * y).mean(-1)
     half, apart = (xx + yy) / 2.0, ((xx - yy) / 2.0).square() + xy.square()
-    return half - apart.sqrt() < (THIN * side / REFERENCE_SIDE) ** 2
+    across = (half - apart.sqrt()).clamp_min(0.0).sqrt() * (REFERENCE_SIDE / side)
+    return ((across - THIN) / (THICK - THIN)).clamp(0.0, 1.0)
 
 
 def _uncovered(points_px: Tensor, valid: Tensor, target: PullTarget, scale: float, reach: float) -> Tensor:
@@ -156,7 +157,7 @@ def _covered(points_px: Tensor, valid: Tensor, size: torch.Size, within: float) 
     return found.view(-1, height + 2, width + 2)[:, 1:-1, 1:-1]
 
 
-def _stray(points_px: Tensor, valid: Tensor, target: PullTarget, scale: float, reach: float) -> Tensor:
+def _stray(points_px: Tensor, valid: Tensor, counted: Tensor, target: PullTarget, scale: float, reach: float) -> Tensor:
     place, seen = pixels_under(points_px, valid, *target.inside.shape[-2:])
     rows, columns, outside = (
         image.flatten(1).gather(1, place) for image in (target.goal_rows, target.goal_columns, target.outside)
@@ -164,7 +165,7 @@ def _stray(points_px: Tensor, valid: Tensor, target: PullTarget, scale: float, r
     stray = seen & outside & (rows >= 0)
     goal = torch.stack([columns, rows], -1).to(points_px)
     squared = torch.where(stray.unsqueeze(-1), points_px - goal, 0.0).square().sum(-1) * scale**2
-    return robust(squared, reach).sum(-1)
+    return (counted * robust(squared, reach)).sum(-1)
 
 
 def robust(squared: Tensor, reach: float) -> Tensor:

@@ -19,14 +19,15 @@ if TYPE_CHECKING:
 def mask_pull(
     points_px: Tensor,
     valid: Tensor,
-    shown: Tensor,
+    counted: Tensor,
     target: PullTarget,
     scale: float,
     covered: float,
     reach: float,
     weight: Tensor,
 ) -> Tensor:
-    """As :func:`tso_cli.pull.mask_pull`; ``weight`` [M] is a stray point's, ``scale`` pixels of 64 to one of the image."""
+    """As :func:`tso_cli.pull.mask_pull`; ``weight`` [M] times ``counted`` [M, N] is a stray point's, ``scale`` pixels of 64 to one
+    of the image."""
     inside, outside, rows, columns, _ = target
     total, slope = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
     edge = cell_edge(inside.shape[1], inside.shape[2], points_px.shape[1])
@@ -34,7 +35,7 @@ def mask_pull(
     arguments = (
         points_px,
         valid,
-        shown,
+        counted,
         inside,
         outside,
         rows,
@@ -53,7 +54,7 @@ def mask_pull(
 
 @compiled
 def _pull(  # type: ignore[no-untyped-def]
-    first, last, points, valid, shown, inside, outside, rows, columns, edge, scale, covered, reach, weight, total, slope
+    first, last, points, valid, counted, inside, outside, rows, columns, edge, scale, covered, reach, weight, total, slope
 ):
     height, width = inside.shape[1:]
     area = scale * scale
@@ -75,7 +76,7 @@ def _pull(  # type: ignore[no-untyped-def]
         for n in range(points.shape[1]):
             x, y = np.rint(points[image, n, 0]), np.rint(points[image, n, 1])
             # What lies outside the image is unknown, not background.
-            if not (shown[image, n] and x >= 0 and x < width and y >= 0 and y < height):
+            if not (counted[image, n] > 0.0 and x >= 0 and x < width and y >= 0 and y < height):
                 continue
             i, j = int(y), int(x)
             if not outside[image, i, j] or rows[image, i, j] < 0:
@@ -83,7 +84,8 @@ def _pull(  # type: ignore[no-untyped-def]
             by_x, by_y = points[image, n, 0] - columns[image, i, j], points[image, n, 1] - rows[image, i, j]
             squared = (by_x * by_x + by_y * by_y) * area
             kept = reach / (reach + squared)
-            loss += weight[image] * squared * kept
-            slope[image, n, 0] += 2.0 * weight[image] * area * kept * kept * by_x
-            slope[image, n, 1] += 2.0 * weight[image] * area * kept * kept * by_y
+            share = weight[image] * counted[image, n]
+            loss += share * squared * kept
+            slope[image, n, 0] += 2.0 * share * area * kept * kept * by_x
+            slope[image, n, 1] += 2.0 * share * area * kept * kept * by_y
         total[image] = loss
