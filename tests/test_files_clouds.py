@@ -461,3 +461,45 @@ def test_any_damage_is_read_or_refused_in_one_line(save, tmp_path, name):
     was_read, refused = assert_reads_or_refuses(read_and_rewrite, tmp_path / name, count=600)
     assert was_read > 20
     assert refused > 100
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_colours_are_read_as_shares_of_what_their_type_can_hold(tmp_path, form):
+    (tmp_path / "a.ply").write_bytes(a_ply(form))
+    with pytest.raises(InputError, match="its points have no colours, expected red, green and blue"):
+        read_cloud(tmp_path / "a.ply").colours()
+    data = a_ply(form, extra_first=True).replace(b"float32 quality", b"float32 green\nproperty ushort blue")
+    values = [(0.25 * i, 65535 - i) for i in range(4)]
+    order = {"binary_big_endian": ">", "binary_little_endian": "<"}.get(form)
+    if order is None:
+        for i, (_, blue) in enumerate(values):
+            line = next(one for one in data.split(b"\n") if one.split()[1:2] == [str(200 + i).encode()])
+            data = data.replace(line, line.rstrip() + f" {blue}".encode())
+    else:
+        data = _with_blue(data, order, values)
+    (tmp_path / "b.ply").write_bytes(data)
+    cloud = read_cloud(tmp_path / "b.ply")
+    wanted = [[(200 + i) / 255.0, green, blue / 65535.0] for i, (green, blue) in enumerate(values)]
+    assert np.array_equal(cloud.points, read_cloud(tmp_path / "a.ply").points)
+    assert np.allclose(cloud.colours(), wanted, rtol=0.0, atol=1e-12)
+
+
+def _with_blue(data, order, values):
+    """The bytes of each green, followed by a blue of two bytes."""
+    # behind the rows before: their last bytes are the double 2.5
+    at = data.index(struct.pack(f"{order}d", 2.5))
+    for i, (green, blue) in enumerate(values):
+        row = struct.pack(f"{order}B", 200 + i)
+        at = data.index(row, at)
+        at = data.index(struct.pack(f"{order}f", green), at + 9) + 4
+        data = data[:at] + struct.pack(f"{order}H", blue) + data[at:]
+    return data
+
+
+def test_floating_point_colours_outside_0_to_1_are_refused(tmp_path):
+    header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(
+        f"property float {name}\n" for name in ("x", "y", "z", "red", "green", "blue")
+    )
+    (tmp_path / "a.ply").write_text(header + "end_header\n0 0 0 0.5 1 0\n1 1 1 200 0 0\n")
+    with pytest.raises(InputError, match="colours span 0 to 200 of their type's range, expected 0 to 1"):
+        read_cloud(tmp_path / "a.ply").colours()

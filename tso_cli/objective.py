@@ -37,6 +37,7 @@ class WorkingView:
     mask : [h, w]; known : [h, w] weight of each pixel, None where all count.
     camera : from normalised points to its pixels; sigma_sq : px^2 there.
     depth : [h, w] normalised, NaN where it is not known; None without a depth map.
+    image : [h, w, 3] mean colour of the foreground in each pixel, 0 where there is none; None without an image.
     """
 
     mask: NDArray[np.float64]
@@ -44,6 +45,13 @@ class WorkingView:
     camera: Camera
     sigma_sq: float
     depth: NDArray[np.float64] | None = None
+    image: NDArray[np.float64] | None = None
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """[h, w], pixels known to be foreground."""
+        inside = self.mask > 0.5
+        return inside if self.known is None else inside & (self.known >= 0.5)
 
     @property
     def kind(self) -> tuple[int, int, str, float]:
@@ -78,11 +86,15 @@ def working_view(view: View, sigma_sq: float | None, centre: NDArray[np.float64]
     camera, sigma_sq = coarsened(view.camera, sigma_sq, RESOLVED_SIGMA_SQ)
     mask, known = view.mask.astype(np.float64), view.known
     weight: NDArray[np.float64] | None = None if known is None else known.astype(np.float64)
+    box = (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5)
+    image = None
+    if view.image is not None:
+        shown = view.mask > 0.5 if view.known is None else (view.mask > 0.5) & view.known
+        image = area_resize(view.image, box, camera.width, camera.height, weights=shown)[0]
     if camera is not view.camera:
-        box = (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5)
         mask, weight = area_resize(mask, box, camera.width, camera.height, weights=weight)
     depth = None if view.depth is None else _sampled(view.depth, camera) / scale
-    return WorkingView(mask, None if known is None else weight, camera.for_normalised(centre, scale), sigma_sq, depth)
+    return WorkingView(mask, None if known is None else weight, camera.for_normalised(centre, scale), sigma_sq, depth, image)
 
 
 def _sampled(depth: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:

@@ -23,6 +23,7 @@ class View:
     depth : [H, W] how far the surface lies along the camera's z, in the units of its t; 0 and what is not finite are
         unknown. It says something of foreground pixels alone. None: there is no depth map.
     name : what messages call it, usually the file.
+    image : [H, W, 3] red, green, blue in [0, 1], the photo that the mask is of. It says something to clouds that have colours.
     """
 
     mask: NDArray[np.float32]
@@ -30,6 +31,7 @@ class View:
     known: NDArray[np.bool_] | None = None
     name: str = "mask"
     depth: NDArray[np.float64] | None = None
+    image: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         mask = np.asarray(self.mask, dtype=np.float32)
@@ -46,6 +48,8 @@ class View:
             )
         if self.depth is not None:
             object.__setattr__(self, "depth", self._checked_depth(self.depth))
+        if self.image is not None:
+            object.__setattr__(self, "image", self._checked_image(self.image))
         counted = mask
         if self.known is not None:
             known = np.asarray(self.known, dtype=bool)
@@ -77,6 +81,19 @@ class View:
         if not (known if self.known is None else known & self.known).any():
             raise InputError(f"{self.name}: no foreground pixel has a depth, expected some > 0")
         return depth
+
+    def _checked_image(self, given: NDArray[np.float32]) -> NDArray[np.float32]:
+        image: NDArray[np.float32] = np.asarray(given, dtype=np.float32)
+        if image.shape != (*self.mask.shape, 3):
+            height, width = self.mask.shape
+            raise InputError(
+                f"{self.name}: the image has shape {list(image.shape)}, the mask is {width}x{height}, "
+                f"expected [{height}, {width}, 3]"
+            )
+        # NaN is not between 0 and 1 either.
+        if not (image.min() >= 0.0 and image.max() <= 1.0):
+            raise InputError(f"{self.name}: the image's values span {image.min():g} to {image.max():g}, expected 0 to 1")
+        return image
 
     def box(self) -> tuple[float, float, float, float]:
         """Left, top, right, bottom edges of the foreground in pixel coordinates."""

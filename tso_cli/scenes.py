@@ -15,7 +15,7 @@ from .camera import Camera
 from .errors import InputError
 from .files.cameras import check_size, find_camera, read_camera
 from .files.clouds import PointCloud, read_cloud
-from .files.images import read_depth, read_mask
+from .files.images import read_depth, read_image, read_mask
 from .files.pairing import pair_with_masks
 from .scene import View
 
@@ -36,6 +36,7 @@ class Scene:
     camera_sources : where the camera of each is from, in words.
     frame : of the output: "input" (the cloud's own), "view", "canonical" or "world".
     cloud : the file that `points` are from, None in the network modes.
+    colours : [N, 3] of `points`, None where no view has an image.
     network, image : the network and its input [3, 64, 64], None in points mode.
     sigma_sq : px^2, what the checkpoint was trained with; None in points mode.
     to_output : takes points from the frame of `points` to that of the output.
@@ -49,6 +50,7 @@ class Scene:
     network: BaseNetwork | None = None
     image: NDArray[np.float32] | None = None
     sigma_sq: float | None = None
+    colours: Array | None = None
     to_output: Callable[[Array], Array] = lambda points: points
 
     @property
@@ -171,6 +173,16 @@ def _with_depths(views: tuple[View, ...], depth_files: Sequence[Path], scale: fl
     return tuple(found)
 
 
+def _with_images(views: tuple[View, ...], image_files: Sequence[Path]) -> tuple[View, ...]:
+    _require_one_each("--image", "images", image_files, len(views))
+    found = []
+    for view, file in zip(views, image_files, strict=True):
+        image = read_image(file)
+        same_size(file, image.shape, view.name, view.mask.shape)
+        found.append(replace(view, image=image[..., :3] / np.float32(255.0)))
+    return tuple(found)
+
+
 def said(camera_file: Path | None) -> str:
     """Where a camera comes from, in words."""
     return str(camera_file) if camera_file else "canonical (no camera file was given or found beside the mask)"
@@ -185,31 +197,38 @@ def load_points_scene(
     fit: bool = False,
     depth_files: Sequence[Path] = (),
     depth_scale: float = 1.0,
+    image_files: Sequence[Path] = (),
 ) -> Scene:
     """The scene of points mode; arguments and errors as :func:`load_views` and :func:`tso_cli.files.clouds.read_cloud`.
 
     ``fit`` finds the camera of the one mask from mask and cloud (:func:`tso_cli.pose.fit_camera`) instead of reading it;
     it goes without depth maps. These are one for each mask, or none; ``depth_scale`` is that of
-    :func:`tso_cli.files.images.read_depth`.
+    :func:`tso_cli.files.images.read_depth`. So are images, of a cloud that has colours.
     """
     masks = [mask_files] if isinstance(mask_files, Path) else mask_files
     if fit and len(masks) != 1:
         raise InputError(f"--camera fit finds the camera of one mask, found {len(masks)} masks; expected one, or a camera file")
     cloud = read_cloud(cloud_file)
+    colours = cloud.colours() if image_files else None
     if fit:
         from .pose import fit_camera
 
         view = _read_view(masks[0], None, None, invert, _ignores_of(masks, ignore_files)[0])
         fitted = fit_camera(cloud.points, view.mask, view.known, name=str(cloud_file))
-        return Scene(cloud.points, (replace(view, camera=fitted.camera),), (fitted.describe(),), "input", cloud=cloud)
+        views: tuple[View, ...] = (replace(view, camera=fitted.camera),)
+        if image_files:
+            views = _with_images(views, image_files)
+        return Scene(cloud.points, views, (fitted.describe(),), "input", cloud=cloud, colours=colours)
     views, camera_files = load_views(masks, camera_file, invert, ignore_files)
     if depth_files:
         views = _with_depths(views, depth_files, depth_scale)
+    if image_files:
+        views = _with_images(views, image_files)
     for view in views:
         _warn_of_scale(cloud.points, view, cloud_file)
     for view, depth_file in zip(views, depth_files, strict=False):
         _warn_of_depth(cloud.points, view, depth_file)
-    return Scene(cloud.points, views, tuple(map(said, camera_files)), "input", cloud=cloud)
+    return Scene(cloud.points, views, tuple(map(said, camera_files)), "input", cloud=cloud, colours=colours)
 
 
 def _warn_of_scale(points: Array, view: View, cloud_file: Path) -> None:

@@ -73,6 +73,13 @@ MODES = ("points", "encoder", "encoder-decoder", "latent")
     help="Units of the camera to a step of the depth map; 0.001 for millimetres beside metres.",
 )
 @click.option(
+    "--image",
+    "image_files",
+    type=options.FilePath(),
+    multiple=True,
+    help="Photo that the mask is of, for the colours of a cloud that has them; once for each mask, or not at all.",
+)
+@click.option(
     "--frame",
     type=click.Choice(["view", "world"]),
     help="Axes of the cloud that a view-aligned network gives.  [default: view]",
@@ -138,6 +145,7 @@ def command(
     ignore_files: tuple[Path, ...],
     depth_files: tuple[Path, ...],
     depth_scale: float,
+    image_files: tuple[Path, ...],
     frame: str | None,
     place_by: Placing | None,
     preset: str,
@@ -170,7 +178,7 @@ def command(
     started = time.perf_counter()
     _refuse_mixed_up(mode, source, masks, ignore_files, checkpoint, frame, place_by)
     fit = camera_file == options.FIT
-    _refuse_depths(mode, preset, fit, depth_files)
+    _refuse_evidence(mode, preset, fit, depth_files, image_files)
     refuse_camera_options(mode, fit, refine_camera, write_camera)
     if fit:
         camera_file = None
@@ -180,7 +188,7 @@ def command(
         masks = _masks_of(camera_file)
     output = output or Path(f"{source.stem}.refined.ply")
     if not check:
-        inputs = (source, *masks, camera_file, *ignore_files, *depth_files)
+        inputs = (source, *masks, camera_file, *ignore_files, *depth_files, *image_files)
         _refuse_outputs(output, overlay, overwrite, inputs)
         refuse_camera_output(write_camera, overwrite, (*inputs, output, overlay))
     with options.loading():
@@ -188,7 +196,9 @@ def command(
         from ..scenes import load_points_scene
 
     if checkpoint is None:
-        scene = load_points_scene(source, masks, camera_file, invert_mask, ignore_files, fit, depth_files, depth_scale)
+        scene = load_points_scene(
+            source, masks, camera_file, invert_mask, ignore_files, fit, depth_files, depth_scale, image_files
+        )
     else:
         from ..network_scenes import load_network_scene
 
@@ -217,6 +227,7 @@ def command(
         config=config,
         network=scene.network,
         image=scene.image,
+        colours=scene.colours,
         progress=lambda step, total, loss: bar(step, total, f"loss {loss:.6g}"),
     )
     writing = time.perf_counter()
@@ -284,9 +295,10 @@ def _refuse_mixed_up(
         raise InputError("--place is for the encoder modes; points mode takes its cloud to be where the camera file has it")
 
 
-def _refuse_depths(mode: str, preset: str, fit: bool, depth_files: tuple[Path, ...]) -> None:
-    if depth_files and (mode, preset) != ("points", "best"):
-        raise InputError(f"--depth is for --mode points --preset best, found --mode {mode} --preset {preset}")
+def _refuse_evidence(mode: str, preset: str, fit: bool, depth_files: tuple[Path, ...], image_files: tuple[Path, ...]) -> None:
+    for name, files in (("--depth", depth_files), ("--image", image_files)):
+        if files and (mode, preset) != ("points", "best"):
+            raise InputError(f"{name} is for --mode points --preset best, found --mode {mode} --preset {preset}")
     if depth_files and fit:
         raise InputError("--depth needs a camera whose distance is known, found --camera fit; expected a camera file")
 

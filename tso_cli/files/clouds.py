@@ -39,6 +39,13 @@ class PointCloud:
     precision: str = "float64"
     ply: PlyFile | None = field(default=None, repr=False)
 
+    def colours(self) -> Points:
+        """Red, green and blue [N, 3] of the points, in [0, 1]; InputError where the file has none or no such numbers."""
+        found = self.ply.read_colours() if self.ply else None
+        if found is None:
+            raise InputError(f"{self.path}: its points have no colours, expected red, green and blue of a PLY file")
+        return found
+
 
 def read_cloud(path: str | Path) -> PointCloud:
     """Read a point cloud; of a mesh in PLY, its vertices.

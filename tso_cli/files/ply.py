@@ -15,6 +15,7 @@ from .text import Integers, TextTable
 
 Points = NDArray[np.float64]
 AXES = ("x", "y", "z")
+COLOURS = ("red", "green", "blue")
 _CHUNK = 1 << 16  # points of a text rewritten at a time
 
 
@@ -49,7 +50,7 @@ class PlyFile:
             self._rows = find_rows(data, self.header, AXES, path)
         else:
             self._table = TextTable(data, path, self.header.size, self.header.lines)
-            self._words = self._find_words(self._table)
+            self._words = self._find_words(self._table, AXES)
 
     def _vertex(self) -> Element:
         for element in self.header.elements:
@@ -80,6 +81,28 @@ class PlyFile:
         assert self._words is not None
         return self._table.values(self._words)
 
+    def read_colours(self) -> Points | None:
+        """Red, green and blue [N, 3] of the vertices in [0, 1], None where the file has none.
+
+        Raises InputError where numbers of a floating-point type lie outside.
+        """
+        kinds = {p.name: p.kind for p in self.vertex.properties if p.name in COLOURS and not p.length_kind}
+        if len(kinds) < len(COLOURS):
+            return None
+        if self.header.order:
+            rows = find_rows(self.data, self.header, COLOURS, self.path)
+            found = np.stack([rows.get(self.data, k, kinds[name]) for k, name in enumerate(COLOURS)], axis=1, dtype=np.float64)
+        else:
+            assert self._table is not None
+            found = self._table.values(self._find_words(self._table, COLOURS))
+        full = [1.0 if kinds[name].startswith("f") else float(np.iinfo(kinds[name]).max) for name in COLOURS]
+        found = found / full
+        if not (found.min() >= 0.0 and found.max() <= 1.0):
+            raise InputError(
+                f"{self.path}: its colours span {found.min():g} to {found.max():g} of their type's range, expected 0 to 1"
+            )
+        return found
+
     def with_points(self, points: Points) -> bytes:
         """The file with its vertices moved to ``points`` [N, 3]; what is not a coordinate keeps its bytes.
 
@@ -107,7 +130,8 @@ class PlyFile:
             head = head[:begin] + b"double" + head[end:]
         return head
 
-    def _find_words(self, table: TextTable) -> Integers:
+    def _find_words(self, table: TextTable, names: tuple[str, ...]) -> Integers:
+        """Which words of the text are the ``names`` of the vertices, [N, 3]."""
         begin = 0
         words = np.empty((0, 3), dtype=np.int64)
         for element in self.header.elements:
@@ -116,7 +140,7 @@ class PlyFile:
                 found = f"{table.first.size - begin} of {count}"
                 raise InputError(f"{self.path}: ends after {found} rows of element {shown(element.name)}")
             lines = slice(begin, begin + count)
-            places = self._columns(element, table, lines)
+            places = self._columns(element, table, lines, names)
             if element is self.vertex:
                 words = table.first[lines, None] + places
             begin += count
@@ -126,14 +150,14 @@ class PlyFile:
             )
         return words
 
-    def _columns(self, element: Element, table: TextTable, lines: slice) -> Integers:
-        """Check the number of words of each line; return the columns of x, y, z in it, [1, 3] or [N, 3]."""
+    def _columns(self, element: Element, table: TextTable, lines: slice, names: tuple[str, ...]) -> Integers:
+        """Check the number of words of each line; return the columns of ``names`` in it, [1, 3] or [N, 3]."""
         found = table.counts[lines]
         expected = np.zeros(found.size, dtype=np.int64)
         places = np.zeros((found.size, 3), dtype=np.int64)
         for p in element.properties:
-            if element is self.vertex and p.name in AXES:
-                places[:, AXES.index(p.name)] = expected
+            if element is self.vertex and p.name in names:
+                places[:, names.index(p.name)] = expected
             if p.length_kind:
                 # Past the end of a short line any word will do: the line is refused below.
                 words = np.minimum(table.first[lines] + expected, table.starts.size - 1)

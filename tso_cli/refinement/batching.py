@@ -44,6 +44,13 @@ class Item:
             raise InputError(
                 f"a view has a depth map, expected mode points with preset best, found {config.mode} with {config.preset}"
             )
+        if any(view.image is not None for view in views):
+            if not config.staged:
+                raise InputError(
+                    f"a view has an image, expected mode points with preset best, found {config.mode} with {config.preset}"
+                )
+            if cloud.colours is None:
+                raise InputError("a view has an image, expected a cloud with colours, found none")
         for view in views:
             require_overlap(place(cloud.initial, view), view)
         plane, reason = mirror_plane(cloud, config.symmetry)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from ..adam import Adam, UniformAdam
+from ..colour_pull import ColourPull
 from ..objective import PullObjective
 from ..pull import REFERENCE_POINTS
 from ..smoothing import NODES, SmoothField
@@ -23,16 +24,18 @@ class Stage:
     ----------
     smoothness : lambda of :class:`tso_cli.smoothing.SmoothField`. reach : of :func:`tso_cli.pull.mask_pull`, px.
     pace : share of the learning rate. nodes : of the field.
+    blur : of :meth:`tso_cli.colour_pull.ColourPull.look`, px.
     """
 
     smoothness: float
     reach: float
     pace: float
     nodes: int = NODES
+    blur: float = 0.5
 
 
 # First the cloud moves nearly as a whole and hears of pixels far away, at last almost point by point and of near ones only.
-STAGES = (Stage(100.0, 6.0, 1.0, 256), Stage(10.0, 3.0, 0.75, 512), Stage(1.0, 3.0, 0.35))
+STAGES = (Stage(100.0, 6.0, 1.0, 256, 2.0), Stage(10.0, 3.0, 0.75, 512, 1.0), Stage(1.0, 3.0, 0.35))
 ANCHOR_REACH = 4.0
 
 
@@ -109,6 +112,7 @@ def descend_in_stages(
     progress: Progress | None = None,
     recipe: Recipe = BEST,
     fields: dict[int, SmoothField] | None = None,
+    colours: ColourPull | None = None,
 ) -> Descent:
     """Move B clouds by smooth fields.
 
@@ -120,6 +124,7 @@ def descend_in_stages(
     learning_rate : about how far the node that is pulled hardest moves in one of the first steps.
     recipe : what else the descent is made of.
     fields : those of ``first`` by their nodes, as far as they are known; further ones are added.
+    colours : of the one cloud, None where no image asks for them.
 
     Returns
     -------
@@ -134,6 +139,8 @@ def descend_in_stages(
 
     def objective(moved: Tensor) -> Tensor:
         loss = pull(moved, stage.reach) + cost(moved, first, anchors)
+        if colours:
+            loss = loss + colours(moved)
         return loss + further(moved) if further else loss
 
     parts, done, found = [], 0, first
@@ -142,6 +149,8 @@ def descend_in_stages(
         field = fields[stage.nodes]
         if recipe.looks:
             pull.look(found, finest)
+        if colours:
+            colours.look(found, stage.blur)
         smoother = field.smoother(stage.smoothness)
         moving = torch.zeros(field.shape, dtype=first.dtype, device=first.device, requires_grad=True)
 

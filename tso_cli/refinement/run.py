@@ -15,6 +15,7 @@ from torch import Tensor
 
 from .. import device as devices
 from ..camera import Camera
+from ..colour_pull import ColourPull
 from ..errors import InputError, TsoError
 from ..kernels.choice import planned
 from ..losses import ChamferToInitial
@@ -48,6 +49,7 @@ def refine(
     *,
     network: BaseNetwork | None = None,
     image: Any = None,
+    colours: Any = None,
     progress: Progress | None = None,
 ) -> RefineResult:
     """Move a cloud, or the network that predicts it, until its projection agrees with the masks.
@@ -56,11 +58,13 @@ def refine(
     ----------
     points : [N, 3] array or tensor; None in the network modes, where the network's prediction is the start.
     masks : one [H, W] array in [0, 1], a sequence of them, or :class:`tso_cli.scene.View` objects, which bring their own
-        camera, ignore map and depth map.
+        camera, ignore map, depth map and image.
     cameras : one for each mask; None for the canonical camera.
     config : settings, by default those of the preset "best".
     network : for the modes "encoder", "encoder-decoder" and "latent"; it is copied, never changed.
     image : [3, 64, 64] network input in [0, 1], array or tensor.
+    colours : [N, 3] red, green and blue of the points, in [0, 1] or uint8, array or tensor; views that have an image ask for
+        them.
     progress : called after every step with (step, steps, loss).
 
     Returns
@@ -70,7 +74,7 @@ def refine(
     Raises
     ------
     InputError
-        Points, masks or cameras that cannot be used or do not meet, or a mode that lacks its network.
+        Points, masks or cameras that cannot be used or do not meet, a mode that lacks its network, or an image without colours.
     TsoError
         The loss of the start, or after the first step, is not a finite number.
     """
@@ -83,7 +87,7 @@ def refine(
         if settings.mode == "points":
             if points is None:
                 raise InputError("mode points needs points, found none")
-            cloud = Cloud(points, "points")
+            cloud = Cloud(points, "points", colours)
             start = PointsStart([cloud], device)
         else:
             start = NetworkStart(network, image, settings.mode, device)
@@ -214,7 +218,18 @@ def _refined(
         if settings.staged:
             pull = PullObjective(views, start.counts, first, of_all)
             recipe = settings.recipe or BEST
-            descent = descend_in_stages(first, start.counts, pull, further, steps, settings.learning_rate, told, recipe, fields)
+            descent = descend_in_stages(
+                first,
+                start.counts,
+                pull,
+                further,
+                steps,
+                settings.learning_rate,
+                told,
+                recipe,
+                fields,
+                _coloured(items, weights, first),
+            )
         else:
             term: Objective = MaskObjective(views, start.counts, first, of_all)
             if settings.preset == "best":
@@ -243,6 +258,15 @@ def _refined(
         )
         for number, (item, points, *ious) in enumerate(zip(items, refined, before, after, strict=True))
     ]
+
+
+def _coloured(items: list[Item], weights: Tensor, first: Tensor) -> ColourPull | None:
+    """What images ask: of a single cloud, those of a batch have no colours."""
+    # Paint, lettering above all, is not its own mirror image where the shape is.
+    views, colours = items[0].working[: len(items[0].views)], items[0].cloud.colours
+    if colours is None or all(view.image is None for view in views):
+        return None
+    return ColourPull(views, weights[0].tolist(), torch.from_numpy(colours), first)
 
 
 def _mirrored(

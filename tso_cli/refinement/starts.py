@@ -27,18 +27,37 @@ class Cloud:
     ----------
     initial : [N, 3] float64.
     centre [3], scale : (X - centre) / scale is normalised.
+    colours : [N, 3] float32 in [0, 1], or None.
     """
 
-    def __init__(self, points: Any, name: str) -> None:
+    def __init__(self, points: Any, name: str, colours: Any = None) -> None:
         if isinstance(points, Tensor):
             points = points.detach().cpu().numpy()
         self.initial: Array = as_points(points, name)
         self.centre, self.scale = bounding_box_normalisation(self.initial, name)
+        self.colours = None if colours is None else _as_colours(colours, len(self.initial), name)
 
     def normalised(self) -> Array:
         """[N, 3]."""
         normalised: Array = (self.initial - self.centre) / self.scale
         return normalised
+
+
+def _as_colours(colours: Any, count: int, name: str) -> NDArray[np.float32]:
+    if isinstance(colours, Tensor):
+        colours = colours.detach().cpu().numpy()
+    try:
+        array = np.asarray(colours)
+        found: NDArray[np.float32] = array.astype(np.float32)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: the colours are no array of numbers, expected [{count}, 3]") from None
+    if found.shape != (count, 3):
+        raise InputError(f"{name}: the colours have shape {list(found.shape)}, expected [{count}, 3]")
+    if array.dtype == np.uint8:
+        found = found / np.float32(255.0)
+    if not (found.min() >= 0.0 and found.max() <= 1.0):
+        raise InputError(f"{name}: the colours span {found.min():g} to {found.max():g}, expected 0 to 1, or uint8")
+    return found
 
 
 class PointsStart:
