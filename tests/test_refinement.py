@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from tso_cli.network import Encoder, build_network
 from tso_cli.objective import MaskObjective
 from tso_cli.projection import silhouette_of
 from tso_cli.refinement import PRESETS, RefineConfig, loop, refine, refine_batch, run
+from tso_cli.refinement.best import BEST
 from tso_cli.refinement.starts import NetworkStart
 from tso_cli.render import look_at
 from tso_cli.scene import View
@@ -399,6 +401,7 @@ def test_what_no_picture_shows_stays_nearly_where_it_was():
     seen = camera.project(bar)[0][:, 0] > -0.5
     assert 0.3 < seen.mean() < 0.7
     mask = (silhouette_of(bar + [0.0, 0.06, 0.0], camera) > 0.5).astype(np.float32)
-    moved = refine(bar, mask, camera, RefineConfig(symmetry="none")).points[:, 1] - bar[:, 1]
+    config = RefineConfig(symmetry="none", recipe=replace(BEST, cut=1.0))
+    moved = refine(bar, mask, camera, config).points[:, 1] - bar[:, 1]
     assert moved[seen].mean() > 0.02
     assert np.abs(moved[~seen]).mean() < 0.04 * moved[seen].mean()

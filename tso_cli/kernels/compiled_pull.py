@@ -26,8 +26,8 @@ def mask_pull(
     reach: float,
     weight: Tensor,
 ) -> Tensor:
-    """As :func:`tso_cli.pull.mask_pull`; ``weight`` [M] times ``counted`` [M, N] is a stray point's, ``scale`` pixels of 64 to one
-    of the image."""
+    """As :func:`tso_cli.pull.mask_pull`; ``weight`` [M] times ``counted`` [M, N] is a stray point's, ``scale`` pixels of 64 to
+    one of the image."""
     inside, outside, rows, columns, _ = target
     total, slope = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
     edge = cell_edge(inside.shape[1], inside.shape[2], points_px.shape[1])
