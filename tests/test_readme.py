@@ -42,6 +42,8 @@ def _assert_alike(printed: str, shown: str, numbers: bool) -> None:
         assert found == pytest.approx(asked, rel=TOLERANCE, abs=0.05), line
 
 
+# One works with the files that another wrote: they stay on one worker, in their order.
+@pytest.mark.xdist_group("readme")
 @pytest.mark.parametrize(("command", "shown"), console_commands(README.read_text()), ids=lambda value: value[:60])
 def test_a_command_of_the_readme_prints_what_the_readme_shows(command, shown, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)

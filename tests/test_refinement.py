@@ -401,7 +401,7 @@ def test_what_no_picture_shows_stays_nearly_where_it_was():
     seen = camera.project(bar)[0][:, 0] > -0.5
     assert 0.3 < seen.mean() < 0.7
     mask = (silhouette_of(bar + [0.0, 0.06, 0.0], camera) > 0.5).astype(np.float32)
-    config = RefineConfig(symmetry="none", recipe=replace(BEST, cut=1.0))
+    config = RefineConfig(symmetry="none", recipe=replace(BEST, least_anchor=0.0, most_anchor=0.0))
     moved = refine(bar, mask, camera, config).points[:, 1] - bar[:, 1]
     assert moved[seen].mean() > 0.02
-    assert np.abs(moved[~seen]).mean() < 0.04 * moved[seen].mean()
+    assert np.abs(moved[~seen]).mean() < 0.15 * moved[seen].mean()

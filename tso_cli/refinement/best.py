@@ -51,7 +51,7 @@ class Recipe:
         ``most_anchor`` bound it.
     by_area : whether points hold by the surface that they stand for, or all alike.
     cut : how many times as much it costs all points of an object that no view shows whole.
-    unseen : how many times as much it then costs those that no view shows, beyond the borders.
+    unseen : how far those of them move that no view shows, beyond the borders, in units of how far the field would take them.
     optimiser : of every stage. looks : whether parts that pixels do not show are left alone.
     """
 
@@ -62,7 +62,7 @@ class Recipe:
     most_anchor: float = 3000.0
     by_area: bool = True
     cut: float = 3.0
-    unseen: float = 20.0
+    unseen: float = 0.1
     optimiser: type[Adam] | type[UniformAdam] = UniformAdam
     looks: bool = True
 
@@ -94,7 +94,7 @@ def anchors_of(first: Tensor, counts: Tensor, pull: PullObjective, field: Smooth
     # What holds a piece of surface is as strong where points are few as where they are many.
     areas = field.areas(first, counts) if recipe.by_area else torch.ones_like(first[..., 0])
     each = torch.where(pull.cut.unsqueeze(1), recipe.cut * each, each)
-    return each * areas * torch.where(pull.asked(first), 1.0, recipe.unseen)
+    return each * areas
 
 
 def cost(moved: Tensor, first: Tensor, anchors: Tensor) -> Tensor:
@@ -136,6 +136,7 @@ def descend_in_stages(
         fields[nodes] = SmoothField(first, counts, nodes)
     finest = fields[max(stage.nodes for stage in stages)]
     anchors = anchors_of(first, counts, pull, finest, recipe)
+    followed = torch.where(pull.asked(first), 1.0, recipe.unseen).to(first).unsqueeze(-1)
 
     def objective(moved: Tensor) -> Tensor:
         loss = pull(moved, stage.reach) + cost(moved, first, anchors)
@@ -157,7 +158,7 @@ def descend_in_stages(
         def produce(
             base: Tensor = found, field: SmoothField = field, smoother: Tensor = smoother, moving: Tensor = moving
         ) -> Tensor:
-            return base + field.displacement(smoother, moving)
+            return base + followed * field.displacement(smoother, moving)
 
         def told(step: int, steps_here: int, loss: float, before: int = done) -> None:
             assert progress is not None
