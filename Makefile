@@ -49,7 +49,7 @@ lint: $(VENV)/ready-to-test
 
 # Two processes of one thread each: torch's threads wait for one another on a busy machine.
 test: open3d-libraries lint
-	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadgroup
+	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
 
 clean:
 	rm -rf $(VENV) demo

@@ -19,14 +19,6 @@ NUMBER = re.compile(r"-?\d[\d,]*\.?\d*(?:e[+-]?\d+)?")
 TOLERANCE = 0.05
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Where the commands of the README run, one after the other."""
-    path = tmp_path_factory.mktemp("readme")
-    working_copy(path)
-    return path
-
-
 def _assert_alike(printed: str, shown: str, numbers: bool) -> None:
     """The same words, and with ``numbers`` also numbers alike; times aside."""
     # the width of a column follows its numbers
@@ -42,19 +34,19 @@ def _assert_alike(printed: str, shown: str, numbers: bool) -> None:
         assert found == pytest.approx(asked, rel=TOLERANCE, abs=0.05), line
 
 
-# One works with the files that another wrote: they stay on one worker, in their order.
-@pytest.mark.xdist_group("readme")
-@pytest.mark.parametrize(("command", "shown"), console_commands(README.read_text()), ids=lambda value: value[:60])
-def test_a_command_of_the_readme_prints_what_the_readme_shows(command, shown, folder, monkeypatch, capsys):
-    monkeypatch.chdir(folder)
-    words = shlex.split(command)
-    assert words[0] == "tso"
-    with pytest.raises(SystemExit) as stopped:
-        main(words[1:])
-    assert stopped.value.code == 0
-    _assert_alike(
-        capsys.readouterr().out.rstrip("\n"), shown, numbers="base.safetensors" not in command and "car-e" not in command
-    )
+def test_the_commands_of_the_readme_print_what_the_readme_shows(tmp_path, monkeypatch, capsys):
+    """All in one, in their order: one works with the files that another wrote."""
+    working_copy(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    for command, shown in console_commands(README.read_text()):
+        words = shlex.split(command)
+        assert words[0] == "tso"
+        with pytest.raises(SystemExit) as stopped:
+            main(words[1:])
+        printed = capsys.readouterr()
+        assert stopped.value.code == 0, f"{command}: {printed.err}"
+        numbers = "base.safetensors" not in command and "car-e" not in command
+        _assert_alike(printed.out.rstrip("\n"), shown, numbers)
 
 
 def test_the_tables_of_the_pages_are_those_of_the_kept_figures():
