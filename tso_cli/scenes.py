@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,24 +163,26 @@ def same_size(file: Path, shape: tuple[int, ...], mask_file: Path | str, mask_sh
         )
 
 
-def _with_depths(views: tuple[View, ...], depth_files: Sequence[Path], scale: float) -> tuple[View, ...]:
-    _require_one_each("--depth", "depth maps", depth_files, len(views))
-    found = []
-    for view, file in zip(views, depth_files, strict=True):
-        depth = read_depth(file, scale)
-        same_size(file, depth.shape, view.name, view.mask.shape)
-        found.append(replace(view, depth=depth))
-    return tuple(found)
+def _with_depths(views: tuple[View, ...], files: Sequence[Path], scale: float) -> tuple[View, ...]:
+    depths = _read_each("--depth", "depth maps", views, files, lambda file: read_depth(file, scale))
+    return tuple(replace(view, depth=depth) for view, depth in zip(views, depths, strict=True))
 
 
-def _with_images(views: tuple[View, ...], image_files: Sequence[Path]) -> tuple[View, ...]:
-    _require_one_each("--image", "images", image_files, len(views))
+def _with_images(views: tuple[View, ...], files: Sequence[Path]) -> tuple[View, ...]:
+    images = _read_each("--image", "images", views, files, read_image)
+    return tuple(replace(view, image=image[..., :3] / np.float32(255.0)) for view, image in zip(views, images, strict=True))
+
+
+def _read_each(
+    option: str, what: str, views: tuple[View, ...], files: Sequence[Path], read: Callable[[Path], NDArray[Any]]
+) -> list[NDArray[Any]]:
+    """What ``read`` makes of the file of each view; InputError where there is not one for each, of its mask's size."""
+    _require_one_each(option, what, files, len(views))
     found = []
-    for view, file in zip(views, image_files, strict=True):
-        image = read_image(file)
-        same_size(file, image.shape, view.name, view.mask.shape)
-        found.append(replace(view, image=image[..., :3] / np.float32(255.0)))
-    return tuple(found)
+    for view, file in zip(views, files, strict=True):
+        found.append(read(file))
+        same_size(file, found[-1].shape, view.name, view.mask.shape)
+    return found
 
 
 def said(camera_file: Path | None) -> str:

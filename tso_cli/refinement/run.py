@@ -231,9 +231,11 @@ def _refined(
                 _coloured(items, weights, first),
             )
         else:
-            term: Objective = MaskObjective(views, start.counts, first, of_all)
+            term: Objective
             if settings.preset == "best":
                 term = held_and_pulled(first, start.counts, PullObjective(views, start.counts, first, of_all))
+            else:
+                term = MaskObjective(views, start.counts, first, of_all)
 
             def objective(moved: Tensor) -> Tensor:
                 loss = term(moved)
