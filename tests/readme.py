@@ -16,6 +16,7 @@ import tempfile
 from pathlib import Path
 
 from tests.readme_accuracy import accuracy_tables, sizes_table
+from tests.readme_evidence import evidence_tables, pose_table
 from tso_cli.report.speed_table import left_out_lines, machine_line, sections
 
 ROOT = Path(__file__).parents[1]
@@ -25,7 +26,8 @@ NETWORK = ROOT / "docs" / "network.md"
 PERFORMANCE = ROOT / "docs" / "performance.md"
 ACCURACY = ROOT / "docs" / "accuracy.md"
 PHOTOS = ROOT / "docs" / "photos.md"
-PAGES = (README, RESULTS, NETWORK, PERFORMANCE, ACCURACY, PHOTOS)
+METHOD = ROOT / "docs" / "method.md"
+PAGES = (README, METHOD, RESULTS, NETWORK, PERFORMANCE, ACCURACY, PHOTOS)
 FIGURES = ROOT / "docs" / "figures"
 CONSOLE = re.compile(r"```console\n(.*?)```", re.DOTALL)
 
@@ -236,6 +238,7 @@ TABLES = {
     "affinity": affinity_table,
     "failures": failures_table,
     "photos": photos_table,
+    "pose": pose_table,
 }
 
 
@@ -248,6 +251,8 @@ def tables() -> dict[str, str]:
         if record.get("study") == "accuracy":
             accuracy[path.stem] = record
             made |= {f"{path.stem} {name}": table for name, table in accuracy_tables(record).items()}
+        elif record.get("study") == "evidence":
+            made |= {f"{path.stem} {name}": table for name, table in evidence_tables(record).items()}
         elif {"summary", "examples"} & set(record):
             made[path.stem] = TABLES[path.stem](record)
         if "bench" in record:

@@ -57,6 +57,16 @@ def write_record(record: dict[str, Any], output: Path) -> None:
         temporary.write_text(json.dumps(record, indent=1) + "\n")
 
 
+def write_cases(output: Path | None, record: dict[str, Any]) -> None:
+    """Write a record with hundreds of cases over the one before, if it is wanted: a case a line."""
+    if output is None:
+        return
+    head = json.dumps({**record, "cases": []}, indent=1)
+    cases = ",\n".join(json.dumps(case, separators=(",", ":")) for case in record["cases"])
+    with atomic_output(output) as temporary:
+        temporary.write_text(f"{head.removesuffix('[]' + chr(10) + '}')}[\n{cases}\n]}}\n")
+
+
 def keep(record: dict[str, Any], output: Path | None, draw: Callable[..., None], overwrite: bool) -> None:
     """Write the record and its chart, if they are wanted."""
     if output is not None:

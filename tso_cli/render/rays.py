@@ -51,7 +51,8 @@ class RayScene:
     def cast(self, camera: Camera, columns: Array, rows: Array) -> dict[str, Any]:
         """What the rays through pixel coordinates ``columns`` [C] x ``rows`` [R] meet first.
 
-        Returns ``hit`` [R, C] bool, ``face`` [R, C] and ``normal`` [R, C, 3] (world axes, length 1).
+        Returns ``hit`` [R, C] bool, ``face`` [R, C], ``normal`` [R, C, 3] (world axes, length 1) and ``depth`` [R, C]
+        along the camera's z, infinite where nothing is met.
         """
         x = (columns - camera.K[0, 2]) / camera.K[0, 0]
         y = (rows - camera.K[1, 2]) / camera.K[1, 1]
@@ -70,8 +71,11 @@ class RayScene:
             rays[..., :3] = (plane - camera.t) @ camera.R
             rays[..., 3:] = camera.R[2]
         found = self._scene.cast_rays(self._o3d.core.Tensor(rays))
+        # One unit along a ray is one in depth; parallel rays start at a depth of their own.
+        depth = found["t_hit"].numpy().astype(np.float64) + (plane[..., 2] if camera.model != "perspective" else 0.0)
         return {
-            "hit": np.isfinite(found["t_hit"].numpy()),
+            "hit": np.isfinite(depth),
+            "depth": depth,
             "face": found["primitive_ids"].numpy(),
             "normal": found["primitive_normals"].numpy(),
         }

@@ -50,6 +50,7 @@ class AccuracyCase:
     views : the first is the case's own, the others are further evidence.
     floor, floor_dense : Chamfer distance of another sampling of the truth, N points, to ``target`` and to ``dense``.
     image : [3, 64, 64], what the network saw; None where there is none.
+    colours : [N, 3] in [0, 1] of ``initial``, for views that have photos.
     """
 
     kind: str
@@ -64,6 +65,7 @@ class AccuracyCase:
     floor: float
     floor_dense: float
     image: NDArray[np.float32] | None = None
+    colours: Array | None = None
 
 
 class CaseBuilder:

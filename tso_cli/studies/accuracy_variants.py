@@ -7,11 +7,9 @@ from dataclasses import dataclass, field, replace
 
 from ..adam import Adam
 from ..errors import TsoError
-from ..geometry import Array
 from ..network import BaseNetwork
 from ..refinement import RefineConfig, RefineResult, refine, refine_batch
 from ..refinement.best import BEST, Stage
-from ..scene import View
 from ..smoothing import NODES
 from .accuracy_cases import AccuracyCase
 
@@ -87,11 +85,11 @@ def variants_of(kind: str, ablation: bool) -> dict[str, Variant]:
 def refined(
     cases: list[AccuracyCase], variant: Variant, device: str, network: BaseNetwork | None
 ) -> tuple[list[RefineResult], float | None]:
-    """The result of every case, and the seconds a case of a batch; None where there is no batch.
+    """The result of every case, and the seconds a case of a batch; None where there is no batch, as with networks and colours.
 
     Raises TsoError where a case cannot be refined.
     """
-    if network is not None and variant.config.mode != "points":
+    if (network is not None and variant.config.mode != "points") or any(case.colours is not None for case in cases):
         return [alone(case, variant, device, network)[0] for case in cases], None
     start = time.perf_counter()
     found = refine_batch(
@@ -111,21 +109,17 @@ def alone(case: AccuracyCase, variant: Variant, device: str, network: BaseNetwor
     config, views = replace(variant.config, device=device), case.views[: variant.masks]
     start = time.perf_counter()
     if config.mode == "points":
-        result = _whole(_points(case.initial, views, config))
+        result = _whole(refine(case.initial, views, config=config, colours=case.colours))
     else:
         result = _whole(refine(None, views, config=config, network=network, image=case.image))
     if variant.then is not None:
         first = result
-        result = _whole(_points(first.points, views, replace(variant.then, device=device)))
+        result = _whole(refine(first.points, views, config=replace(variant.then, device=device)))
         before = [pair[0] for pair in first.view_ious]
         result = replace(
             result, iou_before=first.iou_before, view_ious=list(zip(before, (b for _, b in result.view_ious), strict=True))
         )
     return result, time.perf_counter() - start
-
-
-def _points(points: Array, views: tuple[View, ...], config: RefineConfig) -> RefineResult:
-    return refine(points, views, config=config)
 
 
 def _whole(result: RefineResult) -> RefineResult:

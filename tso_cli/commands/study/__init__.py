@@ -6,10 +6,12 @@ import click
 
 from .accuracy import accuracy
 from .affinity import affinity
+from .evidence import evidence
 from .examples import examples
 from .failures import failures
 from .network import network
 from .points import points
+from .pose import pose
 from .sigma import sigma
 from .supervision import supervision
 from .variants import variants
@@ -22,5 +24,19 @@ def command() -> None:
     """Ask a question of the method, on many shapes, and keep the answer as JSON beside a chart."""
 
 
-for study in (points, accuracy, examples, network, variants, sigma, supervision, views, weight, affinity, failures):
+for study in (
+    points,
+    accuracy,
+    evidence,
+    pose,
+    examples,
+    network,
+    variants,
+    sigma,
+    supervision,
+    views,
+    weight,
+    affinity,
+    failures,
+):
     command.add_command(study)

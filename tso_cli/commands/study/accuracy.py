@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
-from ...files.output import atomic_output, check_output
+from ...files.output import check_output
 from ...files.shipped import DEFAULT, named_checkpoint
 from .. import options
-from ..records import Reporter, answer, check_outputs, earlier_record, resume
+from ..records import Reporter, answer, check_outputs, earlier_record, resume, write_cases
 
 
 @click.command("accuracy")
@@ -83,8 +82,8 @@ def accuracy(
         options.log(f"tso: checkpoint: {network}")
     earlier = earlier_record(output, resume)
     split_file = split_file or SPLIT
-    record = study_accuracy(meshes, config, split_file, network, earlier, partial(_write, output), Reporter())
-    _write(output, record)
+    record = study_accuracy(meshes, config, split_file, network, earlier, partial(write_cases, output), Reporter())
+    write_cases(output, record)
     if output is not None:
         from ...report.accuracy_chart import draw_accuracy_study
 
@@ -98,16 +97,6 @@ def accuracy(
         options.echo_json(record)
     else:
         _print(record)
-
-
-def _write(output: Path | None, record: dict[str, Any]) -> None:
-    """A case a line: there are hundreds, with dozens of numbers each."""
-    if output is None:
-        return
-    head = json.dumps({**record, "cases": []}, indent=1)
-    cases = ",\n".join(json.dumps(case, separators=(",", ":")) for case in record["cases"])
-    with atomic_output(output) as temporary:
-        temporary.write_text(f"{head.removesuffix('[]' + chr(10) + '}')}[\n{cases}\n]}}\n")
 
 
 def _print(record: dict[str, Any]) -> None:

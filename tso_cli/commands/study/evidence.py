@@ -1,0 +1,96 @@
+"""`tso study evidence`."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ...files.shipped import DEFAULT, named_checkpoint
+from .. import options
+from ..records import Reporter, answer, check_outputs, earlier_record, resume, write_cases
+
+QUESTIONS = ("depth", "colours", "missing", "wrong", "cameras", "placing", "rates")
+
+
+@click.command("evidence")
+@click.option("--meshes", type=options.FilePath(), required=True, help="Folder with CATEGORY/NAME for every name of the split.")
+@click.option("--checkpoint", type=options.FilePath(), default=DEFAULT, show_default=True, help="View-aligned network.")
+@click.option("--split", "split_file", type=options.FilePath(), help="[default: that of the shipped network]")
+@click.option("--part", type=click.Choice(["test", "validation"]), default="validation", show_default=True)
+@click.option("--question", "questions", multiple=True, type=click.Choice(QUESTIONS), help="May be repeated.  [default: all]")
+@click.option("--limit", type=click.IntRange(min=1), help="At most so many shapes of each category.")
+@click.option("--views", type=click.IntRange(min=1), default=2, show_default=True, help="Random views of each shape.")
+@answer
+@resume("after every group of shapes")
+@options.device
+@options.seed
+@options.overwrite
+@options.as_json
+def evidence(
+    meshes: Path,
+    checkpoint: Path,
+    split_file: Path | None,
+    part: str,
+    questions: tuple[str, ...],
+    limit: int | None,
+    views: int,
+    output: Path | None,
+    resume: bool,
+    device: str,
+    seed: int,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """What other evidence than one right mask of the whole object is worth.
+
+    Depth maps (depth), photos of painted objects (colours), objects of which a part is missing (missing), wrong views among
+    right ones (wrong), cameras that are off (cameras), predictions whose distance is not known (placing), and the learning
+    rates of the network's variants (rates).
+    """
+    check_outputs(output, overwrite, resume)
+    from ...studies.evidence import EvidenceConfig, study_evidence
+    from ...studies.evidence_questions import QUESTIONS as KNOWN
+    from ...studies.parts import SPLIT
+
+    wanted = tuple(dict.fromkeys(questions)) or QUESTIONS
+    network = None
+    if any("network" in KNOWN[name].kinds for name in wanted):
+        network = named_checkpoint(checkpoint)
+        options.log(f"tso: checkpoint: {network}")
+    config = EvidenceConfig(wanted, part, limit, views, seed, device)
+    earlier = earlier_record(output, resume)
+    record = study_evidence(meshes, config, split_file or SPLIT, network, earlier, partial(write_cases, output), Reporter())
+    write_cases(output, record)
+    if output is not None:
+        from ...report.evidence_chart import draw_evidence_study
+
+        draw_evidence_study(output.with_suffix(".png"), record, overwrite or resume)
+    if as_json:
+        options.echo_json(record)
+    else:
+        _print(record)
+
+
+def _print(record: dict[str, Any]) -> None:
+    from ...report.table import text_table
+
+    for question, kinds in record["summary"].items():
+        told = [key for key in _first(kinds) if key not in ("cases", "mean_ratio", "worst_ratio", "worse")]
+        rows = [
+            [kind, category, row, *(own[key] for key in ("cases", "mean_ratio", "worst_ratio", "worse", *told))]
+            for kind, categories in kinds.items()
+            for category, found in categories.items()
+            for row, own in found.items()
+        ]
+        click.echo(text_table(["kind", "category", question, "cases", "ratio", "worst", "worse", *told], rows))
+        click.echo()
+    click.echo("ratio: Chamfer after/before, mean of the cases' own; worse: cases over 1")
+
+
+def _first(found: dict[str, Any]) -> dict[str, Any]:
+    """The figures of the first row of a question."""
+    rows = next(iter(next(iter(found.values())).values()))
+    return dict(next(iter(rows.values())))
