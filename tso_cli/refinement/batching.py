@@ -20,6 +20,7 @@ from .starts import Cloud
 BATCH_POINTS = 1 << 20
 # Their views hold no more pixels than this together, as the loop sees them: bounds memory at 1 GiB in plain torch.
 BATCH_PIXELS = 1 << 24
+FLIPPED = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +62,12 @@ class Item:
         shown = views if self.plane is None else (*views, *(self.plane.view(view) for view in views))
         working = tuple(working_view(view, config.sigma_sq, self.cloud.centre, self.cloud.scale) for view in shown)
         return replace(self, views=views, working=working)
+
+    @property
+    def pictures(self) -> float:
+        """How many masks and depth maps there are; a flipped mask, which is only taken to be one, counts for a quarter."""
+        depths = sum(view.depth is not None for view in self.views)
+        return len(self.views) * (1.0 if self.plane is None else 1.0 + FLIPPED) + depths
 
     @property
     def pixels(self) -> int:

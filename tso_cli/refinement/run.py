@@ -218,6 +218,7 @@ def _refined(
         if settings.staged:
             pull = PullObjective(views, start.counts, first, of_all)
             recipe = settings.recipe or BEST
+            pictures = torch.tensor([item.pictures for item in items])
             descent = descend_in_stages(
                 first,
                 start.counts,
@@ -229,6 +230,7 @@ def _refined(
                 recipe,
                 fields,
                 _coloured(items, weights, first),
+                pictures,
             )
         else:
             term: Objective

@@ -63,6 +63,9 @@ ABLATION = {
     "no smoothing": _made(stages=tuple(replace(stage, smoothness=0.0, nodes=NODES) for stage in BEST.stages)),
     "1,024 nodes in every stage": _made(stages=tuple(replace(stage, nodes=NODES) for stage in BEST.stages)),
     "one stage": _made(stages=(Stage(10.0, 3.0, 1.0),)),
+    "the last stage's result alone": _made(
+        stages=(*(replace(stage, share=0.0) for stage in BEST.stages[:-1]), BEST.stages[-1])
+    ),
     "no anchor": _made(anchor=0.0, least_anchor=0.0, most_anchor=0.0),
     "points that hold all alike": _made(by_area=False),
     "a cut object held like a whole one": _made(cut=1.0, unseen=1.0),
