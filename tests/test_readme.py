@@ -52,7 +52,7 @@ def test_the_commands_of_the_readme_print_what_the_readme_shows(tmp_path, monkey
 def test_the_tables_of_the_pages_are_those_of_the_kept_figures():
     for page in PAGES:
         assert page.read_text() == with_tables(page.read_text())
-        assert re.search(r"<!-- (points|network|speed machine|accuracy settings|photos) -->", page.read_text())
+        assert re.search(r"<!-- (points|network|speed machine|accuracy settings|photos|pose) -->", page.read_text())
 
 
 def test_the_kept_figures_meet_what_the_paper_promises():

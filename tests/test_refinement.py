@@ -19,13 +19,15 @@ from tso_cli.files.images import read_mask
 from tso_cli.kernels.choice import planned
 from tso_cli.losses import chamfer
 from tso_cli.network import Encoder, build_network
-from tso_cli.objective import MaskObjective
+from tso_cli.objective import MaskObjective, PullObjective
 from tso_cli.projection import silhouette_of
 from tso_cli.refinement import PRESETS, RefineConfig, loop, refine, refine_batch, run
-from tso_cli.refinement.best import BEST
-from tso_cli.refinement.starts import NetworkStart
+from tso_cli.refinement.batching import Item
+from tso_cli.refinement.best import BEST, anchors_of
+from tso_cli.refinement.starts import Cloud, NetworkStart
 from tso_cli.render import look_at
 from tso_cli.scene import View
+from tso_cli.smoothing import SmoothField
 
 PAPER = RefineConfig(preset="paper")
 CHAIR = Path(__file__).parents[1] / "examples" / "chair"
@@ -405,3 +407,56 @@ def test_what_no_picture_shows_stays_nearly_where_it_was():
     moved = refine(bar, mask, camera, config).points[:, 1] - bar[:, 1]
     assert moved[seen].mean() > 0.02
     assert np.abs(moved[~seen]).mean() < 0.15 * moved[seen].mean()
+
+
+@pytest.mark.parametrize("masks", [1, 2])
+def test_the_result_is_a_mean_over_the_stages_and_the_last_counts_for_more_where_there_are_more_masks(chair, masks):
+    points, mask, camera = chair
+    side = look_at(90.0, 10.0, 2.0, (64, 64))
+    views = [View(mask, camera), View((silhouette_of(points * [1.0, 1.1, 1.0], side) > 0.5).astype(np.float32), side)][:masks]
+
+    def refined(*shares):
+        stages = tuple(replace(stage, share=share) for stage, share in zip(BEST.stages, shares, strict=True))
+        recipe = replace(BEST, stages=stages, least_anchor=0.0)
+        return refine(points, views, config=RefineConfig(symmetry="none", recipe=recipe)).points
+
+    alone = [refined(*(1.0 if one == stage else 1e-12 for one in range(3))) for stage in range(3)]
+    shares = np.array([1.0, 2.0, 3.0 * masks**2])
+    expected = np.einsum("s,snk->nk", shares / shares.sum(), alone)
+    np.testing.assert_allclose(refined(1.0, 2.0, 3.0), expected, atol=1e-6)
+    assert np.abs(alone[0] - alone[2]).max() > 1e-3
+
+
+def test_a_flipped_mask_counts_for_a_quarter_and_a_depth_map_as_a_mask(chair):
+    points, mask, camera = chair
+    depth = np.where(mask > 0.5, camera.t[2], 0.0)
+
+    def pictures(views, symmetry="none"):
+        return Item.of(Cloud(points, "points"), tuple(views), RefineConfig(symmetry=symmetry).settings()).pictures
+
+    one, deep = View(mask, camera), View(mask, camera, depth=depth)
+    assert pictures([one]) == 1.0
+    assert pictures([one, one]) == 2.0
+    assert pictures([one], "x") == 1.25
+    assert pictures([deep]) == 2.0
+    assert pictures([one, deep], "x") == 3.5
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_takes_no_step_keeps_every_bit(chair, seed):
+    _, mask, camera = chair
+    points = np.random.default_rng(seed).uniform(-0.4, 0.4, (200, 3))
+    np.testing.assert_array_equal(refine(points, mask, camera, RefineConfig(steps=0, symmetry="none")).points, points)
+
+
+def test_the_more_pictures_there_are_the_less_a_start_that_is_far_off_is_held(chair):
+    points, mask, camera = chair
+    cloud = Cloud(points, "points")
+    working = [Item.of(cloud, (View(mask, camera),), RefineConfig(symmetry="none").settings()).working]
+    first, counts = torch.tensor(cloud.normalised(), dtype=torch.float32)[None], torch.tensor([len(points)])
+    pull, field = PullObjective(working, counts, first), SmoothField(first, counts)
+    recipe = replace(BEST, anchor=1e-6, by_area=False)
+    for pictures in (1.0, 1.25, 2.0):
+        found = anchors_of(first, counts, pull, field, recipe, torch.tensor([pictures]))
+        expected = torch.full_like(found, BEST.least_anchor / pictures**2 * 1024 / len(points))
+        torch.testing.assert_close(found, expected)

@@ -38,6 +38,10 @@ def test_a_batch_holds_no_more_points_than_its_bound_and_sizes_within_a_factor_o
 
 
 def test_a_batch_holds_no_more_pixels_than_its_bound_over_all_views(monkeypatch):
+    assert len(batching.batches_of(_items(*[100] * 10), staged=True)) == 1
+    monkeypatch.setattr(batching, "BATCH_FIELDS", 4)
+    assert [len(batch) for batch in batching.batches_of(_items(*[100] * 10), staged=True)] == [4, 4, 2]
+    assert len(batching.batches_of(_items(*[100] * 10))) == 1
     monkeypatch.setattr(batching, "BATCH_PIXELS", 5 * 64 * 64)
     assert [len(batch) for batch in batching.batches_of(_items(*[30] * 7))] == [5, 2]
     assert [len(batch) for batch in batching.batches_of(_items(*[30] * 5, views=2))] == [2, 2, 1]

@@ -12,10 +12,12 @@ from PIL import Image
 
 from tests.readme_evidence import evidence_tables
 from tso_cli.cli import main
+from tso_cli.commands.study.evidence import QUESTIONS as asked_by_name
 from tso_cli.errors import InputError
 from tso_cli.metrics import chamfer
 from tso_cli.pose.rotations import angle_between
-from tso_cli.refinement import RefineConfig
+from tso_cli.refinement import RefineConfig, refine
+from tso_cli.report.evidence_chart import TITLES
 from tso_cli.studies import evidence, evidence_questions
 from tso_cli.studies.accuracy_cases import CaseBuilder
 from tso_cli.studies.accuracy_variants import Variant
@@ -225,6 +227,11 @@ def test_a_question_that_is_not_asked_here_is_refused():
         EvidenceConfig(("weather",))
 
 
+def test_the_command_and_the_chart_know_every_question():
+    assert tuple(QUESTIONS) == asked_by_name
+    assert set(QUESTIONS) == set(TITLES)
+
+
 def test_rows_that_say_so_let_the_picture_judge_the_plane():
     rows = QUESTIONS["missing"].rows
     assert len(rows) == 12
@@ -270,3 +277,21 @@ def test_the_command_writes_record_and_chart_and_goes_on_from_the_record(split, 
     assert "exists" in capsys.readouterr().err
     assert tso(*arguments, "-o", output, "--resume", "--json") == 0
     assert json.loads(capsys.readouterr().out)["cases"] == record["cases"]
+
+
+def test_what_else_is_told_of_a_result_is_of_that_result(cases, truths):
+    right = cases["car"]
+    off = cameras_off(5)(right, truths["car"], rng())
+    told = QUESTIONS["cameras"].told
+    as_given = refine(off.initial, off.views[0], config=replace(QUICK, symmetry="none"))
+    assert told["corrected"](right, off, as_given) == 0.0
+    assert told["degrees left"](right, off, as_given) == pytest.approx(5.0)
+    mended = replace(as_given, cameras=(right.views[0].camera,))
+    assert told["corrected"](right, off, mended) == 1.0
+    assert told["degrees left"](right, off, mended) == pytest.approx(0.0, abs=1e-5)
+    weight = QUESTIONS["wrong"].told["weight of the fourth"]
+    assert weight(right, right, replace(as_given, view_weights=[1.0, 1.0, 1.0, 0.2])) == 0.2
+    assert weight(right, right, as_given) is None
+    without_a_plane = QUESTIONS["missing"].told["without a plane"]
+    assert without_a_plane(right, right, as_given) == 1.0
+    assert without_a_plane(right, right, replace(as_given, symmetry=(1.0, 0.0, 0.0, 0.0))) == 0.0

@@ -113,6 +113,12 @@ def test_the_flipped_picture_is_given_up_where_the_object_has_lost_one_side():
     np.testing.assert_array_equal(found.points, refine(start, mask, camera, RefineConfig(symmetry="none")).points)
 
 
+@pytest.mark.parametrize("config", [RefineConfig(preset="paper", symmetry="auto"), RefineConfig(learning_rate=1e-4)])
+def test_how_fast_the_points_move_does_not_decide_whether_the_plane_is_borne_out(config):
+    mask, camera = _seen(_boxes(-0.42))
+    assert refine(_boxes(-0.42, 0.42), mask, camera, config).symmetry is None
+
+
 def test_a_cloud_with_two_pictures_and_one_with_a_picture_and_its_mirror_image_are_not_mistaken_for_each_other():
     start, (mask, camera) = _boxes(-0.42, 0.42), _seen(_boxes(-0.42, 0.42) * [1.1, 1.1, 1.0])
     lopsided = start[start[:, 0] < 0.3]

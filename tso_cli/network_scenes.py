@@ -64,6 +64,9 @@ def load_network_scene(
             f"{checkpoint}: predicts in the canonical frame of its training objects, which needs the camera's R and t; "
             "found no camera file, expected --camera FILE"
         )
+    if config.frame != "view" and (world or placing != "silhouette"):
+        option = "--frame world" if world else f"--place {placing}"
+        raise InputError(f"{checkpoint}: predicts in the canonical frame, found {option}, which is for view-aligned networks")
     if camera_file is None and placing == "camera":
         raise InputError("--place camera needs the camera's t; found no camera file, expected --camera FILE")
     if camera_file is None and world:

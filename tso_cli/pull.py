@@ -80,7 +80,7 @@ def mask_pull(
     is pulled to the nearest foreground pixel. What is covered asks for nothing. With d the distance in pixels of an image whose
     longer side has 64, each pair costs ``rho(d) = d^2 r^2 / (r^2 + d^2)`` (Geman and McClure): the square of what is near; what
     is many times the reach r away hardly pulls, since it may be no counterpart at all. Where the border cuts the object, points
-    beyond it are no one's counterpart: they are where they should be, for all one knows.
+    beyond it are where they should be, for all one knows, and a pixel whose nearest point is one of them asks for nothing.
 
     Parameters
     ----------
@@ -96,19 +96,19 @@ def mask_pull(
     """
     scale = REFERENCE_SIDE / target.side
     size = points_px.shape[1]
-    valid = target.asked(points_px.detach(), valid)
+    asked = target.asked(points_px.detach(), valid)
     share = (
         (REFERENCE_POINTS / counts).to(points_px)
         if counts is not None
         else points_px.new_full((len(valid),), REFERENCE_POINTS / size)
     )
-    counted = valid.to(points_px) if shown is None else torch.where(valid, shown, 0.0)
+    counted = asked.to(points_px) if shown is None else torch.where(asked, shown, 0.0)
     if compiled_pays(points_px):
         from .kernels.compiled_pull import mask_pull as compiled_pull
 
-        return compiled_pull(points_px, valid, counted, target, scale, COVERED_WITHIN, reach, share)
-    uncovered = _uncovered(points_px, valid, target, scale, reach)
-    return uncovered + _stray(points_px, valid, counted, target, scale, reach) * share
+        return compiled_pull(points_px, valid, asked, counted, target, scale, COVERED_WITHIN, reach, share)
+    uncovered = _uncovered(points_px, valid, asked, target, scale, reach)
+    return uncovered + _stray(points_px, asked, counted, target, scale, reach) * share
 
 
 def resolved(patches_px: Tensor, side: int) -> Tensor:
@@ -131,9 +131,10 @@ def resolved(patches_px: Tensor, side: int) -> Tensor:
     return ((across - THIN) / (THICK - THIN)).clamp(0.0, 1.0)
 
 
-def _uncovered(points_px: Tensor, valid: Tensor, target: PullTarget, scale: float, reach: float) -> Tensor:
+def _uncovered(points_px: Tensor, valid: Tensor, asked: Tensor, target: PullTarget, scale: float, reach: float) -> Tensor:
     asking = target.inside & ~_covered(points_px.detach(), valid, target.inside.shape[-2:], COVERED_WITHIN / scale)
     index = nearest_points(asking, points_px, valid)
+    index = torch.where(asked.gather(1, index.clamp_min(0).flatten(1)).view_as(index), index, -1)
     image, row, column = torch.nonzero(index >= 0, as_tuple=True)
     centres = torch.stack([column, row], 1).to(points_px)
     squared = (points_px[image, index[image, row, column]] - centres).square().sum(1) * scale**2

@@ -216,7 +216,7 @@ def load_points_scene(
         from .pose import fit_camera
 
         view = _read_view(masks[0], None, None, invert, _ignores_of(masks, ignore_files)[0])
-        fitted = fit_camera(cloud.points, view.mask, view.known, name=str(cloud_file))
+        fitted = fit_camera(cloud.points, view.mask, view.known, name=view.name)
         views: tuple[View, ...] = (replace(view, camera=fitted.camera),)
         if image_files:
             views = _with_images(views, image_files)

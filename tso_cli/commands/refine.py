@@ -68,9 +68,7 @@ MODES = ("points", "encoder", "encoder-decoder", "latent")
 @click.option(
     "--depth-scale",
     type=click.FloatRange(min=0.0, min_open=True),
-    default=1.0,
-    show_default=True,
-    help="Units of the camera to a step of the depth map; 0.001 for millimetres beside metres.",
+    help="Units of the camera to a step of the depth map; 0.001 for millimetres beside metres.  [default: 1]",
 )
 @click.option(
     "--image",
@@ -96,7 +94,7 @@ MODES = ("points", "encoder", "encoder-decoder", "latent")
     type=click.Choice(["best", "paper"]),
     default="best",
     show_default=True,
-    help="What is done in points mode, and the defaults below.",
+    help="What is optimised, and the defaults below.",
 )
 @click.option(
     "--symmetry",
@@ -144,7 +142,7 @@ def command(
     invert_mask: bool,
     ignore_files: tuple[Path, ...],
     depth_files: tuple[Path, ...],
-    depth_scale: float,
+    depth_scale: float | None,
     image_files: tuple[Path, ...],
     frame: str | None,
     place_by: Placing | None,
@@ -173,12 +171,12 @@ def command(
     that the file names are used.
 
     The cloud that comes out is the file that went in with other coordinates: order, precision, colours, faces and every
-    other attribute stay. None of the three variants draws random numbers; the seed is only recorded.
+    other attribute stay. None of the variants draws random numbers; the seed is only recorded.
     """
     started = time.perf_counter()
     _refuse_mixed_up(mode, source, masks, ignore_files, checkpoint, frame, place_by)
     fit = camera_file == options.FIT
-    _refuse_evidence(mode, preset, fit, depth_files, image_files)
+    _refuse_evidence(mode, preset, fit, depth_files, depth_scale, image_files)
     refuse_camera_options(mode, fit, refine_camera, write_camera)
     if fit:
         camera_file = None
@@ -197,7 +195,7 @@ def command(
 
     if checkpoint is None:
         scene = load_points_scene(
-            source, masks, camera_file, invert_mask, ignore_files, fit, depth_files, depth_scale, image_files
+            source, masks, camera_file, invert_mask, ignore_files, fit, depth_files, depth_scale or 1.0, image_files
         )
     else:
         from ..network_scenes import load_network_scene
@@ -295,10 +293,19 @@ def _refuse_mixed_up(
         raise InputError("--place is for the encoder modes; points mode takes its cloud to be where the camera file has it")
 
 
-def _refuse_evidence(mode: str, preset: str, fit: bool, depth_files: tuple[Path, ...], image_files: tuple[Path, ...]) -> None:
+def _refuse_evidence(
+    mode: str,
+    preset: str,
+    fit: bool,
+    depth_files: tuple[Path, ...],
+    depth_scale: float | None,
+    image_files: tuple[Path, ...],
+) -> None:
     for name, files in (("--depth", depth_files), ("--image", image_files)):
         if files and (mode, preset) != ("points", "best"):
             raise InputError(f"{name} is for --mode points --preset best, found --mode {mode} --preset {preset}")
+    if depth_scale is not None and not depth_files:
+        raise InputError(f"--depth-scale {depth_scale:g} says nothing without a depth map, expected --depth FILE")
     if depth_files and fit:
         raise InputError("--depth needs a camera whose distance is known, found --camera fit; expected a camera file")
 

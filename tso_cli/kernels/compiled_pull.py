@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 def mask_pull(
     points_px: Tensor,
     valid: Tensor,
+    asked: Tensor,
     counted: Tensor,
     target: PullTarget,
     scale: float,
@@ -26,7 +27,8 @@ def mask_pull(
     reach: float,
     weight: Tensor,
 ) -> Tensor:
-    """As :func:`tso_cli.pull.mask_pull`; ``weight`` [M] times ``counted`` [M, N] is a stray point's, ``scale`` pixels of 64 to
+    """As :func:`tso_cli.pull.mask_pull`; ``asked`` [M, N] which points the masks tell something of, ``weight`` [M]
+    times ``counted`` [M, N] what a stray point counts, ``scale`` pixels of 64 to
     one of the image."""
     inside, outside, rows, columns, _ = target
     total, slope = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
@@ -35,6 +37,7 @@ def mask_pull(
     arguments = (
         points_px,
         valid,
+        asked,
         counted,
         inside,
         outside,
@@ -54,7 +57,7 @@ def mask_pull(
 
 @compiled
 def _pull(  # type: ignore[no-untyped-def]
-    first, last, points, valid, counted, inside, outside, rows, columns, edge, scale, covered, reach, weight, total, slope
+    first, last, points, valid, asked, counted, inside, outside, rows, columns, edge, scale, covered, reach, weight, sums, slope
 ):
     height, width = inside.shape[1:]
     area = scale * scale
@@ -64,7 +67,7 @@ def _pull(  # type: ignore[no-untyped-def]
         for i in range(height):
             for j in range(width):
                 n = nearest_in_cells(float(j), float(i), edge, cells) if inside[image, i, j] else -1
-                if n < 0:
+                if n < 0 or not asked[image, n]:
                     continue
                 by_x, by_y = points[image, n, 0] - j, points[image, n, 1] - i
                 squared = (by_x * by_x + by_y * by_y) * area
@@ -88,4 +91,4 @@ def _pull(  # type: ignore[no-untyped-def]
             loss += share * squared * kept
             slope[image, n, 0] += 2.0 * share * area * kept * kept * by_x
             slope[image, n, 1] += 2.0 * share * area * kept * kept * by_y
-        total[image] = loss
+        sums[image] = loss

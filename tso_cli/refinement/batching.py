@@ -20,6 +20,9 @@ from .starts import Cloud
 BATCH_POINTS = 1 << 20
 # Their views hold no more pixels than this together, as the loop sees them: bounds memory at 1 GiB in plain torch.
 BATCH_PIXELS = 1 << 24
+# What smooths the fields of one cloud are dense matrices of 12 MiB together: with this many, 0.8 GiB.
+BATCH_FIELDS = 64
+# What a flipped mask counts for. It tells as much as one where the object is its own mirror image; that it is so is a guess.
 FLIPPED = 0.25
 
 
@@ -107,14 +110,19 @@ def parts_of(scene: Any, number: int) -> tuple[Any, Any]:
     return points, views
 
 
-def batches_of(items: dict[int, Item]) -> list[list[int]]:
-    """Numbers of the items that are worked on together: views of one kind, sizes within a factor of two, bounded memory."""
+def batches_of(items: dict[int, Item], staged: bool = False) -> list[list[int]]:
+    """Numbers of the items that are worked on together: views of one kind, sizes within a factor of two, bounded memory.
+
+    ``staged`` : they are moved by smooth fields, as the preset "best" does.
+    """
     groups: dict[Any, list[int]] = {}
     for number, item in items.items():
         groups.setdefault((len(item.views), *(view.kind for view in item.working)), []).append(number)
     batches: list[list[int]] = []
     for group in groups.values():
         most = BATCH_PIXELS // items[group[0]].pixels
+        if staged:
+            most = min(most, BATCH_FIELDS)
         largest = 0
         for number in sorted(group, key=lambda number: -len(items[number].cloud.initial)):
             size = len(items[number].cloud.initial)

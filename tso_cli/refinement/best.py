@@ -37,7 +37,7 @@ class Stage:
 
 
 # First the cloud moves nearly as a whole and hears of pixels far away, at last almost point by point and of near ones only.
-# What the stages disagree on is more often wrong than right: their mean is nearer to the truth than the last, or as near, and
+# What the stages disagree on is about as often wrong as right: their mean is about as near to the truth as the last, and more
 # seldom further from it than the start.
 STAGES = (Stage(100.0, 6.0, 1.0, 256, 1.0, 2.0), Stage(10.0, 3.0, 0.75, 512, 2.0, 1.0), Stage(1.0, 3.0, 0.35, NODES, 3.0))
 ANCHOR_REACH = 4.0
@@ -74,7 +74,7 @@ class Recipe:
 BEST = Recipe()
 # Of the modes that move a network: its weights take many points along anyway, and where its prediction is far off the picture
 # it has mistaken the shape, which no small change of weights puts right.
-NETWORK = Recipe(stages=(Stage(0.0, 3.0, 1.0),), anchor=500.0, decay=0.5, least_anchor=30.0, optimiser=Adam)
+NETWORK = Recipe(stages=(Stage(0.0, 3.0, 1.0),), anchor=500.0, decay=0.5, least_anchor=30.0)
 
 
 def held_and_pulled(first: Tensor, counts: Tensor, pull: PullObjective, recipe: Recipe = NETWORK) -> Objective:
@@ -146,6 +146,9 @@ def descend_in_stages(
     Descent; ``best`` is the mean of every stage's best, by their shares, or the start where that has the lower loss by the last
     objective.
     """
+    if pictures is not None:
+        # What is cut off in all of them is as unknown with many as with one.
+        pictures = torch.where(pull.cut.to(pictures.device), 1.0, pictures)
     stages = recipe.stages
     fields = {} if fields is None else fields
     for nodes in {stage.nodes for stage in stages} - fields.keys():
@@ -194,8 +197,9 @@ def descend_in_stages(
 def _joined(parts: list[Descent], shares: Tensor, first: Tensor, objective: Objective) -> Descent:
     """The whole way, and the mean of what its P parts came to, by their ``shares`` [P, B], judged by the last objective."""
     last = parts[-1]
-    found = torch.stack([part.best for part in parts])
-    mean = ((shares / shares.sum(0)).view(*shares.shape, 1, 1) * found).sum(0)
+    # Of ways from the start: what nothing moved keeps every bit.
+    ways = torch.stack([part.best - first for part in parts])
+    mean = first + ((shares / shares.sum(0)).view(*shares.shape, 1, 1) * ways).sum(0)
     with torch.no_grad():
         at_start, at_mean = objective(first).double(), objective(mean).double()
     better = at_mean < at_start

@@ -52,8 +52,9 @@ class RefineConfig:
     device : "cpu", "cuda", "auto" or any name torch knows.
     seed : recorded in the result; no variant draws random numbers.
     preset : "best", or "paper": Eq. 7 with the paper's settings, exactly.
-    symmetry : "auto" (best) finds a mirror plane of the start and uses it if there is one; "none" (paper); "x", "y", "z", the
-        axis of the input normal to a plane through the middle of its bounding box; or "a,b,c,d", the plane ax + by + cz = d.
+    symmetry : "auto" (best, points mode) finds a mirror plane of the start and uses it if there is one; "none" (paper); "x",
+        "y", "z", the axis of the input normal to a plane through the middle of its bounding box; or "a,b,c,d", the plane
+        ax + by + cz = d.
     refine_camera : correct the camera of each view first, held near the given one; points mode.
     recipe : what the preset "best" of points mode is made of, for studies; None for :data:`tso_cli.refinement.best.BEST`.
 
@@ -152,13 +153,14 @@ def parse_symmetry(text: str) -> str | tuple[float, float, float, float]:
 
 @dataclass(frozen=True, eq=False)
 class RefineResult:
-    """The best iterate and how it was reached.
+    """What came of it, and how it was reached.
 
     Attributes
     ----------
     points, initial : [N, 3] float64, in the frame and units of the input (network modes: of the network's output).
     mode : which parameters moved.
-    steps : steps done; best_step : the step that the result is from (0: the start was best).
+    steps : steps done; best_step : the step that the result is from (0: the start was best); with the preset "best" of points
+        mode, whose result is a mean over the stages, that of the last stage's best.
     stop_reason : "max_steps", "interrupted" (Ctrl-C: the best so far is kept) or "non_finite" (the loss was no number).
     losses : the objective at the start and after every step. loss_before, loss_after : of the start and of the result. With the
         preset "best" the objective changes twice on the way: these two are both by the last.

@@ -12,14 +12,14 @@ from ..objective import PullObjective
 from ..smoothing import SmoothField
 from .batching import Item
 from .best import Recipe, Stage, descend_in_stages
-from .config import Settings
+from .config import BEST_LEARNING_RATE, Settings
 
 # A short descent of its own, as smooth as the second stage is and hearing of pixels as far away as the first does. It is held
 # loosely: what holds both descents alike would hide what they differ in.
 PROBE = Recipe(stages=(Stage(10.0, 6.0, 1.0, 512),), anchor=350.0, least_anchor=30.0)
 STEPS = 20
-# The share of the loss that may be left with the flipped picture, in units of that without it, for one picture. On shapes
-# that are their own mirror image all stay under it; of those that lack one side 21 % do not (docs/method.md).
+# The share of the loss that may be left with the flipped picture, in units of that without it, for one picture. How often
+# shapes that are their own mirror image, and shapes that are not, stay under it is in docs/method.md.
 MOST_LEFT = 1.1
 
 
@@ -52,7 +52,7 @@ def borne_out(
     for shown in (both, weights):
         views = [item.working[: shown.shape[1]] for item in items]
         pull = PullObjective(views, counts, first, shown)
-        probe = descend_in_stages(first, counts, pull, None, STEPS, settings.learning_rate, recipe=PROBE, fields=fields)
+        probe = descend_in_stages(first, counts, pull, None, STEPS, BEST_LEARNING_RATE["points"], recipe=PROBE, fields=fields)
         if probe.interrupted:
             return list(items), both, True
         left.append(torch.from_numpy(probe.best_loss))

@@ -69,7 +69,8 @@ def refine(
 
     Returns
     -------
-    RefineResult; its points are the best iterate of the preset's objective, the start being a candidate.
+    RefineResult; its points are the best iterate of the preset's objective, or with "best" in points mode the mean of the
+    stages' best ones, the start being a candidate.
 
     Raises
     ------
@@ -142,7 +143,7 @@ def refine_batch(
             items[number] = Item.of(Cloud(points, f"points of scene {number}"), as_views(masks), settings)
         except TsoError as error:
             found[number] = error
-    batches = batches_of(items)
+    batches = batches_of(items, settings.staged)
     every = [config.settings(len(items[batch[0]].views)) for batch in batches]
     done, total, interrupted = 0, sum(own.steps for own in every), False
     for batch, settings in zip(batches, every, strict=True):

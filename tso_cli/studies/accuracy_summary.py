@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .accuracy_variants import BOTH_COMBINED, COMBINED, DEFAULT, NO_SYMMETRY, PAPER, TWO_MASKS
+from .accuracy_variants import BOTH_COMBINED, COMBINED, DEFAULT, FOUR_MASKS, NO_SYMMETRY, PAPER, TWO_MASKS
 
 Summary = dict[str, Any]
 Cases = list[dict[str, Any]]
@@ -147,14 +147,23 @@ def _stays_right(summary: Summary) -> list[dict[str, Any]]:
 
 
 def _never_worse(cases: Cases) -> dict[str, Any]:
-    ratios = ratios_of(cases, DEFAULT)
-    share, worst = float((ratios > 1.0).mean()), float(ratios.max())
-    text = f"{100.0 * share:.1f} % of {len(cases)} cases, worst {worst:.3f}"
-    for kind in dict.fromkeys(case["kind"] for case in cases):
-        own = ratios_of(chosen(cases, kind), DEFAULT)
-        text += f"; {kind}: {int((own > 1.0).sum())} of {len(own)}, {own.max():.3f}"
+    found = {
+        (kind, variant): ratios_of(chosen(cases, kind), variant)
+        for kind in dict.fromkeys(case["kind"] for case in cases)
+        for variant in (DEFAULT, TWO_MASKS, FOUR_MASKS)
+        if variant in chosen(cases, kind)[0]["variants"]
+    }
+    ratios = np.concatenate(list(found.values()))
+    alone = np.concatenate([own for (_, variant), own in found.items() if variant == DEFAULT])
+    # The many that two and four masks hardly ever harm must not hide what one does.
+    share, worst = max(float((own > 1.0).mean()) for own in (ratios, alone)), float(ratios.max())
+    text = f"{100.0 * (alone > 1.0).mean():.1f} % of {len(alone)} with one mask, {100.0 * (ratios > 1.0).mean():.1f} % of all "
+    text += f"{len(ratios)}, worst {worst:.3f}"
+    for (kind, variant), own in found.items():
+        text += f"; {kind}, {variant}: {int((own > 1.0).sum())} of {len(own)}, {own.max():.3f}"
     claim = (
-        f"over everything under {100.0 * WORSE_SHARE:g} % of cases are made worse, none by over {100.0 * (WORST - 1.0):.0f} %"
+        f"over everything, with one, two and four masks, under {100.0 * WORSE_SHARE:g} % of cases are made worse, none by over "
+        f"{100.0 * (WORST - 1.0):.0f} %"
     )
     return _claim(claim, share < WORSE_SHARE and worst <= WORST, text)
 

@@ -23,6 +23,16 @@ from .parts import SPLIT, Shape, shapes_of_part
 from .protocol import Report
 from .resumed import cases_of
 
+SIZE, POINTS = 64, 1024
+"""Pixels of the masks each way, points of the clouds."""
+CONVENTION = {
+    "ratio": "Chamfer distance after / before, mean of the cases' own; squared distances, mean over points, forward + "
+    "backward, longest side 1, to as many target points; worse: cases over 1",
+    "without a plane": "share of the cases whose refinement used no mirror plane",
+    "weight of the fourth": "of the fourth view in the objective, mean",
+    "corrected": "share of the cameras that --refine-camera corrected",
+    "degrees left": "angle between the cameras that were used and the true ones, mean",
+}
 ALL = "all"
 """The mean over all cases of a kind, whatever their category."""
 
@@ -71,10 +81,10 @@ def study_evidence(
     asked = {name: QUESTIONS[name] for name in config.questions}
     kinds = tuple(dict.fromkeys(kind for question in asked.values() for kind in question.kinds))
     shapes = _of_each_category(folder, split_file, config)
-    builder, network, digest = builder_of(
-        folder, AccuracyConfig(kinds=kinds, views=config.views, seed=config.seed), split_file, checkpoint
-    )
-    settings = {**asdict(config), "questions": list(config.questions), "network": digest}
+    material = AccuracyConfig(kinds=kinds, views=config.views, size=SIZE, points=POINTS, seed=config.seed)
+    builder, network, digest = builder_of(folder, material, split_file, checkpoint)
+    settings = {**asdict(config), "questions": list(config.questions), "network": digest, "points": POINTS, "size": SIZE}
+    settings["shapes"] = [shape.name for own in shapes.values() for shape in own]
     cases = cases_of("evidence", earlier, settings)
     done = {(case["question"], case["kind"], case["shape"]) for case in cases}
     groups = _groups(asked, shapes)
@@ -115,12 +125,14 @@ def judge(
         else:
             results = [alone(case, row.variant(case), config.device, network)[0] for case in changed]
         for number, case, result in zip(had, changed, results, strict=True):
-            found = {
+            found: dict[str, float | None] = {
                 "before": chamfer(case.initial, case.target).chamfer,
                 "chamfer": chamfer(result.points, case.target).chamfer,
             }
             found |= {about: tell(cases[number][0], case, result) for about, tell in question.told.items()}
-            records[number]["rows"][words] = {key: float(f"{value:.5g}") for key, value in found.items()}
+            records[number]["rows"][words] = {
+                key: None if value is None else float(f"{value:.5g}") for key, value in found.items()
+            }
     return records
 
 
@@ -153,6 +165,7 @@ def _record(settings: dict[str, Any], cases: list[dict[str, Any]], complete: boo
         "version": __version__,
         "complete": complete,
         "settings": settings,
+        "convention": CONVENTION,
         "summary": summarise(cases),
         "cases": cases,
     }
@@ -174,9 +187,10 @@ def summarise(cases: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _means(values: list[dict[str, float]]) -> dict[str, float]:
+def _means(values: list[dict[str, Any]]) -> dict[str, float]:
     ratios = np.array([one["chamfer"] / one["before"] for one in values])
-    told = {key: float(np.mean([one[key] for one in values])) for key in values[0] if key not in ("before", "chamfer")}
-    found = {"mean_ratio": float(ratios.mean()), "worst_ratio": float(ratios.max()), **told}
+    told = {key: [one[key] for one in values] for key in values[0] if key not in ("before", "chamfer")}
+    means = {key: float(np.mean(own)) for key, own in told.items() if None not in own}
+    found = {"mean_ratio": float(ratios.mean()), "worst_ratio": float(ratios.max()), **means}
     counts = {"cases": len(values), "worse": int((ratios > 1.0).sum())}
     return counts | {key: float(f"{value:.5g}") for key, value in found.items()}

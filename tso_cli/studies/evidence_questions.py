@@ -26,8 +26,8 @@ from .evidence_cases import (
 )
 from .evidence_colours import painted, unseen_colours
 
-Told = Callable[[AccuracyCase, AccuracyCase, RefineResult], float]
-"""Something else about a result, of the case as it was, as it was altered, and what came of it."""
+Told = Callable[[AccuracyCase, AccuracyCase, RefineResult], float | None]
+"""Something else about a result, of the case as it was, as it was altered, and what came of it; None where it is untold."""
 
 
 @dataclass(frozen=True)
@@ -65,12 +65,12 @@ def _plane_of(case: AccuracyCase) -> Variant:
     return _of(symmetry=given)
 
 
-def _given_up(case: AccuracyCase, altered: AccuracyCase, result: RefineResult) -> float:
-    return float("flipped picture" in result.symmetry_reason and result.symmetry is None)
+def _no_plane(case: AccuracyCase, altered: AccuracyCase, result: RefineResult) -> float:
+    return float(result.symmetry is None)
 
 
-def _last_weight(case: AccuracyCase, altered: AccuracyCase, result: RefineResult) -> float:
-    return result.view_weights[-1]
+def _weight_of_fourth(case: AccuracyCase, altered: AccuracyCase, result: RefineResult) -> float | None:
+    return result.view_weights[3] if len(result.view_weights) > 3 else None
 
 
 def _corrected(case: AccuracyCase, altered: AccuracyCase, result: RefineResult) -> float:
@@ -169,8 +169,8 @@ def _rate_rows() -> dict[str, Row]:
 QUESTIONS = {
     "depth": Question(("other", "near"), _depth_rows(), ("chair", "airplane", "car")),
     "colours": Question(("other",), _colour_rows(), ("chair", "airplane", "car")),
-    "missing": Question(("other",), _missing_rows(), ("chair", "airplane", "car"), {"plane given up": _given_up}),
-    "wrong": Question(("other",), _wrong_rows(), told={"weight of the fourth": _last_weight}),
+    "missing": Question(("other",), _missing_rows(), ("chair", "airplane", "car"), {"without a plane": _no_plane}),
+    "wrong": Question(("other",), _wrong_rows(), told={"weight of the fourth": _weight_of_fourth}),
     "cameras": Question(
         ("other", "near"),
         _camera_rows(),

@@ -66,7 +66,7 @@ def study_pose(
     config = config or PoseConfig()
     shapes = shapes_of_part(folder, split_file, config.part, CATEGORIES, config.limit)
     builder = CaseBuilder(folder, split_file, config.views, 64, 1024, config.seed)
-    settings = asdict(config)
+    settings = {**asdict(config), "shapes": [shape.name for shape in shapes]}
     cases = cases_of("pose", earlier, settings)
     done = {case["shape"] for case in cases}
     for number, shape in enumerate(shapes, 1):

@@ -69,7 +69,7 @@ def accuracy(
     """
     check_outputs(output, overwrite, resume)
     if pictures is not None:
-        check_output(pictures, overwrite)
+        check_output(pictures, overwrite or resume)
     from ...studies.accuracy import ABLATED, CATEGORIES, KINDS, AccuracyConfig, study_accuracy
     from ...studies.parts import SPLIT
 
@@ -92,7 +92,7 @@ def accuracy(
         from ...report.accuracy_pictures import draw_cases
         from ...studies.accuracy_examples import telling_cases
 
-        draw_cases(pictures, telling_cases(record, meshes, config, split_file, network), overwrite)
+        draw_cases(pictures, telling_cases(record, meshes, config, split_file, network), overwrite or resume)
     if as_json:
         options.echo_json(record)
     else:

@@ -87,7 +87,11 @@ def _print(record: dict[str, Any]) -> None:
         ]
         click.echo(text_table(["kind", "category", question, "cases", "ratio", "worst", "worse", *told], rows))
         click.echo()
-    click.echo("ratio: Chamfer after/before, mean of the cases' own; worse: cases over 1")
+    settings = record["settings"]
+    click.echo(
+        f"ratio: Chamfer after/before, mean of the cases' own; worse: cases over 1; {settings['points']:,} points, masks of "
+        f"{settings['size']}x{settings['size']}"
+    )
 
 
 def _first(found: dict[str, Any]) -> dict[str, Any]:
