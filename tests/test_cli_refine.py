@@ -453,6 +453,9 @@ def test_a_canonical_frame_network_needs_a_camera_file(folder, tmp_path, capsys)
     )
     assert tso(*arguments, "--json") == 0
     assert _json(capsys)["frame"] == "canonical"
+    for option in (("--place", "box"), ("--frame", "world")):
+        assert tso(*arguments, *option, "--overwrite") == 2
+        assert f"{' '.join(option)}, which is for view-aligned networks" in capsys.readouterr().err
     Path("camera.json").unlink()
     assert tso(*arguments, "--overwrite") == 2
     assert "R and t" in capsys.readouterr().err

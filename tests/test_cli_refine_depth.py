@@ -74,6 +74,7 @@ def test_a_depth_map_in_another_unit_is_warned_of(chair, capsys):
         (("--depth", "depth.png", "--depth", "depth.png"), "found 2 depth maps for 1 masks, expected one for each or none"),
         (("--depth", "chair/image.png"), "is a picture of mode RGB, expected a depth map of one grey channel"),
         (("--depth", "none.png"), "none.png: does not exist"),
+        (("--depth-scale", "0.001"), "--depth-scale 0.001 says nothing without a depth map, expected --depth FILE"),
         (("--depth", "depth.png", "--preset", "paper"), "--depth is for --mode points --preset best"),
         (("--depth", "depth.png", "--camera", "fit"), "--depth needs a camera whose distance is known, found --camera fit"),
         (("--depth", "depth.png", "--mode", "latent"), "--depth is for --mode points --preset best"),

@@ -91,7 +91,11 @@ def document(
 
 
 def print_result(result: RefineResult, scene: Scene, output: Path, overlay: Path | None, seconds: dict[str, float]) -> None:
-    click.echo(f"{output}: {len(result.points):,} points, {result.steps} steps, best at step {result.best_step}")
+    if result.averaged and result.best_step:
+        best = "the mean over the stages"
+    else:
+        best = f"best at step {result.best_step}"
+    click.echo(f"{output}: {len(result.points):,} points, {result.steps} steps, {best}")
     mean = f", mean of {len(scene.views)} views" if len(scene.views) > 1 else ""
     click.echo(f"  IoU    {result.iou_before:.3f} -> {result.iou_after:.3f}   (silhouette > 0.5, mask > 0.5{mean})")
     if mean:

@@ -200,6 +200,11 @@ class RefineResult:
     seconds: dict[str, float] = field(default_factory=dict)
 
     @property
+    def averaged(self) -> bool:
+        """Whether the points are a mean over stages, not one iterate."""
+        return self.preset == "best" and self.mode == "points"
+
+    @property
     def objective(self) -> str:
         """What the losses are of, in words."""
         held = f"{self.gamma:g} x Chamfer to the start"
