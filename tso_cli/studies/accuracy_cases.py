@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +31,7 @@ LEVELS["cut"] = LEVELS["other"]
 SAMPLES, JUDGED = 16_384, 1024
 """Points of a surface, and how many of them say which start is how far off."""
 MASKS = 4
-"""Of every case but those of the network, which sees one picture."""
+"""Of every case. The network sees one picture: of its cases the others are further masks from cameras that are known."""
 CUT_SHARE = 0.75
 """Distance of the camera of kind "cut", of that from which the whole object is seen."""
 PICTURE = 128
@@ -172,6 +172,10 @@ class CaseBuilder:
         view = View(picture.mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, view {number}")
         seen = network_scene(picture.image, view, self._network, self._about, placing="camera")
         turn = (CANONICAL_ROTATION @ camera.R).T
+        # Random numbers of their own: how many views there are of a shape changes none of them.
+        further = np.random.default_rng([self._seed, zlib.crc32(shape.name.encode()), number])
+        others = [self._seen(shape, other, vertices, scene, False, further) for other in range(1, MASKS)]
+        turned = [replace(other, camera=replace(other.camera, R=other.camera.R @ turn)) for other in others]
         return AccuracyCase(
             "network",
             shape.category,
@@ -181,7 +185,7 @@ class CaseBuilder:
             seen.points,
             target @ turn,
             dense @ turn,
-            (seen.view,),
+            (seen.view, *turned),
             *floors,
             image=seen.image,
         )

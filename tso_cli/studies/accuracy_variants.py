@@ -47,7 +47,7 @@ POINTS = {
     "best, 144 steps": Variant(RefineConfig(steps=144)),
 }
 NETWORK_MODES = ("encoder", "encoder-decoder", "latent")
-NETWORK = {name: POINTS[name] for name in (PAPER, DEFAULT, NO_SYMMETRY)} | {
+NETWORK = {name: POINTS[name] for name in (PAPER, DEFAULT, NO_SYMMETRY, TWO_MASKS, FOUR_MASKS)} | {
     **{
         f"{mode}, {preset}": Variant(RefineConfig(mode, preset=preset)) for mode in NETWORK_MODES for preset in (PAPER, DEFAULT)
     },
