@@ -32,7 +32,7 @@ from tso_cli.studies.evidence_cases import (
     with_depth,
     without,
 )
-from tso_cli.studies.evidence_colours import paint_of, painted, photo, unseen_colours
+from tso_cli.studies.evidence_colours import paint_of, painted, photo
 from tso_cli.studies.evidence_questions import QUESTIONS, Question, Row
 from tso_cli.studies.parts import shapes_of_part
 from tso_cli.symmetry import find_mirror_plane
@@ -145,10 +145,10 @@ def test_a_prediction_is_placed_by_mask_alone(cases):
 
 def test_a_bent_cloud_is_as_far_off_as_the_row_says_and_keeps_its_paint(cases, truths):
     for level in (2, 6):
-        case = painted(f"bent {level}")(cases["chair"], truths["chair"], rng())
+        case = painted(f"bent {level}", 1.0)(cases["chair"], truths["chair"], rng())
         assert 1e3 * chamfer(case.initial, case.target).chamfer == pytest.approx(level, rel=0.02)
         assert case.colours.shape == case.initial.shape
-    mask_alone = unseen_colours("bent 6")(cases["chair"], truths["chair"], rng())
+    mask_alone = painted("bent 6", None)(cases["chair"], truths["chair"], rng())
     np.testing.assert_array_equal(mask_alone.initial, case.initial)
     assert all(view.image is None for view in mask_alone.views)
 
@@ -176,8 +176,9 @@ QUICK = RefineConfig(steps=3)
 @pytest.fixture
 def quick(monkeypatch):
     """Two small questions in place of all."""
-    told = {"one": lambda case, altered, result: 1.0}
-    rows = {"as it is": Row(evidence_questions.as_it_is, Variant(QUICK)), "other": Row(anothers_mask, Variant(QUICK, 4))}
+    # Of some rows there is nothing to tell.
+    told = {"one": lambda case, altered, result: 1.0 if len(result.cameras) > 1 else None}
+    rows = {"other": Row(anothers_mask, Variant(QUICK, 4)), "as it is": Row(evidence_questions.as_it_is, Variant(QUICK))}
     by_case = {"its own": Row(without("side"), lambda case: Variant(replace(QUICK, symmetry="none")))}
     asked = {"wrong": Question(("other",), rows, told=told), "missing": Question(("other", "near"), by_case, ("car",))}
     for module in (evidence, evidence_questions):

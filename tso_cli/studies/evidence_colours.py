@@ -59,13 +59,14 @@ def photo(scene: RayScene, view: View, paint: Paint, light: Array, exposure: flo
     return means.astype(np.float32)
 
 
-def painted(start: str, exposure: float = 1.0) -> Alter:
+def painted(start: str, exposure: float | None) -> Alter:
     """The object is painted, its photos are taken under a random light, and the cloud has colours of its own.
 
     Parameters
     ----------
     start : "bent 2" or "bent 6", the true cloud in the object's own paint, bent by a smooth random field until it is that far
         off (Chamfer x1000), or "other", the case's own start in another paint.
+    exposure : how many times as long as needed; None: no photo is taken.
     """
 
     def altered(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> AccuracyCase:
@@ -76,22 +77,13 @@ def painted(start: str, exposure: float = 1.0) -> Alter:
         else:
             again = case.dense[rng.choice(len(case.dense), len(case.target), replace=False)]
             initial, colours = _bent(again, bend, case.target, 1e-3 * float(start.split()[1])), own(again)
+        if exposure is None:
+            return replace(case, initial=initial, colours=colours)
         views = tuple(
             replace(view, image=photo(truth.scene, view, own, light, exposure))
             for view, light in zip(case.views, lights, strict=True)
         )
         return replace(case, initial=initial, colours=colours, views=views)
-
-    return altered
-
-
-def unseen_colours(start: str) -> Alter:
-    """The same case without its photos."""
-    with_photos = painted(start)
-
-    def altered(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> AccuracyCase | None:
-        found = with_photos(case, truth, rng)
-        return None if found is None else replace(found, views=case.views)
 
     return altered
 

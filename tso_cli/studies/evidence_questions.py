@@ -24,7 +24,7 @@ from .evidence_cases import (
     with_depth,
     without,
 )
-from .evidence_colours import painted, unseen_colours
+from .evidence_colours import painted
 
 Told = Callable[[AccuracyCase, AccuracyCase, RefineResult], float | None]
 """Something else about a result, of the case as it was, as it was altered, and what came of it; None where it is untold."""
@@ -44,7 +44,7 @@ class Question:
 
     Parameters
     ----------
-    kinds : of :data:`tso_cli.studies.accuracy_cases.KINDS`. categories : None for those asked for.
+    kinds : of :data:`tso_cli.studies.accuracy_cases.KINDS`. categories : None for all.
     rows : by what they are called. told : more to know of each result, by name.
     """
 
@@ -144,7 +144,7 @@ def _colour_rows() -> dict[str, Row]:
     starts = {"bent 2": "bent until 2 off", "bent 6": "bent until 6 off", "other": "another shape's, in another paint"}
     rows = {}
     for start, words in starts.items():
-        rows[f"{words}; mask"] = Row(unseen_colours(start), _of(symmetry="none"))
+        rows[f"{words}; mask"] = Row(painted(start, None), _of(symmetry="none"))
         for exposure in (0.7, 1.4):
             rows[f"{words}; mask and photo, exposed {exposure} times"] = Row(painted(start, exposure), _of(symmetry="none"))
     return rows

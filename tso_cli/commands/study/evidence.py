@@ -13,6 +13,8 @@ from .. import options
 from ..records import Reporter, answer, check_outputs, earlier_record, resume, write_cases
 
 QUESTIONS = ("depth", "colours", "missing", "wrong", "cameras", "placing", "rates")
+JUDGED = ("cases", "mean_ratio", "worst_ratio", "worse")
+"""What the record has of every row; the rest is told of some."""
 
 
 @click.command("evidence")
@@ -78,13 +80,15 @@ def _print(record: dict[str, Any]) -> None:
     from ...report.table import text_table
 
     for question, kinds in record["summary"].items():
-        told = [key for key in _first(kinds) if key not in ("cases", "mean_ratio", "worst_ratio", "worse")]
-        rows = [
-            [kind, category, row, *(own[key] for key in ("cases", "mean_ratio", "worst_ratio", "worse", *told))]
+        every = [
+            (kind, category, row, own)
             for kind, categories in kinds.items()
             for category, found in categories.items()
             for row, own in found.items()
         ]
+        # Not every row tells everything: of three views there is no fourth.
+        told = dict.fromkeys(key for *_, own in every for key in own if key not in JUDGED)
+        rows = [[*names, *(own.get(key) for key in (*JUDGED, *told))] for *names, own in every]
         click.echo(text_table(["kind", "category", question, "cases", "ratio", "worst", "worse", *told], rows))
         click.echo()
     settings = record["settings"]
@@ -92,9 +96,3 @@ def _print(record: dict[str, Any]) -> None:
         f"ratio: Chamfer after/before, mean of the cases' own; worse: cases over 1; {settings['points']:,} points, masks of "
         f"{settings['size']}x{settings['size']}"
     )
-
-
-def _first(found: dict[str, Any]) -> dict[str, Any]:
-    """The figures of the first row of a question."""
-    rows = next(iter(next(iter(found.values())).values()))
-    return dict(next(iter(rows.values())))
