@@ -47,8 +47,10 @@ lint: $(VENV)/ready-to-test
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 
-# Two processes of one thread each: torch's threads wait for one another on a busy machine.
+# Two processes of one thread each: torch's threads wait for one another on a busy machine. The loops are compiled before, as
+# what one test compiled would change the form, and so the last digits, of what another is in the midst of.
 test: open3d-libraries lint
+	@$(BIN)/tso compile
 	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
 
 clean:
