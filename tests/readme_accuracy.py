@@ -20,7 +20,7 @@ def accuracy_tables(record: dict) -> dict[str, str]:
 def settings_line(record: dict) -> str:
     """What the figures are of."""
     settings = record["settings"]
-    shapes = f"{settings['shapes']} {settings['part']} shapes ({', '.join(settings['categories'])})"
+    shapes = f"{len(settings['shapes'])} {settings['part']} shapes ({', '.join(settings['categories'])})"
     masks = f"masks of {settings['size']}x{settings['size']}, {settings['points']:,} points"
     return f"{shapes}, {settings['views']} views each, {masks}, seed {settings['seed']}, {settings['device']}."
 
@@ -89,21 +89,35 @@ def ablation_table(record: dict) -> str:
             for own, count in zip(groups, cases, strict=True)
         ]
         rows.append([name, *cells])
+    found = [[case for case in record["cases"] if (case["kind"], case["category"]) == column] for column in columns]
+    best = [sum(min(_ratio(case, name) for name in case["variants"]) for case in own) / len(own) for own in found]
+    rows.append(["the best of all", *(f"{ratio:.2f}" for ratio in best)])
+    starts = [1e3 * record["summary"][kind][category]["before"]["chamfer"] for kind, category in columns]
+    rows.append(["Chamfer x1000 of the start", *(f"{start:.1f}" for start in starts)])
     return _markdown(rows)
 
 
 def sizes_table(small: dict, large: dict) -> str:
-    """The default and the paper's preset on few and on many points and pixels, from the same starts."""
+    """Mean and worst ratio on few and on many points and pixels, of the views that both records have."""
     labels = [f"{r['settings']['points']:,} points, {r['settings']['size']}x{r['settings']['size']}" for r in (small, large)]
-    rows = [["category", *(f"{name}, {label}" for name in ("paper", "best") for label in labels), "gains at least as much"]]
+    rows = [["category, cases", "variant", *labels, "gains at least as much"]]
     rows.append(["---"] * len(rows[0]))
-    for category in small["summary"]["other"]:
-        groups = [record["summary"]["other"].get(category) for record in (small, large)]
-        if groups[1] is not None:
-            ratios = [[group["variants"][name]["mean_ratio"] for group in groups] for name in ("paper", "best")]
-            cells = [f"{ratio:.3f}" for own in ratios for ratio in own]
-            rows.append([category, *cells, "yes" if ratios[1][1] <= ratios[1][0] else "**no**"])
+    found = [
+        {(case["shape"], case["view"]): case for case in record["cases"] if case["kind"] == "other"}
+        for record in (small, large)
+    ]
+    for category in large["summary"]["other"]:
+        both = [key for key in found[1] if key in found[0] and found[1][key]["category"] == category]
+        for name in SHOWN:
+            ratios = [[_ratio(own[key], name) for key in both] for own in found]
+            means = [round(sum(own) / len(own), 3) for own in ratios]
+            cells = [f"{mean:.3f}, worst {max(own):.2f}" for mean, own in zip(means, ratios, strict=True)]
+            rows.append([f"{category}, {len(both)}", name, *cells, "yes" if means[1] <= means[0] else "**no**"])
     return _markdown(rows)
+
+
+def _ratio(case: dict, name: str) -> float:
+    return case["variants"][name]["chamfer"] / case["before"]["chamfer"]
 
 
 def _number(value: float | None, decimals: int = 3) -> str:

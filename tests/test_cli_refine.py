@@ -317,6 +317,21 @@ def test_a_view_that_the_others_contradict_is_discounted_and_named(views, capsys
     assert re.findall(r"warning: (\S+): the other views contradict it", captured.err) == ["side.png"]
     weights = [float(weight) for weight in re.findall(r"weight ([\d.]+), ", captured.out)]
     assert weights[1] < 0.2 < 0.8 < min(weights[0], weights[2])
+    trust = [float(trust) for trust in re.findall(r"trust ([\d.]+), weight", captured.out)]
+    assert trust[1] < 0.2
+    assert min(trust[0], trust[2]) > 0.95
+
+
+def test_pictures_of_one_side_share_a_weight_and_are_not_doubted(views, capsys):
+    document = json.loads(Path("views.json").read_text())
+    document["views"] = [document["views"][0]] * 3
+    Path("same.json").write_text(json.dumps(document))
+    assert tso("refine", "initial.ply", *views[:1] * 3, "--camera", "same.json", "--json") == 0
+    captured = capsys.readouterr()
+    assert "contradict" not in captured.err
+    found = json.loads(captured.out)["views"]
+    assert [view["trust"] for view in found] == [1.0] * 3
+    assert [view["weight"] for view in found] == pytest.approx([1 / 3] * 3)
 
 
 @pytest.mark.parametrize("mode", ["encoder", "encoder-decoder", "latent"])

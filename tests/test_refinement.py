@@ -209,11 +209,14 @@ def test_ignored_pixels_leave_the_points_they_cover_alone(chair):
     assert moved[columns < mask.shape[1] / 2].max() > 1e-3
 
 
-def test_several_views_add_up(chair):
+@pytest.mark.parametrize("preset", ["paper", "best"])
+def test_several_views_add_up_and_by_the_default_preset_what_is_told_twice_counts_once(chair, preset):
     points, mask, camera = chair
-    one = refine(points, mask, camera, RefineConfig(steps=0))
-    two = refine(points, [mask, mask], [camera, camera], RefineConfig(steps=0))
-    assert two.loss_before == pytest.approx(2 * one.loss_before, rel=1e-6)
+    config = RefineConfig(steps=0, preset=preset, symmetry="none")
+    one = refine(points, mask, camera, config)
+    two = refine(points, [mask, mask], [camera, camera], config)
+    assert two.loss_before == pytest.approx({"paper": 2, "best": 1}[preset] * one.loss_before, rel=1e-6)
+    assert two.view_weights == {"paper": [1.0, 1.0], "best": [0.5, 0.5]}[preset]
     assert two.iou_before == pytest.approx(one.iou_before)
 
 
@@ -418,12 +421,14 @@ def test_the_result_is_a_mean_over_the_stages_and_the_last_counts_for_more_where
     def refined(*shares):
         stages = tuple(replace(stage, share=share) for stage, share in zip(BEST.stages, shares, strict=True))
         recipe = replace(BEST, stages=stages, least_anchor=0.0)
-        return refine(points, views, config=RefineConfig(symmetry="none", recipe=recipe)).points
+        return refine(points, views, config=RefineConfig(symmetry="none", recipe=recipe))
 
-    alone = [refined(*(1.0 if one == stage else 1e-12 for one in range(3))) for stage in range(3)]
-    shares = np.array([1.0, 2.0, 3.0 * masks**2])
+    alone = [refined(*(1.0 if one == stage else 1e-12 for one in range(3))).points for stage in range(3)]
+    found = refined(1.0, 2.0, 3.0)
+    shares = np.array([1.0, 2.0, 3.0 * sum(found.view_weights) ** 2])
+    assert sum(found.view_weights) > 0.95 * masks
     expected = np.einsum("s,snk->nk", shares / shares.sum(), alone)
-    np.testing.assert_allclose(refined(1.0, 2.0, 3.0), expected, atol=1e-6)
+    np.testing.assert_allclose(found.points, expected, atol=1e-6)
     assert np.abs(alone[0] - alone[2]).max() > 1e-3
 
 
@@ -431,8 +436,9 @@ def test_a_flipped_mask_counts_for_a_quarter_and_a_depth_map_as_a_mask(chair):
     points, mask, camera = chair
     depth = np.where(mask > 0.5, camera.t[2], 0.0)
 
-    def pictures(views, symmetry="none"):
-        return Item.of(Cloud(points, "points"), tuple(views), RefineConfig(symmetry=symmetry).settings()).pictures
+    def pictures(views, symmetry="none", weights=(1.0, 1.0)):
+        item = Item.of(Cloud(points, "points"), tuple(views), RefineConfig(symmetry=symmetry).settings())
+        return item.pictures(list(weights[: len(views)]))
 
     one, deep = View(mask, camera), View(mask, camera, depth=depth)
     assert pictures([one]) == 1.0
@@ -440,6 +446,7 @@ def test_a_flipped_mask_counts_for_a_quarter_and_a_depth_map_as_a_mask(chair):
     assert pictures([one], "x") == 1.25
     assert pictures([deep]) == 2.0
     assert pictures([one, deep], "x") == 3.5
+    assert pictures([one, deep], "x", (0.5, 0.1)) == pytest.approx(0.5 * 1.25 + 0.1 * 2.25)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -460,3 +467,39 @@ def test_the_more_pictures_there_are_the_less_a_start_that_is_far_off_is_held(ch
         found = anchors_of(first, counts, pull, field, recipe, torch.tensor([pictures]))
         expected = torch.full_like(found, BEST.least_anchor / pictures**2 * 1024 / len(points))
         torch.testing.assert_close(found, expected)
+
+
+def _cut_off(view: View) -> View:
+    """The same picture without its upper half: the border goes through the object."""
+    camera, half = view.camera, view.mask.shape[0] // 2
+    lower = replace(camera, K=camera.K - [[0.0, 0.0, 0.0], [0.0, 0.0, half], [0.0, 0.0, 0.0]], height=camera.height - half)
+    return View(view.mask[half:], lower)
+
+
+def test_an_object_that_the_border_cuts_is_held_three_times_as_tightly(chair):
+    points, mask, camera = chair
+    cloud = Cloud(points, "points")
+    first, counts = torch.tensor(cloud.normalised(), dtype=torch.float32)[None], torch.tensor([len(points)])
+    field, recipe = SmoothField(first, counts), replace(BEST, anchor=1e-6, by_area=False)
+    held = []
+    for view in (View(mask, camera), _cut_off(View(mask, camera))):
+        working = [Item.of(cloud, (view,), RefineConfig(symmetry="none").settings()).working]
+        held.append(anchors_of(first, counts, PullObjective(working, counts, first), field, recipe))
+    torch.testing.assert_close(held[1], 3.0 * held[0])
+
+
+@pytest.mark.parametrize(("cut", "expected"), [((True, True), 1.0), ((True, False), 2.0), ((False, False), 2.0)])
+def test_what_is_cut_off_in_all_pictures_is_as_unknown_with_two_as_with_one(chair, monkeypatch, cut, expected):
+    points, mask, camera = chair
+    side = look_at(90.0, 10.0, 3.0, (64, 64))
+    views = [View(mask, camera), View((silhouette_of(points, side) > 0.5).astype(np.float32), side)]
+    told = []
+
+    def spied(*arguments):
+        told.append(float(arguments[-1][0]))
+        return anchors_of(*arguments)
+
+    monkeypatch.setattr("tso_cli.refinement.best.anchors_of", spied)
+    shown = [_cut_off(view) if gone else view for view, gone in zip(views, cut, strict=True)]
+    refine(points, shown, config=RefineConfig(steps=3, symmetry="none"))
+    assert told == [pytest.approx(expected, rel=0.05)]

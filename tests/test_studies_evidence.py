@@ -290,9 +290,9 @@ def test_what_else_is_told_of_a_result_is_of_that_result(cases, truths):
     mended = replace(as_given, cameras=(right.views[0].camera,))
     assert told["corrected"](right, off, mended) == 1.0
     assert told["degrees left"](right, off, mended) == pytest.approx(0.0, abs=1e-5)
-    weight = QUESTIONS["wrong"].told["weight of the fourth"]
-    assert weight(right, right, replace(as_given, view_weights=[1.0, 1.0, 1.0, 0.2])) == 0.2
-    assert weight(right, right, as_given) is None
+    trust = QUESTIONS["wrong"].told["trust in the fourth"]
+    assert trust(right, right, replace(as_given, view_trust=[1.0, 1.0, 1.0, 0.2])) == 0.2
+    assert trust(right, right, as_given) is None
     without_a_plane = QUESTIONS["missing"].told["without a plane"]
     assert without_a_plane(right, right, as_given) == 1.0
     assert without_a_plane(right, right, replace(as_given, symmetry=(1.0, 0.0, 0.0, 0.0))) == 0.0

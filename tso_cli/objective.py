@@ -127,13 +127,13 @@ class MaskObjective:
     ) -> None:
         self.moves: CameraMoves | None = None
         self.weights = None if weights is None else weights.to(like)
-        self.views = [_Together.of(column, like) for column in zip(*views, strict=True)]
+        self.views = [Together.of(column, like) for column in zip(*views, strict=True)]
         size = like.shape[1]
         self.full = bool((counts == size).all())
         self.there = (torch.arange(size) < counts.unsqueeze(1)).to(like.device)  # [B, N]
         self._targets = [PixelWeights.of(view.mask, view.known) for view in self.views]
 
-    def projected(self, points: Tensor, view: _Together) -> Projected:
+    def projected(self, points: Tensor, view: Together) -> Projected:
         """Where ``points`` [B, N, 3] fall in that view, [B, N, 2] and [B, N]."""
         cameras = view.cameras if self.moves is None else self.moves.apply(view.cameras, self.views.index(view))
         points_px, valid = (found[:, 0] for found in project(points, cameras))
@@ -173,7 +173,7 @@ class PullObjective:
         self._groups = []
         self._depths: list[DepthTarget | None] = []
         for group in members.values():
-            every = _Together.of([own[v] for own in views for v in group], like)
+            every = Together.of([own[v] for own in views for v in group], like)
             target = PullTarget.of(every.mask, every.known)
             cameras = every.cameras.grouped(len(group))
             share = torch.ones(len(views), len(group)) if weights is None else weights[:, group]
@@ -227,7 +227,7 @@ class PullObjective:
 
 
 @dataclass(frozen=True, eq=False)
-class _Together:
+class Together:
     """One view of each of B clouds."""
 
     mask: Tensor  # [B, h, w]
@@ -237,7 +237,7 @@ class _Together:
     depth: Tensor | None = None  # [B, h, w]
 
     @classmethod
-    def of(cls, views: Sequence[WorkingView], like: Tensor) -> _Together:
+    def of(cls, views: Sequence[WorkingView], like: Tensor) -> Together:
         def stacked(arrays: list[NDArray[np.float64]]) -> Tensor:
             return torch.as_tensor(np.stack(arrays), dtype=like.dtype, device=like.device)
 

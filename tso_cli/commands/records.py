@@ -14,6 +14,8 @@ from ..files.output import atomic_output, check_output
 from ..files.reading import read_bytes
 from . import options
 
+Write = Callable[[dict[str, Any], Path], None]
+
 answer = click.option(
     "-o", "--output", type=options.FilePath(), help="Write the record here (.json) and a chart beside it (.png)."
 )
@@ -57,21 +59,35 @@ def write_record(record: dict[str, Any], output: Path) -> None:
         temporary.write_text(json.dumps(record, indent=1) + "\n")
 
 
-def write_cases(output: Path | None, record: dict[str, Any]) -> None:
-    """Write a record with hundreds of cases over the one before, if it is wanted: a case a line."""
-    if output is None:
-        return
+def write_cases(record: dict[str, Any], output: Path) -> None:
+    """Write a record with hundreds of cases over the one before: a case a line."""
     head = json.dumps({**record, "cases": []}, indent=1)
     cases = ",\n".join(json.dumps(case, separators=(",", ":")) for case in record["cases"])
     with atomic_output(output) as temporary:
         temporary.write_text(f"{head.removesuffix('[]' + chr(10) + '}')}[\n{cases}\n]}}\n")
 
 
-def keep(record: dict[str, Any], output: Path | None, draw: Callable[..., None], overwrite: bool) -> None:
+def keep(
+    record: dict[str, Any],
+    output: Path | None,
+    draw: Callable[..., None],
+    overwrite: bool,
+    write: Write = write_record,
+) -> None:
     """Write the record and its chart, if they are wanted."""
     if output is not None:
-        write_record(record, output)
+        write(record, output)
         draw(output.with_suffix(".png"), record, overwrite)
+
+
+def so_far(output: Path | None, write: Write = write_record) -> Callable[[dict[str, Any]], None]:
+    """What keeps a record that is not complete, if it is wanted."""
+
+    def kept(record: dict[str, Any]) -> None:
+        if output is not None:
+            write(record, output)
+
+    return kept
 
 
 class Reporter:

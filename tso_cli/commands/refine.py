@@ -25,7 +25,7 @@ from .refine_result import document, print_check, print_result
 if TYPE_CHECKING:
     from ..network_scenes import Placing
 
-# A view of less weight is warned of.
+# A view that is trusted less is warned of.
 DOUBTED = 0.5
 MODES = ("points", "encoder", "encoder-decoder", "latent")
 
@@ -248,10 +248,10 @@ def command(
     else:
         print_result(result, scene, output, overlay, seconds)
         print_cameras(scene.views, result, refine_camera, write_camera)
-    for view, weight in zip(scene.views, result.view_weights, strict=True):
-        if weight < DOUBTED:
+    for view, trust in zip(scene.views, result.view_trust, strict=True):
+        if trust < DOUBTED:
             options.log(
-                f"tso: warning: {view.name}: the other views contradict it, weight {weight:.2f}; is its mask or camera wrong?"
+                f"tso: warning: {view.name}: the other views contradict it, trust {trust:.2f}; is its mask or camera wrong?"
             )
     if result.stop_reason == "non_finite":
         options.log(f"tso: warning: the loss was no number after step {result.steps}; the best before that was written")

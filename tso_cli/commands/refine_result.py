@@ -54,10 +54,11 @@ def document(
                 "camera": _describe_camera(view.camera, camera_source),
                 "iou_before": before,
                 "iou_after": after,
+                "trust": trust,
                 "weight": weight,
             }
-            for view, camera_source, (before, after), weight in zip(
-                scene.views, scene.camera_sources, result.view_ious, result.view_weights, strict=True
+            for view, camera_source, (before, after), trust, weight in zip(
+                scene.views, scene.camera_sources, result.view_ious, result.view_trust, result.view_weights, strict=True
             )
         ],
         "frame": scene.frame,
@@ -74,6 +75,8 @@ def document(
         "convention": {
             "chamfer_to_initial": "squared distances, mean over points, both directions summed, longest side 1",
             "iou": "silhouette > 0.5 against mask > 0.5, mean over views",
+            "trust": "in a view: 1, or less where the other views contradict it",
+            "weight": "of a view in the loss: its trust, divided among the views that show the same",
             "loss": result.objective + "; the mask's part is a sum over views, each times its weight",
             "symmetry": "a, b, c, d of the mirror plane ax + by + cz = d in the frame of the input, null for none",
             "sigma_sq": "px^2 of the mask (encoder modes: mask, IoU and sigma_sq are those of the 64x64 crop)",
@@ -99,8 +102,10 @@ def print_result(result: RefineResult, scene: Scene, output: Path, overlay: Path
     mean = f", mean of {len(scene.views)} views" if len(scene.views) > 1 else ""
     click.echo(f"  IoU    {result.iou_before:.3f} -> {result.iou_after:.3f}   (silhouette > 0.5, mask > 0.5{mean})")
     if mean:
-        for view, (before, after), weight in zip(scene.views, result.view_ious, result.view_weights, strict=True):
-            click.echo(f"  view   {before:.3f} -> {after:.3f}   weight {weight:.2f}, {view.name}")
+        for view, (before, after), trust, weight in zip(
+            scene.views, result.view_ious, result.view_trust, result.view_weights, strict=True
+        ):
+            click.echo(f"  view   {before:.3f} -> {after:.3f}   trust {trust:.2f}, weight {weight:.2f}, {view.name}")
     click.echo(f"  loss   {result.loss_before:.1f} -> {result.loss_after:.1f}   ({result.objective})")
     click.echo(
         f"  moved  {result.chamfer_to_initial * 1e3:.3f}   (Chamfer to the start x1000: squared, mean over points, "

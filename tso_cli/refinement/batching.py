@@ -66,11 +66,12 @@ class Item:
         working = tuple(working_view(view, config.sigma_sq, self.cloud.centre, self.cloud.scale) for view in shown)
         return replace(self, views=views, working=working)
 
-    @property
-    def pictures(self) -> float:
-        """How many masks and depth maps there are; a flipped mask, which is only taken to be one, counts for a quarter."""
-        depths = sum(view.depth is not None for view in self.views)
-        return len(self.views) * (1.0 if self.plane is None else 1.0 + FLIPPED) + depths
+    def pictures(self, weights: list[float]) -> float:
+        """How many masks and depth maps there are, each by its weight; a flipped mask counts for a quarter of its mask."""
+        flipped = 0.0 if self.plane is None else FLIPPED
+        return sum(
+            weight * (1.0 + flipped + (view.depth is not None)) for weight, view in zip(weights, self.views, strict=True)
+        )
 
     @property
     def pixels(self) -> int:

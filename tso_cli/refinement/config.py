@@ -165,7 +165,8 @@ class RefineResult:
     losses : the objective at the start and after every step. loss_before, loss_after : of the start and of the result. With the
         preset "best" the objective changes twice on the way: these two are both by the last.
     iou_before, iou_after : silhouette > 0.5 against mask > 0.5 at the mask's own resolution, mean over views.
-    view_ious : the two of each view. view_weights : of its loss in the objective, 1 unless the other views contradict it.
+    view_ious : the two of each view. view_trust : 1, or less where the other views contradict it. view_weights : of its loss in
+        the objective, its trust divided among those that show the same side.
     chamfer_to_initial : squared distances, mean over points, both directions summed, for a cloud of longest side 1.
     symmetry : a, b, c, d of the mirror plane ax + by + cz = d that was used, in the frame of the input, or None.
     symmetry_reason : why, or why not.
@@ -186,6 +187,7 @@ class RefineResult:
     iou_before: float
     iou_after: float
     view_ious: list[tuple[float, float]]
+    view_trust: list[float]
     view_weights: list[float]
     chamfer_to_initial: float
     symmetry: tuple[float, float, float, float] | None

@@ -31,7 +31,7 @@ def borne_out(
     settings: Settings,
     fields: dict[int, SmoothField],
 ) -> tuple[list[Item], Tensor, bool]:
-    """Give up planes that the pictures contradict: with the flipped ones beside them, more of their pull is left.
+    """Give up planes that the pictures contradict: with the flipped ones beside them, more of their loss is left.
 
     A shape that is symmetric moves toward both pictures at once. One that is not is pulled to and fro: what one wants covered
     the other wants cleared.
@@ -63,8 +63,8 @@ def borne_out(
         replace(
             item,
             plane=item.plane if keep else None,
-            symmetry_reason=f"{item.symmetry_reason}; with the flipped picture the misfit that is left is {value:.2f} times "
-            f"that without ({f'at most {MOST_LEFT}' if keep else f'over {MOST_LEFT}'})",
+            symmetry_reason=f"{item.symmetry_reason}; with the flipped picture the loss that is left is {value:.2f} times "
+            f"that without, for each picture ({f'at most {MOST_LEFT}' if keep else f'over {MOST_LEFT}'})",
         )
         for item, keep, value in zip(items, kept, ratio.tolist(), strict=True)
     ]

@@ -22,7 +22,7 @@ from ..losses import ChamferToInitial
 from ..objective import MaskObjective, PullObjective
 from ..projection import default_sigma_sq
 from ..smoothing import SmoothField
-from ..weighting import weigh
+from ..weighting import Weights
 from .batching import Item, batches_of, parts_of
 from .best import BEST, descend_in_stages, held_and_pulled
 from .config import PRESETS, RefineConfig, RefineResult, Settings
@@ -203,11 +203,11 @@ def _refined(
         first = start.produce().detach().clone()
         chamfer = ChamferToInitial(first, start.counts)
         views = [item.working for item in items]
-        weights = torch.ones(len(items), len(items[0].views), dtype=torch.float64)
+        weights = Weights.even(len(items), len(items[0].views))
         if settings.preset == "best":
-            weights = weigh([item.working[: len(item.views)] for item in items], start.counts, first)
+            weights = Weights.of([item.working[: len(item.views)] for item in items], start.counts, first)
         fields: dict[int, SmoothField] = {}
-        items, of_all, at_start = _mirrored(items, start.counts, first, weights, settings, at_start, fields)
+        items, of_all, at_start = _mirrored(items, start.counts, first, weights.shared, settings, at_start, fields)
         views = [item.working for item in items]
 
     def held(moved: Tensor) -> Tensor:
@@ -219,7 +219,7 @@ def _refined(
         if settings.staged:
             pull = PullObjective(views, start.counts, first, of_all)
             recipe = settings.recipe or BEST
-            pictures = torch.tensor([item.pictures for item in items])
+            pictures = torch.tensor([item.pictures(own) for item, own in zip(items, weights.shared.tolist(), strict=True)])
             descent = descend_in_stages(
                 first,
                 start.counts,
@@ -230,7 +230,7 @@ def _refined(
                 told,
                 recipe,
                 fields,
-                _coloured(items, weights, first),
+                _coloured(items, weights.shared, first),
                 pictures,
             )
         else:
@@ -258,9 +258,7 @@ def _refined(
         after = view_ious(refined, [item.views for item in items], settings.sigma_sq, first.device)
     seconds = {phase: value / len(items) for phase, value in seconds.items()}
     return [
-        _result(
-            item, descent, number, points, ious, weights[number].tolist(), moved_by[number], first.device, settings, seconds
-        )
+        _result(item, descent, number, points, ious, weights, moved_by[number], first.device, settings, seconds)
         for number, (item, points, *ious) in enumerate(zip(items, refined, before, after, strict=True))
     ]
 
@@ -300,7 +298,7 @@ def _result(
     number: int,
     points: Array,
     ious: list[list[float]],
-    weights: list[float],
+    weights: Weights,
     moved_by: float,
     device: torch.device,
     settings: Settings,
@@ -328,7 +326,8 @@ def _result(
         iou_before=before,
         iou_after=after,
         view_ious=list(zip(*ious, strict=True)),
-        view_weights=weights,
+        view_trust=weights.trust[number].tolist(),
+        view_weights=weights.shared[number].tolist(),
         chamfer_to_initial=moved_by,
         symmetry=None if item.plane is None else (*item.plane.normal.tolist(), item.plane.offset),
         symmetry_reason=item.symmetry_reason,

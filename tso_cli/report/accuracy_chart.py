@@ -17,6 +17,7 @@ TITLES = {
     "other": "from another shape's cloud",
     "near": "from a cloud near the truth",
     "cut": "from another shape's cloud, the border cuts the object",
+    "right": "from the truth, sampled once more",
     "network": "from the network's prediction",
 }
 # Kinds whose seconds are shown; they differ little between the others. And those of them that come near their bounds.

@@ -21,9 +21,10 @@ from ..network_scenes import network_scene
 from ..render import RayScene, RenderSettings, fitting_distance, look_at, normalise, render_view, sample_cameras
 from ..scene import View
 from .parts import Shape, shapes_of_part
+from .protocol import shape_type
 
-KINDS = ("other", "near", "cut", "network")
-"""Where the start is from; "cut" is "other" with an object that the border cuts."""
+KINDS = ("other", "near", "cut", "right", "network")
+"""Where the start is from; "cut" is "other" with an object that the border cuts, "right" another sampling of the truth."""
 # The Chamfer distance (longest side 1) that another shape's cloud should have from the truth; a category without one starts
 # from its most similar training shape.
 LEVELS = {"other": {"airplane": 2.0e-3, "car": 1.6e-3}, "near": {"airplane": 0.4e-3, "car": 0.8e-3}}
@@ -92,7 +93,7 @@ class CaseBuilder:
         self._folder, self._split_file = folder, split_file
         self._views, self._size, self._points, self._seed = views, size, points, seed
         self._network, self._about = network, about
-        self._starts: dict[str, list[tuple[str, Array, Array]]] = {}
+        self._starts: dict[str, list[tuple[Shape, Array, Array]]] = {}
 
     def cases(self, shape: Shape, kind: str) -> list[AccuracyCase]:
         """The cases of one shape, one for each of the views."""
@@ -108,7 +109,10 @@ class CaseBuilder:
                 self._predicted(shape, number, mesh.vertices, scene, target, dense, floors, rng)
                 for number in range(self._views)
             ]
-        start, initial = self._start(shape.category, _subset(dense, JUDGED), LEVELS[kind].get(shape.category, 0.0))
+        if kind == "right":
+            start, initial = "the truth", other
+        else:
+            start, initial = self._start(shape, _subset(dense, JUDGED), LEVELS[kind].get(shape.category, 0.0))
         # Each view has the next three beside it.
         count = self._views + MASKS - 1
         views = [self._seen(shape, number, mesh.vertices, scene, kind == "cut", rng) for number in range(count)]
@@ -131,16 +135,24 @@ class CaseBuilder:
     def _rng(self, shape: Shape, what: str) -> np.random.Generator:
         return np.random.default_rng([self._seed, zlib.crc32(shape.name.encode()), zlib.crc32(what.encode())])
 
-    def _start(self, category: str, target: Array, level: float) -> tuple[str, Array]:
-        """Name and cloud of the training shape whose distance from the truth is nearest to ``level``."""
-        if category not in self._starts:
+    def _start(self, shape: Shape, target: Array, level: float) -> tuple[str, Array]:
+        """Name and cloud of the training shape of another type whose distance from the truth is nearest to ``level``."""
+        if shape.category not in self._starts:
             found = []
-            for shape in shapes_of_part(self._folder, self._split_file, "train", [category]):
-                mesh = normalise(read_mesh(shape.path))
-                samples = sample_surface(mesh.vertices, mesh.faces, SAMPLES, self._rng(shape, "truth"))
-                found.append((shape.name, samples, _subset(samples, JUDGED)))
-            self._starts[category] = found
-        starts = self._starts[category]
+            for own in shapes_of_part(self._folder, self._split_file, "train", [shape.category]):
+                mesh = normalise(read_mesh(own.path))
+                samples = sample_surface(mesh.vertices, mesh.faces, SAMPLES, self._rng(own, "truth"))
+                found.append((own, samples, _subset(samples, JUDGED)))
+            self._starts[shape.category] = found
+        starts = [
+            (own.name, samples, few)
+            for own, samples, few in self._starts[shape.category]
+            if shape_type(own.path.stem) != shape_type(shape.path.stem)
+        ]
+        if not starts:
+            raise InputError(
+                f"{shape.name}: no {shape.category} of another type is in the list train, expected one to start from"
+            )
         away = [abs(chamfer(few, target).chamfer - level) for _, _, few in starts]
         name, samples, _ = starts[int(np.argmin(away))]
         return name, _subset(samples, self._points)

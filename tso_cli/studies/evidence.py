@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from .evidence_cases import Truth
 from .evidence_questions import QUESTIONS, Question
 from .parts import SPLIT, Shape, shapes_of_part
 from .protocol import Report
-from .resumed import cases_of
+from .resumed import Cases, Keep, cases_of, complete
 
 SIZE, POINTS = 64, 1024
 """Pixels of the masks each way, points of the clouds."""
@@ -29,7 +29,7 @@ CONVENTION = {
     "ratio": "Chamfer distance after / before, mean of the cases' own; squared distances, mean over points, forward + "
     "backward, longest side 1, to as many target points; worse: cases over 1",
     "without a plane": "share of the cases whose refinement used no mirror plane",
-    "weight of the fourth": "of the fourth view in the objective, mean",
+    "trust in the fourth": "1, or less where the other views contradict the fourth, mean",
     "corrected": "share of the cameras that --refine-camera corrected",
     "degrees left": "angle between the cameras that were used and the true ones, mean",
 }
@@ -66,7 +66,7 @@ def study_evidence(
     split_file: Path = SPLIT,
     checkpoint: Path | None = None,
     earlier: dict[str, Any] | None = None,
-    keep: Callable[[dict[str, Any]], None] | None = None,
+    keep: Keep | None = None,
     report: Report | None = None,
 ) -> dict[str, Any]:
     """Ask each question of every case that it is about.
@@ -84,23 +84,24 @@ def study_evidence(
     material = AccuracyConfig(kinds=kinds, views=config.views, size=SIZE, points=POINTS, seed=config.seed)
     builder, network, digest = builder_of(folder, material, split_file, checkpoint)
     settings = {**asdict(config), "questions": list(config.questions), "network": digest, "points": POINTS, "size": SIZE}
+    settings["rows"] = {name: list(question.rows) for name, question in asked.items()}
     settings["shapes"] = [shape.name for own in shapes.values() for shape in own]
     cases = cases_of("evidence", earlier, settings)
     done = {(case["question"], case["kind"], case["shape"]) for case in cases}
-    groups = _groups(asked, shapes)
-    for number, (name, kind, own) in enumerate(groups, 1):
-        if any((name, kind, shape.name) not in done for shape in own):
-            built = [
-                (case, Truth(shape, own[(place + 1) % len(own)] if len(own) > 1 else None))
-                for place, shape in enumerate(own)
-                for case in builder.cases(shape, kind)
-            ]
-            cases += judge(name, asked[name], built, config, network)
-            if keep:
-                keep(_record(settings, cases, number == len(groups)))
-        if report:
-            report("refining", number, len(groups))
-    return _record(settings, cases, True)
+
+    def judged(name: str, kind: str, own: list[Shape]) -> Cases:
+        built = [
+            (case, Truth(shape, own[(place + 1) % len(own)] if len(own) > 1 else None))
+            for place, shape in enumerate(own)
+            for case in builder.cases(shape, kind)
+        ]
+        return judge(name, asked[name], built, config, network)
+
+    groups = [
+        None if all((name, kind, shape.name) in done for shape in own) else partial(judged, name, kind, own)
+        for name, kind, own in _groups(asked, shapes)
+    ]
+    return complete(cases, groups, partial(_record, settings), "refining", keep, report)
 
 
 def judge(

@@ -69,8 +69,8 @@ def _no_plane(case: AccuracyCase, altered: AccuracyCase, result: RefineResult) -
     return float(result.symmetry is None)
 
 
-def _weight_of_fourth(case: AccuracyCase, altered: AccuracyCase, result: RefineResult) -> float | None:
-    return result.view_weights[3] if len(result.view_weights) > 3 else None
+def _trust_in_fourth(case: AccuracyCase, altered: AccuracyCase, result: RefineResult) -> float | None:
+    return result.view_trust[3] if len(result.view_trust) > 3 else None
 
 
 def _corrected(case: AccuracyCase, altered: AccuracyCase, result: RefineResult) -> float:
@@ -120,6 +120,7 @@ def _wrong_rows() -> dict[str, Row]:
     for preset in ("paper", "best"):
         rows |= {f"{what}; {preset}": Row(alter, _of(4, preset=preset)) for what, alter in views.items()}
         rows[f"the first three alone; {preset}"] = Row(as_it_is, _of(3, preset=preset))
+        rows[f"the three close together alone; {preset}"] = Row(bunched, _of(3, preset=preset))
     return rows
 
 
@@ -170,7 +171,7 @@ QUESTIONS = {
     "depth": Question(("other", "near"), _depth_rows(), ("chair", "airplane", "car")),
     "colours": Question(("other",), _colour_rows(), ("chair", "airplane", "car")),
     "missing": Question(("other",), _missing_rows(), ("chair", "airplane", "car"), {"without a plane": _no_plane}),
-    "wrong": Question(("other",), _wrong_rows(), told={"weight of the fourth": _weight_of_fourth}),
+    "wrong": Question(("other",), _wrong_rows(), told={"trust in the fourth": _trust_in_fourth}),
     "cameras": Question(
         ("other", "near"),
         _camera_rows(),

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,9 @@ from ..pose.fit import FittedCamera, fit_camera
 from ..pose.rotations import angle_between
 from ..symmetry import find_mirror_plane
 from .accuracy_cases import AccuracyCase, CaseBuilder, kinds_of
-from .parts import SPLIT, shapes_of_part
+from .parts import SPLIT, Shape, shapes_of_part
 from .protocol import Report
-from .resumed import cases_of
+from .resumed import Cases, Keep, cases_of, complete
 
 CATEGORIES = ("chair", "airplane", "car")
 TRUE, WRONG_PRIOR = "the true one", "the true one, focal length taken to be 0.64 of it"
@@ -52,7 +52,7 @@ def study_pose(
     config: PoseConfig | None = None,
     split_file: Path = SPLIT,
     earlier: dict[str, Any] | None = None,
-    keep: Callable[[dict[str, Any]], None] | None = None,
+    keep: Keep | None = None,
     report: Report | None = None,
 ) -> dict[str, Any]:
     """Fit a camera to one 64x64 mask of each case and compare it with the true one.
@@ -69,16 +69,13 @@ def study_pose(
     settings = {**asdict(config), "shapes": [shape.name for shape in shapes]}
     cases = cases_of("pose", earlier, settings)
     done = {case["shape"] for case in cases}
-    for number, shape in enumerate(shapes, 1):
-        if shape.name not in done:
-            for kind in kinds_of(shape.category, tuple(CLOUDS)):
-                for case in builder.cases(shape, kind):
-                    cases += judge(case)
-            if keep:
-                keep(_record(settings, cases, number == len(shapes)))
-        if report:
-            report("fitting", number, len(shapes))
-    return _record(settings, cases, True)
+    groups = [None if shape.name in done else partial(_judge_shape, builder, shape) for shape in shapes]
+    return complete(cases, groups, partial(_record, settings), "fitting", keep, report)
+
+
+def _judge_shape(builder: CaseBuilder, shape: Shape) -> Cases:
+    kinds = kinds_of(shape.category, tuple(CLOUDS))
+    return [found for kind in kinds for case in builder.cases(shape, kind) for found in judge(case)]
 
 
 def judge(case: AccuracyCase) -> list[dict[str, Any]]:

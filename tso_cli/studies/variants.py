@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from ..render import RenderSettings
 from ..scene import View
 from .parts import SPLIT, SeenShape, Shape, see, shapes_of_part
 from .protocol import Report
-from .resumed import cases_of
+from .resumed import Cases, Keep, cases_of, complete
 from .variants_summary import PAPER, VARIANTS, claims, summarise
 from .visibility import visible_points
 
@@ -66,7 +66,7 @@ def study_variants(
     config: VariantsConfig | None = None,
     split_file: Path = SPLIT,
     earlier: dict[str, Any] | None = None,
-    keep: Callable[[dict[str, Any]], None] | None = None,
+    keep: Keep | None = None,
     report: Report | None = None,
 ) -> dict[str, Any]:
     """Let the network predict unseen shapes, refine every prediction with each variant and judge it against the truth.
@@ -105,18 +105,13 @@ def study_variants(
     cases = cases_of("tso", earlier, settings)
     done = {case["shape"] for case in cases}
     render = RenderSettings(views=config.views, size=(config.size, config.size))
-    for shape in shapes:
-        if shape.name in done:
-            continue
+
+    def judged(shape: Shape) -> Cases:
         seen = see(shape, render, config.seed)
-        for number in range(len(seen.views)):
-            cases.append(judge_view(shape, seen, number, network, about, config))
-        done.add(shape.name)
-        if keep:
-            keep(_record(settings, cases, len(done) == len(shapes)))
-        if report:
-            report("refining", len(done), len(shapes))
-    return _record(settings, cases, True)
+        return [judge_view(shape, seen, number, network, about, config) for number in range(len(seen.views))]
+
+    groups = [None if shape.name in done else partial(judged, shape) for shape in shapes]
+    return complete(cases, groups, partial(_record, settings), "refining", keep, report)
 
 
 def weights_hash(network: BaseNetwork) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,22 +10,23 @@ import click
 from ...files.output import check_output
 from ...files.shipped import DEFAULT, named_checkpoint
 from .. import options
-from ..records import Reporter, answer, check_outputs, earlier_record, resume, write_cases
+from ..records import Reporter, answer, check_outputs, earlier_record, keep, resume, so_far, write_cases
 
 
 @click.command("accuracy")
 @click.option("--meshes", type=options.FilePath(), required=True, help="Folder with CATEGORY/NAME for every name of the split.")
 @click.option("--checkpoint", type=options.FilePath(), default=DEFAULT, show_default=True, help="View-aligned network.")
 @click.option("--split", "split_file", type=options.FilePath(), help="[default: that of the shipped network]")
-@click.option("--part", type=click.Choice(["test", "validation"]), default="test", show_default=True)
+@click.option("--part", type=click.Choice(["test", "validation", "train"]), default="test", show_default=True)
 @click.option("--category", "categories", multiple=True, help="May be repeated.  [default: all five]")
 @click.option("--limit", type=click.IntRange(min=1), help="At most so many shapes of each category.")
 @click.option(
     "--kind",
     "kinds",
     multiple=True,
-    type=click.Choice(["other", "near", "cut", "network"]),
-    help="Where the starts are from. May be repeated.  [default: all; with --ablation all but network]",
+    type=click.Choice(["other", "near", "cut", "right", "network"]),
+    help="Where the starts are from. May be repeated.  [default: all; with --part train all but network; with --ablation "
+    "other, near and cut]",
 )
 @click.option("--views", type=click.IntRange(min=1), default=2, show_default=True, help="Random views of each shape.")
 @click.option("--size", type=click.IntRange(16, 1024), default=64, show_default=True, help="Of the masks, pixels each way.")
@@ -64,30 +64,26 @@ def accuracy(
     """How much nearer to the truth a refinement comes, and how often it leads away from it.
 
     Starts are another shape's cloud as wrong as a trained network's (other), one near the truth (near), the first with an
-    object that the border cuts (cut), and the network's prediction (network). The record at -o is written after every group
-    of shapes; --resume goes on from it.
+    object that the border cuts (cut), the truth sampled once more (right), and the network's prediction (network). The
+    record at -o is written after every group of shapes; --resume goes on from it.
     """
     check_outputs(output, overwrite, resume)
     if pictures is not None:
         check_output(pictures, overwrite or resume)
-    from ...studies.accuracy import ABLATED, CATEGORIES, KINDS, AccuracyConfig, study_accuracy
+    from ...report.accuracy_chart import draw_accuracy_study
+    from ...studies.accuracy import CATEGORIES, AccuracyConfig, study_accuracy
     from ...studies.parts import SPLIT
 
-    wanted = tuple(dict.fromkeys(kinds)) or (ABLATED if ablation else KINDS)
     chosen = tuple(dict.fromkeys(categories)) or CATEGORIES
-    config = AccuracyConfig(part, chosen, limit, wanted, views, size, points, ablation, seed, device)
+    config = AccuracyConfig(part, chosen, limit, tuple(dict.fromkeys(kinds)), views, size, points, ablation, seed, device)
     network = None
-    if "network" in wanted:
+    if "network" in config.kinds:
         network = named_checkpoint(checkpoint)
         options.log(f"tso: checkpoint: {network}")
     earlier = earlier_record(output, resume)
     split_file = split_file or SPLIT
-    record = study_accuracy(meshes, config, split_file, network, earlier, partial(write_cases, output), Reporter())
-    write_cases(output, record)
-    if output is not None:
-        from ...report.accuracy_chart import draw_accuracy_study
-
-        draw_accuracy_study(output.with_suffix(".png"), record, overwrite or resume)
+    record = study_accuracy(meshes, config, split_file, network, earlier, so_far(output, write_cases), Reporter())
+    keep(record, output, draw_accuracy_study, overwrite or resume, write_cases)
     if pictures is not None:
         from ...report.accuracy_pictures import draw_cases
         from ...studies.accuracy_examples import telling_cases

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import click
 
 from ...files.shipped import DEFAULT, named_checkpoint
 from .. import options
-from ..records import Reporter, answer, check_outputs, earlier_record, resume, write_cases
+from ..records import Reporter, answer, check_outputs, earlier_record, keep, resume, so_far, write_cases
 
 QUESTIONS = ("depth", "colours", "missing", "wrong", "cameras", "placing", "rates")
 JUDGED = ("cases", "mean_ratio", "worst_ratio", "worse")
@@ -53,6 +52,7 @@ def evidence(
     rates of the network's variants (rates).
     """
     check_outputs(output, overwrite, resume)
+    from ...report.evidence_chart import draw_evidence_study
     from ...studies.evidence import EvidenceConfig, study_evidence
     from ...studies.evidence_questions import QUESTIONS as KNOWN
     from ...studies.parts import SPLIT
@@ -64,12 +64,8 @@ def evidence(
         options.log(f"tso: checkpoint: {network}")
     config = EvidenceConfig(wanted, part, limit, views, seed, device)
     earlier = earlier_record(output, resume)
-    record = study_evidence(meshes, config, split_file or SPLIT, network, earlier, partial(write_cases, output), Reporter())
-    write_cases(output, record)
-    if output is not None:
-        from ...report.evidence_chart import draw_evidence_study
-
-        draw_evidence_study(output.with_suffix(".png"), record, overwrite or resume)
+    record = study_evidence(meshes, config, split_file or SPLIT, network, earlier, so_far(output, write_cases), Reporter())
+    keep(record, output, draw_evidence_study, overwrite or resume, write_cases)
     if as_json:
         options.echo_json(record)
     else:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
 from .. import options
-from ..records import Reporter, answer, check_outputs, earlier_record, resume, write_cases
+from ..records import Reporter, answer, check_outputs, earlier_record, keep, resume, so_far, write_cases
 
 
 @click.command("pose")
@@ -37,17 +36,14 @@ def pose(
 ) -> None:
     """How well `tso refine --camera fit` finds a camera: of the true cloud, and of other shapes' clouds."""
     check_outputs(output, overwrite, resume)
+    from ...report.pose_chart import draw_pose_study
     from ...studies.parts import SPLIT
     from ...studies.pose import PoseConfig, study_pose
 
     config = PoseConfig(part, limit, views, seed)
     earlier = earlier_record(output, resume)
-    record = study_pose(meshes, config, split_file or SPLIT, earlier, partial(write_cases, output), Reporter())
-    write_cases(output, record)
-    if output is not None:
-        from ...report.pose_chart import draw_pose_study
-
-        draw_pose_study(output.with_suffix(".png"), record, overwrite or resume)
+    record = study_pose(meshes, config, split_file or SPLIT, earlier, so_far(output, write_cases), Reporter())
+    keep(record, output, draw_pose_study, overwrite or resume, write_cases)
     if as_json:
         options.echo_json(record)
     else:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
@@ -11,7 +10,7 @@ from typing import Any, TypeVar
 import click
 
 from .. import options
-from ..records import Reporter, answer, check_outputs, earlier_record, keep, resume, write_record
+from ..records import Reporter, answer, check_outputs, earlier_record, keep, resume, so_far
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -104,7 +103,7 @@ def run(
     unfinished = output.with_name(f"{output.stem}.unfinished.safetensors") if output else None
     if not resume:
         forget(unfinished)
-    keeping = Keeping(earlier_record(output, resume), partial(_write, output), unfinished)
+    keeping = Keeping(earlier_record(output, resume), so_far(output), unfinished)
     record = study_networks(study.NAME, source, budget, study.settings(chosen), study.conclude, measure, keeping, Reporter())
     keep(record, output, draw, overwrite or resume)
     if as_json:
@@ -114,11 +113,6 @@ def run(
     click.echo(_explained(record))
     for claim in record["claims"]:
         click.echo(f"{'holds' if claim['holds'] else 'does not hold'}: {claim['claim']} ({claim['found']})")
-
-
-def _write(output: Path | None, record: dict[str, Any]) -> None:
-    if output is not None:
-        write_record(record, output)
 
 
 def _explained(record: dict[str, Any]) -> str:

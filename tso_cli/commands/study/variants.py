@@ -9,7 +9,7 @@ import click
 
 from ...files.shipped import CATEGORIES, DEFAULT, named_checkpoint
 from .. import options
-from ..records import Reporter, answer, check_outputs, earlier_record, keep, resume, write_record
+from ..records import Reporter, answer, check_outputs, earlier_record, keep, resume, so_far
 
 
 @click.command("tso")
@@ -64,12 +64,7 @@ def variants(
     chosen = categories or (() if split_file else CATEGORIES)
     config = VariantsConfig(part, chosen, limit, views, steps=steps, seed=seed, device=device)
     earlier = earlier_record(output, resume)
-
-    def write(record: dict[str, Any]) -> None:
-        if output is not None:
-            write_record(record, output)
-
-    record = study_variants(meshes, checkpoint, config, split_file or SPLIT, earlier, write, Reporter())
+    record = study_variants(meshes, checkpoint, config, split_file or SPLIT, earlier, so_far(output), Reporter())
     keep(record, output, draw_variants_study, overwrite or resume)
     if as_json:
         options.echo_json(record)
