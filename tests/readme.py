@@ -226,6 +226,7 @@ def claims_list(record: dict) -> str:
     )
 
 
+SIZES = ("accuracy", "accuracy-128", "accuracy-256", "accuracy-large")
 TABLES = {
     "examples": examples_table,
     "points": points_table,
@@ -259,8 +260,8 @@ def tables() -> dict[str, str]:
             made |= {f"{path.stem} {name}": table for name, table in speed_tables(record).items()}
         if "claims" in record:
             made[f"{path.stem} claims"] = claims_list(record)
-    if {"accuracy", "accuracy-large"} <= set(accuracy):
-        made["accuracy sizes"] = sizes_table(accuracy["accuracy"], accuracy["accuracy-large"])
+    if set(SIZES) <= set(accuracy):
+        made["accuracy sizes"] = sizes_table(*(accuracy[name] for name in SIZES))
     return made
 
 

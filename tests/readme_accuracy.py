@@ -26,14 +26,16 @@ def settings_line(record: dict) -> str:
 
 
 def ratios_table(summary: dict) -> str:
-    """Mean Chamfer after / before and median seconds, a column a variant."""
+    """Mean Chamfer after / before and median seconds, a column a variant, and how the default's cases that get worse do."""
     names = [name for name in SHOWN if name in next(iter(summary.values()))["variants"]]
-    rows = [["from", *names], ["---"] * (len(names) + 1)]
+    rows = [["from", *names, "best: made worse, at worst"], ["---"] * (len(names) + 2)]
     for category, group in summary.items():
         cells = [
             f"{group['variants'][name]['mean_ratio']:.2f}, {group['variants'][name]['median_seconds']:.2f} s" for name in names
         ]
-        rows.append([f"{category}, {1e3 * group['before']['chamfer']:.1f}", *cells])
+        default = group["variants"]["best"]
+        harm = f"{default['worse']} of {group['cases']}, {default['worst_ratio']:.2f}"
+        rows.append([f"{category}, {1e3 * group['before']['chamfer']:.1f}", *cells, harm])
     return _markdown(rows)
 
 
@@ -69,7 +71,8 @@ def bounds_table(summary: dict) -> str:
     """The level reached, and what bounds a refinement."""
     header = ["start", "category", "shapes", "Chamfer x1000 of the start", "floor / before", "all but depth right / before"]
     rows = [header, ["---"] * len(header)]
-    for kind, categories in summary.items():
+    # What is right starts at the floor.
+    for kind, categories in ((kind, own) for kind, own in summary.items() if kind != "right"):
         for category, group in categories.items():
             before = group["before"]
             bounds = [_number(before.get(f"{bound}_ratio"), 2) for bound in ("floor", "in_plane")]
@@ -97,22 +100,19 @@ def ablation_table(record: dict) -> str:
     return _markdown(rows)
 
 
-def sizes_table(small: dict, large: dict) -> str:
-    """Mean and worst ratio on few and on many points and pixels, of the views that both records have."""
-    labels = [f"{r['settings']['points']:,} points, {r['settings']['size']}x{r['settings']['size']}" for r in (small, large)]
+def sizes_table(*records: dict) -> str:
+    """Mean and worst ratio on ever more points and pixels, of the views that all records have; the last against the first."""
+    labels = [f"{r['settings']['points']:,} points, {r['settings']['size']}x{r['settings']['size']}" for r in records]
     rows = [["category, cases", "variant", *labels, "gains at least as much"]]
     rows.append(["---"] * len(rows[0]))
-    found = [
-        {(case["shape"], case["view"]): case for case in record["cases"] if case["kind"] == "other"}
-        for record in (small, large)
-    ]
-    for category in large["summary"]["other"]:
-        both = [key for key in found[1] if key in found[0] and found[1][key]["category"] == category]
+    found = [{(case["shape"], case["view"]): case for case in record["cases"] if case["kind"] == "other"} for record in records]
+    for category in records[-1]["summary"]["other"]:
+        common = [key for key, case in found[-1].items() if case["category"] == category and all(key in own for own in found)]
         for name in SHOWN:
-            ratios = [[_ratio(own[key], name) for key in both] for own in found]
+            ratios = [[_ratio(own[key], name) for key in common] for own in found]
             means = [round(sum(own) / len(own), 3) for own in ratios]
             cells = [f"{mean:.3f}, worst {max(own):.2f}" for mean, own in zip(means, ratios, strict=True)]
-            rows.append([f"{category}, {len(both)}", name, *cells, "yes" if means[1] <= means[0] else "**no**"])
+            rows.append([f"{category}, {len(common)}", name, *cells, "yes" if means[-1] <= means[0] else "**no**"])
     return _markdown(rows)
 
 

@@ -398,6 +398,40 @@ def test_a_batch_refines_by_the_best_preset_as_one_at_a_time_does(chair):
         np.testing.assert_allclose(found.points, alone.points, atol=0.05)
 
 
+@pytest.mark.parametrize("preset", PRESETS)
+def test_clouds_that_are_their_own_nodes_move_beside_larger_ones_as_alone(chair, preset):
+    points, mask, camera = chair
+    larger = np.concatenate([points, points * 0.99])[:1500]
+    scenes = [(points[:800], View(mask, camera)), (larger, View(mask, camera))]
+    config = RefineConfig(preset=preset, steps=6, symmetry="none")
+    for found, (own, views) in zip(refine_batch(scenes, config), scenes, strict=True):
+        np.testing.assert_allclose(found.points, refine(own, views, config=config).points, atol=1e-4)
+
+
+@pytest.mark.parametrize("width", [1, 2, 3])
+def test_a_pole_thinner_than_a_pixel_of_the_loop_is_moved_onto_its_mask(width):
+    rng = np.random.default_rng(0)
+    pole = rng.uniform(-1.0, 1.0, (300, 3)) * [0.005, 0.5, 0.005]
+    rows = np.arange(20, 236)
+    mask = np.zeros((256, 256), np.float32)
+    for across in range(width):
+        mask[rows, rows // 6 + 106 + across] = 1.0
+    camera = Camera.canonical(256, 256)
+    result = refine(pole, mask, camera)
+    off = []
+    for cloud in (pole, result.points):
+        column, row = camera.project(cloud)[0].T
+        off.append(np.abs(column - row / 6 - 106.0 - 0.5 * (width - 1)).mean())
+    assert off[1] < 0.9 * off[0]
+
+
+def test_an_ignore_map_that_leaves_no_pixel_of_the_loop_is_refused(chair):
+    points, mask, camera = chair
+    every_fourth = np.arange(256)[:, None] % 4 + np.arange(256) % 4 == 0
+    with pytest.raises(InputError, match="front: no pixel is known to be foreground when it is worked on at 64x64"):
+        refine(points, View(mask, camera, every_fourth, name="front"))
+
+
 def test_what_no_picture_shows_stays_nearly_where_it_was():
     """A long bar goes out of the picture on the left; the picture wants it higher where it shows it."""
     axes = np.linspace(-2.0, 0.4, 120), np.linspace(-0.1, 0.1, 5), np.linspace(-0.1, 0.1, 4)

@@ -54,14 +54,18 @@ def test_pieces_that_are_not_connected_do_not_move_each_other():
     assert moved[0, 60:].abs().max() == 0.0
 
 
-def test_a_cloud_among_others_of_other_sizes_moves_as_alone():
+@pytest.mark.parametrize("nodes", [NODES, 64])
+def test_a_cloud_among_others_of_other_sizes_moves_as_alone(nodes):
     small, large = _cloud(40), _cloud(90, 1)
-    padded = torch.cat([small, torch.zeros(1, 50, 3, dtype=torch.float64)], 1)
-    both = SmoothField(torch.cat([padded, large]), torch.tensor([40, 90]))
+    counts = torch.tensor([40, 90])
+    padded = torch.cat([torch.cat([small, torch.zeros(1, 50, 3, dtype=torch.float64)], 1), large])
+    both = SmoothField(padded, counts, nodes)
     values = torch.randn(both.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    moved = _moved(both, 5.0, values)
-    torch.testing.assert_close(moved[:1, :40], _moved(SmoothField(small), 5.0, values[:1, :40]))
-    torch.testing.assert_close(moved[1:], _moved(SmoothField(large), 5.0, values[1:]))
+    moved, areas = _moved(both, 5.0, values), both.areas(padded, counts)
+    for number, cloud in enumerate((small, large)):
+        alone, count = SmoothField(cloud, nodes=nodes), cloud.shape[1]
+        torch.testing.assert_close(moved[number : number + 1, :count], _moved(alone, 5.0, values[number : number + 1, :count]))
+        torch.testing.assert_close(areas[number : number + 1, :count], alone.areas(cloud, counts[number : number + 1]))
 
 
 def test_a_large_cloud_moves_by_the_field_of_its_nodes():

@@ -179,3 +179,21 @@ def test_a_plane_asked_for_is_used_and_told():
 def test_a_plane_that_is_none_is_refused(bad):
     with pytest.raises(InputError, match="symmetry is"):
         RefineConfig(symmetry=bad)
+
+
+@pytest.mark.parametrize("preset", ["best", "paper"])
+@pytest.mark.parametrize("plane", ["0,0,1,9", "1,0,0,5", "0,1,0,-0.9"])
+def test_a_plane_beside_the_cloud_is_refused(plane, preset):
+    chair = EXAMPLES / "chair"
+    mask = read_mask(chair / "mask.png")
+    camera = read_camera(chair / "camera.json", mask.shape[1], mask.shape[0])
+    with pytest.raises(InputError, match=f"symmetry is '{plane}', expected a plane .* through the cloud"):
+        refine(_cloud("chair"), mask, camera, RefineConfig(preset=preset, symmetry=plane))
+
+
+def test_a_given_plane_is_judged_as_one_that_was_found():
+    points = _cloud("airplane")
+    found = find_mirror_plane(points)
+    judged = MirrorPlane(found.normal, found.offset).judged(points)
+    assert (judged.misfit, judged.far) == pytest.approx((found.misfit, found.far))
+    assert MirrorPlane(found.normal, found.offset + 0.2).judged(points).misfit > 2.0 * found.misfit

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from .refinement import RefineResult as RefineResult
     from .refinement import refine as refine
     from .refinement import refine_batch as refine_batch
+    from .scene import View as View
 
 _WHERE = {
     "Camera": "camera",
@@ -25,8 +26,9 @@ _WHERE = {
     "RefineResult": "refinement",
     "refine": "refinement",
     "refine_batch": "refinement",
+    "View": "scene",
 }
-__all__ = ["Camera", "GateError", "InputError", "RefineConfig", "RefineResult", "TsoError", "refine", "refine_batch"]
+__all__ = ["Camera", "GateError", "InputError", "RefineConfig", "RefineResult", "TsoError", "View", "refine", "refine_batch"]
 
 
 def __getattr__(name: str) -> Any:

@@ -86,6 +86,11 @@ class Camera:
         K = np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
         return cls(K, CANONICAL_ROTATION, np.array([0.0, 0.0, CANONICAL_DISTANCE]), width, height)
 
+    @property
+    def position(self) -> Array:
+        """[3] where a perspective camera stands, world units: -R^T t."""
+        return -self.R.T @ self.t
+
     def resized(self, width: int, height: int) -> Camera:
         """The same camera for its image resized to ``width`` x ``height`` (pixel centres at integers)."""
         sx, sy = width / self.width, height / self.height

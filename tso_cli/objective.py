@@ -16,7 +16,7 @@ from .depth_pull import DepthTarget, depth_pull
 from .errors import InputError
 from .losses import REFERENCE_PIXELS, PixelWeights, mask_loss
 from .projection import CameraBatch, Projected, coarsened, default_sigma_sq, project
-from .pull import PullTarget, mask_pull, resolved
+from .pull import PullTarget, mask_pull, resolved, sides
 from .resample import area_resize
 from .scene import View
 from .smoothing import SmoothField
@@ -50,8 +50,9 @@ class WorkingView:
     @property
     def inside(self) -> NDArray[np.bool_]:
         """[h, w], pixels known to be foreground."""
-        inside = self.mask > 0.5
-        return inside if self.known is None else inside & (self.known >= 0.5)
+        inside, _ = sides(torch.from_numpy(self.mask)[None], None if self.known is None else torch.from_numpy(self.known)[None])
+        found: NDArray[np.bool_] = inside[0].numpy()
+        return found
 
     @property
     def kind(self) -> tuple[int, int, str, float]:
@@ -76,7 +77,8 @@ def working_view(view: View, sigma_sq: float | None, centre: NDArray[np.float64]
     Raises
     ------
     InputError
-        sigma_sq (px^2; None for the view's default) is under 0.01, or its square root over a quarter of the image.
+        sigma_sq (px^2; None for the view's default) is under 0.01, or its square root over a quarter of the image; or no pixel
+        of about the kernel's size is known and foreground.
     """
     if sigma_sq is None:
         sigma_sq = default_sigma_sq(view.camera.width, view.camera.height)
@@ -94,7 +96,13 @@ def working_view(view: View, sigma_sq: float | None, centre: NDArray[np.float64]
     if camera is not view.camera:
         mask, weight = area_resize(mask, box, camera.width, camera.height, weights=weight)
     depth = None if view.depth is None else _sampled(view.depth, camera) / scale
-    return WorkingView(mask, None if known is None else weight, camera.for_normalised(centre, scale), sigma_sq, depth, image)
+    found = WorkingView(mask, None if known is None else weight, camera.for_normalised(centre, scale), sigma_sq, depth, image)
+    if not found.inside.any():
+        raise InputError(
+            f"{view.name}: no pixel is known to be foreground when it is worked on at {camera.width}x{camera.height}, expected "
+            "some; its ignore map leaves less than half of each"
+        )
+    return found
 
 
 def _sampled(depth: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:

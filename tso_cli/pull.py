@@ -41,11 +41,8 @@ class PullTarget(NamedTuple):
 
     @classmethod
     def of(cls, mask: Tensor, known: Tensor | None = None) -> PullTarget:
-        """``mask`` [M, H, W] in [0, 1], foreground over 0.5; ``known`` [M, H, W], where it is under 0.5 nothing is asked."""
-        inside = mask > 0.5
-        outside = ~inside
-        if known is not None:
-            inside, outside = inside & (known >= 0.5), outside & (known >= 0.5)
+        """``mask`` [M, H, W] in [0, 1]; ``known`` [M, H, W], where it is under 0.5 nothing is asked."""
+        inside, outside = sides(mask, known)
         cut = inside[:, [0, -1]].flatten(1).any(1) | inside[:, :, [0, -1]].flatten(1).any(1)
         return cls(inside, outside, *nearest_marked(inside), cut if bool(cut.any()) else None)
 
@@ -64,6 +61,17 @@ class PullTarget(NamedTuple):
     def pixels(self) -> Tensor:
         """[M] foreground pixels, of an image of 64."""
         return self.inside.flatten(1).sum(1) * (REFERENCE_SIDE / self.side) ** 2
+
+
+def sides(mask: Tensor, known: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Pixels [M, H, W] known to be foreground and background, of masks and what is known of them as in :meth:`PullTarget.of`.
+
+    Foreground is what is over half covered; of an object so thin that no pixel is, what is over half as covered as its best.
+    """
+    seen = mask if known is None else torch.where(known >= 0.5, mask, 0.0)
+    most = seen.flatten(1).amax(1)
+    inside = seen > 0.5 * torch.where(most > 0.5, 1.0, most).view(-1, 1, 1)
+    return inside, ~inside if known is None else ~inside & (known >= 0.5)
 
 
 def mask_pull(

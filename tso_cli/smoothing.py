@@ -161,7 +161,12 @@ def _laplacian(nodes: Tensor, near: Tensor, size: int) -> Tensor:
 
 
 def _interpolation(cloud: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
-    """Numbers [n, 6] of the nodes nearest to each point, and their weights, which fall to 0 at the last."""
+    """Numbers [n, 6] of the nodes nearest to each point, and their weights, which fall to 0 at the last.
+
+    Where all points are nodes, each is its own: [n, 1].
+    """
+    if len(nodes) == len(cloud):
+        return torch.arange(len(cloud)).unsqueeze(1), torch.ones(len(cloud), 1, dtype=cloud.dtype)
     count = min(INTERPOLATED_FROM, len(nodes))
     parts = cloud.split(max(1, PAIRS_AT_ONCE // len(nodes)))
     found = [torch.cdist(part, nodes).topk(count, largest=False) for part in parts]

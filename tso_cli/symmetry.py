@@ -32,7 +32,7 @@ class MirrorPlane:
     Attributes
     ----------
     normal : [3], length 1. offset : in the unit of the points.
-    misfit : distance from the mirror image of a point to the cloud, mean, in spacings of its points; NaN for a given plane.
+    misfit : distance from the mirror image of a point to the cloud, mean, in spacings of its points; NaN before it is judged.
     far : the same for the point that 97 % of the others lie nearer than.
     """
 
@@ -45,6 +45,12 @@ class MirrorPlane:
     def symmetric(self) -> bool:
         """Whether the cloud that it was found in is its own mirror image, as far as its sampling lets one tell."""
         return self.misfit <= MEAN_MISFIT and self.far <= FAR_MISFIT
+
+    def judged(self, points: Array) -> MirrorPlane:
+        """The same plane, knowing how far the mirror image of the cloud [N, 3] lies from it."""
+        few = as_points(points)
+        few = few[spread_subset(few, JUDGED)]
+        return _judged(self, few, few, _spacing(few))
 
     def reflect(self, points: Array) -> Array:
         """The mirror image of ``points`` [N, 3]."""

@@ -104,7 +104,7 @@ def _seen(objective: MaskObjective, view: Together, points: Tensor) -> Tensor:
 
 def _toward(camera: Camera) -> Array:
     """Unit vector from the origin toward a camera."""
-    vector: Array = -camera.R[2] if camera.model != "perspective" else -camera.R.T @ camera.t
+    vector: Array = -camera.R[2] if camera.model != "perspective" else camera.position
     return vector / max(float(np.linalg.norm(vector)), 1e-9)
 
 

@@ -120,7 +120,8 @@ MODES = ("points", "encoder", "encoder-decoder", "latent")
 @click.option(
     "--sigma-sq",
     type=float,
-    help="Gaussian's variance, px^2 of the mask (encoder modes: of the 64 px crop).  [default: 0.4 (max(W, H)/64)^2]",
+    help="Gaussian's variance, px^2 of the mask (encoder modes: of the 64 px crop); a smaller one works on more pixels, and "
+    "longer.  [default: 0.4 (max(W, H)/64)^2]",
 )
 @options.device
 @options.seed
@@ -244,7 +245,7 @@ def command(
     seconds = {"read": read, **result.seconds, "write": finished - writing, "total": finished - started}
     if as_json:
         found = document(result, scene, checkpoint, output, overlay, preset, seconds)
-        options.echo_json(found | camera_records(scene.views, result))
+        options.echo_json(found | (camera_records(scene.views, result) if refine_camera else {}))
     else:
         print_result(result, scene, output, overlay, seconds)
         print_cameras(scene.views, result, refine_camera, write_camera)

@@ -62,9 +62,7 @@ def print_cameras(views: Sequence[View], result: RefineResult, refined: bool, wr
 
 
 def camera_records(views: Sequence[View], result: RefineResult) -> dict[str, Any]:
-    """For JSON: every camera as used, its turn in degrees and its shift as a share of its distance; empty if none moved."""
-    if all(view.camera is camera for view, camera in zip(views, result.cameras, strict=True)):
-        return {}
+    """For JSON: every camera as used, its turn in degrees and its shift as a share of its distance, 0 where it was kept."""
     records = []
     for view, camera in zip(views, result.cameras, strict=True):
         turned, shifted = _change(view, camera, result)

@@ -94,6 +94,8 @@ def document(
 
 
 def print_result(result: RefineResult, scene: Scene, output: Path, overlay: Path | None, seconds: dict[str, float]) -> None:
+    from ..refinement.batching import NOT_ASKED
+
     if result.averaged and result.best_step:
         best = "the mean over the stages"
     else:
@@ -111,7 +113,7 @@ def print_result(result: RefineResult, scene: Scene, output: Path, overlay: Path
         f"  moved  {result.chamfer_to_initial * 1e3:.3f}   (Chamfer to the start x1000: squared, mean over points, "
         "both directions, longest side 1)"
     )
-    if result.preset == "best" and result.mode == "points":
+    if result.symmetry_reason != NOT_ASKED or result.averaged:
         click.echo(f"  mirror {_plane(result)}")
     click.echo(
         f"  sigma_sq {result.sigma_sq:g} px^2, learning rate {result.learning_rate:g}, {result.device}, seed {result.seed}, "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,6 +25,8 @@ BATCH_PIXELS = 1 << 24
 BATCH_FIELDS = 64
 # What a flipped mask counts for. It tells as much as one where the object is its own mirror image; that it is so is a guess.
 FLIPPED = 0.25
+NOT_ASKED = "none asked for"
+"""Why there is no plane where none was looked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +61,8 @@ class Item:
         for view in views:
             require_overlap(place(cloud.initial, view), view)
         plane, reason = mirror_plane(cloud, config.symmetry)
+        if plane is not None:
+            _require_meeting(cloud, [plane.view(view) for view in views], config.symmetry)
         return cls(cloud, (), (), plane, reason).seen_by(views, config)
 
     def seen_by(self, views: tuple[View, ...], config: Settings) -> Item:
@@ -79,11 +84,25 @@ class Item:
         return sum(view.mask.size for view in self.working)
 
 
+def _require_meeting(cloud: Cloud, flipped: list[View], symmetry: str) -> None:
+    """Refuse a plane that takes the cloud away from its flipped pictures."""
+    for view in flipped:
+        with warnings.catch_warnings():
+            # Of points behind the camera the picture itself has warned.
+            warnings.simplefilter("ignore")
+            try:
+                require_overlap(place(cloud.initial, view), view)
+            except InputError as error:
+                raise InputError(
+                    f"symmetry is {symmetry!r}, expected a plane ax + by + cz = d through the cloud; as it is, {error}"
+                ) from None
+
+
 def mirror_plane(cloud: Cloud, symmetry: str) -> tuple[MirrorPlane | None, str]:
     """The plane that ``symmetry`` (as in :class:`RefineConfig`) means for a cloud, and why it is this or none."""
     wanted = parse_symmetry(symmetry)
     if wanted == "none":
-        return None, "none asked for"
+        return None, NOT_ASKED
     if wanted == "auto":
         # In the units of the loop, and rounded far below what a sampling tells: neither unit nor origin of the input shows.
         with one_thread(True):
@@ -91,14 +110,20 @@ def mirror_plane(cloud: Cloud, symmetry: str) -> tuple[MirrorPlane | None, str]:
         normal = found.normal.round(6) / np.linalg.norm(found.normal.round(6))
         offset = cloud.scale * round(found.offset, 6) + float(normal @ cloud.centre)
         plane = replace(found, normal=normal, offset=offset)
-        fits = f"the mirrored cloud lies {plane.misfit:.2f} spacings from the cloud on average, {plane.far:.2f} at its worst"
         limits = f"(at most {MEAN_MISFIT} and {FAR_MISFIT})"
-        return (plane, f"{fits} {limits}") if plane.symmetric else (None, f"{fits}, too far {limits}")
+        return (plane, f"{_fit(plane)} {limits}") if plane.symmetric else (None, f"{_fit(plane)}, too far {limits}")
     if isinstance(wanted, str):
         normal = np.eye(3)["xyz".index(wanted)]
-        return MirrorPlane(normal, float(normal @ cloud.centre)), "given"
-    length = float(np.linalg.norm(wanted[:3]))
-    return MirrorPlane(np.array(wanted[:3]) / length, wanted[3] / length), "given"
+        plane = MirrorPlane(normal, float(normal @ cloud.centre))
+    else:
+        length = float(np.linalg.norm(wanted[:3]))
+        plane = MirrorPlane(np.array(wanted[:3]) / length, wanted[3] / length)
+    plane = plane.judged(cloud.initial)
+    return plane, f"given; {_fit(plane)}"
+
+
+def _fit(plane: MirrorPlane) -> str:
+    return f"the mirrored cloud lies {plane.misfit:.2f} spacings from the cloud on average, {plane.far:.2f} at its worst"
 
 
 def parts_of(scene: Any, number: int) -> tuple[Any, Any]:

@@ -57,6 +57,7 @@ class Recipe:
     cut : how many times as much it costs all points of an object that no view shows whole.
     unseen : how far those of them move that no view shows, beyond the borders, in units of how far the field would take them.
     optimiser : of every stage. looks : whether parts that pixels do not show are left alone.
+    weighs : whether views count for less that others contradict or repeat, or all in full.
     """
 
     stages: tuple[Stage, ...] = STAGES
@@ -69,6 +70,7 @@ class Recipe:
     unseen: float = 0.1
     optimiser: type[Adam] | type[UniformAdam] = UniformAdam
     looks: bool = True
+    weighs: bool = True
 
 
 BEST = Recipe()

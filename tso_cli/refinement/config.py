@@ -47,8 +47,8 @@ class RefineConfig:
         one of the first steps, 0.04; of the encoder's weights 3e-5, of all weights 6e-5, of the latent code 1e-3. Paper:
         Adam's, 5e-4, 1e-6, 5e-6.
     gamma : weight of the Chamfer distance to the start (longest side 1). Best 0; paper 1e6, in encoder mode 0.
-    sigma_sq : variance of the projection's Gaussian, px^2 of the mask; None for 0.4 (max(W, H) / 64)^2. In points mode the
-        preset "best" uses it for judging the silhouette alone.
+    sigma_sq : variance of the projection's Gaussian, px^2 of the mask; None for 0.4 (max(W, H) / 64)^2. It sets the size at
+        which masks are worked on, sqrt(0.4 / sigma^2) times their own: a smaller one is slower and sees finer things.
     device : "cpu", "cuda", "auto" or any name torch knows.
     seed : recorded in the result; no variant draws random numbers.
     preset : "best", or "paper": Eq. 7 with the paper's settings, exactly.
@@ -92,6 +92,8 @@ class RefineConfig:
                 raise InputError(f"{name} is {value!r}, expected a number {'>= 0' if low else '> 0'}, at most {high:g}")
         if self.symmetry is not None:
             parse_symmetry(self.symmetry)
+        if self.recipe is not None and (self.preset, self.mode) != ("best", "points"):
+            raise InputError(f"a recipe is for mode points with preset best, found {self.mode} with {self.preset}")
 
     def settings(self, views: int = 1) -> Settings:
         """The same with the preset's values in place of None, for clouds that so many views ask."""

@@ -204,7 +204,7 @@ def _refined(
         chamfer = ChamferToInitial(first, start.counts)
         views = [item.working for item in items]
         weights = Weights.even(len(items), len(items[0].views))
-        if settings.preset == "best":
+        if settings.preset == "best" and (settings.recipe or BEST).weighs:
             weights = Weights.of([item.working[: len(item.views)] for item in items], start.counts, first)
         fields: dict[int, SmoothField] = {}
         items, of_all, at_start = _mirrored(items, start.counts, first, weights.shared, settings, at_start, fields)

@@ -63,7 +63,7 @@ class RayScene:
         plane[..., 2] = 1.0
         rays = np.empty((len(rows), len(columns), 6), dtype=np.float32)
         if camera.model == "perspective":
-            rays[..., :3] = -camera.R.T @ camera.t
+            rays[..., :3] = camera.position
             rays[..., 3:] = plane @ camera.R
         else:
             # Parallel rays start in front of everything: an orthographic camera sees what lies behind its origin too.

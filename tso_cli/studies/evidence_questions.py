@@ -9,6 +9,7 @@ import numpy as np
 
 from ..pose.rotations import angle_between
 from ..refinement import RefineConfig, RefineResult
+from ..refinement.best import BEST
 from ..refinement.config import PAPER_GAMMA
 from ..symmetry import find_mirror_plane
 from .accuracy_cases import AccuracyCase
@@ -119,6 +120,9 @@ def _wrong_rows() -> dict[str, Row]:
     rows: dict[str, Row] = {}
     for preset in ("paper", "best"):
         rows |= {f"{what}; {preset}": Row(alter, _of(4, preset=preset)) for what, alter in views.items()}
+        if preset == "best":
+            full = _of(4, recipe=replace(BEST, weighs=False))
+            rows |= {f"{what}; best, all in full": Row(alter, full) for what, alter in views.items()}
         rows[f"the first three alone; {preset}"] = Row(as_it_is, _of(3, preset=preset))
         rows[f"the three close together alone; {preset}"] = Row(bunched, _of(3, preset=preset))
     return rows

@@ -22,8 +22,7 @@ def visible_points(scene: RayScene, points: Array, camera: Camera, tolerance: fl
     edge, hits nothing at all.
     """
     pixels, depth = camera.project(points)
-    origin = -camera.R.T @ camera.t
-    rays = (points - origin) / depth[:, None]  # of depth 1 in the camera's axes
+    rays = (points - camera.position) / depth[:, None]  # of depth 1 in the camera's axes
     hits, faces = np.zeros(len(points), dtype=bool), np.zeros(len(points), dtype=np.int64)
     normals = np.zeros((len(points), 3))
     for start in range(0, len(points), POINTS_AT_ONCE):
@@ -36,6 +35,6 @@ def visible_points(scene: RayScene, points: Array, camera: Camera, tolerance: fl
     along = (normals * rays).sum(1)
     # Where the plane of the hit face meets the ray; a face seen edge-on hides nothing.
     with np.errstate(divide="ignore", invalid="ignore"):
-        first = (normals * (corners - origin)).sum(1) / along
+        first = (normals * (corners - camera.position)).sum(1) / along
     hidden = hits & (np.abs(along) > 1e-9) & (first < depth - tolerance)
     return ~hidden
