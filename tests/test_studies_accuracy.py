@@ -254,8 +254,8 @@ def test_a_stopped_study_goes_on_with_the_next_group_and_ends_alike(split, quick
 def test_settings_that_cannot_be_are_refused(split):
     with pytest.raises(InputError, match="points is 100, expected 1024 to 16384"):
         study_accuracy(MESHES, replace(QUICK, points=100), split)
-    with pytest.raises(InputError, match="'network', expected one of other, near, cut with ablation"):
-        AccuracyConfig(kinds=("network",), ablation=True)
+    with pytest.raises(InputError, match="'right', expected one of other, near, cut, network with ablation"):
+        AccuracyConfig(kinds=("right",), ablation=True)
     with pytest.raises(InputError, match="checkpoint"):
         study_accuracy(MESHES, replace(QUICK, kinds=("network",)), split)
     with pytest.raises(InputError, match="kinds are near, expected some that chair have"):
@@ -267,7 +267,8 @@ def test_settings_that_cannot_be_are_refused(split):
 def test_without_kinds_all_are_meant_that_there_are():
     assert AccuracyConfig().kinds == KINDS
     assert AccuracyConfig(part="train").kinds == ("other", "near", "cut", "right")
-    assert AccuracyConfig(ablation=True).kinds == ("other", "near", "cut")
+    assert AccuracyConfig(ablation=True).kinds == ("other", "near", "cut", "network")
+    assert AccuracyConfig(part="train", ablation=True).kinds == ("other", "near", "cut")
 
 
 def test_a_study_changes_one_ingredient_of_the_preset_at_a_time(cars):
@@ -279,7 +280,7 @@ def test_a_study_changes_one_ingredient_of_the_preset_at_a_time(cars):
     plain = moved(RefineConfig())
     np.testing.assert_array_equal(moved(RefineConfig(recipe=BEST)), plain)
     changed = {name: variant for name, variant in ABLATION.items() if variant.config.recipe is not None}
-    assert len(changed) == 12
+    assert len(changed) == 15
     for name, variant in changed.items():
         recipe = variant.config.recipe
         differing = {key for key, value in vars(recipe).items() if value != getattr(BEST, key)}

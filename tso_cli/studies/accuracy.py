@@ -24,7 +24,7 @@ from .resumed import Cases, Keep, cases_of, complete
 from .variants import weights_hash
 
 CATEGORIES = ("chair", "airplane", "car", "sofa", "table")
-ABLATED = ("other", "near", "cut")
+ABLATED = ("other", "near", "cut", "network")
 """Kinds of an ablation."""
 GROUP = 32
 """Cases that are refined together: their dense matrices fill 0.4 GiB."""
@@ -75,8 +75,8 @@ class AccuracyConfig:
         if self.part == "train" and "network" in self.kinds:
             raise InputError("kind is 'network' of training shapes, expected shapes that the network was not trained on")
         if not self.kinds:
-            every = tuple(kind for kind in KINDS if kind != "network") if self.part == "train" else KINDS
-            object.__setattr__(self, "kinds", ABLATED if self.ablation else every)
+            every = ABLATED if self.ablation else KINDS
+            object.__setattr__(self, "kinds", tuple(kind for kind in every if kind != "network" or self.part != "train"))
         for kind in self.kinds:
             if kind not in (ABLATED if self.ablation else KINDS):
                 expected = ", ".join(ABLATED if self.ablation else KINDS)

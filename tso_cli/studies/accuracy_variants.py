@@ -66,9 +66,12 @@ ABLATION = {
     "the last stage's result alone": _made(
         stages=(*(replace(stage, share=0.0) for stage in BEST.stages[:-1]), BEST.stages[-1])
     ),
+    "stages that count alike": _made(stages=tuple(replace(stage, share=1.0) for stage in BEST.stages)),
+    "one pace in every stage": _made(stages=tuple(replace(stage, pace=0.75) for stage in BEST.stages)),
     "no anchor": _made(anchor=0.0, least_anchor=0.0, most_anchor=0.0),
     "points that hold all alike": _made(by_area=False),
     "a cut object held like a whole one": _made(cut=1.0, unseen=1.0),
+    "what no picture shows moves like the rest": _made(unseen=1.0),
     "anchor alike for all": _made(decay=0.0),
     "anchor down to 30 where the start is far off": _made(least_anchor=30.0),
     "no bounded reach": _made(stages=tuple(replace(stage, reach=1000.0) for stage in BEST.stages)),

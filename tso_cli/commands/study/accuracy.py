@@ -26,7 +26,7 @@ from ..records import Reporter, answer, check_outputs, earlier_record, keep, res
     multiple=True,
     type=click.Choice(["other", "near", "cut", "right", "network"]),
     help="Where the starts are from. May be repeated.  [default: all; with --part train all but network; with --ablation "
-    "other, near and cut]",
+    "all but right]",
 )
 @click.option("--views", type=click.IntRange(min=1), default=2, show_default=True, help="Random views of each shape.")
 @click.option("--size", type=click.IntRange(16, 1024), default=64, show_default=True, help="Of the masks, pixels each way.")
