@@ -10,7 +10,7 @@ import numpy as np
 from ..files.output import atomic_output, check_output
 
 INK, GREY, BETTER, WORSE = "#333333", "#888888", "#0072b2", "#d55e00"
-# Safe for colour-blind readers; with the markers, fifteen variants can be told apart.
+# Safe for colour-blind readers; with the markers, many variants can be told apart.
 COLOURS = ("#555555", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 TITLES = {
@@ -36,7 +36,7 @@ def draw_accuracy_study(path: Path, record: dict[str, Any], overwrite: bool = Fa
 
     rows = [(kind, draw) for kind in record["summary"] for draw in (_seconds, _dots) if draw is _dots or kind in TIMED]
     columns = list(dict.fromkeys(category for own in record["summary"].values() for category in own))
-    heights = [2.6 if draw is _seconds else 0.5 + 0.22 * len(_variants(record, kind)) for kind, draw in rows]
+    heights = [_height(len(_variants(record, kind)), draw is _seconds) for kind, draw in rows]
     width = 3.4 + 2.9 * max(len(columns), 2)
     figure = Figure(figsize=(width, sum(heights) + 0.75 * len(rows)), layout="constrained")
     FigureCanvasAgg(figure)
@@ -56,6 +56,11 @@ def draw_accuracy_study(path: Path, record: dict[str, Any], overwrite: bool = Fa
             part.legend(*axes[0].get_legend_handles_labels(), loc="outside right center", frameon=False, fontsize=8)
     with atomic_output(path) as temporary:
         figure.savefig(temporary, dpi=100)
+
+
+def _height(variants: int, seconds: bool) -> float:
+    """Inches. A chart of seconds has a legend of all variants beside it, the other a row for each."""
+    return max(2.6, 0.17 * variants) if seconds else 0.5 + 0.22 * variants
 
 
 def _variants(record: dict[str, Any], kind: str) -> list[str]:
