@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import math
+import os
 
 import numpy as np
 import pytest
@@ -26,14 +27,14 @@ ON_GPU = torch.cuda.is_available()
 DEVICE = "cuda" if ON_GPU else "cpu"
 WITHOUT = "triton is not installed" + ("" if ON_GPU else " and no GPU is here") + ": its kernels were not run"
 needs_triton = pytest.mark.skipif(importlib.util.find_spec("triton") is None, reason=WITHOUT)
+if not ON_GPU:
+    # Read when triton is imported, which parts of torch do: before any test runs.
+    os.environ["TRITON_INTERPRET"] = "1"
 
 
 @pytest.fixture
 def triton_kernels(monkeypatch):
     """The Triton kernels for tensors on DEVICE, which are interpreted where that is the CPU."""
-    if not ON_GPU:
-        # read when triton is imported, which nothing else does where there is no GPU
-        monkeypatch.setenv("TRITON_INTERPRET", "1")
     for module in (splat_module, nearest_module):
         monkeypatch.setattr(module, "triton_runs", lambda points: points.dtype == torch.float32)
     _as_on_a_gpu(monkeypatch)

@@ -197,3 +197,12 @@ def test_a_given_plane_is_judged_as_one_that_was_found():
     judged = MirrorPlane(found.normal, found.offset).judged(points)
     assert (judged.misfit, judged.far) == pytest.approx((found.misfit, found.far))
     assert MirrorPlane(found.normal, found.offset + 0.2).judged(points).misfit > 2.0 * found.misfit
+
+
+def test_a_cloud_whose_points_lie_on_one_another_is_told_how_a_plane_fits():
+    half = np.random.default_rng(0).uniform(0.1, 0.5, (50, 3))
+    cloud = np.concatenate([half, half * [-1.0, 1.0, 1.0]] * 2)
+    exact = MirrorPlane(np.array([1.0, 0.0, 0.0]), 0.0).judged(cloud)
+    assert (exact.misfit, exact.far) == (0.0, 0.0)
+    beside = MirrorPlane(np.array([1.0, 0.0, 0.0]), 0.1).judged(cloud)
+    assert (beside.misfit, beside.far) == (np.inf, np.inf)

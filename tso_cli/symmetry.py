@@ -123,7 +123,12 @@ def _improved(plane: MirrorPlane, points: Array) -> tuple[MirrorPlane, float]:
 
 def _judged(plane: MirrorPlane, cloud: Array, queries: Array, spacing: float) -> MirrorPlane:
     image = plane.reflect(queries)
-    apart = np.linalg.norm(image - cloud[_nearest(image, cloud)], axis=1) / max(spacing, np.finfo(np.float64).tiny)
+    apart = np.linalg.norm(image - cloud[_nearest(image, cloud)], axis=1)
+    if spacing == 0.0:
+        # Points that lie on one another have none: what is not met exactly is infinitely many of them off.
+        off = np.inf if apart.any() else 0.0
+        return replace(plane, misfit=off, far=off)
+    apart /= spacing
     return replace(plane, misfit=float(apart.mean()), far=float(np.quantile(apart, FAR_SHARE)))
 
 

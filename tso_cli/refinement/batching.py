@@ -61,7 +61,7 @@ class Item:
         for view in views:
             require_overlap(place(cloud.initial, view), view)
         plane, reason = mirror_plane(cloud, config.symmetry)
-        if plane is not None:
+        if plane is not None and config.symmetry != "auto":
             _require_meeting(cloud, [plane.view(view) for view in views], config.symmetry)
         return cls(cloud, (), (), plane, reason).seen_by(views, config)
 

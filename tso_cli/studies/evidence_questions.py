@@ -174,7 +174,7 @@ def _rate_rows() -> dict[str, Row]:
 QUESTIONS = {
     "depth": Question(("other", "near"), _depth_rows(), ("chair", "airplane", "car")),
     "colours": Question(("other",), _colour_rows(), ("chair", "airplane", "car")),
-    "missing": Question(("other",), _missing_rows(), ("chair", "airplane", "car"), {"without a plane": _no_plane}),
+    "missing": Question(("other",), _missing_rows(), ("chair", "airplane", "car", "sofa"), {"without a plane": _no_plane}),
     "wrong": Question(("other",), _wrong_rows(), told={"trust in the fourth": _trust_in_fourth}),
     "cameras": Question(
         ("other", "near"),
