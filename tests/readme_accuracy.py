@@ -72,8 +72,8 @@ def bounds_table(summary: dict) -> str:
     header = ["start", "category", "shapes", "Chamfer x1000 of the start", "floor / before", "all but depth right / before"]
     rows = [header, ["---"] * len(header)]
     # What is right starts at the floor.
-    for kind, categories in ((kind, own) for kind, own in summary.items() if kind != "right"):
-        for category, group in categories.items():
+    for kind in [kind for kind in summary if kind != "right"]:
+        for category, group in summary[kind].items():
             before = group["before"]
             bounds = [_number(before.get(f"{bound}_ratio"), 2) for bound in ("floor", "in_plane")]
             rows.append([kind, category, str(group["shapes"]), f"{1e3 * before['chamfer']:.2f}", *bounds])

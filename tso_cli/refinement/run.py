@@ -193,6 +193,7 @@ def _refined(
     """The loop, and the results of all items; ``at_start``: Ctrl-C came before it, and nothing moves."""
     small = int(start.counts.sum()) <= SMALL_CLOUD
     one_thread = small and settings.mode in LIGHT
+    recipe = settings.recipe or BEST
     given = [item.views for item in items]
     if settings.refine_camera and settings.steps and not at_start and isinstance(start, PointsStart):
         from .cameras import settled
@@ -204,7 +205,7 @@ def _refined(
         chamfer = ChamferToInitial(first, start.counts)
         views = [item.working for item in items]
         weights = Weights.even(len(items), len(items[0].views))
-        if settings.preset == "best" and (settings.recipe or BEST).weighs:
+        if settings.preset == "best" and recipe.weighs:
             weights = Weights.of([item.working[: len(item.views)] for item in items], start.counts, first)
         fields: dict[int, SmoothField] = {}
         items, of_all, at_start = _mirrored(items, start.counts, first, weights.shared, settings, at_start, fields)
@@ -218,7 +219,6 @@ def _refined(
     with _timed(seconds, "optimise"), devices.one_thread(one_thread):
         if settings.staged:
             pull = PullObjective(views, start.counts, first, of_all)
-            recipe = settings.recipe or BEST
             pictures = torch.tensor([item.pictures(own) for item, own in zip(items, weights.shared.tolist(), strict=True)])
             descent = descend_in_stages(
                 first,

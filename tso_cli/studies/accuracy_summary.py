@@ -169,10 +169,10 @@ def _never_worse(cases: Cases) -> dict[str, Any]:
         if variant in chosen(cases, kind)[0]["variants"]
     }
     ratios = np.concatenate(list(found.values()))
-    alone = np.concatenate([own for (_, variant), own in found.items() if variant == DEFAULT])
+    alone = ratios_of(cases, DEFAULT)
     # The many that two and four masks hardly ever harm must not hide what one does.
     share, worst = max(float((own > 1.0).mean()) for own in (ratios, alone)), float(ratios.max())
-    low, high = (100.0 * bound for bound in _interval(cases, ratios_of(cases, DEFAULT) > 1.0))
+    low, high = (100.0 * bound for bound in _interval(cases, alone > 1.0))
     text = f"{100.0 * (alone > 1.0).mean():.1f} % of {len(alone)} with one mask (95 % interval over shapes: {low:.1f} to "
     text += f"{high:.1f} %), {100.0 * (ratios > 1.0).mean():.1f} % of all {len(ratios)}, worst {worst:.3f}"
     for (kind, variant), own in found.items():
