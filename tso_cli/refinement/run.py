@@ -19,8 +19,7 @@ from ..colour_pull import ColourPull
 from ..errors import InputError, TsoError
 from ..kernels.choice import planned
 from ..losses import ChamferToInitial
-from ..objective import MaskObjective, PullObjective
-from ..projection import default_sigma_sq
+from ..objective import DEFAULT_SIGMA_SQ, MaskObjective, PullObjective
 from ..smoothing import SmoothField
 from ..weighting import Weights
 from .batching import Item, batches_of, parts_of
@@ -218,12 +217,12 @@ def _refined(
     steps, told = (0, None) if at_start else (settings.steps, progress)
     with _timed(seconds, "optimise"), devices.one_thread(one_thread):
         if settings.staged:
-            pull = PullObjective(views, start.counts, first, of_all)
+            pull_at = _Following(items, start.counts, first, of_all)
             pictures = torch.tensor([item.pictures(own) for item, own in zip(items, weights.shared.tolist(), strict=True)])
             descent = descend_in_stages(
                 first,
                 start.counts,
-                pull,
+                pull_at,
                 further,
                 steps,
                 settings.learning_rate,
@@ -261,6 +260,32 @@ def _refined(
         _result(item, descent, number, points, ious, weights, moved_by[number], first.device, settings, seconds)
         for number, (item, points, *ious) in enumerate(zip(items, refined, before, after, strict=True))
     ]
+
+
+class _Following:
+    """The pull of the masks in windows that follow the clouds: made anew where a window would change much."""
+
+    def __init__(self, items: list[Item], counts: Tensor, first: Tensor, weights: Tensor) -> None:
+        self._items, self._counts, self._first, self._weights = items, counts, first, weights
+        self._pull: PullObjective | None = None
+
+    def __call__(self, points: Tensor, finest: bool) -> PullObjective:
+        items = self._items
+        if self._pull is not None or finest:
+            clouds = points.double().cpu().numpy()
+            items = [
+                item.followed(item.cloud.centre + item.cloud.scale * cloud[: len(item.cloud.initial)], finest)
+                for item, cloud in zip(items, clouds, strict=True)
+            ]
+        views = [item.working for item in items]
+        if self._pull is None or any(
+            now is not before
+            for own, item in zip(views, self._items, strict=True)
+            for now, before in zip(own, item.working, strict=True)
+        ):
+            self._items = items
+            self._pull = PullObjective(views, self._counts, self._first, self._weights)
+        return self._pull
 
 
 def _coloured(items: list[Item], weights: Tensor, first: Tensor) -> ColourPull | None:
@@ -312,7 +337,6 @@ def _result(
     if steps == 0 and not finite.all():
         return TsoError("the loss is no finite number after the first step (a smaller learning rate?)")
     before, after = np.mean(ious, 1).tolist()
-    first_camera = item.views[0].camera
     return RefineResult(
         points=points,
         initial=item.cloud.initial,
@@ -334,7 +358,7 @@ def _result(
         preset=settings.preset,
         learning_rate=settings.learning_rate,
         gamma=settings.gamma,
-        sigma_sq=settings.sigma_sq or default_sigma_sq(first_camera.width, first_camera.height),
+        sigma_sq=settings.sigma_sq or DEFAULT_SIGMA_SQ,
         device=str(device),
         seed=settings.seed,
         cameras=tuple(view.camera for view in item.views),
