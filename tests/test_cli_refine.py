@@ -322,7 +322,7 @@ def test_a_view_that_the_others_contradict_is_discounted_and_named(views, capsys
     Image.fromarray(other).save("side.png")
     assert tso("refine", "initial.ply", *views, "--camera", "views.json", "-v") == 0
     captured = capsys.readouterr()
-    assert "; little of side.png, which the other views contradict; " in captured.out
+    assert "; little of side.png (contradicted by the others); " in captured.out
     assert re.findall(r"warning: (\S+): the other views contradict it", captured.err) == ["side.png"]
     weights = [float(weight) for weight in re.findall(r"weight ([\d.]+), ", captured.out)]
     assert weights[1] < 0.2 < 0.8 < min(weights[0], weights[2])

@@ -142,6 +142,8 @@ def test_pixels_wider_than_the_spacing_of_the_points_are_warned_of_where_they_ar
     assert warned(points, small)
     # of a cloud so thin the pixels show all that there is
     assert not warned(points[::20], small)
+    # of fewer pixels than these no cloud can be told much
+    assert refine(points[::60], _few_pixels(points, 5, 3), config=RefineConfig(steps=0)).warnings[1:]
     assert len(refine(points, view, config=RefineConfig(steps=0)).warnings) == 1
 
 

@@ -128,9 +128,9 @@ class ProgressBar:
         if not self._terminal:
             log(f"{self.label} {words}")
             return
-        words += self._left(now, done, total)
         # A line that wraps cannot be written over: what does not fit is the bar's to save.
-        width = min(40, _columns() - len(self.label) - len(words) - 5)
+        width = min(40, _columns() - len(f"{self.label} [] {total}/{total} {note}, 00:00 left") - 1)
+        words += self._left(now, done, total)
         filled = done * width // max(total, 1)
         bar = f"[{'#' * filled}{'.' * (width - filled)}] " if width > 0 else ""
         self._open = done != total
@@ -147,13 +147,13 @@ class ProgressBar:
         began, before = self._first
         if not before < done < total:
             return ""
-        seconds = round((now - began) / (done - before) * (total - done))
+        seconds = math.ceil((now - began) / (done - before) * (total - done))
         return f", {seconds // 60}:{seconds % 60:02} left"
 
 
 def _columns() -> int:
     """Of the terminal that stderr is."""
     try:
-        return os.get_terminal_size(sys.stderr.fileno()).columns
+        return os.get_terminal_size(sys.stderr.fileno()).columns or 80
     except OSError:
         return 80

@@ -127,8 +127,8 @@ MODES = ("points", "encoder", "encoder-decoder", "latent")
 @options.seed
 @click.option("--overlay", type=options.FilePath(), help="Picture of mask, silhouette and cloud before and after, .png.")
 @click.option("--check", is_flag=True, help="Say which camera, scale and overlap, and stop there.")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors; with --json the document.")
-@click.option("-v", "--verbose", is_flag=True, help="Print all measures and settings, and of every view.")
+@click.option("-q", "--quiet", is_flag=True, help="Print errors alone, and the document of --json.")
+@click.option("-v", "--verbose", is_flag=True, help="Print every measure and setting too, view by view.")
 @options.as_json
 @click.pass_context
 def command(

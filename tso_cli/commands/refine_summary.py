@@ -58,7 +58,7 @@ def _doubted(result: RefineResult, scene: Scene) -> str | None:
     from ..refinement.remarks import DOUBTED
 
     names = [view.name for view, trust in zip(scene.views, result.view_trust, strict=True) if trust < DOUBTED]
-    return f"little of {', '.join(names)}, which the other views contradict" if names else None
+    return f"little of {', '.join(names)} (contradicted by the others)" if names else None
 
 
 def print_details(result: RefineResult, scene: Scene, refined_cameras: bool, seconds: dict[str, float]) -> None:
