@@ -15,7 +15,7 @@ from ..placement import place, require_overlap
 from ..scene import View
 from ..symmetry import FAR_MISFIT, MEAN_MISFIT, MirrorPlane, find_mirror_plane
 from ..window import Array, Box, window_of
-from .config import Settings, parse_symmetry
+from .config import Settings, SymmetryOutcome, parse_symmetry
 from .starts import Cloud
 
 # Clouds of one batch hold no more points than this together, and none less than half as many as the largest.
@@ -32,8 +32,6 @@ FINER_FROM = (96.0, 128), (48.0, 96)
 FEWEST_FOR_FINER = 512
 # A window is laid anew where its side changes by more than this (logarithm).
 FOLLOWED = 0.1
-NOT_ASKED = "none asked for"
-"""Why there is no plane where none was looked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +42,7 @@ class Item:
     ----------
     views : what asks. shown : the same, followed by the mirrored ones where ``plane`` is one. working : these as the loop
         sees them. grids : cells along the side of the window of each of these in stages that take the finest grid.
+    symmetry_outcome, symmetry_reason : as in :class:`RefineResult`.
     """
 
     cloud: Cloud
@@ -52,6 +51,7 @@ class Item:
     working: tuple[WorkingView, ...]
     grids: tuple[int, ...]
     plane: MirrorPlane | None
+    symmetry_outcome: SymmetryOutcome
     symmetry_reason: str
 
     @classmethod
@@ -70,10 +70,10 @@ class Item:
                 raise InputError("a view has an image, expected a cloud with colours, found none")
         for view in views:
             require_overlap(place(cloud.initial, view), view)
-        plane, reason = mirror_plane(cloud, config.symmetry)
+        plane, outcome, reason = mirror_plane(cloud, config.symmetry)
         if plane is not None and config.symmetry != "auto":
             _require_meeting(cloud, [plane.view(view) for view in views], config.symmetry)
-        return cls(cloud, (), (), (), (), plane, reason).seen_by(views, config)
+        return cls(cloud, (), (), (), (), plane, outcome, reason).seen_by(views, config)
 
     def seen_by(self, views: tuple[View, ...], config: Settings) -> Item:
         """The same cloud, asked by other views."""
@@ -137,11 +137,11 @@ def _require_meeting(cloud: Cloud, flipped: list[View], symmetry: str) -> None:
                 ) from None
 
 
-def mirror_plane(cloud: Cloud, symmetry: str) -> tuple[MirrorPlane | None, str]:
-    """The plane that ``symmetry`` (as in :class:`RefineConfig`) means for a cloud, and why it is this or none."""
+def mirror_plane(cloud: Cloud, symmetry: str) -> tuple[MirrorPlane | None, SymmetryOutcome, str]:
+    """The plane that ``symmetry`` (as in :class:`RefineConfig`) means for a cloud, what it is, and why."""
     wanted = parse_symmetry(symmetry)
     if wanted == "none":
-        return None, NOT_ASKED
+        return None, "not_asked", "none asked for"
     if wanted == "auto":
         # In the units of the loop, and rounded far below what a sampling tells: neither unit nor origin of the input shows.
         with one_thread(True):
@@ -150,7 +150,9 @@ def mirror_plane(cloud: Cloud, symmetry: str) -> tuple[MirrorPlane | None, str]:
         offset = cloud.scale * round(found.offset, 6) + float(normal @ cloud.centre)
         plane = replace(found, normal=normal, offset=offset)
         limits = f"(at most {MEAN_MISFIT} and {FAR_MISFIT})"
-        return (plane, f"{_fit(plane)} {limits}") if plane.symmetric else (None, f"{_fit(plane)}, too far {limits}")
+        if not plane.symmetric:
+            return None, "none_found", f"{_fit(plane)}, too far {limits}"
+        return plane, "used", f"{_fit(plane)} {limits}"
     if isinstance(wanted, str):
         normal = np.eye(3)["xyz".index(wanted)]
         plane = MirrorPlane(normal, float(normal @ cloud.centre))
@@ -158,7 +160,7 @@ def mirror_plane(cloud: Cloud, symmetry: str) -> tuple[MirrorPlane | None, str]:
         length = float(np.linalg.norm(wanted[:3]))
         plane = MirrorPlane(np.array(wanted[:3]) / length, wanted[3] / length)
     plane = plane.judged(cloud.initial)
-    return plane, f"given; {_fit(plane)}"
+    return plane, "given", f"given; {_fit(plane)}"
 
 
 def _fit(plane: MirrorPlane) -> str:

@@ -73,6 +73,7 @@ def borne_out(
         replace(
             item,
             plane=item.plane if keep else None,
+            symmetry_outcome=item.symmetry_outcome if keep else "contradicted",
             symmetry_reason=f"{item.symmetry_reason}; with the flipped picture the loss that is left is {value:.2f} times "
             f"that without, for each picture ({f'at most {MOST_LEFT}' if keep else f'over {MOST_LEFT}'})",
         )

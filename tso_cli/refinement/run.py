@@ -24,9 +24,10 @@ from ..smoothing import SmoothField
 from ..weighting import Weights
 from .batching import Item, batches_of, parts_of
 from .best import BEST, descend_in_stages, held_and_pulled
-from .config import PRESETS, RefineConfig, RefineResult, Settings
+from .config import PRESETS, RefineConfig, RefineResult, Settings, StopReason
 from .judging import view_ious
 from .loop import Descent, Objective, Progress, descend
+from .remarks import remarks
 from .starts import Cloud, NetworkStart, PointsStart
 from .views import as_views
 
@@ -337,13 +338,14 @@ def _result(
     if steps == 0 and not finite.all():
         return TsoError("the loss is no finite number after the first step (a smaller learning rate?)")
     before, after = np.mean(ious, 1).tolist()
-    return RefineResult(
+    moved = np.linalg.norm(points - item.cloud.initial, axis=1) / item.cloud.scale
+    result = RefineResult(
         points=points,
         initial=item.cloud.initial,
         mode=settings.mode,
         steps=steps,
         best_step=int(descent.best_step[number]),
-        stop_reason="non_finite" if not finite.all() else "interrupted" if descent.interrupted else "max_steps",
+        stop_reason=_stop_reason(descent, number, bool(finite.all()), settings.steps),
         losses=losses[finite].tolist(),
         loss_before=float(descent.first_loss[number]),
         loss_after=float(descent.best_loss[number]),
@@ -352,8 +354,11 @@ def _result(
         view_ious=list(zip(*ious, strict=True)),
         view_trust=weights.trust[number].tolist(),
         view_weights=weights.shared[number].tolist(),
+        moved_mean=float(moved.mean()),
+        moved_max=float(moved.max()),
         chamfer_to_initial=moved_by,
         symmetry=None if item.plane is None else (*item.plane.normal.tolist(), item.plane.offset),
+        symmetry_outcome=item.symmetry_outcome,
         symmetry_reason=item.symmetry_reason,
         preset=settings.preset,
         learning_rate=settings.learning_rate,
@@ -364,6 +369,17 @@ def _result(
         cameras=tuple(view.camera for view in item.views),
         seconds=seconds,
     )
+    return replace(result, warnings=remarks(result, item.views, settings.steps))
+
+
+def _stop_reason(descent: Descent, number: int, finite: bool, steps: int) -> StopReason:
+    if not finite:
+        return "non_finite"
+    if descent.interrupted:
+        return "interrupted"
+    if steps == 0 or descent.best_step[number] > 0:
+        return "max_steps"
+    return "nothing_to_do" if descent.first_loss[number] == 0.0 else "not_improved"
 
 
 @contextmanager
