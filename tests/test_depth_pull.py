@@ -110,7 +110,7 @@ def test_the_loop_samples_a_depth_map_and_never_averages_across_its_edges():
     depth = np.where(np.arange(256) < 130, 2.0, 3.0)[None].repeat(256, 0)
     mask = np.zeros((256, 256), np.float32)
     mask[64:192, 64:192] = 1.0
-    found = working_view(View(mask, camera, depth=depth), None, np.zeros(3), 2.0)
+    found = working_view(View(mask, camera, depth=depth), 0.4, np.zeros(3), 2.0)
     assert found.depth.shape == (64, 64)
     assert set(np.unique(found.depth)) == {1.0, 1.5}
 
@@ -170,7 +170,7 @@ def test_views_with_and_without_a_depth_map_add_up():
     points = torch.tensor(start)[None]
 
     def total(*views: View) -> float:
-        working = [working_view(one, None, np.zeros(3), 1.0) for one in views]
+        working = [working_view(one, 0.4, np.zeros(3), 1.0) for one in views]
         return float(PullObjective([working], torch.tensor([len(start)]), points)(points, 3.0))
 
     assert total(view, other) == pytest.approx(total(view) + total(other), rel=1e-6)

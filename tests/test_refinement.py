@@ -288,7 +288,7 @@ def test_the_gradient_by_the_latent_vector_is_that_of_finite_differences(photo):
     start = NetworkStart(network, image, "latent", torch.device("cpu"))
     start._predict.double()
     latent = start.parameters[0].detach().double()
-    view = objective.working_view(View(mask, Camera.canonical(64, 64)), None, start.cloud.centre, start.cloud.scale)
+    view = objective.working_view(View(mask, Camera.canonical(64, 64)), 0.4, start.cloud.centre, start.cloud.scale)
     term = MaskObjective([[view]], start.counts, latent.new_zeros(1, 64, 3))
 
     def loss(values):

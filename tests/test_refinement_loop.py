@@ -94,7 +94,7 @@ def test_a_network_that_breaks_at_once_says_so_and_gives_no_cloud():
 
 @pytest.mark.parametrize("where", ["behind the camera", "nowhere"])
 def test_a_view_that_shows_no_point_at_all_has_an_infinite_loss(where):
-    view = working_view(View(_square(), Camera.canonical(64, 64)), None, np.zeros(3), 1.0)
+    view = working_view(View(_square(), Camera.canonical(64, 64)), 0.4, np.zeros(3), 1.0)
     points = _clouds(3).detach() - 0.5
     points[1] = points[1] + torch.tensor([0.0, 0.0, 9.0]) if where == "behind the camera" else torch.nan
     # of the third cloud only a point is left

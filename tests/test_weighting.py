@@ -166,7 +166,7 @@ def test_the_size_of_an_object_in_the_picture_knows_no_resolution(chair):
     _, _, (view, *_) = chair
     finer = View(view.mask.repeat(2, 0).repeat(2, 1), view.camera.resized(128, 128))
     far = View(view.mask, replace(view.camera, t=view.camera.t * [1.0, 1.0, 2.0]))
-    size, same, half = (working_view(v, None, np.zeros(3), 1.0).size for v in (view, finer, far))
+    size, same, half = (working_view(v, 0.4, np.zeros(3), 1.0).size for v in (view, finer, far))
     assert same == pytest.approx(size)
     assert half == pytest.approx(size / 2)
     assert size == pytest.approx(120.0 / view.camera.t[2])

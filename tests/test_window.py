@@ -93,7 +93,7 @@ def test_an_image_that_the_object_fills_is_its_own_window():
     mask[2:62, 4:60] = 1.0
     view = View(mask, Camera.canonical(64, 64))
     assert window_of(view) == pytest.approx((-0.5, -0.5, 63.5, 63.5))
-    working = working_view(view, None, np.zeros(3), 1.0, window_of(view))
+    working = working_view(view, 0.4, np.zeros(3), 1.0, window_of(view))
     np.testing.assert_array_equal(working.mask, mask)
     np.testing.assert_allclose(working.camera.K, view.camera.K)
     assert working.known is None
@@ -108,7 +108,7 @@ def test_only_the_borders_of_the_image_cut_an_object():
     mask[60:100, 0:40] = 1.0
     for shift, expected in ((0, True), (20, False), (160, True)):
         view = View(np.roll(mask, shift, 1), Camera.canonical(200, 200))
-        seen = working_view(view, None, np.zeros(3), 1.0)
+        seen = working_view(view, 0.4, np.zeros(3), 1.0)
         known = None if seen.known is None else torch.from_numpy(seen.known)[None]
         target = PullTarget.of(torch.from_numpy(seen.mask)[None], known, torch.tensor([seen.bounds], dtype=torch.float64))
         assert (target.cut is not None) == expected
@@ -173,6 +173,6 @@ def test_any_mask_lies_in_its_window(height, width, row, column, tall, wide):
     assert right >= box[2] - 1e-9
     assert bottom >= box[3] - 1e-9
     assert right - left == pytest.approx(bottom - top)
-    seen = working_view(view, None, np.zeros(3), 1.0)
+    seen = working_view(view, 0.4, np.zeros(3), 1.0)
     assert seen.inside.any()
     assert 0.0 <= seen.mask.min() <= seen.mask.max() <= 1.0 + 1e-9

@@ -25,9 +25,8 @@ from .window import Array, Box, window_of
 if TYPE_CHECKING:
     from .pose.moves import CameraMoves
 
-# Cells along the side of the window that a view is worked on in, and the paper's sigma^2 on that grid, cells^2.
+# Cells along the side of the window that a view is worked on in.
 CELLS = 64
-DEFAULT_SIGMA_SQ = 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +78,7 @@ class WorkingView:
 
 
 def working_view(
-    view: View, sigma_sq: float | None, centre: Array, scale: float, box: Box | None = None, cells: int = CELLS
+    view: View, sigma_sq: float, centre: Array, scale: float, box: Box | None = None, cells: int = CELLS
 ) -> WorkingView:
     """Prepare ``view`` for a cloud normalised by ``(X - centre) / scale``.
 
@@ -87,7 +86,7 @@ def working_view(
 
     Parameters
     ----------
-    sigma_sq : cells^2; None for the paper's 0.4.
+    sigma_sq : cells^2.
     box : edges of the window, a square; None for that of the mask alone.
     cells : along a side of the window.
 
@@ -96,7 +95,6 @@ def working_view(
     InputError
         sigma_sq is under 0.01, or its square root over a quarter of the window; or no cell is known and foreground.
     """
-    sigma_sq = DEFAULT_SIGMA_SQ if sigma_sq is None else sigma_sq
     widest = (cells / 4.0) ** 2
     if not 0.01 <= sigma_sq <= widest:
         raise InputError(f"sigma_sq is {sigma_sq:g}, expected 0.01 to {widest:g}: squared cells of a window of {cells}x{cells}")

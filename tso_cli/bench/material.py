@@ -109,5 +109,5 @@ def trajectory(count: int, device: torch.device, seed: int = 0, steps: int = STE
 
 def mask_objective(points: Tensor) -> MaskObjective:
     """What `tso refine` asks of the cloud ``points`` [1, N, 3] by the picture of the chair, at its working resolution."""
-    working = working_view(chair_view(256), None, np.zeros(3), 1.0)
+    working = working_view(chair_view(256), 0.4, np.zeros(3), 1.0)
     return MaskObjective([[working]], torch.tensor([points.shape[1]]), points)

@@ -120,8 +120,7 @@ MODES = ("points", "encoder", "encoder-decoder", "latent")
 @click.option(
     "--sigma-sq",
     type=float,
-    help="Gaussian's variance, px^2 of the mask (encoder modes: of the 64 px crop); a smaller one works on more pixels, and "
-    "longer.  [default: 0.4 (max(W, H)/64)^2]",
+    help="Variance of the projection's Gaussian, squared 64ths of the object's window.  [default: 0.4; for --preset paper]",
 )
 @options.device
 @options.seed

@@ -57,9 +57,17 @@ def document(
                 "iou_after": after,
                 "trust": trust,
                 "weight": weight,
+                "window": box,
+                "cells": cells,
             }
-            for view, camera_source, (before, after), trust, weight in zip(
-                scene.views, scene.camera_sources, result.view_ious, result.view_trust, result.view_weights, strict=True
+            for view, camera_source, (before, after), trust, weight, (box, cells) in zip(
+                scene.views,
+                scene.camera_sources,
+                result.view_ious,
+                result.view_trust,
+                result.view_weights,
+                result.view_windows,
+                strict=True,
             )
         ],
         "frame": scene.frame,
@@ -84,7 +92,8 @@ def document(
             "weight": "of a view in the loss: its trust, divided among the views that show the same",
             "loss": result.objective + "; the mask's part is a sum over views, each times its weight",
             "symmetry": "a, b, c, d of the mirror plane ax + by + cz = d in the frame of the input, null for none",
-            "sigma_sq": "px^2 of the mask (encoder modes: mask, IoU and sigma_sq are those of the 64x64 crop)",
+            "sigma_sq": "squared 64ths of the window (encoder modes: mask and IoU are those of the 64x64 crop)",
+            "window": "edges of the part of the mask that is looked at, px: left, top, right, bottom; cells: along its side",
         },
         "learning_rate": result.learning_rate,
         "gamma": result.gamma,

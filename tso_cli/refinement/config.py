@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..camera import Camera
 from ..errors import InputError
+from ..window import Box
 
 if TYPE_CHECKING:
     from .best import Recipe
@@ -19,6 +20,7 @@ MODES = ("points", "encoder", "encoder-decoder", "latent")
 # The paper's steps, learning rates, and gamma: the encoder variant uses the silhouette alone. It has no latent variant: ours.
 PAPER_STEPS = 50
 PAPER_LEARNING_RATE = {"points": 5e-4, "encoder": 1e-6, "encoder-decoder": 5e-6, "latent": 1e-3}
+PAPER_SIGMA_SQ = 0.4
 PAPER_GAMMA = {"points": 1e6, "encoder": 0.0, "encoder-decoder": 1e6, "latent": 1e6}
 
 Array = NDArray[np.float64]
@@ -50,8 +52,8 @@ class RefineConfig:
         one of the first steps, 0.04; of the encoder's weights 3e-5, of all weights 6e-5, of the latent code 1e-3. Paper:
         Adam's, 5e-4, 1e-6, 5e-6.
     gamma : weight of the Chamfer distance to the start (longest side 1). Best 0; paper 1e6, in encoder mode 0.
-    sigma_sq : variance of the projection's Gaussian, px^2 of the mask; None for 0.4 (max(W, H) / 64)^2. It sets the size at
-        which masks are worked on, sqrt(0.4 / sigma^2) times their own: a smaller one is slower and sees finer things.
+    sigma_sq : variance of the projection's Gaussian in squared cells of the window, which has 64 along its side; 0.4, the
+        paper's. It is for "paper" and "--refine-camera": the pull of "best" has no Gaussian.
     device : "cpu", "cuda", "auto" or any name torch knows.
     seed : recorded in the result; no variant draws random numbers.
     preset : "best", or "paper": Eq. 7 with the paper's settings, exactly.
@@ -112,7 +114,7 @@ class RefineConfig:
             learning_rate=rates[self.mode] if self.learning_rate is None else self.learning_rate,
             gamma=gamma if self.gamma is None else self.gamma,
             symmetry=("auto" if points else "none") if self.symmetry is None else self.symmetry,
-            sigma_sq=self.sigma_sq,
+            sigma_sq=PAPER_SIGMA_SQ if self.sigma_sq is None else self.sigma_sq,
             device=self.device,
             seed=self.seed,
             refine_camera=self.refine_camera,
@@ -122,7 +124,7 @@ class RefineConfig:
 
 @dataclass(frozen=True)
 class Settings:
-    """A :class:`RefineConfig` whose every value is known, but for ``sigma_sq``, whose default is the view's, and ``recipe``."""
+    """A :class:`RefineConfig` whose every value is known, but for ``recipe``."""
 
     mode: str
     preset: str
@@ -130,7 +132,7 @@ class Settings:
     learning_rate: float
     gamma: float
     symmetry: str
-    sigma_sq: float | None
+    sigma_sq: float
     device: str
     seed: int
     refine_camera: bool
@@ -180,7 +182,9 @@ class RefineResult:
     symmetry : a, b, c, d of the mirror plane ax + by + cz = d that was used, in the frame of the input, or None.
     symmetry_outcome : "used" (a plane that was found), "given", or none: "not_asked", "none_found" (the cloud has none) or
         "contradicted" (the cloud has one, the pictures speak against it). symmetry_reason : by what measure, in words.
-    learning_rate, gamma, sigma_sq, device, seed : what was used; sigma_sq in px^2 of the first mask.
+    learning_rate, gamma, sigma_sq, device, seed : what was used; sigma_sq in squared cells.
+    view_windows : left, top, right, bottom edges of the square of each mask, px, that the cloud was compared with at last, and
+        cells along its side.
     cameras : of each view; with ``refine_camera`` as they were corrected.
     seconds : wall time of each phase.
     """
@@ -199,6 +203,7 @@ class RefineResult:
     view_ious: list[tuple[float, float]]
     view_trust: list[float]
     view_weights: list[float]
+    view_windows: list[tuple[Box, int]]
     moved_mean: float
     moved_max: float
     chamfer_to_initial: float

@@ -19,7 +19,7 @@ from ..colour_pull import ColourPull
 from ..errors import InputError, TsoError
 from ..kernels.choice import planned
 from ..losses import ChamferToInitial
-from ..objective import DEFAULT_SIGMA_SQ, MaskObjective, PullObjective
+from ..objective import MaskObjective, PullObjective
 from ..smoothing import SmoothField
 from ..weighting import Weights
 from .batching import Item, batches_of, parts_of
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Clouds up to this size are moved by one CPU thread, where no picture is looked at on the way.
+# Clouds up to this size are moved by one CPU thread each, alone or in a batch: threads would wait for one another.
 SMALL_CLOUD = 8192
 LIGHT = ("points", "latent")
 
@@ -191,7 +191,7 @@ def _refined(
     at_start: bool = False,
 ) -> list[RefineResult | TsoError]:
     """The loop, and the results of all items; ``at_start``: Ctrl-C came before it, and nothing moves."""
-    small = int(start.counts.sum()) <= SMALL_CLOUD
+    small = int(start.counts.max()) <= SMALL_CLOUD
     one_thread = small and settings.mode in LIGHT
     recipe = settings.recipe or BEST
     given = [item.views for item in items]
@@ -218,12 +218,12 @@ def _refined(
     steps, told = (0, None) if at_start else (settings.steps, progress)
     with _timed(seconds, "optimise"), devices.one_thread(one_thread):
         if settings.staged:
-            pull_at = _Following(items, start.counts, first, of_all)
+            following = _Following(items, start.counts, first, of_all)
             pictures = torch.tensor([item.pictures(own) for item, own in zip(items, weights.shared.tolist(), strict=True)])
             descent = descend_in_stages(
                 first,
                 start.counts,
-                pull_at,
+                following,
                 further,
                 steps,
                 settings.learning_rate,
@@ -233,6 +233,7 @@ def _refined(
                 _coloured(items, weights.shared, first),
                 pictures,
             )
+            items = following.items
         else:
             term: Objective
             if settings.preset == "best":
@@ -264,14 +265,19 @@ def _refined(
 
 
 class _Following:
-    """The pull of the masks in windows that follow the clouds: made anew where a window would change much."""
+    """The pull of the masks in windows that follow the clouds: made anew where a window would change much.
+
+    Attributes
+    ----------
+    items : as they are seen now.
+    """
 
     def __init__(self, items: list[Item], counts: Tensor, first: Tensor, weights: Tensor) -> None:
-        self._items, self._counts, self._first, self._weights = items, counts, first, weights
+        self.items, self._counts, self._first, self._weights = items, counts, first, weights
         self._pull: PullObjective | None = None
 
     def __call__(self, points: Tensor, finest: bool) -> PullObjective:
-        items = self._items
+        items = self.items
         if self._pull is not None or finest:
             clouds = points.double().cpu().numpy()
             items = [
@@ -281,10 +287,10 @@ class _Following:
         views = [item.working for item in items]
         if self._pull is None or any(
             now is not before
-            for own, item in zip(views, self._items, strict=True)
+            for own, item in zip(views, self.items, strict=True)
             for now, before in zip(own, item.working, strict=True)
         ):
-            self._items = items
+            self.items = items
             self._pull = PullObjective(views, self._counts, self._first, self._weights)
         return self._pull
 
@@ -354,6 +360,7 @@ def _result(
         view_ious=list(zip(*ious, strict=True)),
         view_trust=weights.trust[number].tolist(),
         view_weights=weights.shared[number].tolist(),
+        view_windows=[(seen.box, seen.camera.width) for seen in item.working[: len(item.views)]],
         moved_mean=float(moved.mean()),
         moved_max=float(moved.max()),
         chamfer_to_initial=moved_by,
@@ -363,7 +370,7 @@ def _result(
         preset=settings.preset,
         learning_rate=settings.learning_rate,
         gamma=settings.gamma,
-        sigma_sq=settings.sigma_sq or DEFAULT_SIGMA_SQ,
+        sigma_sq=settings.sigma_sq,
         device=str(device),
         seed=settings.seed,
         cameras=tuple(view.camera for view in item.views),
