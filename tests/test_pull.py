@@ -42,6 +42,20 @@ def test_a_covered_mask_asks_for_nothing():
     assert _loss(points, mask).item() == 0.0
 
 
+@pytest.mark.parametrize("grain", [1.0, 2.5, 6.0])
+def test_cells_that_a_point_covers_are_the_same_marked_or_measured(grain, monkeypatch):
+    mask, points = _mask(), _points().requires_grad_()
+    target = PullTarget.of(mask, grain=torch.tensor([grain, 0.5 * grain]))
+    valid = torch.arange(60).expand(2, 60) % 5 > 0
+    found = []
+    for most in (100.0, 0.0):
+        monkeypatch.setattr(pull, "MARKED_WITHIN", most)
+        loss = mask_pull(points, valid, target, 3.0)
+        found.append((loss.detach(), *torch.autograd.grad(loss.sum(), points)))
+    for marked, measured in zip(*found, strict=True):
+        torch.testing.assert_close(measured, marked, rtol=1e-12, atol=1e-12)
+
+
 def test_what_lies_outside_the_image_or_on_unknown_pixels_is_not_asked():
     mask = torch.zeros(1, 16, 16, dtype=torch.float64)
     mask[0, 4, 10] = 1.0

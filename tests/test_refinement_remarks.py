@@ -33,7 +33,7 @@ def _square_and_a_cloud_that_fills_it() -> tuple[np.ndarray, View]:
     )
     mask = np.zeros((64, 64), np.float32)
     mask[20:44, 20:44] = 1.0
-    across = np.linspace(19.75, 43.25, 64)
+    across = np.linspace(20.0, 43.0, 64)
     columns, rows = np.meshgrid(across, across)
     points = np.stack([(columns - 31.5) / 60.0, (rows - 31.5) / 60.0, np.full_like(rows, 0.5)], -1).reshape(-1, 3)
     return points, View(mask, camera)

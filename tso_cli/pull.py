@@ -17,6 +17,9 @@ from .projection import pixels_under
 REFERENCE_SIDE = 64.0
 # A pixel is covered once a point falls this near to its centre, px: as far as a point may be from the nearest pixel's centre.
 COVERED_WITHIN = 0.7
+# Cells around a point that are marked one by one as near to it, at most so far away; of a mask enlarged by more, cells look for
+# their nearest point all the same.
+MARKED_WITHIN = 3.0
 # Standard deviations across parts, px: those that pixels just do not show, and those that they surely do.
 THIN, THICK = 0.2, 0.8
 # Points that stray are counted as if a cloud had so many: how densely a cloud is sampled says nothing of how wrong it is.
@@ -192,12 +195,19 @@ def resolved(patches_px: Tensor, grain: Tensor | None = None) -> Tensor:
 
 
 def _uncovered(points_px: Tensor, valid: Tensor, asked: Tensor, target: PullTarget, scale: float, reach: float) -> Tensor:
-    asking = target.inside & ~_covered(points_px.detach(), valid, target.inside.shape[-2:], COVERED_WITHIN * target.grain)
+    reaches, asking = COVERED_WITHIN * target.grain, target.inside
+    marked = bool((reaches <= MARKED_WITHIN).all())
+    if marked:
+        asking = asking & ~_covered(points_px.detach(), valid, target.inside.shape[-2:], reaches)
     index = nearest_points(asking, points_px, valid)
     index = torch.where(asked.gather(1, index.clamp_min(0).flatten(1)).view_as(index), index, -1)
     image, row, column = torch.nonzero(index >= 0, as_tuple=True)
     centres = torch.stack([column, row], 1).to(points_px)
-    squared = (points_px[image, index[image, row, column]] - centres).square().sum(1) * scale**2
+    squared = (points_px[image, index[image, row, column]] - centres).square().sum(1)
+    if not marked:
+        far = squared.detach() > reaches[image].square()
+        image, row, column, squared = image[far], row[far], column[far], squared[far]
+    squared = squared * scale**2
     number = image * points_px.shape[1] + index[image, row, column]
     each = points_px.new_zeros(points_px.shape[:2].numel()).index_add(0, number, robust(squared, reach) * scale**2)
     return each.view(points_px.shape[:2])
