@@ -41,6 +41,8 @@ def document(
     preset: str,
     seconds: dict[str, float],
 ) -> dict[str, Any]:
+    from ..footprint import IOU_MEANS
+
     return {
         "mode": result.mode,
         "preset": preset,
@@ -74,7 +76,7 @@ def document(
         "chamfer_to_initial": result.chamfer_to_initial,
         "convention": {
             "chamfer_to_initial": "squared distances, mean over points, both directions summed, longest side 1",
-            "iou": "silhouette > 0.5 against mask > 0.5, mean over views",
+            "iou": IOU_MEANS,
             "trust": "in a view: 1, or less where the other views contradict it",
             "weight": "of a view in the loss: its trust, divided among the views that show the same",
             "loss": result.objective + "; the mask's part is a sum over views, each times its weight",
@@ -102,7 +104,7 @@ def print_result(result: RefineResult, scene: Scene, output: Path, overlay: Path
         best = f"best at step {result.best_step}"
     click.echo(f"{output}: {len(result.points):,} points, {result.steps} steps, {best}")
     mean = f", mean of {len(scene.views)} views" if len(scene.views) > 1 else ""
-    click.echo(f"  IoU    {result.iou_before:.3f} -> {result.iou_after:.3f}   (silhouette > 0.5, mask > 0.5{mean})")
+    click.echo(f"  IoU    {result.iou_before:.3f} -> {result.iou_after:.3f}   (of mask and silhouette{mean})")
     if mean:
         for view, (before, after), trust, weight in zip(
             scene.views, result.view_ious, result.view_trust, result.view_weights, strict=True

@@ -166,7 +166,8 @@ class RefineResult:
     stop_reason : "max_steps", "interrupted" (Ctrl-C: the best so far is kept) or "non_finite" (the loss was no number).
     losses : the objective at the start and after every step. loss_before, loss_after : of the start and of the result. With the
         preset "best" the objective changes twice on the way: these two are both by the last.
-    iou_before, iou_after : silhouette > 0.5 against mask > 0.5 at the mask's own resolution, mean over views.
+    iou_before, iou_after : of the mask (> 0.5) and the cloud's silhouette, the gaps between its points closed as far as their
+        spacing asks, in the square around both (:mod:`tso_cli.footprint`); mean over views.
     view_ious : the two of each view. view_trust : 1, or less where the other views contradict it. view_weights : of its loss in
         the objective, its trust divided among those that show the same side.
     chamfer_to_initial : squared distances, mean over points, both directions summed, for a cloud of longest side 1.
