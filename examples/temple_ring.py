@@ -22,8 +22,7 @@ from tso_cli import Camera, RefineConfig, refine
 from tso_cli.files.cameras import CameraRecord, read_cameras, write_cameras
 from tso_cli.files.clouds import read_cloud, write_cloud
 from tso_cli.files.images import read_image, read_mask, write_image
-from tso_cli.metrics import iou
-from tso_cli.projection import silhouette_of
+from tso_cli.footprint import IOU_MEANS, window_iou
 from tso_cli.scene import View
 
 Array = NDArray[np.float64]
@@ -113,7 +112,7 @@ def prepare(photos: Path, folder: Path) -> None:
 
 def judged(points: Array, views: list[View]) -> dict[str, float]:
     """How well a cloud agrees with masks: IoU of its silhouette, and the share of its points that fall beside a mask."""
-    scores = [iou(silhouette_of(points, view.camera), view.mask) for view in views]
+    scores = [window_iou(points, view) for view in views]
     beside = [float((~inside(points, view)).mean()) for view in views]
     return {
         "iou": float(np.mean(scores)),
@@ -161,7 +160,7 @@ def compare(folder: Path, output: Path) -> None:
         "judged_by": [view.name for view in others],
         "points": POINTS,
         "noise": NOISE,
-        "conventions": "silhouette > 0.5 against mask > 0.5 at the photo's size; sigma^2 0.4 (W/64)^2 px^2; seed 0; cpu",
+        "conventions": f"{IOU_MEANS}; seed 0; cpu",
         "summary": rows,
     }
     output.write_text(json.dumps(record, indent=1) + "\n")

@@ -17,8 +17,11 @@ from tso_cli.commands.evaluate import command
 from tso_cli.errors import GateError, InputError
 from tso_cli.evaluate import EvalConfig, evaluate, find_pairs
 from tso_cli.files.cameras import CameraRecord, write_cameras
-from tso_cli.files.clouds import write_cloud
-from tso_cli.metrics import chamfer, emd
+from tso_cli.files.clouds import read_cloud, write_cloud
+from tso_cli.files.images import read_mask
+from tso_cli.footprint import IOU_MEANS
+from tso_cli.metrics import chamfer, emd, iou
+from tso_cli.projection import silhouette_of
 from tso_cli.report.table import text_table
 
 
@@ -244,9 +247,18 @@ def test_iou_compares_the_silhouette_with_the_mask(pictured: Path) -> None:
     cloud = pictured / "cloud.ply"
     found = document(cloud, cloud, "--iou", "--mask", pictured / "mask.png", "--camera", pictured / "camera.json")
     assert found["pairs"][0]["iou"] > 0.85
-    assert found["pairs"][0]["sigma_sq"] == pytest.approx(0.1)
+    assert found["convention"]["iou"] == IOU_MEANS
     assert set(found["mean"]) == {"iou"}
     assert document(cloud, cloud, "--iou", "--mask", pictured / "inverse.png")["mean"]["iou"] < 0.15
+
+
+def test_sigma_sq_asks_for_the_silhouette_of_the_papers_projector(pictured: Path) -> None:
+    cloud, mask = pictured / "cloud.ply", pictured / "mask.png"
+    found = document(cloud, cloud, "--iou", "--mask", mask, "--sigma-sq", 0.3)
+    silhouette = silhouette_of(read_cloud(cloud).points, Camera.canonical(32, 32), 0.3)
+    assert found["mean"]["iou"] == iou(silhouette, read_mask(mask))
+    assert "Gaussian silhouette (sigma^2 0.3 px^2)" in found["convention"]["iou"]
+    assert "serves --iou" in refusal(cloud, cloud, "--sigma-sq", 0.3)
 
 
 def test_iou_is_the_mean_over_the_views_of_a_camera_file(pictured: Path) -> None:

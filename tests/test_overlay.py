@@ -7,9 +7,24 @@ import pytest
 from PIL import Image
 
 from tso_cli.camera import Camera
+from tso_cli.footprint import Seen
 from tso_cli.projection import silhouette_of
 from tso_cli.refinement import RefineConfig, refine
-from tso_cli.report.overlay import NEAR_TO_FAR, PANEL, _dots, _fitted, draw_overlay, evenly_chosen
+from tso_cli.report.overlay import (
+    AGREED,
+    GAP,
+    MISSING,
+    NEAR_TO_FAR,
+    PANEL,
+    STRAY,
+    TITLE,
+    UNKNOWN,
+    _dots,
+    _fitted,
+    compare,
+    draw_overlay,
+    evenly_chosen,
+)  # fmt: skip
 from tso_cli.scene import View
 
 
@@ -62,3 +77,24 @@ def test_one_view_gets_a_row_before_and_one_after_and_several_a_row_each(count, 
     draw_overlay(tmp_path / "picture.png", refine(points, views, config=RefineConfig(steps=0)), views)
     with Image.open(tmp_path / "picture.png") as picture:
         assert picture.size[1] // PANEL == rows
+
+
+def test_mask_and_silhouette_are_told_apart_by_colour():
+    silhouette, mask, known = (np.array([row], bool) for row in ([1, 0, 1, 0, 1], [1, 1, 0, 0, 1], [1, 1, 1, 1, 0]))
+    expected = [[AGREED, MISSING, STRAY, (1.0, 1.0, 1.0), UNKNOWN]]
+    np.testing.assert_array_equal(compare(Seen(silhouette, mask, known)), expected)
+
+
+@pytest.mark.parametrize("times", [1, 8])
+def test_the_object_fills_its_panel_in_a_photo_of_any_size(times, tmp_path):
+    points = np.random.default_rng(0).uniform(-0.3, 0.3, (400, 3))
+    small = Camera.canonical(64, 64)
+    mask = np.zeros((64 * times, 64 * times), np.float32)
+    mask[20:46, 20:46] = 1.0
+    camera = Camera(small.K, small.R, small.t, 64 * times, 64 * times)
+    view = View(mask, camera)
+    draw_overlay(tmp_path / "picture.png", refine(points, view, config=RefineConfig(steps=0)), [view])
+    with Image.open(tmp_path / "picture.png") as picture:
+        panel = np.asarray(picture)[TITLE : TITLE + PANEL, GAP : GAP + PANEL]
+    agreed = (panel == np.rint(255.0 * np.array(AGREED))).all(2).mean()
+    assert 0.3 < agreed < 0.8

@@ -7,7 +7,7 @@ import pytest
 
 from tso_cli.camera import Camera
 from tso_cli.errors import InputError
-from tso_cli.refinement import RefineConfig, batching, judging, refine, refine_batch, run
+from tso_cli.refinement import RefineConfig, batching, refine, refine_batch, run
 from tso_cli.scene import View
 
 RANDOM = np.random.default_rng(0)
@@ -60,15 +60,6 @@ def test_progress_counts_through_all_batches_and_seconds_are_those_of_one_cloud(
     # each phase lasts one tick of the clock, "prepare" is entered twice; two clouds share the first batch
     assert [result.seconds["optimise"] for result in results] == [0.5, 0.5, 1.0]
     assert [result.seconds["prepare"] for result in results] == [1.0, 1.0, 2.0]
-
-
-def test_judging_in_small_parts_loses_no_view(monkeypatch):
-    scenes = [(POINTS, [_view(), _view(20), _view(30)]), (POINTS, [_view(28), _view(22), _view(25)])]
-    expected = refine_batch(scenes, RefineConfig(steps=1))
-    monkeypatch.setattr(judging, "PIXELS_AT_ONCE", 2 * 64 * 64)
-    for found, whole in zip(refine_batch(scenes, RefineConfig(steps=1)), expected, strict=True):
-        assert (found.iou_before, found.iou_after) == pytest.approx((whole.iou_before, whole.iou_after), abs=1e-6)
-        assert found.iou_before > 0.0
 
 
 def test_an_interrupt_keeps_what_was_reached_and_leaves_the_rest_at_its_start(monkeypatch):

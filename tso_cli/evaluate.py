@@ -16,8 +16,10 @@ from .errors import InputError
 from .files import shapes
 from .files.cameras import find_camera, read_camera, read_cameras
 from .files.images import read_mask
+from .footprint import IOU_MEANS, window_iou
 from .geometry import Array, farthest_point_sample, normalise_longest_side
 from .metrics import chamfer, emd, f_score, iou
+from .scene import View
 
 METRICS = ("chamfer", "f_score", "emd", "iou")
 PROTOCOLS = ("plain", "capnet")
@@ -48,7 +50,8 @@ class EvalConfig:
     points : thin every cloud to so many points by farthest-point sampling first, or None for all.
     samples : points drawn from the surface of a mesh or voxel grid.
     threshold : of the F-score, in units of the clouds as compared; None for 1 % of the target's longest side.
-    sigma_sq : variance of the silhouette's Gaussian in px^2; None for 0.4 (max(W, H) / 64)^2.
+    sigma_sq : of the IoU: take the paper's silhouette, Gaussians of this variance in px^2 over the whole image, in place of the
+        footprint of :mod:`tso_cli.footprint`.
     seed : of the surface samples.
     as_vertices : of meshes take the vertices, not the surface.
 
@@ -206,9 +209,7 @@ def _read(path: Path, config: EvalConfig) -> Array:
 
 def _iou(points: Array, pair: Pair, sigma_sq: float | None) -> dict[str, Any]:
     """Mean IoU over the views of a pair, of the silhouette of ``points`` in their own frame."""
-    from .projection import default_sigma_sq, silhouette_of
-
-    scores, sigmas = [], []
+    scores = []
     for mask_path, camera in _views(pair):
         mask = read_mask(mask_path)
         height, width = mask.shape
@@ -216,10 +217,14 @@ def _iou(points: Array, pair: Pair, sigma_sq: float | None) -> dict[str, Any]:
             camera = read_camera(_camera_of(pair, mask_path), width, height, mask_path)
         if (camera.width, camera.height) != (width, height):
             raise InputError(f"{pair.camera}: a camera is for {camera.width}x{camera.height}, {mask_path} is {width}x{height}")
-        sigmas.append(sigma_sq or default_sigma_sq(width, height))
+        if sigma_sq is None:
+            scores.append(window_iou(points, View(mask, camera, name=str(mask_path))))
+            continue
+        from .projection import silhouette_of
+
         with _naming(f"{pair.prediction} against {mask_path}"):
-            scores.append(iou(silhouette_of(points, camera, sigmas[-1]), mask))
-    return {"iou": float(np.mean(scores)), "views": len(scores), "sigma_sq": float(np.mean(sigmas))}
+            scores.append(iou(silhouette_of(points, camera, sigma_sq), mask))
+    return {"iou": float(np.mean(scores)), "views": len(scores)}
 
 
 def _views(pair: Pair) -> Iterator[tuple[Path, Camera | None]]:
@@ -250,13 +255,12 @@ def _convention(config: EvalConfig) -> dict[str, Any]:
         "chamfer their sum",
         "f_score": f"distance < threshold, {threshold}",
         "emd": f"optimal one-to-one assignment, mean {'squared' if capnet else 'Euclidean'} distance",
-        "iou": "silhouette > 0.5 against mask > 0.5 over the image, mean over views, clouds in their own frame",
+        "iou": IOU_MEANS
+        if config.sigma_sq is None
+        else f"Gaussian silhouette (sigma^2 {config.sigma_sq:g} px^2) > 0.5 against mask > 0.5 over the image, mean over views",
     }
-    how: dict[str, Any] = {name: text for name, text in measured.items() if name in config.metrics}
-    if "iou" in config.metrics:
-        how["sigma_sq"] = config.sigma_sq or "0.4 (max(W, H) / 64)^2"
     return {
-        **how,
+        **{name: text for name, text in measured.items() if name in config.metrics},
         "protocol": config.protocol,
         "normalisation": "each cloud centred on its bounding box, longest side 1" if capnet else "none",
         "points": config.points,

@@ -114,59 +114,32 @@ def silhouette_sums(projected: Projected, cameras: CameraBatch, sigma_sq: float,
 
 
 def silhouette_of(points: NDArray[np.floating], camera: Camera, sigma_sq: float | None = None) -> NDArray[np.float32]:
-    """The silhouette [H, W] in [0, 1] of a cloud [N, 3] in world units (Eq. 2), for judging and for pictures.
-
-    As :func:`silhouettes_of` with one cloud.
-    """
-    silhouette: NDArray[np.float32] = silhouettes_of([points], [camera], sigma_sq)[0]
-    return silhouette
-
-
-def silhouettes_of(
-    clouds: Sequence[NDArray[np.floating]],
-    cameras: Sequence[Camera],
-    sigma_sq: float | None = None,
-    device: torch.device | str = "cpu",
-) -> NDArray[np.float32]:
-    """The silhouettes [B, H, W] in [0, 1] of B clouds (Eq. 2), each seen by its own camera, for judging and for pictures.
+    """The silhouette [H, W] in [0, 1] of a cloud [N, 3] in world units as the paper's projector draws it (Eq. 2).
 
     Where the kernel spans many pixels the sums are computed on a grid still fine against it (variance 6.4 of its cells)
     and interpolated: within 0.04 of every pixel's own, at a cost that does not grow with the photo.
 
     Parameters
     ----------
-    clouds : [B][N, 3] in world units; N may differ.
-    cameras : [B], of one image size and model.
-    sigma_sq : px^2 of the cameras' image, the default 0.4 (max(W, H) / 64)^2.
-    device : where it is computed.
+    sigma_sq : px^2 of the camera's image, the default 0.4 (max(W, H) / 64)^2.
     """
-    height, width = cameras[0].height, cameras[0].width
+    height, width = camera.height, camera.width
     if sigma_sq is None:
         sigma_sq = default_sigma_sq(width, height)
-    counts = [len(cloud) for cloud in clouds]
-    padded = np.zeros((len(clouds), max(counts), 3), np.float32)
-    coarse = []
-    for row, cloud, camera in zip(padded, clouds, cameras, strict=True):
-        points = np.asarray(cloud, dtype=np.float64)
-        centre = (points.min(0) + points.max(0)) / 2.0
-        scale = float((points.max(0) - points.min(0)).max()) or 1.0
-        row[: len(points)] = (points - centre) / scale
-        camera, coarse_sigma_sq = coarsened(camera, sigma_sq, SMOOTH_SIGMA_SQ)
-        coarse.append(camera.for_normalised(centre, scale))
-    local = torch.as_tensor(padded, device=device)
-    there = torch.arange(max(counts)) < torch.tensor(counts).unsqueeze(1)
-    batch = CameraBatch.of(coarse, local).one_each()
+    cloud = np.asarray(points, dtype=np.float64)
+    centre = (cloud.min(0) + cloud.max(0)) / 2.0
+    scale = float((cloud.max(0) - cloud.min(0)).max()) or 1.0
+    coarse, sigma_sq = coarsened(camera, sigma_sq, SMOOTH_SIGMA_SQ)
+    local = torch.as_tensor(((cloud - centre) / scale)[None], dtype=torch.float32)
+    batch = CameraBatch.of([coarse.for_normalised(centre, scale)], local)
     with torch.no_grad():
-        sums = local.new_zeros(len(clouds), 1, batch.height, batch.width)
-        size = max(1, POINTS_AT_ONCE // len(clouds))
-        for part, own in zip(local.split(size, 1), there.to(device).split(size, 1), strict=True):
-            projected = project(part, batch)
-            projected = projected._replace(valid=projected.valid & own.unsqueeze(1))
-            sums += silhouette_sums(projected, batch, coarse_sigma_sq)
+        sums = local.new_zeros(1, 1, batch.height, batch.width)
+        for part in local.split(POINTS_AT_ONCE, 1):
+            sums += silhouette_sums(project(part, batch), batch, sigma_sq)
         if (batch.height, batch.width) != (height, width):
             sums = torch.nn.functional.interpolate(sums, (height, width), mode="bilinear", align_corners=False)
-        silhouettes: NDArray[np.float32] = torch.tanh(sums)[:, 0].cpu().numpy()
-    return silhouettes
+        silhouette: NDArray[np.float32] = torch.tanh(sums)[0, 0].numpy()
+    return silhouette
 
 
 def coarsened(camera: Camera, sigma_sq: float, wanted: float) -> tuple[Camera, float]:

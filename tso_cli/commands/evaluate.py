@@ -33,7 +33,7 @@ _SQUARED = ("forward", "backward", "chamfer")
 @click.option(
     "--camera", type=options.FilePath(), help="Camera file, for one mask or for all, or a folder of NAME.camera.json."
 )
-@click.option("--sigma-sq", type=float, help="Variance of the silhouette, px^2.  [default: 0.4 (max(W, H) / 64)^2]")
+@click.option("--sigma-sq", type=float, help="Of the IoU: the paper's silhouette, Gaussians of this variance, px^2.")
 @click.option("--suffix", default="", help="In folders: predictions are the files NAME + this, such as .refined.")
 @click.option("--fail-above", type=float, metavar="X", help="Exit with 3 if the mean Chamfer x1000 is above X.")
 @options.seed
@@ -76,6 +76,8 @@ def command(
         raise InputError("--iou needs --mask (with --camera, or a camera file beside it), or a --camera file that names masks")
     if "iou" not in chosen and (mask is not None or camera is not None):
         raise InputError("--mask and --camera serve --iou, which was not asked for")
+    if "iou" not in chosen and sigma_sq is not None:
+        raise InputError("--sigma-sq serves --iou, which was not asked for")
     if "f_score" not in chosen and threshold is not None:
         raise InputError("--threshold serves --f-score, which was not asked for")
     pairs = find_pairs(prediction, target, mask, camera, suffix)
@@ -136,9 +138,7 @@ def _footnote(result: dict[str, Any], config: EvalConfig, fields: list[str]) -> 
     if "emd" in fields:
         lines.append(f"EMD{' x1000' if _thousandfold('emd', config) else ''}: {convention['emd']}")
     if "iou" in fields:
-        sigmas = {record["sigma_sq"] for record in result["pairs"]}
-        sigma_sq = f"{sigmas.pop():g}" if len(sigmas) == 1 else convention["sigma_sq"]
-        lines.append(f"IoU: {convention['iou']}; sigma^2 {sigma_sq} px^2")
+        lines.append(f"IoU: {convention['iou']}; clouds in their own frame")
     thinned = f"{config.points} points (farthest-point)" if config.points else "all points"
     lines.append(
         f"protocol {config.protocol} (normalisation: {convention['normalisation']}), {thinned}, samples {config.samples}, "

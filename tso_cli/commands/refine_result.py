@@ -42,6 +42,8 @@ def document(
     seconds: dict[str, float],
     warnings: list[str],
 ) -> dict[str, Any]:
+    from ..footprint import IOU_MEANS
+
     return {
         "mode": result.mode,
         "preset": preset,
@@ -87,7 +89,7 @@ def document(
         "convention": {
             "moved": "way of a point from its start, as a share of the object's size, the longest side of the start's box",
             "chamfer_to_initial": "squared distances, mean over points, both directions summed, longest side 1",
-            "iou": "silhouette > 0.5 against mask > 0.5, mean over views",
+            "iou": IOU_MEANS,
             "trust": "in a view: 1, or less where the other views contradict it",
             "weight": "of a view in the loss: its trust, divided among the views that show the same",
             "loss": result.objective + "; the mask's part is a sum over views, each times its weight",

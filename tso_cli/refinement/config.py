@@ -174,7 +174,8 @@ class RefineResult:
         pixels, views that the others contradict.
     losses : the objective at the start and after every step. loss_before, loss_after : of the start and of the result. With the
         preset "best" the objective changes twice on the way: these two are both by the last.
-    iou_before, iou_after : silhouette > 0.5 against mask > 0.5 at the mask's own resolution, mean over views.
+    iou_before, iou_after : of the mask (> 0.5) and the cloud's silhouette, the gaps between its points closed as far as their
+        spacing asks, in the square around both (:mod:`tso_cli.footprint`); mean over views.
     view_ious : the two of each view. view_trust : 1, or less where the other views contradict it. view_weights : of its loss in
         the objective, its trust divided among those that show the same side.
     moved_mean, moved_max : how far the points moved, in shares of the object's size, the longest side of the start's box.

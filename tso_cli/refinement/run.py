@@ -255,12 +255,14 @@ def _refined(
             item.cloud.initial + item.cloud.scale * offset[: len(item.cloud.initial)]
             for item, offset in zip(items, offsets, strict=True)
         ]
-        before = view_ious([item.cloud.initial for item in items], given, settings.sigma_sq, first.device)
-        after = view_ious(refined, [item.views for item in items], settings.sigma_sq, first.device)
+        ious = [
+            view_ious(item.cloud.initial, points, own, item.views)
+            for item, points, own in zip(items, refined, given, strict=True)
+        ]
     seconds = {phase: value / len(items) for phase, value in seconds.items()}
     return [
-        _result(item, descent, number, points, ious, weights, moved_by[number], first.device, settings, seconds)
-        for number, (item, points, *ious) in enumerate(zip(items, refined, before, after, strict=True))
+        _result(item, descent, number, points, own, weights, moved_by[number], first.device, settings, seconds)
+        for number, (item, points, own) in enumerate(zip(items, refined, ious, strict=True))
     ]
 
 
@@ -329,7 +331,7 @@ def _result(
     descent: Descent,
     number: int,
     points: Array,
-    ious: list[list[float]],
+    ious: list[tuple[float, float]],
     weights: Weights,
     moved_by: float,
     device: torch.device,
@@ -343,7 +345,7 @@ def _result(
         return TsoError("the loss of the start is no finite number")
     if steps == 0 and not finite.all():
         return TsoError("the loss is no finite number after the first step (a smaller learning rate?)")
-    before, after = np.mean(ious, 1).tolist()
+    before, after = np.mean(ious, 0).tolist()
     moved = np.linalg.norm(points - item.cloud.initial, axis=1) / item.cloud.scale
     result = RefineResult(
         points=points,
@@ -357,7 +359,7 @@ def _result(
         loss_after=float(descent.best_loss[number]),
         iou_before=before,
         iou_after=after,
-        view_ious=list(zip(*ious, strict=True)),
+        view_ious=ious,
         view_trust=weights.trust[number].tolist(),
         view_weights=weights.shared[number].tolist(),
         view_windows=[(seen.box, seen.camera.width) for seen in item.working[: len(item.views)]],

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..files.output import atomic_output, check_output
-from ..projection import silhouette_of
+from ..footprint import Seen, common_window, in_window
 from ..scene import View
 
 Array = NDArray[np.float64]
@@ -19,8 +19,6 @@ Array = NDArray[np.float64]
 INK, OUTLINE = "#333333", "#d55e00"
 CELL = 1.75
 """Inches."""
-CLOSED = 2
-"""Pixels of an image of 64 by which gaps between points are closed: the outline is the cloud's, not that of each gap."""
 DOTS = 1500
 """Points of a cloud that are drawn, at most."""
 # What is across, what is up, and what is near, of the camera's axes (x right, y down, z away).
@@ -62,8 +60,9 @@ def draw_cases(path: Path, cases: Sequence[Pictured], overwrite: bool = False) -
     FigureCanvasAgg(figure)
     axes = figure.subplots(len(cases), columns, squeeze=False)
     for row, case in zip(axes, cases, strict=True):
+        box = common_window([(points, case.view) for points in (case.initial, case.refined)])
         for axis, points in zip(row[:2], (case.initial, case.refined), strict=True):
-            _draw_mask(axis, case.view, points)
+            _draw_mask(axis, in_window(points, case.view, box))
         clouds = case.initial, case.refined, case.target
         turned = [points @ case.view.camera.R.T for points in clouds]
         for i, (across, up, near) in enumerate(SIDES.values()):
@@ -78,16 +77,10 @@ def draw_cases(path: Path, cases: Sequence[Pictured], overwrite: bool = False) -
         figure.savefig(temporary, dpi=80)
 
 
-def _draw_mask(axis: Any, view: View, points: Array) -> None:
-    from scipy.ndimage import binary_closing
-
-    reach = CLOSED * max(1, view.mask.shape[1] // 64)
-    # What lies beyond the border is not part of the gaps.
-    inside = np.pad(silhouette_of(points, view.camera) > 0.5, reach)
-    closed = binary_closing(inside, np.ones((2 * reach + 1,) * 2))[reach:-reach, reach:-reach]
-    axis.imshow(1.0 - 0.45 * view.mask, cmap="gray", vmin=0.0, vmax=1.0)
-    if closed.any() and not closed.all():
-        axis.contour(closed, levels=[0.5], colors=OUTLINE, linewidths=1.2)
+def _draw_mask(axis: Any, seen: Seen) -> None:
+    axis.imshow(1.0 - 0.45 * seen.mask, cmap="gray", vmin=0.0, vmax=1.0)
+    if seen.silhouette.any() and not seen.silhouette.all():
+        axis.contour(seen.silhouette, levels=[0.5], colors=OUTLINE, linewidths=1.2)
     _bare(axis)
 
 

@@ -6,13 +6,14 @@ It is drawn with Pillow: importing matplotlib and laying out one figure takes fi
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..projection import default_sigma_sq, silhouette_of
+from ..footprint import Seen, common_window, in_window
 from ..refinement import RefineResult
 from ..scene import View
 
@@ -44,16 +45,17 @@ MOST_ROWS = 6
 COMPRESSION = 1
 
 
-def compare(silhouette: NDArray[np.floating], view: View) -> NDArray[np.float64]:
-    """[H, W, 3] picture: grey where mask and silhouette agree, blue where the silhouette is missing, orange where it strays.
-
-    Soft values blend.
-    """
-    mask = view.mask.astype(np.float64)[..., None]
-    shape = np.asarray(silhouette, dtype=np.float64)[..., None]
-    picture = mask * shape * AGREED + mask * (1 - shape) * MISSING + (1 - mask) * shape * STRAY + (1 - mask) * (1 - shape)
-    if view.known is not None:
-        picture[~view.known] = UNKNOWN
+def compare(seen: Seen) -> NDArray[np.float64]:
+    """[H, W, 3] picture: grey where mask and silhouette agree, blue where the silhouette is missing, orange where it strays."""
+    picture = np.ones((*seen.mask.shape, 3))
+    for where, colour in (
+        (seen.mask & seen.silhouette, AGREED),
+        (seen.mask & ~seen.silhouette, MISSING),
+        (~seen.mask & seen.silhouette, STRAY),
+    ):
+        picture[where] = colour
+    if seen.known is not None:
+        picture[~seen.known] = UNKNOWN
     return picture
 
 
@@ -62,6 +64,7 @@ def draw_overlay(path: Path, result: RefineResult, views: Sequence[View]) -> Non
 
     One view: a row before and a row after; mask against silhouette, the cloud from the camera, and from its right. Several: a
     row for each, at most six, evenly chosen; mask against silhouette before and after, and the refined cloud from that camera.
+    Masks and silhouettes are shown in the square around the object in which their IoU is taken.
 
     It is written straight to ``path``, for the caller to move where it belongs once all outputs are there.
     """
@@ -85,7 +88,7 @@ def evenly_chosen(count: int, most: int) -> list[int]:
 
 def _before_and_after(result: RefineResult, view: View) -> list[Row]:
     seen = _from_camera(result, view)
-    silhouettes = _silhouettes(result, view, 0, result.sigma_sq)
+    silhouettes = _silhouettes(result, view, 0)
     rows = []
     for name, silhouette, (x, y, z), iou in zip(("before", "after"), silhouettes, seen, result.view_ious[0], strict=True):
         # OpenCV axes: x right, y down, z away. From the right of the camera, what is far lies to the right.
@@ -101,10 +104,7 @@ def _before_and_after(result: RefineResult, view: View) -> list[Row]:
 
 def _row_of_view(result: RefineResult, views: Sequence[View], number: int) -> Row:
     view, (before, after), weight = views[number], result.view_ious[number], result.view_weights[number]
-    # What was not asked for is each view's own default.
-    first = views[0].camera
-    sigma_sq = None if result.sigma_sq == default_sigma_sq(first.width, first.height) else result.sigma_sq
-    shown_before, shown_after = _silhouettes(result, view, number, sigma_sq)
+    shown_before, shown_after = _silhouettes(result, view, number)
     return [
         (f"view {number + 1} before: IoU {before:.3f}", shown_before),
         (f"after: IoU {after:.3f}, weight {weight:.2f}", shown_after),
@@ -121,10 +121,11 @@ def _from_camera(result: RefineResult, view: View) -> list[NDArray[np.float64]]:
     return [((points - middle) / half).T for points in rotated]
 
 
-def _silhouettes(result: RefineResult, view: View, number: int, sigma_sq: float | None) -> list[Image.Image]:
+def _silhouettes(result: RefineResult, view: View, number: int) -> list[Image.Image]:
     """Mask against silhouette before, seen by the camera as it was given, and after, seen by the one that was used."""
-    stages = (result.initial, view.camera), (result.points, result.cameras[number])
-    return [_fitted(compare(silhouette_of(points, camera, sigma_sq), view)) for points, camera in stages]
+    stages = (result.initial, view), (result.points, replace(view, camera=result.cameras[number]))
+    box = common_window(stages)
+    return [_fitted(compare(in_window(points, seen, box))) for points, seen in stages]
 
 
 def _draw(rows: list[Row], heading: str | None, entries: Sequence[tuple[Colour, str]]) -> Image.Image:

@@ -12,6 +12,7 @@ import numpy as np
 from .. import __version__
 from ..errors import InputError
 from ..files.checkpoints import load_network
+from ..footprint import IOU_MEANS
 from ..geometry import Array
 from ..metrics import chamfer, emd, f_score
 from ..network import BaseNetwork, NetworkConfig
@@ -39,7 +40,7 @@ CONVENTION = {
     "f_score": f"share of points with a counterpart nearer than {F_THRESHOLD}, harmonic mean of both directions, 16,384 target "
     "points",
     "emd": "mean distance of an optimal one-to-one assignment; none over 2,048 points",
-    "iou": "silhouette > 0.5 against mask > 0.5, mean over the masks used",
+    "iou": IOU_MEANS,
     "floor": "Chamfer distance of another sampling of the true surface",
     "in_plane": "each point keeps its depth and takes the place in the image plane of the target point that an optimal "
     "assignment gives it, or none moves where that is nearer",

@@ -9,6 +9,7 @@ from typing import Any
 from .. import __version__
 from ..files.clouds import read_cloud
 from ..files.shipped import CATEGORIES, examples_folder
+from ..footprint import IOU_MEANS
 from ..geometry import normalise_longest_side
 from ..metrics import chamfer
 from ..network_scenes import load_network_scene
@@ -45,7 +46,7 @@ def study_examples(checkpoint: Path | None = None, report: Report | None = None)
         "convention": {
             "chamfer": "squared distances, mean over points, forward (target -> cloud) + backward; target's longest side 1",
             "chamfer_capnet": "the same after each cloud was centred and scaled to longest side 1 by its own box",
-            "iou": "silhouette > 0.5 against mask > 0.5",
+            "iou": IOU_MEANS,
             "seconds": f"median of {RUNS} runs of the optimisation alone, after one that is not counted",
         },
         "examples": records,

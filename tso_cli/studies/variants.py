@@ -16,6 +16,7 @@ from .. import __version__
 from ..camera import CANONICAL_ROTATION
 from ..errors import InputError
 from ..files.checkpoints import load_network
+from ..footprint import IOU_MEANS
 from ..geometry import Array, normalise_longest_side
 from ..metrics import nearest_squared
 from ..network import BaseNetwork, NetworkConfig
@@ -34,7 +35,7 @@ CONVENTION = {
     "capnet": "the paper's protocol: in the camera's axes each cloud is centred and scaled to longest side 1 by its own box",
     "plain": "the network's own coordinates against the target turned to the axes of the camera, longest side 1",
     "visible, occluded": "forward distance of the target's points that the input view sees, and of the others",
-    "iou": "silhouette > 0.5 against mask > 0.5, on the 64x64 crop that the network sees",
+    "iou": f"{IOU_MEANS}; on the 64x64 crop that the network sees",
     "seconds": "one refinement, with reading the masks and judging the silhouette, median over the cases",
 }
 
