@@ -63,6 +63,8 @@ def _doubted(result: RefineResult, scene: Scene) -> str | None:
 
 def print_details(result: RefineResult, scene: Scene, refined_cameras: bool, seconds: dict[str, float]) -> None:
     """Every measure and setting."""
+    from ..footprint import IOU_MEANS
+
     best = f"best at step {result.best_step}"
     if result.averaged and result.best_step:
         best = f"the mean over the stages, the last one's {best}"
@@ -72,7 +74,7 @@ def print_details(result: RefineResult, scene: Scene, refined_cameras: bool, sec
         f"  Chamfer to the start x1000 {result.chamfer_to_initial * 1e3:.3f}   (squared, mean over points, both directions, "
         "longest side 1)"
     )
-    click.echo("  IoU is that of silhouette > 0.5 and mask > 0.5")
+    click.echo(f"  IoU is {IOU_MEANS}")
     for view, (before, after), trust, weight in zip(
         scene.views, result.view_ious, result.view_trust, result.view_weights, strict=True
     ):
@@ -81,8 +83,8 @@ def print_details(result: RefineResult, scene: Scene, refined_cameras: bool, sec
         print_cameras(scene.views, result)
     click.echo(f"  mirror {_plane(result)}")
     click.echo(
-        f"  sigma_sq {result.sigma_sq:g} px^2, learning rate {result.learning_rate:g}, gamma {result.gamma:g}, preset "
-        f"{result.preset}, {result.device}, seed {result.seed}, {seconds['optimise']:.2f} s in the loop, "
+        f"  sigma_sq {result.sigma_sq:g} (squared 64ths of the window), learning rate {result.learning_rate:g}, gamma "
+        f"{result.gamma:g}, preset {result.preset}, {result.device}, seed {result.seed}, {seconds['optimise']:.2f} s in the loop, "
         f"{seconds['total']:.2f} s in all"
     )
 
