@@ -24,6 +24,7 @@ from tso_cli.projection import silhouette_of
 from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.starts import Cloud
 from tso_cli.render import normalise
+from tso_cli.report.overlay import AGREED, PANEL, draw_overlay
 from tso_cli.scene import View
 from tso_cli.surface import SAMPLES, Surface
 
@@ -56,7 +57,7 @@ def _subdivided(vertices: np.ndarray, faces: np.ndarray, times: int) -> tuple[np
 @pytest.fixture(scope="module")
 def views() -> list[View]:
     solid = _dense(WIDE, BOX)
-    return [View((silhouette_of(solid, camera) > 0.5).astype(np.float32), camera) for camera in (FRONT, BACK)]
+    return [View((silhouette_of(solid, camera, 0.1) > 0.5).astype(np.float32), camera) for camera in (FRONT, BACK)]
 
 
 @pytest.fixture(scope="module")
@@ -73,10 +74,10 @@ def test_a_box_is_stretched_toward_a_wider_mask_and_stays_a_box(stretched):
     assert sides.std(2).max() < 0.01
 
 
-def test_the_vertices_alone_would_not_have_told(views):
+def test_the_vertices_alone_would_not_have_told(stretched, views):
     alone = refine(CORNERS, views)
     assert alone.surface_samples is None
-    assert np.ptp(alone.points[:, 0]) < np.ptp(CORNERS[:, 0])
+    assert np.ptp(alone.points[:, 0]) < np.ptp(stretched.points[:, 0]) - 0.02
 
 
 def test_the_result_is_of_the_vertices_and_its_figures_are_of_the_moved_faces(stretched, views):
@@ -91,6 +92,17 @@ def test_the_result_is_of_the_vertices_and_its_figures_are_of_the_moved_faces(st
     assert (stretched.moved_mean, stretched.moved_max) == pytest.approx((ways.mean(), ways.max()))
     # the longest side is 0.5, to within where samples lie
     assert stretched.chamfer_to_initial == pytest.approx(chamfer(after, before).chamfer / 0.25, rel=0.02)
+
+
+def test_the_picture_shows_the_surface_and_not_the_vertices(stretched, views, tmp_path):
+    draw_overlay(tmp_path / "picture.png", stretched, views)
+    with Image.open(tmp_path / "picture.png") as picture:
+        pixels = np.asarray(picture)
+    # In four panels a fifth of the mask's pixels at least.
+    agreed = (np.abs(pixels - 255.0 * np.array(AGREED)) < 2.0).all(2).sum()
+    assert agreed > sum(2 * view.mask.mean() for view in views) * PANEL**2 / 5
+    drawn = (pixels[:, -PANEL:] != 255).any(2).sum()
+    assert drawn > 0.1 * PANEL**2
 
 
 def test_a_surface_that_does_not_move_keeps_every_bit(views):
