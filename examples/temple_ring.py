@@ -25,6 +25,7 @@ from tso_cli.files.images import read_image, read_mask, write_image
 from tso_cli.metrics import iou
 from tso_cli.projection import silhouette_of
 from tso_cli.scene import View
+from tso_cli.studies.fingerprint import stamped
 
 Array = NDArray[np.float64]
 
@@ -157,6 +158,7 @@ def compare(folder: Path, output: Path) -> None:
                 rows.append(row)
                 print(json.dumps(row))
     record = {
+        "study": "photos",
         "photos": len(views),
         "judged_by": [view.name for view in others],
         "points": POINTS,
@@ -164,7 +166,7 @@ def compare(folder: Path, output: Path) -> None:
         "conventions": "silhouette > 0.5 against mask > 0.5 at the photo's size; sigma^2 0.4 (W/64)^2 px^2; seed 0; cpu",
         "summary": rows,
     }
-    output.write_text(json.dumps(record, indent=1) + "\n")
+    output.write_text(json.dumps(stamped(record), indent=1) + "\n")
 
 
 def main() -> None:

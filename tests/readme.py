@@ -1,7 +1,8 @@
 """The commands and tables of the pages: run, compare, and write anew.
 
-python -m tests.readme      runs every command of README.md and puts what it printed below it, and the tables of the
-                            kept figures into README.md and docs; takes as long as `tso train`
+python -m tests.readme          runs every command of README.md and puts what it printed below it, and the tables of the
+                                kept figures into README.md and docs; takes as long as `tso train`
+python -m tests.readme tables   the tables alone
 """
 
 from __future__ import annotations
@@ -265,6 +266,20 @@ def tables() -> dict[str, str]:
     return made
 
 
+def shown_records() -> list[str]:
+    """Names of the kept records that a table or a chart of some page is of."""
+    text = "".join(page.read_text() for page in [README, *ROOT.glob("docs/*.md")])
+    shown = set(re.findall(r"<!-- ([\w-]+)", text)) | set(re.findall(r"\]\((?:docs/)?figures/([\w-]+)\.", text))
+    return sorted(path.stem for path in FIGURES.glob("*.json") if path.stem in shown)
+
+
+def command_that_remakes(name: str) -> str:
+    """The command of the pages that writes the record ``name``."""
+    text = "\n".join(page.read_text() for page in ROOT.glob("docs/*.md"))
+    (found,) = set(re.findall(rf"(?:tso|python) [^`\n]*-o (?:docs/figures/)?{name}\.json[^`\n)]*", text))
+    return found.strip()
+
+
 def with_tables(text: str) -> str:
     """``text`` with what stands between ``<!-- NAME -->`` and ``<!-- end -->`` made anew."""
     for name, table in tables().items():
@@ -305,4 +320,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    write_tables() if sys.argv[1:] == ["tables"] else main()
