@@ -1,13 +1,15 @@
 """The commands and tables of the pages: run, compare, and write anew.
 
-python -m tests.readme          runs every command of README.md and puts what it printed below it, and the tables of the
-                                kept figures into README.md and docs; takes as long as `tso train`
-python -m tests.readme tables   the tables alone
+python -m tests.readme            runs every command of README.md and puts what it printed below it, and the tables of the
+                                  kept figures into README.md and docs; takes as long as `tso train`
+python -m tests.readme --quick    leaves what `tso train` and what comes of it printed as it is; takes a minute
+python -m tests.readme --tables   puts the tables into the pages and runs nothing
 """
 
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
 import shutil
@@ -290,8 +292,9 @@ def with_tables(text: str) -> str:
 def _run(command: str, folder: Path) -> str:
     words = shlex.split(command)
     assert words[0] == "tso", command
+    own = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(
-        [sys.executable, "-m", "tso_cli", *words[1:]], cwd=folder, stdout=subprocess.PIPE, text=True, check=True
+        [sys.executable, "-m", "tso_cli", *words[1:]], cwd=folder, env=own, stdout=subprocess.PIPE, text=True, check=True
     )
     return done.stdout.rstrip("\n")
 
@@ -302,12 +305,22 @@ def write_tables() -> None:
         page.write_text(with_tables(page.read_text()))
 
 
-def main() -> None:
+def _quick(command: str) -> bool:
+    """Whether it neither trains nor uses what was trained."""
+    return "tso train" not in command and "base.safetensors" not in command
+
+
+def main(quick: bool) -> None:
     text = README.read_text()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         working_copy(folder)
-        printed = iter([(command, _run(command, folder)) for command, _ in console_commands(text)])
+        printed = iter(
+            [
+                (command, shown if quick and not _quick(command) else _run(command, folder))
+                for command, shown in console_commands(text)
+            ]
+        )
 
         def fill(match: re.Match[str]) -> str:
             count = len(re.findall(r"^\$ ", match[1], flags=re.MULTILINE))
@@ -320,4 +333,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    write_tables() if sys.argv[1:] == ["tables"] else main()
+    write_tables() if "--tables" in sys.argv else main("--quick" in sys.argv)

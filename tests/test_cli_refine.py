@@ -75,8 +75,13 @@ def _json(capsys):
 def test_the_command_of_the_readme_works_as_written(folder, capsys):
     assert tso("refine", "--mode", "points", "initial.ply", "mask.png") == 0
     captured = capsys.readouterr()
-    assert "camera: camera.json" in captured.err
-    assert "IoU" in captured.out
+    assert captured.err == ""
+    lines = captured.out.splitlines()
+    assert lines[0] == "initial.refined.ply: 1,024 points"
+    assert re.fullmatch(r"  IoU    0\.\d{3} -> 0\.\d{3} with the mask", lines[1])
+    assert re.fullmatch(r"  moved  \d\.\d % of the object's size on average, \d+\.\d % at most", lines[2])
+    assert re.fullmatch(r"  used   camera camera.json; assumed mirror-symmetric, as the cloud is; \d+\.\d s", lines[3])
+    assert len(lines) == 4
     refined, initial = read_cloud("initial.refined.ply").points, read_cloud("initial.ply").points
     assert refined.shape == initial.shape
     assert 0.0 < np.abs(refined - initial).max() < 0.2
@@ -86,8 +91,8 @@ def test_json_is_one_document_with_everything_promised(folder, capsys):
     assert tso("refine", "initial.ply", "mask.png", "--json", "-o", "out.ply", "--overlay", "out.png") == 0
     document = _json(capsys)
     promised = (
-        "mode output camera steps stop_reason iou_before iou_after loss_before loss_after chamfer_to_initial seconds frame "
-        "points sigma_sq device seed version"
+        "mode output camera steps stop_reason warnings iou_before iou_after loss_before loss_after moved_mean moved_max "
+        "chamfer_to_initial symmetry_outcome seconds frame points sigma_sq device seed version"
     )
     assert set(promised.split()) <= set(document)
     assert document["mode"] == "points"
@@ -95,6 +100,9 @@ def test_json_is_one_document_with_everything_promised(folder, capsys):
     assert document["points"] == 1024
     assert document["iou_after"] > document["iou_before"]
     assert document["loss_after"] < document["loss_before"]
+    assert (document["stop_reason"], document["warnings"], document["symmetry_outcome"]) == ("max_steps", [], "used")
+    moved = np.linalg.norm(read_cloud("out.ply").points - read_cloud("initial.ply").points, axis=1)
+    assert (document["moved_mean"], document["moved_max"]) == pytest.approx((moved.mean(), moved.max()), rel=1e-4)
     assert document["version"] == __version__
     assert {"read", "optimise", "write", "total"} <= set(document["seconds"])
     with Image.open("out.png") as picture:
@@ -105,13 +113,13 @@ def test_the_camera_named_after_the_mask_wins_over_the_folders(folder, capsys):
     shutil.copy("camera.json", "mask.camera.json")
     Path("camera.json").write_text("not used")
     assert tso("refine", "initial.ply", "mask.png", "--steps", "0") == 0
-    assert "camera: mask.camera.json" in capsys.readouterr().err
+    assert "used   camera mask.camera.json; " in capsys.readouterr().out
 
 
 def test_without_a_camera_file_the_canonical_camera_is_used_and_said(folder, capsys):
     Path("camera.json").unlink()
     assert tso("refine", "initial.ply", "mask.png", "--steps", "0") == 0
-    assert "camera: canonical" in capsys.readouterr().err
+    assert "used   canonical camera (no camera file was given or found beside the mask); " in capsys.readouterr().out
 
 
 def test_zero_steps_write_the_start(folder):
@@ -274,7 +282,7 @@ def test_masks_beside_a_file_of_all_views_need_no_camera_option(views, capsys):
     Path("camera.json").unlink()
     assert tso("refine", "initial.ply", *views[1:], "--steps", "0", "--json") == 0
     captured = capsys.readouterr()
-    assert "camera: cameras.json\n" in captured.err
+    assert [view["camera"]["source"] for view in json.loads(captured.out)["views"]] == ["cameras.json"] * 2
     assert [view["camera"]["width"] for view in json.loads(captured.out)["views"]] == [96, 128]
 
 
@@ -312,8 +320,9 @@ def test_a_view_that_the_others_contradict_is_discounted_and_named(views, capsys
     other = np.zeros((80, 96), np.uint8)
     other[30:75, 5:90] = 255
     Image.fromarray(other).save("side.png")
-    assert tso("refine", "initial.ply", *views, "--camera", "views.json") == 0
+    assert tso("refine", "initial.ply", *views, "--camera", "views.json", "-v") == 0
     captured = capsys.readouterr()
+    assert "; little of side.png (contradicted by the others); " in captured.out
     assert re.findall(r"warning: (\S+): the other views contradict it", captured.err) == ["side.png"]
     weights = [float(weight) for weight in re.findall(r"weight ([\d.]+), ", captured.out)]
     assert weights[1] < 0.2 < 0.8 < min(weights[0], weights[2])
@@ -360,13 +369,11 @@ def shipped(tmp_path, checkpoint, monkeypatch):
 def test_without_a_checkpoint_the_shipped_one_refines_and_is_named(mode, folder, checkpoint, shipped, capsys):
     common = ("refine", "--mode", mode, "image.png", "mask.png", "--steps", "2")
     assert tso(*common, "-o", "a.ply", "--json") == 0
-    captured = capsys.readouterr()
-    assert f"checkpoint: {shipped}\n" in captured.err
-    assert json.loads(captured.out)["checkpoint"] == str(shipped)
+    assert _json(capsys)["checkpoint"] == str(shipped)
     assert tso(*common, "-o", "b.ply", "--checkpoint", checkpoint) == 0
-    assert f"checkpoint: {checkpoint}\n" in capsys.readouterr().err
+    assert f"used   network {checkpoint}; camera camera.json (only its K); " in capsys.readouterr().out
     assert tso(*common, "-o", "c.ply", "--checkpoint", "default") == 0
-    assert f"checkpoint: {shipped}\n" in capsys.readouterr().err
+    assert "used   shipped network; " in capsys.readouterr().out
     assert Path("a.ply").read_bytes() == Path("b.ply").read_bytes() == Path("c.ply").read_bytes()
 
 
@@ -505,7 +512,9 @@ def test_an_interrupt_writes_the_best_so_far(folder, capsys, monkeypatch):
     # while the mirror plane is put to the test nothing has moved yet
     calls = iter(range(100))
     assert tso("refine", "initial.ply", "mask.png", "-o", "start.ply") == 130
-    assert "interrupted at step 0 of 48" in capsys.readouterr().err
+    captured = capsys.readouterr()
+    assert "warning: nothing moved: interrupted at step 0, " in captured.err
+    assert "moved  nothing: interrupted at step 0, " in captured.out
     np.testing.assert_array_equal(read_cloud("start.ply").points, read_cloud("initial.ply").points)
 
 

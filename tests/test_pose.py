@@ -184,10 +184,11 @@ def test_the_command_fits_refines_and_writes_a_camera_that_reads_back(tmp_path, 
     chair, out, written = EXAMPLES / "chair", tmp_path / "out.ply", tmp_path / "found.json"
     cloud, mask = chair / "target.ply", chair / "mask.png"
     code, stdout, stderr = tso(
-        cloud, mask, "--camera", "fit", "--refine-camera", "--steps", "5", "-o", out, "--write-camera", written
+        cloud, mask, "--camera", "fit", "--refine-camera", "--steps", "5", "-o", out, "--write-camera", written, "-v"
     )
     assert code == 0, stderr
     assert "tso: camera: fitted, IoU 0." in stderr and "next best" in stderr
+    assert "used   camera fitted to cloud and mask (sure), kept: " in stdout
     assert "camera kept" in stdout and f"{written}: camera" in stdout
     assert angle_between(read_camera(written, 256, 256, mask).R, example("chair")[2].R) < 8.0
     assert tso(cloud, mask, "--camera", written, "--check")[0] == 0
@@ -198,7 +199,7 @@ def test_the_cameras_of_several_masks_are_written_with_their_masks(tmp_path, tso
     second.write_bytes(first.read_bytes())
     (tmp_path / "camera.json").write_bytes((EXAMPLES / "chair" / "camera.json").read_bytes())
     written, cloud = tmp_path / "used.json", EXAMPLES / "chair" / "target.ply"
-    files = "--refine-camera", "--steps", "2", "-o", tmp_path / "out.ply", "--write-camera", written
+    files = "--refine-camera", "--steps", "2", "-v", "-o", tmp_path / "out.ply", "--write-camera", written
     code, stdout, stderr = tso(cloud, first, second, *files)
     assert code == 0, stderr
     assert stdout.count("camera kept") == 2

@@ -101,7 +101,8 @@ def test_a_strip_thinner_than_a_pixel_tells_little_and_a_wider_one_all():
     strips = torch.stack([torch.stack([along, width * across], -1) for width in (0.2, 1.0, 2.0)])
     # half as far from the middle as it is wide, which is its standard deviation
     expected = torch.tensor([0.0, (0.5 - 0.2) / 0.6, 1.0], dtype=torch.float64)
-    for found in (resolved(strips, 64), resolved(2.0 * strips, 128)):
+    enlarged = resolved(2.0 * strips, torch.full((3,), 2.0, dtype=torch.float64))
+    for found in (resolved(strips), enlarged):
         torch.testing.assert_close(found, expected, rtol=0.0, atol=0.02)
 
 

@@ -102,7 +102,9 @@ def test_what_the_pages_show_was_made_by_the_method_as_it_is():
         record = json.loads((FIGURES / f"{name}.json").read_text())
         found = differences(record) if study_of(record) else ["it does not say its study"]
         told = f"docs/figures/{name}.json is of another method ({'; '.join(found)}); it is made anew by: "
-        assert bool(found) == (name in TO_BE_REMADE), told + command_that_remakes(name) + "; then python -m tests.readme tables"
+        assert bool(found) == (name in TO_BE_REMADE), (
+            told + command_that_remakes(name) + "; then python -m tests.readme --tables"
+        )
 
 
 def test_the_kept_figures_meet_what_the_paper_promises():

@@ -101,6 +101,7 @@ def test_the_flipped_picture_helps_where_the_object_is_its_own_mirror_image():
     mask, camera = _seen(_boxes(-0.42, 0.42) * [1.1, 1.1, 1.0])
     found = refine(_boxes(-0.42, 0.42), mask, camera)
     assert found.symmetry is not None
+    assert found.symmetry_outcome == "used"
     assert "at most 1.1" in found.symmetry_reason
 
 
@@ -109,8 +110,15 @@ def test_the_flipped_picture_is_given_up_where_the_object_has_lost_one_side():
     start = _boxes(-0.42, 0.42)
     found = refine(start, mask, camera)
     assert found.symmetry is None
+    assert found.symmetry_outcome == "contradicted"
     assert "over 1.1" in found.symmetry_reason
     np.testing.assert_array_equal(found.points, refine(start, mask, camera, RefineConfig(symmetry="none")).points)
+
+
+def test_a_cloud_that_is_not_its_own_mirror_image_has_no_plane():
+    start = np.random.default_rng(0).uniform(-0.5, 0.5, (400, 3)) ** 2 * [1.0, 0.7, 0.4]
+    found = refine(start, *_seen(start), RefineConfig(steps=0))
+    assert (found.symmetry, found.symmetry_outcome) == (None, "none_found")
 
 
 @pytest.mark.parametrize("config", [RefineConfig(preset="paper", symmetry="auto"), RefineConfig(learning_rate=1e-4)])
@@ -171,6 +179,7 @@ def test_a_plane_asked_for_is_used_and_told():
     for symmetry in ("none", "x", "2,0,0,0.1"):
         result = refine(points, mask, camera, RefineConfig(steps=0, symmetry=symmetry))
         told[symmetry] = result.symmetry
+        assert result.symmetry_outcome == ("not_asked" if symmetry == "none" else "given")
     middle = (points[:, 0].min() + points[:, 0].max()) / 2.0
     assert told == {"none": None, "x": pytest.approx((1, 0, 0, middle)), "2,0,0,0.1": pytest.approx((1, 0, 0, 0.05))}
 

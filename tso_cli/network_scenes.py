@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -13,9 +14,9 @@ from .camera import CANONICAL_ROTATION, Camera
 from .errors import InputError
 from .files.images import read_image
 from .network_input import network_input
-from .placement import place_in_front, settle, view_to_world
+from .placement import coarse_mask, place_in_front, settle, view_to_world
 from .scene import View
-from .scenes import Scene, load_view, said, same_size
+from .scenes import NO_FILE, Scene, load_view, said, same_size
 
 if TYPE_CHECKING:
     from .network import BaseNetwork, NetworkConfig
@@ -99,7 +100,11 @@ def network_scene(
     given = network_input(image, view, config.image_size, config.crop_share, config.background)
     with torch.no_grad():
         predicted = network(torch.from_numpy(given.image).unsqueeze(0))[0].double().numpy()
+    # In the crop, which is enlarged, it no longer shows.
+    if coarse := coarse_mask(view, len(predicted)):
+        warnings.warn(coarse, stacklevel=2)
     crop, to_output, frame = given.view(view.name), Scene.to_output, config.frame
+    short = f"camera {camera_source}" if known_camera else f"canonical camera {NO_FILE}"
     if config.frame == "view":
         if not known_camera:
             crop = replace(crop, camera=Camera.canonical(config.image_size, config.image_size))
@@ -109,11 +114,14 @@ def network_scene(
                     f"{view.name}: the camera has the object at depth {view.camera.t[2]:g}, expected it in front (> 0)"
                 )
             placed = replace(crop.camera, R=CANONICAL_ROTATION, t=view.camera.t)
+            short += " (only its K and distance)"
             camera_source += f"; the network's cloud is placed where it has the object, at distance {placed.t[2]:.3g}"
         else:
             placed = place_in_front(predicted, crop)
             if placing == "silhouette":
                 placed = settle(predicted, replace(crop, camera=placed), config.sigma_sq)
+            if known_camera:
+                short += " (only its K)"
             camera_source += f"; of it K counts, the network's cloud is placed to fill the mask, at distance {placed.t[2]:.3g}"
         crop = replace(crop, camera=placed)
         if world:
@@ -126,6 +134,7 @@ def network_scene(
         predicted,
         (crop,),
         (camera_source,),
+        short,
         frame,
         network=network,
         image=given.image,

@@ -1,4 +1,4 @@
-"""The mask term of the optimisation: views resampled to the resolution their kernel can resolve, projected and compared."""
+"""The mask term of the optimisation: views in the window of the object, projected and compared."""
 
 from __future__ import annotations
 
@@ -15,37 +15,48 @@ from .camera import NEAR, Camera
 from .depth_pull import DepthTarget, depth_pull
 from .errors import InputError
 from .losses import REFERENCE_PIXELS, PixelWeights, mask_loss
-from .projection import CameraBatch, Projected, coarsened, default_sigma_sq, project
-from .pull import PullTarget, mask_pull, resolved, sides
+from .projection import CameraBatch, Projected, project
+from .pull import PullTarget, mask_pull, pull_of_points, resolved, sides
 from .resample import area_resize
 from .scene import View
 from .smoothing import SmoothField
+from .window import Array, Box, window_of
 
 if TYPE_CHECKING:
     from .pose.moves import CameraMoves
 
-# A silhouette blurred by this variance (px^2) is resolved by its pixels: it is the paper's setting.
-RESOLVED_SIGMA_SQ = 0.4
+# Cells along the side of the window that a view is worked on in, and the paper's sigma^2 on that grid, cells^2.
+CELLS = 64
+DEFAULT_SIGMA_SQ = 0.4
 
 
 @dataclass(frozen=True, eq=False)
 class WorkingView:
-    """A view as the loop sees it.
+    """A view as the loop sees it: its window (:func:`tso_cli.window.window_of`) on a grid of square cells.
 
     Attributes
     ----------
-    mask : [h, w]; known : [h, w] weight of each pixel, None where all count.
-    camera : from normalised points to its pixels; sigma_sq : px^2 there.
-    depth : [h, w] normalised, NaN where it is not known; None without a depth map.
-    image : [h, w, 3] mean colour of the foreground in each pixel, 0 where there is none; None without an image.
+    mask : [h, h]; known : [h, h] how much of each cell is known, None where all is. Beyond the image nothing is.
+    camera : from normalised points to the cells; sigma_sq : of the projection, cells^2.
+    box : edges of the window in pixels of the mask.
+    bounds : left, top, right, bottom edges of the image, in cells: the window's own border cuts nothing.
+    depth : [h, h] normalised, NaN where it is not known; None without a depth map.
+    image : [h, h, 3] mean colour of the foreground in each cell, 0 where there is none; None without an image.
     """
 
-    mask: NDArray[np.float64]
-    known: NDArray[np.float64] | None
+    mask: Array
+    known: Array | None
     camera: Camera
     sigma_sq: float
-    depth: NDArray[np.float64] | None = None
-    image: NDArray[np.float64] | None = None
+    box: Box
+    bounds: Box
+    depth: Array | None = None
+    image: Array | None = None
+
+    @property
+    def grain(self) -> float:
+        """Cells to a pixel of the mask where it was enlarged, else 1: nothing finer is known."""
+        return max(1.0, self.camera.width / (self.box[2] - self.box[0]))
 
     @property
     def inside(self) -> NDArray[np.bool_]:
@@ -67,52 +78,69 @@ class WorkingView:
         return float(np.sqrt(camera.K[0, 0] * camera.K[1, 1] * REFERENCE_PIXELS / (camera.width * camera.height)) / depth)
 
 
-def working_view(view: View, sigma_sq: float | None, centre: NDArray[np.float64], scale: float) -> WorkingView:
+def working_view(
+    view: View, sigma_sq: float | None, centre: Array, scale: float, box: Box | None = None, cells: int = CELLS
+) -> WorkingView:
     """Prepare ``view`` for a cloud normalised by ``(X - centre) / scale``.
 
-    A silhouette whose kernel spans many pixels holds nothing finer than that kernel, so its mask is averaged (by area) down
-    to pixels of about the kernel's size. The default sigma^2 grows with the image, so every image is worked on at 64 px along
-    its longer side; a smaller sigma^2 keeps more. Nothing is ever scaled up.
+    What lies in the window is averaged by area to the cells, or interpolated linearly where they are smaller than pixels.
+
+    Parameters
+    ----------
+    sigma_sq : cells^2; None for the paper's 0.4.
+    box : edges of the window, a square; None for that of the mask alone.
+    cells : along a side of the window.
 
     Raises
     ------
     InputError
-        sigma_sq (px^2; None for the view's default) is under 0.01, or its square root over a quarter of the image; or no pixel
-        of about the kernel's size is known and foreground.
+        sigma_sq is under 0.01, or its square root over a quarter of the window; or no cell is known and foreground.
     """
-    if sigma_sq is None:
-        sigma_sq = default_sigma_sq(view.camera.width, view.camera.height)
-    widest = (max(view.camera.width, view.camera.height) / 4.0) ** 2
+    sigma_sq = DEFAULT_SIGMA_SQ if sigma_sq is None else sigma_sq
+    widest = (cells / 4.0) ** 2
     if not 0.01 <= sigma_sq <= widest:
-        raise InputError(f"{view.name}: sigma_sq is {sigma_sq:g} px^2, expected 0.01 to {widest:g} for a mask of this size")
-    camera, sigma_sq = coarsened(view.camera, sigma_sq, RESOLVED_SIGMA_SQ)
-    mask, known = view.mask.astype(np.float64), view.known
-    weight: NDArray[np.float64] | None = None if known is None else known.astype(np.float64)
-    box = (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5)
+        raise InputError(f"sigma_sq is {sigma_sq:g}, expected 0.01 to {widest:g}: squared cells of a window of {cells}x{cells}")
+    box = window_of(view) if box is None else box
+    camera = view.camera.cropped(box, cells, cells)
+    mask, weight = area_resize(view.mask, box, cells, cells, weights=view.known, interpolate=True)
     image = None
     if view.image is not None:
         shown = view.mask > 0.5 if view.known is None else (view.mask > 0.5) & view.known
-        image = area_resize(view.image, box, camera.width, camera.height, weights=shown)[0]
-    if camera is not view.camera:
-        mask, weight = area_resize(mask, box, camera.width, camera.height, weights=weight)
-    depth = None if view.depth is None else _sampled(view.depth, camera) / scale
-    found = WorkingView(mask, None if known is None else weight, camera.for_normalised(centre, scale), sigma_sq, depth, image)
+        image = area_resize(view.image, box, cells, cells, weights=shown, interpolate=True)[0]
+    depth = None if view.depth is None else _sampled(view.depth, box, cells) / scale
+    known = None if view.known is None and weight.min() >= 1.0 - 1e-9 else weight
+    found = WorkingView(
+        mask, known, camera.for_normalised(centre, scale), sigma_sq, box, _image_in(box, view.camera, cells), depth, image
+    )
     if not found.inside.any():
         raise InputError(
-            f"{view.name}: no pixel is known to be foreground when it is worked on at {camera.width}x{camera.height}, expected "
+            f"{view.name}: no pixel is known to be foreground when it is worked on at {cells}x{cells}, expected "
             "some; its ignore map leaves less than half of each"
         )
     return found
 
 
-def _sampled(depth: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
-    """``depth`` at the pixel nearest to each of the camera's: a mean across an edge would lie in mid-air."""
-    height, width = depth.shape
-    rows, columns = (
-        np.floor((np.arange(count) + 0.5) * size / count).astype(int)
-        for count, size in ((camera.height, height), (camera.width, width))
+def _image_in(box: Box, camera: Camera, cells: int) -> Box:
+    """The edges of the image in cells of the window."""
+    left, top, right, bottom = box
+    across, down = cells / (right - left), cells / (bottom - top)
+    return (
+        (-0.5 - left) * across - 0.5,
+        (-0.5 - top) * down - 0.5,
+        (camera.width - 0.5 - left) * across - 0.5,
+        (camera.height - 0.5 - top) * down - 0.5,
     )
-    return depth[rows[:, None], columns]
+
+
+def _sampled(depth: Array, box: Box, cells: int) -> Array:
+    """``depth`` at the pixel nearest to each cell: a mean across an edge would lie in mid-air. NaN beyond the image."""
+    left, top, right, bottom = box
+    middle = (np.arange(cells) + 0.5) / cells
+    rows = np.floor(top + middle * (bottom - top) + 0.5).astype(int)
+    columns = np.floor(left + middle * (right - left) + 0.5).astype(int)
+    height, width = depth.shape
+    there = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))
+    return np.where(there, depth[rows.clip(0, height - 1)[:, None], columns.clip(0, width - 1)], np.nan)
 
 
 class MaskObjective:
@@ -182,7 +210,7 @@ class PullObjective:
         self._depths: list[DepthTarget | None] = []
         for group in members.values():
             every = Together.of([own[v] for own in views for v in group], like)
-            target = PullTarget.of(every.mask, every.known)
+            target = PullTarget.of(every.mask, every.known, every.bounds, every.grain)
             cameras = every.cameras.grouped(len(group))
             share = torch.ones(len(views), len(group)) if weights is None else weights[:, group]
             self._groups.append((target, cameras, share.to(like), counts.repeat_interleave(len(group))))
@@ -206,7 +234,8 @@ class PullObjective:
             points_px, _ = project(nodes, cameras)  # [B, G, M, 2]
             patches = field.patches.unsqueeze(1).expand(-1, share.shape[1], -1, -1)
             around = torch.take_along_dim(points_px.unsqueeze(2), patches.flatten(2).unsqueeze(2).unsqueeze(-1), 3)
-            shown = resolved(around.squeeze(2).unflatten(2, patches.shape[2:]), target.side)
+            grain = target.grain.view(*share.shape, 1)
+            shown = resolved(around.squeeze(2).unflatten(2, patches.shape[2:]), grain)
             self._shown[number] = torch.stack([field.of_nearest_node(own) for own in shown.unbind(1)], 1).flatten(0, 1)
 
     def asked(self, points: Tensor) -> Tensor:
@@ -217,6 +246,16 @@ class PullObjective:
             asked = target.asked(points_px.flatten(0, 1), valid.flatten(0, 1)).view_as(valid)
             found = found | (asked & (share > 0.0).unsqueeze(-1)).any(1)
         return found
+
+    def of_points(self, points: Tensor, reach: float) -> Tensor:
+        """[B, N] what each point of the clouds adds to the masks' part of the loss."""
+        total = torch.zeros_like(points[..., 0])
+        for (target, cameras, share, counts), shown in zip(self._groups, self._shown, strict=True):
+            points_px, valid = project(points.detach(), cameras)
+            valid = (valid & self._there).flatten(0, 1)
+            each = pull_of_points(points_px.flatten(0, 1), valid, target, reach, counts, shown)
+            total += (share.unsqueeze(-1) * each.view(*share.shape, -1)).sum(1)
+        return total
 
     def __call__(self, points: Tensor, reach: float) -> Tensor:
         """The loss [B] of the clouds ``points`` [B, N, 3]; infinite where a view shows no point at all."""
@@ -242,11 +281,13 @@ class Together:
     known: Tensor | None  # [B, h, w]
     cameras: CameraBatch  # [B, 1]
     sigma_sq: float
+    bounds: Tensor  # [B, 4]
+    grain: Tensor  # [B]
     depth: Tensor | None = None  # [B, h, w]
 
     @classmethod
     def of(cls, views: Sequence[WorkingView], like: Tensor) -> Together:
-        def stacked(arrays: list[NDArray[np.float64]]) -> Tensor:
+        def stacked(arrays: list[Array]) -> Tensor:
             return torch.as_tensor(np.stack(arrays), dtype=like.dtype, device=like.device)
 
         first = views[0]
@@ -259,4 +300,6 @@ class Together:
         if any(view.depth is not None for view in views):
             depth = stacked([np.full_like(view.mask, np.nan) if view.depth is None else view.depth for view in views])
         cameras = CameraBatch.of([view.camera for view in views], like).one_each()
-        return cls(stacked([view.mask for view in views]), known, cameras, first.sigma_sq, depth)
+        bounds = stacked([np.array(view.bounds) for view in views])
+        grain = stacked([np.array(view.grain) for view in views])
+        return cls(stacked([view.mask for view in views]), known, cameras, first.sigma_sq, bounds, grain, depth)

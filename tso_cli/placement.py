@@ -17,6 +17,9 @@ from .scene import View
 SMALLEST_BOX_IOU = 0.05
 # Twenty steps of a 200th bring a cloud by a tenth of its longest side; more of them change no result.
 SETTLING_STEPS, SETTLING_STEP = 20, 0.005
+# A mask of fewer foreground pixels says little of a shape; nor does one of fewer along its longer side that are each wider than
+# the spacing of the projected points.
+FEWEST_PIXELS, FEWEST_ACROSS = 16, 16
 
 Array = NDArray[np.float64]
 Box = tuple[float, float, float, float]
@@ -73,6 +76,22 @@ def place(points: Array, view: View) -> Placement:
     return Placement(len(points), int((~front).sum()), int(inside.sum()), int(on_mask.sum()), distances, box, mask_box, overlap)
 
 
+def coarse_mask(view: View, points: int) -> str | None:
+    """What a mask of so few pixels cannot tell a cloud of so many ``points``, in words; None for a mask of enough."""
+    inside = view.mask > 0.5
+    if view.known is not None:
+        inside &= view.known
+    pixels = int(inside.sum())
+    left, top, right, bottom = view.box()
+    side = round(max(right - left, bottom - top))
+    # A surface is projected twice, its front and its back: with over two points on a pixel they lie closer than it is wide.
+    if pixels >= FEWEST_PIXELS and (side >= FEWEST_ACROSS or points <= 2 * pixels):
+        return None
+    if side == 1:
+        return f"{view.name}: shows the object with a single pixel, which tells where it is and nothing of its shape"
+    return f"{view.name}: shows the object with only {pixels} pixels: details smaller than 1/{side} of its size cannot be seen"
+
+
 def _plain(box: Any) -> Box:
     left, top, right, bottom = (float(edge) for edge in box)
     return left, top, right, bottom
@@ -101,7 +120,7 @@ def require_overlap(placement: Placement, view: View) -> None:
     )
     if placement.behind == placement.points:
         raise InputError(f"{view.name}: all {placement.points} points lie behind the camera; {advice}")
-    if placement.points_box is None:
+    if not placement.inside_image or placement.points_box is None:
         raise InputError(f"{view.name}: no point falls inside the {view.camera.width}x{view.camera.height} image; {advice}")
     if placement.box_iou <= SMALLEST_BOX_IOU:
         raise InputError(

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+NO_FILE = "(no camera file was given or found beside the mask)"
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -33,7 +35,7 @@ class Scene:
     ----------
     points : [N, 3] float64, the start: the file's cloud, or the network's prediction in the network's frame.
     views : masks and the cameras that project `points` onto them (network modes: one, of the crop that the network saw).
-    camera_sources : where the camera of each is from, in words.
+    camera_sources : where the camera of each is from, in words. camera_in_short : of all, in few.
     frame : of the output: "input" (the cloud's own), "view", "canonical" or "world".
     cloud : the file that `points` are from, None in the network modes.
     colours : [N, 3] of `points`, None where no view has an image.
@@ -45,6 +47,7 @@ class Scene:
     points: Array
     views: tuple[View, ...]
     camera_sources: tuple[str, ...]
+    camera_in_short: str
     frame: str
     cloud: PointCloud | None = None
     network: BaseNetwork | None = None
@@ -187,7 +190,15 @@ def _read_each(
 
 def said(camera_file: Path | None) -> str:
     """Where a camera comes from, in words."""
-    return str(camera_file) if camera_file else "canonical (no camera file was given or found beside the mask)"
+    return str(camera_file) if camera_file else f"canonical {NO_FILE}"
+
+
+def in_short(camera_files: Sequence[Path | None]) -> str:
+    """Which cameras were used, in few words."""
+    if len(camera_files) == 1:
+        return f"camera {camera_files[0]}" if camera_files[0] else f"canonical camera {NO_FILE}"
+    each = list(dict.fromkeys(map(str, camera_files)))
+    return f"cameras of {', '.join(each) if len(each) < 3 else f'{len(each)} files'}"
 
 
 def load_points_scene(
@@ -220,7 +231,10 @@ def load_points_scene(
         views: tuple[View, ...] = (replace(view, camera=fitted.camera),)
         if image_files:
             views = _with_images(views, image_files)
-        return Scene(cloud.points, views, (fitted.describe(),), "input", cloud=cloud, colours=colours)
+        if not fitted.sure:
+            warnings.warn(f"{masks[0]}: the fitted camera is unsure: {fitted.doubt}", stacklevel=2)
+        short = f"camera fitted to cloud and mask ({'sure' if fitted.sure else 'unsure'})"
+        return Scene(cloud.points, views, (fitted.describe(),), short, "input", cloud=cloud, colours=colours)
     views, camera_files = load_views(masks, camera_file, invert, ignore_files)
     if depth_files:
         views = _with_depths(views, depth_files, depth_scale)
@@ -230,7 +244,7 @@ def load_points_scene(
         _warn_of_scale(cloud.points, view, cloud_file)
     for view, depth_file in zip(views, depth_files, strict=False):
         _warn_of_depth(cloud.points, view, depth_file)
-    return Scene(cloud.points, views, tuple(map(said, camera_files)), "input", cloud=cloud, colours=colours)
+    return Scene(cloud.points, views, tuple(map(said, camera_files)), in_short(camera_files), "input", cloud, colours=colours)
 
 
 def _warn_of_scale(points: Array, view: View, cloud_file: Path) -> None:

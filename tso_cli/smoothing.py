@@ -84,6 +84,23 @@ class SmoothField:
             return values
         return values.flatten()[self._between[0][:, 0]].view(len(values), -1)
 
+    def averaged(self, values: Tensor, weight: float) -> Tensor:
+        """[B, N] ``values`` at the points, averaged over their surroundings: ``(I + weight L)^-1`` of their sums at the nodes,
+        over that of the numbers of points."""
+        if self._between is None:
+            owner = torch.arange(values.numel(), device=values.device)
+        else:
+            owner = self._between[0][:, 0]
+        total, count = (
+            torch.zeros(self.shape[0] * self.shape[1], dtype=values.dtype, device=values.device)
+            .index_add(0, owner, part.flatten())
+            .view(self.shape[:2])
+            for part in (values, torch.ones_like(values))
+        )
+        smoother = self.smoother(weight)
+        found = (smoother @ torch.stack([total, count], 2)).unbind(2)
+        return self.of_nearest_node(found[0] / found[1].clamp_min(torch.finfo(values.dtype).tiny))
+
     def areas(self, points: Tensor, counts: Tensor) -> Tensor:
         """[B, N] how much surface each of the ``points`` [B, N, 3] stands for, in units of the mean of its cloud.
 

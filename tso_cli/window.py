@@ -11,8 +11,9 @@ from .scene import View
 Array = NDArray[np.float64]
 Box = tuple[float, float, float, float]
 
-# Background on every side of the object, in units of the longer side of its box.
-MARGIN = 1.0 / 16.0
+# Background on every side of the object, in units of the longer side of its box. Chosen on training and validation shapes: with
+# half as much single clouds get worse, with more all gain less.
+MARGIN = 1.0 / 8.0
 # The share of the points at either end of an axis that does not stretch the window: strays would cost the object resolution.
 STRAYS = 0.005
 
@@ -41,7 +42,7 @@ def window_of(view: View, points: Array | None = None) -> Box:
             front &= depth > NEAR * np.ptp(points, axis=0).max()
         if front.any():
             first, last = np.quantile(pixels[front], [STRAYS, 1.0 - STRAYS], axis=0)
-            low, high = np.minimum(low, first - 0.5), np.maximum(high, last + 0.5)
+            low, high = np.minimum(low, first), np.maximum(high, last)
     low, high = np.maximum(low, -0.5), np.minimum(high, border)
     margin = MARGIN * float((high - low).max())
     low, high = np.maximum(low - margin, -0.5), np.minimum(high + margin, border)

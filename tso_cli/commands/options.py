@@ -5,8 +5,10 @@ from __future__ import annotations
 import gc
 import json
 import math
+import os
 import sys
 import time
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -76,8 +78,25 @@ def log(message: str) -> None:
     click.echo(message, err=True)
 
 
+@contextmanager
+def collected_warnings(quiet: bool) -> Iterator[list[str]]:
+    """A list that takes the text of every warning that is issued; they are shown as ever unless ``quiet``."""
+    show, texts = warnings.showwarning, []
+
+    def collect(message: Warning | str, *rest: Any, **named: Any) -> None:
+        texts.append(str(message))
+        if not quiet:
+            show(message, *rest, **named)
+
+    warnings.showwarning = collect
+    try:
+        yield texts
+    finally:
+        warnings.showwarning = show
+
+
 class ProgressBar:
-    """A bar on stderr while it is a terminal, else a line every tenth of the work or 15 seconds.
+    """A bar with the time left on stderr while it is a terminal, else a line every tenth of the work or 15 seconds.
 
     Parameters
     ----------
@@ -89,6 +108,8 @@ class ProgressBar:
         self.label = label
         self._terminal = sys.stderr.isatty()
         self._shown = -1
+        self._open = False
+        self._first: tuple[float, int] | None = None
         self._due = time.monotonic() + delay
         self._pause = 1.0 if self._terminal else 15.0
 
@@ -96,14 +117,43 @@ class ProgressBar:
         """Show ``done`` of ``total``."""
         mark = done * (40 if self._terminal else 10) // max(total, 1)
         now = time.monotonic()
+        self._first = self._first or (now, done)
         if self._shown < 0 and now < self._due:
             return
         if mark == self._shown and now < self._due and not (done == total and self._terminal):
             return
         self._due = now + self._pause
         self._shown = mark
-        if self._terminal:
-            bar = "#" * mark + "." * (40 - mark)
-            click.echo(f"\r{self.label} [{bar}] {done}/{total} {note}\x1b[K", err=True, nl=done == total)
-        else:
-            log(f"{self.label} {done}/{total} {note}".rstrip())
+        words = f"{done}/{total} {note}".rstrip()
+        if not self._terminal:
+            log(f"{self.label} {words}")
+            return
+        # A line that wraps cannot be written over: what does not fit is the bar's to save.
+        width = min(40, _columns() - len(f"{self.label} [] {total}/{total} {note}, 00:00 left") - 1)
+        words += self._left(now, done, total)
+        filled = done * width // max(total, 1)
+        bar = f"[{'#' * filled}{'.' * (width - filled)}] " if width > 0 else ""
+        self._open = done != total
+        click.echo(f"\r{self.label} {bar}{words}\x1b[K", err=True, nl=not self._open)
+
+    def close(self) -> None:
+        """End the line of a bar that did not come to its end."""
+        if self._open:
+            log("")
+        self._open = False
+
+    def _left(self, now: float, done: int, total: int) -> str:
+        assert self._first is not None
+        began, before = self._first
+        if not before < done < total:
+            return ""
+        seconds = math.ceil((now - began) / (done - before) * (total - done))
+        return f", {seconds // 60}:{seconds % 60:02} left"
+
+
+def _columns() -> int:
+    """Of the terminal that stderr is."""
+    try:
+        return os.get_terminal_size(sys.stderr.fileno()).columns or 80
+    except OSError:
+        return 80

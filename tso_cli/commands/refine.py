@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 import time
+import warnings
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,18 +17,16 @@ from ..files.shipped import DEFAULT, named_checkpoint
 from . import options
 from .refine_camera import (
     camera_records,
-    print_cameras,
     refuse_camera_options,
     refuse_camera_output,
     write_used_cameras,
 )
-from .refine_result import document, print_check, print_result
+from .refine_result import document, print_check
+from .refine_summary import print_details, print_result
 
 if TYPE_CHECKING:
     from ..network_scenes import Placing
 
-# A view that is trusted less is warned of.
-DOUBTED = 0.5
 MODES = ("points", "encoder", "encoder-decoder", "latent")
 
 
@@ -127,6 +127,8 @@ MODES = ("points", "encoder", "encoder-decoder", "latent")
 @options.seed
 @click.option("--overlay", type=options.FilePath(), help="Picture of mask, silhouette and cloud before and after, .png.")
 @click.option("--check", is_flag=True, help="Say which camera, scale and overlap, and stop there.")
+@click.option("-q", "--quiet", is_flag=True, help="Print errors alone, and the document of --json.")
+@click.option("-v", "--verbose", is_flag=True, help="Print every measure and setting too, view by view.")
 @options.as_json
 @click.pass_context
 def command(
@@ -157,6 +159,8 @@ def command(
     seed: int,
     overlay: Path | None,
     check: bool,
+    quiet: bool,
+    verbose: bool,
     as_json: bool,
 ) -> None:
     """Make a point cloud agree with masks and write the refined cloud.
@@ -175,13 +179,18 @@ def command(
     other attribute stay. None of the variants draws random numbers; the seed is only recorded.
     """
     started = time.perf_counter()
+    if quiet and verbose:
+        raise InputError("--quiet and --verbose, expected one of the two")
+    warned = ctx.with_resource(options.collected_warnings(quiet))
     _refuse_mixed_up(mode, source, masks, ignore_files, checkpoint, frame, place_by)
     fit = camera_file == options.FIT
     _refuse_evidence(mode, preset, fit, depth_files, depth_scale, image_files)
     refuse_camera_options(mode, fit, refine_camera, write_camera)
     if fit:
         camera_file = None
+    network = None
     if mode != "points":
+        network = "shipped network" if checkpoint in (None, Path(DEFAULT)) else f"network {checkpoint}"
         checkpoint = named_checkpoint(checkpoint or Path(DEFAULT))
     if not masks:
         masks = _masks_of(camera_file)
@@ -205,11 +214,15 @@ def command(
         scene = load_network_scene(
             source, masks[0], checkpoint, camera_file, invert_mask, ignore_file, frame == "world", place_by or "silhouette"
         )
-        options.log(f"tso: checkpoint: {checkpoint}")
-    options.log(f"tso: camera: {scene.camera_source}")
+    # Of a result the camera is told with it.
+    if verbose or (check and not quiet):
+        if checkpoint is not None:
+            options.log(f"tso: checkpoint: {checkpoint}")
+        options.log(f"tso: camera: {scene.camera_source}")
     if check:
         placements = [place(scene.points, view) for view in scene.views]
-        print_check(scene, placements, as_json)
+        if as_json or not quiet:
+            print_check(scene, placements, as_json)
         for placement, view in zip(placements, scene.views, strict=True):
             require_overlap(placement, view)
         return
@@ -220,15 +233,22 @@ def command(
     sigma_sq = scene.sigma_sq if sigma_sq is None else sigma_sq
     config = RefineConfig(mode, steps, learning_rate, gamma, sigma_sq, device, seed, preset, symmetry, refine_camera)
     bar = options.ProgressBar("tso: refining")
-    result = refine(
-        None if scene.network else scene.points,
-        scene.views,
-        config=config,
-        network=scene.network,
-        image=scene.image,
-        colours=scene.colours,
-        progress=lambda step, total, loss: bar(step, total, f"loss {loss:.6g}"),
-    )
+
+    def told(step: int, total: int, loss: float) -> None:
+        bar(step, total, f"steps, loss {loss:.6g}" if verbose else "steps")
+
+    try:
+        result = refine(
+            None if scene.network else scene.points,
+            scene.views,
+            config=config,
+            network=scene.network,
+            image=scene.image,
+            colours=scene.colours,
+            progress=told if sys.stderr.isatty() and not quiet else None,
+        )
+    finally:
+        bar.close()
     writing = time.perf_counter()
     from ..files.clouds import write_cloud
 
@@ -243,23 +263,19 @@ def command(
         write_cloud(output, scene.to_output(result.points), like=scene.cloud, overwrite=overwrite)
     finished = time.perf_counter()
     seconds = {"read": read, **result.seconds, "write": finished - writing, "total": finished - started}
+    for text in result.warnings:
+        warnings.warn(text, stacklevel=1)
     if as_json:
-        found = document(result, scene, checkpoint, output, overlay, preset, seconds)
+        found = document(result, scene, checkpoint, output, overlay, preset, seconds, warned)
         options.echo_json(found | (camera_records(scene.views, result) if refine_camera else {}))
-    else:
-        print_result(result, scene, output, overlay, seconds)
-        print_cameras(scene.views, result, refine_camera, write_camera)
-    for view, trust in zip(scene.views, result.view_trust, strict=True):
-        if trust < DOUBTED:
-            options.log(
-                f"tso: warning: {view.name}: the other views contradict it, trust {trust:.2f}; is its mask or camera wrong?"
-            )
-    if result.stop_reason == "non_finite":
-        options.log(f"tso: warning: the loss was no number after step {result.steps}; the best before that was written")
-    elif result.stop_reason == "interrupted":
-        options.log(
-            f"tso: interrupted at step {result.steps} of {config.settings(len(scene.views)).steps}; the best so far was written"
-        )
+    elif not quiet:
+        print_result(result, scene, network, refine_camera, output, seconds)
+        for path, what in ((overlay, "picture"), (write_camera, "camera")):
+            if path is not None:
+                click.echo(f"{path}: {what}")
+        if verbose:
+            print_details(result, scene, refine_camera, seconds)
+    if result.stop_reason == "interrupted":
         ctx.exit(130)
 
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ..camera import Camera
     from ..refinement import RefineResult
     from ..scene import View
+    from ..scenes import Scene
 
 
 def refuse_camera_options(mode: str, fit: bool, refine_camera: bool, write_camera: Path | None) -> None:
@@ -46,10 +47,24 @@ def write_used_cameras(path: Path, result: RefineResult, masks: Sequence[Path]) 
     write_cameras(path, [CameraRecord(camera, mask) for camera, mask in pairs], overwrite=True)
 
 
-def print_cameras(views: Sequence[View], result: RefineResult, refined: bool, written: Path | None) -> None:
-    """How far each camera moved, if they were to move, and the file they went to."""
+def camera_words(scene: Scene, result: RefineResult, refined: bool) -> str:
+    """The cameras that were used, as short as can be; ``refined``: they were to be corrected."""
+    words = scene.camera_in_short
     # No step: nothing was asked of the cameras.
-    for view, camera in zip(views, result.cameras, strict=True) if refined and result.steps else ():
+    if not refined or not result.steps:
+        return words
+    corrected = [pair for pair in zip(scene.views, result.cameras, strict=True) if pair[0].camera is not pair[1]]
+    if not corrected:
+        return f"{words}, kept: no small correction explains the misfit"
+    if len(scene.views) > 1:
+        return f"{words}, {len(corrected)} of {len(scene.views)} corrected"
+    turned, shifted = _change(*corrected[0], result)
+    return f"{words}, corrected: turned by {turned:.1f} degrees, shifted by {100.0 * shifted:.1f} % of its distance"
+
+
+def print_cameras(views: Sequence[View], result: RefineResult) -> None:
+    """How far each camera moved, of cameras that were to move."""
+    for view, camera in zip(views, result.cameras, strict=True) if result.steps else ():
         if camera is view.camera:
             from ..refinement.cameras import LEFT
 
@@ -57,8 +72,6 @@ def print_cameras(views: Sequence[View], result: RefineResult, refined: bool, wr
         else:
             turned, shifted = _change(view, camera, result)
             click.echo(f"  camera turned {turned:.2f} degrees, shifted {100.0 * shifted:.2f} % of its distance   ({view.name})")
-    if written is not None:
-        click.echo(f"{written}: camera")
 
 
 def camera_records(views: Sequence[View], result: RefineResult) -> dict[str, Any]:

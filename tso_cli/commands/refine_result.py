@@ -40,6 +40,7 @@ def document(
     overlay: Path | None,
     preset: str,
     seconds: dict[str, float],
+    warnings: list[str],
 ) -> dict[str, Any]:
     return {
         "mode": result.mode,
@@ -66,13 +67,17 @@ def document(
         "steps": result.steps,
         "best_step": result.best_step,
         "stop_reason": result.stop_reason,
+        "warnings": warnings,
         "loss_before": result.loss_before,
         "loss_after": result.loss_after,
         "losses": result.losses,
         "iou_before": result.iou_before,
         "iou_after": result.iou_after,
+        "moved_mean": result.moved_mean,
+        "moved_max": result.moved_max,
         "chamfer_to_initial": result.chamfer_to_initial,
         "convention": {
+            "moved": "way of a point from its start, as a share of the object's size, the longest side of the start's box",
             "chamfer_to_initial": "squared distances, mean over points, both directions summed, longest side 1",
             "iou": "silhouette > 0.5 against mask > 0.5, mean over views",
             "trust": "in a view: 1, or less where the other views contradict it",
@@ -84,6 +89,7 @@ def document(
         "learning_rate": result.learning_rate,
         "gamma": result.gamma,
         "symmetry": result.symmetry,
+        "symmetry_outcome": result.symmetry_outcome,
         "symmetry_reason": result.symmetry_reason,
         "sigma_sq": result.sigma_sq,
         "device": result.device,
@@ -91,44 +97,6 @@ def document(
         "seconds": seconds,
         "version": __version__,
     }
-
-
-def print_result(result: RefineResult, scene: Scene, output: Path, overlay: Path | None, seconds: dict[str, float]) -> None:
-    from ..refinement.batching import NOT_ASKED
-
-    if result.averaged and result.best_step:
-        best = "the mean over the stages"
-    else:
-        best = f"best at step {result.best_step}"
-    click.echo(f"{output}: {len(result.points):,} points, {result.steps} steps, {best}")
-    mean = f", mean of {len(scene.views)} views" if len(scene.views) > 1 else ""
-    click.echo(f"  IoU    {result.iou_before:.3f} -> {result.iou_after:.3f}   (silhouette > 0.5, mask > 0.5{mean})")
-    if mean:
-        for view, (before, after), trust, weight in zip(
-            scene.views, result.view_ious, result.view_trust, result.view_weights, strict=True
-        ):
-            click.echo(f"  view   {before:.3f} -> {after:.3f}   trust {trust:.2f}, weight {weight:.2f}, {view.name}")
-    click.echo(f"  loss   {result.loss_before:.1f} -> {result.loss_after:.1f}   ({result.objective})")
-    click.echo(
-        f"  moved  {result.chamfer_to_initial * 1e3:.3f}   (Chamfer to the start x1000: squared, mean over points, "
-        "both directions, longest side 1)"
-    )
-    if result.symmetry_reason != NOT_ASKED or result.averaged:
-        click.echo(f"  mirror {_plane(result)}")
-    click.echo(
-        f"  sigma_sq {result.sigma_sq:g} px^2, learning rate {result.learning_rate:g}, {result.device}, seed {result.seed}, "
-        f"{seconds['optimise']:.2f} s in the loop, {seconds['total']:.2f} s in all"
-    )
-    if overlay is not None:
-        click.echo(f"{overlay}: picture")
-
-
-def _plane(result: RefineResult) -> str:
-    if result.symmetry is None:
-        return f"no plane: {result.symmetry_reason}"
-    *normal, offset = result.symmetry
-    terms = [f"{number:+.3f} {axis}" for number, axis in zip(normal, "xyz", strict=True) if abs(number) >= 5e-4]
-    return f"plane {' '.join(terms).lstrip('+')} = {offset:.4g}: {result.symmetry_reason}"
 
 
 def print_check(scene: Scene, placements: list[Placement], as_json: bool) -> None:

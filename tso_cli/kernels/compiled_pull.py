@@ -30,7 +30,7 @@ def mask_pull(
     """As :func:`tso_cli.pull.mask_pull`; ``asked`` [M, N] which points the masks tell something of, ``weight`` [M]
     times ``counted`` [M, N] what a stray point counts, ``scale`` pixels of 64 to
     one of the image."""
-    inside, outside, rows, columns, _ = target
+    inside, outside, rows, columns, bounds, grain, _ = target
     total, slope = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
     edge = cell_edge(inside.shape[1], inside.shape[2], points_px.shape[1])
     steps = 16 * inside.numel() + 16 * valid.numel()
@@ -43,9 +43,10 @@ def mask_pull(
         outside,
         rows,
         columns,
+        bounds.contiguous(),
         edge,
         scale,
-        covered**2,
+        covered * grain,
         reach**2,
         weight,
         total,
@@ -57,12 +58,29 @@ def mask_pull(
 
 @compiled
 def _pull(  # type: ignore[no-untyped-def]
-    first, last, points, valid, asked, counted, inside, outside, rows, columns, edge, scale, covered, reach, weight, sums, slope
+    first,
+    last,
+    points,
+    valid,
+    asked,
+    counted,
+    inside,
+    outside,
+    rows,
+    columns,
+    bounds,
+    edge,
+    scale,
+    within,
+    reach,
+    weight,
+    sums,
+    slope,
 ):
     height, width = inside.shape[1:]
     area = scale * scale
     for image in range(first, last):
-        loss = 0.0
+        loss, covered = 0.0, within[image] * within[image] * area
         cells = sort_into_cells(points[image], valid[image], height, width, edge)
         for i in range(height):
             for j in range(width):
@@ -77,11 +95,13 @@ def _pull(  # type: ignore[no-untyped-def]
                     slope[image, n, 0] += 2.0 * area * area * kept * kept * by_x
                     slope[image, n, 1] += 2.0 * area * area * kept * kept * by_y
         for n in range(points.shape[1]):
-            x, y = np.rint(points[image, n, 0]), np.rint(points[image, n, 1])
+            x, y = points[image, n, 0], points[image, n, 1]
             # What lies outside the image is unknown, not background.
-            if not (counted[image, n] > 0.0 and x >= 0 and x < width and y >= 0 and y < height):
+            left, top, right, bottom = bounds[image, 0], bounds[image, 1], bounds[image, 2], bounds[image, 3]
+            if not (counted[image, n] > 0.0 and x >= left and x <= right and y >= top and y <= bottom):
                 continue
-            i, j = int(y), int(x)
+            # Beside the mask's part of the image it is background like that part's rim.
+            i, j = int(np.rint(min(max(y, 0.0), height - 1.0))), int(np.rint(min(max(x, 0.0), width - 1.0)))
             if not outside[image, i, j] or rows[image, i, j] < 0:
                 continue
             by_x, by_y = points[image, n, 0] - columns[image, i, j], points[image, n, 1] - rows[image, i, j]

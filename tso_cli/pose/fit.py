@@ -89,6 +89,14 @@ class FittedCamera:
         """Whether it fits well and nothing else fits about as well."""
         return self.iou >= SURE_IOU and self.confidence >= SURE_GAP
 
+    @property
+    def doubt(self) -> str:
+        """Why it is not sure, in words."""
+        if self.iou < SURE_IOU or not self.alternatives:
+            return f"it brings the cloud onto the mask with an IoU of {self.iou:.3f}, which is sure from {SURE_IOU} on"
+        other = self.alternatives[0]
+        return f"one turned by {other.degrees:.0f} degrees fits about as well (IoU {other.iou:.2f}, its own {self.iou:.2f})"
+
 
 def fit_camera(
     points: ArrayLike, mask: ArrayLike, known: NDArray[np.bool_] | None = None, focal: float | None = None, name: str = "mask"

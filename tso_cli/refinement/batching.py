@@ -10,11 +10,12 @@ import numpy as np
 
 from ..device import one_thread
 from ..errors import InputError
-from ..objective import WorkingView, working_view
+from ..objective import CELLS, WorkingView, working_view
 from ..placement import place, require_overlap
 from ..scene import View
 from ..symmetry import FAR_MISFIT, MEAN_MISFIT, MirrorPlane, find_mirror_plane
-from .config import Settings, parse_symmetry
+from ..window import Array, Box, window_of
+from .config import Settings, SymmetryOutcome, parse_symmetry
 from .starts import Cloud
 
 # Clouds of one batch hold no more points than this together, and none less than half as many as the largest.
@@ -25,8 +26,12 @@ BATCH_PIXELS = 1 << 24
 BATCH_FIELDS = 64
 # What a flipped mask counts for. It tells as much as one where the object is its own mirror image; that it is so is a guess.
 FLIPPED = 0.25
-NOT_ASKED = "none asked for"
-"""Why there is no plane where none was looked for."""
+# From so many pixels along the window's side the last stage has so many cells there; a sparser cloud cannot follow them. More
+# cells than these bring nothing, at 16,384 points neither.
+FINER_FROM = (96.0, 128), (48.0, 96)
+FEWEST_FOR_FINER = 512
+# A window is laid anew where its side changes by more than this (logarithm).
+FOLLOWED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,13 +40,18 @@ class Item:
 
     Attributes
     ----------
-    views : what asks. working : the same as the loop sees it, followed by the mirrored ones where ``plane`` is one.
+    views : what asks. shown : the same, followed by the mirrored ones where ``plane`` is one. working : these as the loop
+        sees them. grids : cells along the side of the window of each of these in stages that take the finest grid.
+    symmetry_outcome, symmetry_reason : as in :class:`RefineResult`.
     """
 
     cloud: Cloud
     views: tuple[View, ...]
+    shown: tuple[View, ...]
     working: tuple[WorkingView, ...]
+    grids: tuple[int, ...]
     plane: MirrorPlane | None
+    symmetry_outcome: SymmetryOutcome
     symmetry_reason: str
 
     @classmethod
@@ -60,16 +70,34 @@ class Item:
                 raise InputError("a view has an image, expected a cloud with colours, found none")
         for view in views:
             require_overlap(place(cloud.initial, view), view)
-        plane, reason = mirror_plane(cloud, config.symmetry)
+        plane, outcome, reason = mirror_plane(cloud, config.symmetry)
         if plane is not None and config.symmetry != "auto":
             _require_meeting(cloud, [plane.view(view) for view in views], config.symmetry)
-        return cls(cloud, (), (), plane, reason).seen_by(views, config)
+        return cls(cloud, (), (), (), (), plane, outcome, reason).seen_by(views, config)
 
     def seen_by(self, views: tuple[View, ...], config: Settings) -> Item:
         """The same cloud, asked by other views."""
         shown = views if self.plane is None else (*views, *(self.plane.view(view) for view in views))
-        working = tuple(working_view(view, config.sigma_sq, self.cloud.centre, self.cloud.scale) for view in shown)
-        return replace(self, views=views, working=working)
+        cloud = self.cloud
+        working = tuple(
+            working_view(view, config.sigma_sq, cloud.centre, cloud.scale, window_of(view, cloud.initial)) for view in shown
+        )
+        grids = tuple(finest_grid(_side(seen.box), len(cloud.initial)) for seen in working)
+        return replace(self, views=views, shown=shown, working=working, grids=grids)
+
+    def followed(self, points: Array, finest: bool) -> Item:
+        """The same with the windows around the cloud ``points`` [N, 3] as it is now, where they are much smaller or larger, on
+        the finest grids or on those of 64 cells.
+
+        A cloud that starts far from its mask needs a large window at first, and would see little detail in it later.
+        """
+        cloud, grids = self.cloud, self.grids if finest else (CELLS,) * len(self.shown)
+        working = []
+        for view, seen, cells in zip(self.shown, self.working, grids, strict=True):
+            box = window_of(view, points)
+            same = seen.camera.width == cells and abs(np.log(_side(box) / _side(seen.box))) <= FOLLOWED
+            working.append(seen if same else working_view(view, seen.sigma_sq, cloud.centre, cloud.scale, box, cells))
+        return replace(self, working=tuple(working))
 
     def pictures(self, weights: list[float]) -> float:
         """How many masks and depth maps there are, each by its weight; a flipped mask counts for a quarter of its mask."""
@@ -82,6 +110,17 @@ class Item:
     def pixels(self) -> int:
         """Of all views as the loop sees them."""
         return sum(view.mask.size for view in self.working)
+
+
+def finest_grid(side: float, points: int) -> int:
+    """Cells along the side of a window of ``side`` pixels of the mask, for the last stage of a cloud of so many points."""
+    if points < FEWEST_FOR_FINER:
+        return CELLS
+    return next((cells for pixels, cells in FINER_FROM if side >= pixels), CELLS)
+
+
+def _side(box: Box) -> float:
+    return box[2] - box[0]
 
 
 def _require_meeting(cloud: Cloud, flipped: list[View], symmetry: str) -> None:
@@ -98,11 +137,11 @@ def _require_meeting(cloud: Cloud, flipped: list[View], symmetry: str) -> None:
                 ) from None
 
 
-def mirror_plane(cloud: Cloud, symmetry: str) -> tuple[MirrorPlane | None, str]:
-    """The plane that ``symmetry`` (as in :class:`RefineConfig`) means for a cloud, and why it is this or none."""
+def mirror_plane(cloud: Cloud, symmetry: str) -> tuple[MirrorPlane | None, SymmetryOutcome, str]:
+    """The plane that ``symmetry`` (as in :class:`RefineConfig`) means for a cloud, what it is, and why."""
     wanted = parse_symmetry(symmetry)
     if wanted == "none":
-        return None, NOT_ASKED
+        return None, "not_asked", "none asked for"
     if wanted == "auto":
         # In the units of the loop, and rounded far below what a sampling tells: neither unit nor origin of the input shows.
         with one_thread(True):
@@ -111,7 +150,9 @@ def mirror_plane(cloud: Cloud, symmetry: str) -> tuple[MirrorPlane | None, str]:
         offset = cloud.scale * round(found.offset, 6) + float(normal @ cloud.centre)
         plane = replace(found, normal=normal, offset=offset)
         limits = f"(at most {MEAN_MISFIT} and {FAR_MISFIT})"
-        return (plane, f"{_fit(plane)} {limits}") if plane.symmetric else (None, f"{_fit(plane)}, too far {limits}")
+        if not plane.symmetric:
+            return None, "none_found", f"{_fit(plane)}, too far {limits}"
+        return plane, "used", f"{_fit(plane)} {limits}"
     if isinstance(wanted, str):
         normal = np.eye(3)["xyz".index(wanted)]
         plane = MirrorPlane(normal, float(normal @ cloud.centre))
@@ -119,7 +160,7 @@ def mirror_plane(cloud: Cloud, symmetry: str) -> tuple[MirrorPlane | None, str]:
         length = float(np.linalg.norm(wanted[:3]))
         plane = MirrorPlane(np.array(wanted[:3]) / length, wanted[3] / length)
     plane = plane.judged(cloud.initial)
-    return plane, f"given; {_fit(plane)}"
+    return plane, "given", f"given; {_fit(plane)}"
 
 
 def _fit(plane: MirrorPlane) -> str:
@@ -143,7 +184,7 @@ def batches_of(items: dict[int, Item], staged: bool = False) -> list[list[int]]:
     """
     groups: dict[Any, list[int]] = {}
     for number, item in items.items():
-        groups.setdefault((len(item.views), *(view.kind for view in item.working)), []).append(number)
+        groups.setdefault((len(item.views), item.grids, *(view.kind for view in item.working)), []).append(number)
     batches: list[list[int]] = []
     for group in groups.values():
         most = BATCH_PIXELS // items[group[0]].pixels

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,8 @@ class Stage:
     pace : share of the learning rate. nodes : of the field.
     share : of its best iterate in the result, a mean over the stages.
     blur : of :meth:`tso_cli.colour_pull.ColourPull.look`, px.
+    finest : on the grid of :func:`tso_cli.refinement.batching.finest_grid` cells a side in place of 64. Lengths stay stated in
+        64ths of the window.
     """
 
     smoothness: float
@@ -34,13 +37,21 @@ class Stage:
     nodes: int = NODES
     share: float = 1.0
     blur: float = 0.5
+    finest: bool = False
 
 
 # First the cloud moves nearly as a whole and hears of pixels far away, at last almost point by point and of near ones only.
 # What the stages disagree on is about as often wrong as right: their mean is about as near to the truth as the last, and more
 # seldom further from it than the start.
-STAGES = (Stage(100.0, 6.0, 1.0, 256, 1.0, 2.0), Stage(10.0, 3.0, 0.75, 512, 2.0, 1.0), Stage(1.0, 3.0, 0.35, NODES, 3.0))
+STAGES = (
+    Stage(100.0, 6.0, 1.0, 256, 1.0, 2.0),
+    Stage(10.0, 3.0, 0.75, 512, 2.0, 1.0),
+    Stage(1.0, 3.0, 0.35, NODES, 3.0, finest=True),
+)
 ANCHOR_REACH = 4.0
+# A part of the cloud is off on its own where the mean cost of its pixels is over this, px^2 of a window of 64; the smoothness
+# of that mean, as of a stage.
+LOCAL_FROM, LOCAL_SMOOTHNESS = 1.0, 1.0
 
 
 @dataclass(frozen=True)
@@ -58,6 +69,7 @@ class Recipe:
     unseen : how far those of them move that no view shows, beyond the borders, in units of how far the field would take them.
     optimiser : of every stage. looks : whether parts that pixels do not show are left alone.
     weighs : whether views count for less that others contradict or repeat, or all in full.
+    local : whether what is off in one place is held less there, however right the rest is.
     """
 
     stages: tuple[Stage, ...] = STAGES
@@ -71,9 +83,10 @@ class Recipe:
     optimiser: type[Adam] | type[UniformAdam] = UniformAdam
     looks: bool = True
     weighs: bool = True
+    local: bool = False
 
 
-BEST = Recipe()
+BEST = Recipe(local=True)
 # Of the modes that move a network: its weights take many points along anyway, and where its prediction is far off the picture
 # it has mistaken the shape, which no small change of weights puts right.
 NETWORK = Recipe(stages=(Stage(0.0, 3.0, 1.0),), anchor=500.0, decay=0.5, least_anchor=30.0)
@@ -96,11 +109,15 @@ def anchors_of(
     first: Tensor, counts: Tensor, pull: PullObjective, field: SmoothField, recipe: Recipe, pictures: Tensor | None = None
 ) -> Tensor:
     """[B, N] what the square of a point's way from its start costs; ``pictures`` as in :func:`descend_in_stages`."""
-    off = pull(first, ANCHOR_REACH) / pull.pixels
+    off = (pull(first, ANCHOR_REACH) / pull.pixels).unsqueeze(1)
+    if recipe.local:
+        each = pull.of_points(first, ANCHOR_REACH) * (counts.to(first) / pull.pixels).unsqueeze(1)
+        around = field.averaged(each, LOCAL_SMOOTHNESS)
+        off = torch.maximum(off, torch.where(around > LOCAL_FROM, around, 0.0))
     # What one picture leaves open others tell: the start is needed less.
-    least = recipe.least_anchor / _squared(pictures, first)
+    least = (recipe.least_anchor / _squared(pictures, first)).unsqueeze(1)
     trusted = torch.maximum((recipe.anchor / off**recipe.decay).clamp_max(recipe.most_anchor), least)
-    each = (trusted * (REFERENCE_POINTS / counts).to(first)).unsqueeze(1)
+    each = trusted * (REFERENCE_POINTS / counts).to(first).unsqueeze(1)
     # What holds a piece of surface is as strong where points are few as where they are many.
     areas = field.areas(first, counts) if recipe.by_area else torch.ones_like(first[..., 0])
     each = torch.where(pull.cut.unsqueeze(1), recipe.cut * each, each)
@@ -119,7 +136,7 @@ def cost(moved: Tensor, first: Tensor, anchors: Tensor) -> Tensor:
 def descend_in_stages(
     first: Tensor,
     counts: Tensor,
-    pull: PullObjective,
+    pull_at: Callable[[Tensor, bool], PullObjective],
     further: Objective | None,
     steps: int,
     learning_rate: float,
@@ -134,7 +151,8 @@ def descend_in_stages(
     Parameters
     ----------
     first : [B, N, 3] normalised; counts : [B].
-    pull : of the masks. further : another term, or None.
+    pull_at : the pull of the masks, seen in windows that suit the clouds [B, N, 3] it is given,
+        on the finest grids or on those of 64 cells. further : another term, or None.
     steps : of all stages together.
     learning_rate : about how far the node that is pulled hardest moves in one of the first steps.
     recipe : what else the descent is made of.
@@ -148,6 +166,7 @@ def descend_in_stages(
     Descent; ``best`` is the mean of every stage's best, by their shares, or the start where that has the lower loss by the last
     objective.
     """
+    pull = pull_at(first, False)
     if pictures is not None:
         # What is cut off in all of them is as unknown with many as with one.
         pictures = torch.where(pull.cut.to(pictures.device), 1.0, pictures)
@@ -169,6 +188,9 @@ def descend_in_stages(
     ends = [round(steps * (i + 1) / len(stages)) for i in range(len(stages))]
     for stage, end in zip(stages, ends, strict=True):
         field = fields[stage.nodes]
+        seen_before, pull = pull, pull_at(found, stage.finest)
+        if pull is not seen_before:
+            anchors = anchors_of(first, counts, pull, finest, recipe, pictures)
         if recipe.looks:
             pull.look(found, finest)
         if colours:

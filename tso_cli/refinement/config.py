@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,9 @@ BEST_GAMMA = 0.0
 # Views that want different things take longer to agree: points mode takes its steps for each of up to so many.
 MOST_COUNTED = 4
 PRESETS = ("best", "paper")
+
+StopReason = Literal["max_steps", "interrupted", "non_finite", "nothing_to_do", "not_improved"]
+SymmetryOutcome = Literal["used", "given", "not_asked", "none_found", "contradicted"]
 
 
 @dataclass(frozen=True)
@@ -163,15 +166,20 @@ class RefineResult:
     mode : which parameters moved.
     steps : steps done; best_step : the step that the result is from (0: the start was best); with the preset "best" of points
         mode, whose result is a mean over the stages, that of the last stage's best.
-    stop_reason : "max_steps", "interrupted" (Ctrl-C: the best so far is kept) or "non_finite" (the loss was no number).
+    stop_reason : "max_steps"; "interrupted" (Ctrl-C: the best so far is kept); "non_finite" (the loss was no number); or, where
+        the result is the start, "nothing_to_do" (its loss is 0) or "not_improved" (no step had a lower loss).
+    warnings : what to know before the result is used, in words, a sentence each: that nothing moved and why, masks of few
+        pixels, views that the others contradict.
     losses : the objective at the start and after every step. loss_before, loss_after : of the start and of the result. With the
         preset "best" the objective changes twice on the way: these two are both by the last.
     iou_before, iou_after : silhouette > 0.5 against mask > 0.5 at the mask's own resolution, mean over views.
     view_ious : the two of each view. view_trust : 1, or less where the other views contradict it. view_weights : of its loss in
         the objective, its trust divided among those that show the same side.
+    moved_mean, moved_max : how far the points moved, in shares of the object's size, the longest side of the start's box.
     chamfer_to_initial : squared distances, mean over points, both directions summed, for a cloud of longest side 1.
     symmetry : a, b, c, d of the mirror plane ax + by + cz = d that was used, in the frame of the input, or None.
-    symmetry_reason : why, or why not.
+    symmetry_outcome : "used" (a plane that was found), "given", or none: "not_asked", "none_found" (the cloud has none) or
+        "contradicted" (the cloud has one, the pictures speak against it). symmetry_reason : by what measure, in words.
     learning_rate, gamma, sigma_sq, device, seed : what was used; sigma_sq in px^2 of the first mask.
     cameras : of each view; with ``refine_camera`` as they were corrected.
     seconds : wall time of each phase.
@@ -182,7 +190,7 @@ class RefineResult:
     mode: str
     steps: int
     best_step: int
-    stop_reason: str
+    stop_reason: StopReason
     losses: list[float]
     loss_before: float
     loss_after: float
@@ -191,8 +199,11 @@ class RefineResult:
     view_ious: list[tuple[float, float]]
     view_trust: list[float]
     view_weights: list[float]
+    moved_mean: float
+    moved_max: float
     chamfer_to_initial: float
     symmetry: tuple[float, float, float, float] | None
+    symmetry_outcome: SymmetryOutcome
     symmetry_reason: str
     preset: str
     learning_rate: float
@@ -202,6 +213,7 @@ class RefineResult:
     seed: int
     cameras: tuple[Camera, ...]
     seconds: dict[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     @property
     def averaged(self) -> bool:

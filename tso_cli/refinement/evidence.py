@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -52,7 +53,16 @@ def borne_out(
     for shown in (both, weights):
         views = [item.working[: shown.shape[1]] for item in items]
         pull = PullObjective(views, counts, first, shown)
-        probe = descend_in_stages(first, counts, pull, None, STEPS, BEST_LEARNING_RATE["points"], recipe=PROBE, fields=fields)
+        probe = descend_in_stages(
+            first,
+            counts,
+            partial(_same, pull),
+            None,
+            STEPS,
+            BEST_LEARNING_RATE["points"],
+            recipe=PROBE,
+            fields=fields,
+        )
         if probe.interrupted:
             return list(items), both, True
         left.append(torch.from_numpy(probe.best_loss))
@@ -63,6 +73,7 @@ def borne_out(
         replace(
             item,
             plane=item.plane if keep else None,
+            symmetry_outcome=item.symmetry_outcome if keep else "contradicted",
             symmetry_reason=f"{item.symmetry_reason}; with the flipped picture the loss that is left is {value:.2f} times "
             f"that without, for each picture ({f'at most {MOST_LEFT}' if keep else f'over {MOST_LEFT}'})",
         )
@@ -72,3 +83,8 @@ def borne_out(
         return [item.seen_by(item.views, settings) for item in told], weights, False
     share = torch.tensor(kept, dtype=weights.dtype).unsqueeze(1)
     return told, torch.cat([weights, weights * share], 1), False
+
+
+def _same(pull: PullObjective, _points: Tensor, _finest: bool) -> PullObjective:
+    """So short a descent keeps its windows."""
+    return pull

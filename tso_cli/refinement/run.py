@@ -19,15 +19,15 @@ from ..colour_pull import ColourPull
 from ..errors import InputError, TsoError
 from ..kernels.choice import planned
 from ..losses import ChamferToInitial
-from ..objective import MaskObjective, PullObjective
-from ..projection import default_sigma_sq
+from ..objective import DEFAULT_SIGMA_SQ, MaskObjective, PullObjective
 from ..smoothing import SmoothField
 from ..weighting import Weights
 from .batching import Item, batches_of, parts_of
 from .best import BEST, descend_in_stages, held_and_pulled
-from .config import PRESETS, RefineConfig, RefineResult, Settings
+from .config import PRESETS, RefineConfig, RefineResult, Settings, StopReason
 from .judging import view_ious
 from .loop import Descent, Objective, Progress, descend
+from .remarks import remarks
 from .starts import Cloud, NetworkStart, PointsStart
 from .views import as_views
 
@@ -218,12 +218,12 @@ def _refined(
     steps, told = (0, None) if at_start else (settings.steps, progress)
     with _timed(seconds, "optimise"), devices.one_thread(one_thread):
         if settings.staged:
-            pull = PullObjective(views, start.counts, first, of_all)
+            pull_at = _Following(items, start.counts, first, of_all)
             pictures = torch.tensor([item.pictures(own) for item, own in zip(items, weights.shared.tolist(), strict=True)])
             descent = descend_in_stages(
                 first,
                 start.counts,
-                pull,
+                pull_at,
                 further,
                 steps,
                 settings.learning_rate,
@@ -261,6 +261,32 @@ def _refined(
         _result(item, descent, number, points, ious, weights, moved_by[number], first.device, settings, seconds)
         for number, (item, points, *ious) in enumerate(zip(items, refined, before, after, strict=True))
     ]
+
+
+class _Following:
+    """The pull of the masks in windows that follow the clouds: made anew where a window would change much."""
+
+    def __init__(self, items: list[Item], counts: Tensor, first: Tensor, weights: Tensor) -> None:
+        self._items, self._counts, self._first, self._weights = items, counts, first, weights
+        self._pull: PullObjective | None = None
+
+    def __call__(self, points: Tensor, finest: bool) -> PullObjective:
+        items = self._items
+        if self._pull is not None or finest:
+            clouds = points.double().cpu().numpy()
+            items = [
+                item.followed(item.cloud.centre + item.cloud.scale * cloud[: len(item.cloud.initial)], finest)
+                for item, cloud in zip(items, clouds, strict=True)
+            ]
+        views = [item.working for item in items]
+        if self._pull is None or any(
+            now is not before
+            for own, item in zip(views, self._items, strict=True)
+            for now, before in zip(own, item.working, strict=True)
+        ):
+            self._items = items
+            self._pull = PullObjective(views, self._counts, self._first, self._weights)
+        return self._pull
 
 
 def _coloured(items: list[Item], weights: Tensor, first: Tensor) -> ColourPull | None:
@@ -312,14 +338,14 @@ def _result(
     if steps == 0 and not finite.all():
         return TsoError("the loss is no finite number after the first step (a smaller learning rate?)")
     before, after = np.mean(ious, 1).tolist()
-    first_camera = item.views[0].camera
-    return RefineResult(
+    moved = np.linalg.norm(points - item.cloud.initial, axis=1) / item.cloud.scale
+    result = RefineResult(
         points=points,
         initial=item.cloud.initial,
         mode=settings.mode,
         steps=steps,
         best_step=int(descent.best_step[number]),
-        stop_reason="non_finite" if not finite.all() else "interrupted" if descent.interrupted else "max_steps",
+        stop_reason=_stop_reason(descent, number, bool(finite.all()), settings.steps),
         losses=losses[finite].tolist(),
         loss_before=float(descent.first_loss[number]),
         loss_after=float(descent.best_loss[number]),
@@ -328,18 +354,32 @@ def _result(
         view_ious=list(zip(*ious, strict=True)),
         view_trust=weights.trust[number].tolist(),
         view_weights=weights.shared[number].tolist(),
+        moved_mean=float(moved.mean()),
+        moved_max=float(moved.max()),
         chamfer_to_initial=moved_by,
         symmetry=None if item.plane is None else (*item.plane.normal.tolist(), item.plane.offset),
+        symmetry_outcome=item.symmetry_outcome,
         symmetry_reason=item.symmetry_reason,
         preset=settings.preset,
         learning_rate=settings.learning_rate,
         gamma=settings.gamma,
-        sigma_sq=settings.sigma_sq or default_sigma_sq(first_camera.width, first_camera.height),
+        sigma_sq=settings.sigma_sq or DEFAULT_SIGMA_SQ,
         device=str(device),
         seed=settings.seed,
         cameras=tuple(view.camera for view in item.views),
         seconds=seconds,
     )
+    return replace(result, warnings=remarks(result, item.views, settings.steps))
+
+
+def _stop_reason(descent: Descent, number: int, finite: bool, steps: int) -> StopReason:
+    if not finite:
+        return "non_finite"
+    if descent.interrupted:
+        return "interrupted"
+    if steps == 0 or descent.best_step[number] > 0:
+        return "max_steps"
+    return "nothing_to_do" if descent.first_loss[number] == 0.0 else "not_improved"
 
 
 @contextmanager

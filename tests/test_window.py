@@ -1,0 +1,178 @@
+"""The window: lengths belong to the object, whatever photo it is in."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tso_cli import Camera, RefineConfig, View, refine, refine_batch
+from tso_cli.files.clouds import read_cloud
+from tso_cli.metrics import chamfer
+from tso_cli.objective import working_view
+from tso_cli.refinement.batching import Item, finest_grid
+from tso_cli.refinement.starts import Cloud
+from tso_cli.scenes import load_view
+from tso_cli.window import window_of
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def _example(name):
+    folder = EXAMPLES / name
+    initial, target = (read_cloud(folder / f"{file}.ply").points for file in ("initial", "target"))
+    return initial, target, load_view(folder / "mask.png")[0]
+
+
+def _in_canvas(view, times, across=0.5, down=0.3):
+    """The view in a photo so many times as wide and high, at a share of the free way."""
+    height, width = view.mask.shape
+    mask = np.zeros((height * times, width * times), np.float32)
+    top, left = int((mask.shape[0] - height) * down), int((mask.shape[1] - width) * across)
+    mask[top : top + height, left : left + width] = view.mask
+    K = view.camera.K.copy()
+    K[:2, 2] += left, top
+    return View(mask, replace(view.camera, K=K, width=mask.shape[1], height=mask.shape[0]))
+
+
+@pytest.mark.parametrize("preset", ["best", "paper"])
+@pytest.mark.parametrize("name", ["chair", "car", "airplane"])
+def test_an_object_comes_as_near_to_the_truth_in_a_large_photo_as_in_a_small_one(name, preset):
+    initial, target, view = _example(name)
+    config = RefineConfig(preset=preset)
+    before = chamfer(initial, target).chamfer
+    ratios = [
+        chamfer(refine(initial, shown, config=config).points, target).chamfer / before
+        for shown in (view, _in_canvas(view, 4), _in_canvas(view, 8, 1.0, 1.0))
+    ]
+    assert ratios[1:] == pytest.approx([ratios[0]] * 2, abs=0.02)
+    assert max(ratios) < 0.97
+
+
+def test_where_in_a_photo_the_object_is_and_how_large_that_is_changes_no_bit():
+    initial, _, view = _example("airplane")
+    config = RefineConfig(steps=12)
+    expected = refine(initial, _in_canvas(view, 2), config=config)
+    for shown in (_in_canvas(view, 8), _in_canvas(view, 5, 0.2, 0.7)):
+        np.testing.assert_allclose(refine(initial, shown, config=config).points, expected.points, atol=1e-6)
+
+
+def test_the_window_is_a_square_around_mask_and_cloud():
+    mask = np.zeros((480, 640), np.float32)
+    mask[200:280, 300:400] = 1.0
+    camera = Camera.canonical(640, 480)
+    view = View(mask, camera)
+    np.testing.assert_allclose(window_of(view), (287.0, 177.0, 412.0, 302.0))
+    right = np.array([[0.3, 0.1, 0.0], [0.0, 0.0, 0.0]])
+    end = camera.project(right)[0][0, 0]
+    left, top, right_edge, bottom = window_of(view, np.repeat(right, 200, 0))
+    assert left < 300 < end < right_edge
+    assert right_edge - left == pytest.approx(bottom - top)
+
+
+def test_a_few_strays_do_not_widen_the_window():
+    initial, _, view = _example("chair")
+    photo = _in_canvas(view, 8)
+    stray = np.vstack([initial, initial.mean(0) + [1.5, 0.0, 0.0]])
+    np.testing.assert_allclose(window_of(photo, stray), window_of(photo, initial), atol=4.0)
+
+
+def test_the_window_ends_at_the_border_that_cuts_the_object():
+    mask = np.zeros((64, 64), np.float32)
+    mask[14:64, 10:50] = 1.0
+    left, top, right, bottom = window_of(View(mask, Camera.canonical(64, 64)))
+    assert bottom == pytest.approx(63.5)
+    assert (left + right) / 2.0 == pytest.approx(29.5)
+    assert top == pytest.approx(63.5 - (right - left))
+
+
+def test_an_image_that_the_object_fills_is_its_own_window():
+    mask = np.zeros((64, 64), np.float32)
+    mask[2:62, 4:60] = 1.0
+    view = View(mask, Camera.canonical(64, 64))
+    assert window_of(view) == pytest.approx((-0.5, -0.5, 63.5, 63.5))
+    working = working_view(view, None, np.zeros(3), 1.0, window_of(view))
+    np.testing.assert_array_equal(working.mask, mask)
+    np.testing.assert_allclose(working.camera.K, view.camera.K)
+    assert working.known is None
+
+
+def test_only_the_borders_of_the_image_cut_an_object():
+    import torch
+
+    from tso_cli.pull import PullTarget
+
+    mask = np.zeros((200, 200), np.float32)
+    mask[60:100, 0:40] = 1.0
+    for shift, expected in ((0, True), (20, False), (160, True)):
+        view = View(np.roll(mask, shift, 1), Camera.canonical(200, 200))
+        seen = working_view(view, None, np.zeros(3), 1.0)
+        known = None if seen.known is None else torch.from_numpy(seen.known)[None]
+        target = PullTarget.of(torch.from_numpy(seen.mask)[None], known, torch.tensor([seen.bounds], dtype=torch.float64))
+        assert (target.cut is not None) == expected
+
+
+def test_a_stray_beside_the_window_is_pulled_back_and_one_beside_the_photo_is_not():
+    import torch
+
+    from tso_cli.pull import PullTarget, mask_pull
+
+    mask = torch.zeros(1, 64, 64, dtype=torch.float64)
+    mask[0, 24:40, 24:40] = 1.0
+    target = PullTarget.of(mask, bounds=torch.tensor([[-100.0, -10.0, 200.0, 80.0]], dtype=torch.float64))
+    for place, pulled in (((-20.0, 32.0), True), (-150.0, False), ((80.0, -5.0), True), ((32.0, -12.0), False)):
+        points = torch.tensor([[place if isinstance(place, tuple) else (place, 32.0)]], dtype=torch.float64, requires_grad=True)
+        mask_pull(
+            points, torch.ones(1, 1, dtype=torch.bool), target._replace(inside=torch.zeros_like(target.inside)), 6.0
+        ).sum().backward()
+        assert bool(points.grad.any()) == pulled
+        if pulled:
+            toward = torch.tensor([32.0, 32.0], dtype=torch.float64) - points[0, 0].detach()
+            assert (-points.grad[0, 0] * toward).sum() > 0.0
+
+
+def test_the_window_follows_a_cloud_that_starts_far_from_its_mask():
+    _, target, view = _example("chair")
+    photo = _in_canvas(view, 4)
+    start = target + [0.0, 0.3, 0.0] @ view.camera.R
+    item = Item.of(Cloud(start, "points"), (photo,), RefineConfig(symmetry="none").settings())
+    first, last = (each.working[0].box for each in (item, item.followed(target, finest=False)))
+    assert first[2] - first[0] > 1.2 * (last[2] - last[0])
+    np.testing.assert_allclose(last, window_of(photo, target))
+
+
+def test_a_fine_mask_of_a_dense_cloud_is_looked_at_finely():
+    assert [finest_grid(side, 1024) for side in (30.0, 60.0, 250.0)] == [64, 96, 128]
+    assert finest_grid(250.0, 200) == 64
+
+
+def test_objects_of_different_size_in_one_batch_come_to_what_they_come_to_alone():
+    scenes = []
+    for name in ("chair", "car"):
+        initial, _, view = _example(name)
+        scenes += [(initial, view), (initial, View(view.mask[::4, ::4], view.camera.resized(64, 64)))]
+    config = RefineConfig(steps=6)
+    for (points, view), result in zip(scenes, refine_batch(scenes, config), strict=True):
+        np.testing.assert_allclose(result.points, refine(points, view, config=config).points, atol=2e-3)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(8, 90), st.integers(8, 90), st.integers(0, 80), st.integers(0, 80), st.integers(1, 60), st.integers(1, 60))
+def test_any_mask_lies_in_its_window(height, width, row, column, tall, wide):
+    mask = np.zeros((height, width), np.float32)
+    mask[min(row, height - 1) : row + tall, min(column, width - 1) : column + wide] = 1.0
+    if mask.all():
+        return
+    view = View(mask, Camera.canonical(width, height))
+    left, top, right, bottom = window_of(view)
+    box = view.box()
+    assert left <= box[0] + 1e-9
+    assert top <= box[1] + 1e-9
+    assert right >= box[2] - 1e-9
+    assert bottom >= box[3] - 1e-9
+    assert right - left == pytest.approx(bottom - top)
+    seen = working_view(view, None, np.zeros(3), 1.0)
+    assert seen.inside.any()
+    assert 0.0 <= seen.mask.min() <= seen.mask.max() <= 1.0 + 1e-9
