@@ -17,7 +17,7 @@ Fingerprint = dict[str, Numbers]
 
 KEY = "fingerprint"
 # Shares up to which two numbers are the same. On one or two threads, in plain or compiled loops, with another BLAS or set of
-# instructions they differ by 2.5e-4 at most. Where points move in stages the last bit of a start can choose other nodes, which
+# instructions they differ by 3e-4 at most. Where points move in stages the last bit of a start can choose other nodes, which
 # more masks and steps amplify: there Chamfer distances differ by up to 0.014, the ways of the points by up to 0.029.
 TOLERANCE = 0.005
 STAGED, STAGED_TOLERANCES = "points, best", {"Chamfer": 0.02, "moved": 0.04}

@@ -46,7 +46,6 @@ MESH = "chair/q17_Chair"
 STEPS, BATCH, SEED = 3, 3, 0
 # At the studies' own rate, a hundred times as high, the last bit of one loss changes the next but one by several per cent.
 RATE = 3e-6
-MESHES = ("chair/q17_Chair", "airplane/qplane_SmallPlane")
 
 
 def refined(mode: str, preset: str) -> Numbers:
