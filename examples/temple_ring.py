@@ -24,6 +24,7 @@ from tso_cli.files.clouds import read_cloud, write_cloud
 from tso_cli.files.images import read_image, read_mask, write_image
 from tso_cli.footprint import IOU_MEANS, window_iou
 from tso_cli.scene import View
+from tso_cli.studies.fingerprint import stamped
 
 Array = NDArray[np.float64]
 
@@ -156,6 +157,7 @@ def compare(folder: Path, output: Path) -> None:
                 rows.append(row)
                 print(json.dumps(row))
     record = {
+        "study": "photos",
         "photos": len(views),
         "judged_by": [view.name for view in others],
         "points": POINTS,
@@ -163,7 +165,7 @@ def compare(folder: Path, output: Path) -> None:
         "conventions": f"{IOU_MEANS}; seed 0; cpu",
         "summary": rows,
     }
-    output.write_text(json.dumps(record, indent=1) + "\n")
+    output.write_text(json.dumps(stamped(record), indent=1) + "\n")
 
 
 def main() -> None:

@@ -3,6 +3,7 @@
 python -m tests.readme            runs every command of README.md and puts what it printed below it, and the tables of the
                                   kept figures into README.md and docs; takes as long as `tso train`
 python -m tests.readme --quick    leaves what `tso train` and what comes of it printed as it is; takes a minute
+python -m tests.readme --tables   puts the tables into the pages and runs nothing
 """
 
 from __future__ import annotations
@@ -267,6 +268,20 @@ def tables() -> dict[str, str]:
     return made
 
 
+def shown_records() -> list[str]:
+    """Names of the kept records that a table or a chart of some page is of."""
+    text = "".join(page.read_text() for page in [README, *ROOT.glob("docs/*.md")])
+    shown = set(re.findall(r"<!-- ([\w-]+)", text)) | set(re.findall(r"\]\((?:docs/)?figures/([\w-]+)\.", text))
+    return sorted(path.stem for path in FIGURES.glob("*.json") if path.stem in shown)
+
+
+def command_that_remakes(name: str) -> str:
+    """The command of the pages that writes the record ``name``."""
+    text = "\n".join(page.read_text() for page in ROOT.glob("docs/*.md"))
+    (found,) = set(re.findall(rf"(?:tso|python) [^`\n]*-o (?:docs/figures/)?{name}\.json[^`\n)]*", text))
+    return found.strip()
+
+
 def with_tables(text: str) -> str:
     """``text`` with what stands between ``<!-- NAME -->`` and ``<!-- end -->`` made anew."""
     for name, table in tables().items():
@@ -318,4 +333,4 @@ def main(quick: bool) -> None:
 
 
 if __name__ == "__main__":
-    main("--quick" in sys.argv)
+    write_tables() if "--tables" in sys.argv else main("--quick" in sys.argv)

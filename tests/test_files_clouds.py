@@ -88,6 +88,31 @@ def test_vertices_are_read_wherever_they_stand(save, form, kind, shape):
 
 
 @pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_faces_are_read_as_triangles_wherever_they_stand(save, form, shape):
+    found = read_cloud(save("a.ply", a_ply(form, **shape))).faces()
+    polygons = shape.get("faces", FACES)
+    if not polygons:
+        assert found is None
+        return
+    fans = [[face[0], *face[k : k + 2]] for face in polygons for k in range(1, len(face) - 1)]
+    assert sorted(found.tolist()) == sorted(fans)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_faces_of_less_than_three_corners_are_no_triangles(save, form):
+    assert read_cloud(save("a.ply", a_ply(form, faces=[[], [1], [0, 3]]))).faces().shape == (0, 3)
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("wrong", [4, -1])
+def test_a_face_of_a_point_that_is_not_there_is_refused(save, form, wrong):
+    cloud = read_cloud(save("a.ply", a_ply(form, faces=[[0, 1, 2], [0, 1, 2, wrong]])))
+    with pytest.raises(InputError, match=f"a.ply: a face names vertex {wrong}, expected 0 to 3"):
+        cloud.faces()
+
+
+@pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("kind", ["float", "double", "int"])
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 def test_writing_unmoved_points_gives_the_same_bytes(save, tmp_path, form, kind, shape):

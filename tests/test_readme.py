@@ -11,8 +11,43 @@ from pathlib import Path
 
 import pytest
 
-from tests.readme import FIGURES, PAGES, README, ROOT, console_commands, with_tables, working_copy
+from tests.readme import (
+    FIGURES,
+    PAGES,
+    README,
+    ROOT,
+    command_that_remakes,
+    console_commands,
+    shown_records,
+    with_tables,
+    working_copy,
+)
 from tso_cli.cli import main
+from tso_cli.studies.fingerprint import differences, study_of
+
+# Records that the method has left behind; a name goes from here when its record is made anew, and none is added.
+TO_BE_REMADE = (
+    "accuracy",
+    "accuracy-128",
+    "accuracy-256",
+    "accuracy-ablation",
+    "accuracy-large",
+    "accuracy-training",
+    "affinity",
+    "evidence",
+    "examples",
+    "failures",
+    "lambda",
+    "network",
+    "photos",
+    "points",
+    "pose",
+    "sigma",
+    "speed",
+    "supervision",
+    "tso",
+    "views",
+)
 
 NUMBER = re.compile(r"-?\d[\d,]*\.?\d*(?:e[+-]?\d+)?")
 # Rounding differs between machines. Hundreds of training steps amplify it: what comes of them is compared by its words.
@@ -53,6 +88,24 @@ def test_the_tables_of_the_pages_are_those_of_the_kept_figures():
     for page in PAGES:
         assert page.read_text() == with_tables(page.read_text())
         assert re.search(r"<!-- (points|network|speed machine|accuracy settings|photos|pose) -->", page.read_text())
+
+
+def test_every_kept_record_is_shown_and_some_page_says_how_to_make_it():
+    assert shown_records() == sorted(path.stem for path in FIGURES.glob("*.json"))
+    for name in shown_records():
+        assert f"{name}.json" in command_that_remakes(name)
+
+
+def test_what_the_pages_show_was_made_by_the_method_as_it_is():
+    """Else the record is to be made again: its command with --overwrite, then `python -m tests.readme --tables`."""
+    for name in shown_records():
+        record = json.loads((FIGURES / f"{name}.json").read_text())
+        found = differences(record) if study_of(record) else ["it does not say its study"]
+        if name in TO_BE_REMADE:
+            assert found, f"{name} was made anew: it goes from TO_BE_REMADE"
+        else:
+            told = f"is of another method ({'; '.join(found)}); to be made anew by: {command_that_remakes(name)}"
+            assert not found, f"docs/figures/{name}.json {told}"
 
 
 def test_the_kept_figures_meet_what_the_paper_promises():

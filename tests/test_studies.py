@@ -16,6 +16,8 @@ from tso_cli.refinement import RefineConfig
 from tso_cli.studies.points import study_points, summarise
 from tso_cli.studies.protocol import INITIAL_CHAMFER, build_cases, shape_type
 
+from .training import make_known
+
 MESHES = Path(__file__).parents[1] / "examples" / "meshes"
 
 
@@ -81,7 +83,8 @@ def test_a_folder_without_shapes_of_the_category_is_refused(tmp_path):
         build_cases(tmp_path, "chair")
 
 
-def test_the_command_writes_the_record_and_a_chart_beside_it(tmp_path, capsys):
+def test_the_command_writes_the_record_and_a_chart_beside_it(tmp_path, capsys, monkeypatch):
+    make_known(monkeypatch)
     output = tmp_path / "points.json"
     arguments = ["study", "points", "--meshes", str(MESHES), "--category", "car", "--limit", "2", "-o", str(output)]
     with pytest.raises(SystemExit) as stopped:

@@ -29,6 +29,8 @@ from tso_cli.studies.accuracy_summary import claims, summarise
 from tso_cli.studies.accuracy_variants import ABLATION, NETWORK, POINTS
 from tso_cli.studies.parts import shapes_of_part
 
+from .training import make_known, make_thin
+
 MESHES = Path(__file__).parents[1] / "examples" / "meshes"
 TRAIN = ["car/qreal_SUV", "car/qbasic_BasicCar", "car/qreal_NormalCar1", "chair/q19_Chair", "chair/q17_Chair"]
 TEST = ["car/qreal_Cop", "chair/kfurn_chair"]
@@ -61,7 +63,7 @@ def cars(builder, shapes):
 @pytest.fixture
 def checkpoint(tmp_path, monkeypatch):
     """A network of the paper's layers with few channels, untrained."""
-    monkeypatch.setattr(networks, "CONVOLUTIONS", tuple((4, size, stride) for _, size, stride in networks.CONVOLUTIONS))
+    make_thin(monkeypatch)
     monkeypatch.setattr(networks, "LATENT", 8)
     path = tmp_path / "thin.safetensors"
     save_network(path, build_network(1024, seed=0), NetworkConfig(points=1024))
@@ -431,7 +433,8 @@ def tso(*arguments) -> int:
     return stopped.value.code
 
 
-def test_the_command_writes_record_chart_and_pictures_and_goes_on_from_the_record(split, quick, tmp_path, capsys):
+def test_the_command_writes_record_chart_and_pictures_and_goes_on_from_the_record(split, quick, tmp_path, capsys, monkeypatch):
+    make_known(monkeypatch)
     output, pictures = tmp_path / "accuracy.json", tmp_path / "cases.png"
     arguments = ["study", "accuracy", "--meshes", MESHES, "--split", split, "--category", "car", "--kind", "near", "--views", 1]
     assert tso(*arguments, "-o", output, "--pictures", pictures) == 0

@@ -37,6 +37,8 @@ from tso_cli.studies.evidence_questions import QUESTIONS, Question, Row
 from tso_cli.studies.parts import shapes_of_part
 from tso_cli.symmetry import find_mirror_plane
 
+from .training import make_known
+
 MESHES = Path(__file__).parents[1] / "examples" / "meshes"
 TRAIN = ["car/qreal_SUV", "car/qbasic_BasicCar", "chair/q19_Chair", "chair/q17_Chair"]
 VALIDATION = ["car/qreal_Cop", "car/qreal_NormalCar1", "chair/kfurn_chair"]
@@ -265,7 +267,8 @@ def tso(*arguments) -> int:
     return stopped.value.code
 
 
-def test_the_command_writes_record_and_chart_and_goes_on_from_the_record(split, quick, tmp_path, capsys):
+def test_the_command_writes_record_and_chart_and_goes_on_from_the_record(split, quick, tmp_path, capsys, monkeypatch):
+    make_known(monkeypatch)
     output = tmp_path / "evidence.json"
     arguments = ["study", "evidence", "--meshes", MESHES, "--split", split, "--question", "wrong", "--views", 1]
     assert tso(*arguments, "-o", output) == 0

@@ -20,6 +20,8 @@ from tso_cli.studies.parts import shapes_of_part
 from tso_cli.studies.pose import CLOUDS, TRUE, WRONG_PRIOR, PoseConfig, judge, study_pose, summarise
 from tso_cli.symmetry import find_mirror_plane
 
+from .training import make_known
+
 MESHES = Path(__file__).parents[1] / "examples" / "meshes"
 TRAIN = ["car/qreal_SUV", "chair/q19_Chair"]
 
@@ -93,6 +95,7 @@ def tso(*arguments) -> int:
 
 
 def test_the_command_finds_the_camera_of_a_true_cloud_and_goes_on_from_its_record(split, tmp_path, capsys, monkeypatch):
+    make_known(monkeypatch)
     monkeypatch.setattr(pose, "CATEGORIES", ("car",))
     output = tmp_path / "pose.json"
     arguments = ["study", "pose", "--meshes", MESHES, "--split", split, "--views", 1, "-o", output]

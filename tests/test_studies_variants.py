@@ -24,6 +24,8 @@ from tso_cli.studies.variants import VariantsConfig, distances, study_variants
 from tso_cli.studies.variants_summary import VARIANTS, claims, summarise
 from tso_cli.studies.visibility import visible_points
 
+from .training import make_thin
+
 MESHES = Path(__file__).parents[1] / "examples" / "meshes"
 NAMES = ["car/qreal_Cop", "car/qreal_SUV", "car/qbasic_RaceCar", "chair/q19_Chair", "chair/q17_Chair"]
 QUICK = VariantsConfig(categories=("car",), limit=2, views=1, size=64, steps=2)
@@ -39,7 +41,7 @@ def split(tmp_path):
 @pytest.fixture
 def checkpoint(tmp_path, monkeypatch):
     """A network of the paper's layers with few channels, untrained."""
-    monkeypatch.setattr(networks, "CONVOLUTIONS", tuple((4, size, stride) for _, size, stride in networks.CONVOLUTIONS))
+    make_thin(monkeypatch)
     monkeypatch.setattr(networks, "LATENT", 8)
     path = tmp_path / "thin.safetensors"
     save_network(path, build_network(64, seed=0), NetworkConfig(points=64))

@@ -147,13 +147,48 @@ def sample_surface(vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.ra
         There are no faces, a face names a vertex that does not exist, or the whole surface has no area.
     """
     corners = as_points(vertices, "mesh")
-    triangles = np.asarray(faces)
-    if triangles.ndim != 2 or triangles.shape[1] != 3 or len(triangles) == 0:
-        raise InputError(f"mesh: faces have shape {list(triangles.shape)}, expected at least one triangle [F, 3]")
+    triangles = as_triangles(faces, len(corners), "mesh")
+    drawn, shares = draw_surface(corners, triangles, count, rng)
+    origin, first, second = (corners[triangles[drawn, k]] for k in range(3))
+    return origin + shares[:, :1] * (first - origin) + shares[:, 1:] * (second - origin)
+
+
+def as_triangles(faces: ArrayLike, count: int, name: str) -> NDArray[np.int64]:
+    """``faces`` as int64 [F, 3] that index ``count`` vertices; InputError naming ``name`` otherwise."""
+    try:
+        triangles = np.asarray(faces)
+    except ValueError:
+        raise InputError(f"{name}: the faces are no array of whole numbers, expected triangles [F, 3]") from None
+    if triangles.ndim != 2 or triangles.shape[1] != 3:
+        raise InputError(f"{name}: faces have shape {list(triangles.shape)}, expected triangles [F, 3]")
+    if triangles.dtype.kind not in "iu":
+        raise InputError(f"{name}: the faces are {triangles.dtype}, expected whole numbers")
+    outside = (triangles < 0) | (triangles >= count)
+    if outside.any():
+        raise InputError(f"{name}: a face names vertex {triangles[outside][0]}, outside 0 to {count - 1}")
+    return triangles.astype(np.int64)
+
+
+def draw_surface(
+    corners: Array, triangles: NDArray[np.int64], count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.int64], Array]:
+    """Where ``count`` points lie that are drawn uniformly by area, arguments as of :func:`sample_surface`.
+
+    Returns
+    -------
+    drawn : [count] int64, the triangle of each.
+    shares : [count, 2], how far it lies from the triangle's first corner toward the second and the third; the first's own
+        share is what is left of 1.
+
+    Raises
+    ------
+    InputError
+        ``count`` is under 1, there are no triangles, or they have no area.
+    """
     if count < 1:
         raise InputError(f"asked for {count} surface points, expected at least 1")
-    if triangles.min() < 0 or triangles.max() >= len(corners):
-        raise InputError(f"mesh: a face names a vertex outside 0 to {len(corners) - 1}")
+    if len(triangles) == 0:
+        raise InputError("mesh: there are no faces, expected at least one triangle")
     origin = corners[triangles[:, 0]]
     first, second = corners[triangles[:, 1]] - origin, corners[triangles[:, 2]] - origin
     # In units of the longest edge: areas of very small or very large meshes neither vanish nor overflow.
@@ -169,4 +204,4 @@ def sample_surface(vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.ra
     drawn = np.searchsorted(cumulative, rng.random(count) * cumulative[-1], side="right")
     drawn = np.minimum(drawn, np.flatnonzero(area)[-1])
     along, across = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
-    return origin[drawn] + along * (1.0 - across) * first[drawn] + along * across * second[drawn]
+    return drawn, np.concatenate([along * (1.0 - across), along * across], axis=1)

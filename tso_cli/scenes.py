@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ from .scene import View
 
 if TYPE_CHECKING:
     from .network import BaseNetwork
+    from .surface import Surface
 
 Array = NDArray[np.float64]
 
@@ -34,6 +36,7 @@ class Scene:
     Attributes
     ----------
     points : [N, 3] float64, the start: the file's cloud, or the network's prediction in the network's frame.
+    faces : [F, 3] triangles of `points`, None for a cloud.
     views : masks and the cameras that project `points` onto them (network modes: one, of the crop that the network saw).
     camera_sources : where the camera of each is from, in words. camera_in_short : of all, in few.
     frame : of the output: "input" (the cloud's own), "view", "canonical" or "world".
@@ -54,12 +57,27 @@ class Scene:
     image: NDArray[np.float32] | None = None
     sigma_sq: float | None = None
     colours: Array | None = None
+    faces: NDArray[np.int64] | None = None
     to_output: Callable[[Array], Array] = lambda points: points
 
     @property
     def view(self) -> View:
         """The first view; the only one in the network modes."""
         return self.views[0]
+
+    @cached_property
+    def surface(self) -> Surface | None:
+        """That of a mesh; None, with a warning, where its faces have no area."""
+        if self.cloud is None or self.faces is None:
+            return None
+        from .surface import Surface
+
+        return Surface.of(self.points, self.faces, str(self.cloud.path))
+
+    @property
+    def moving(self) -> Array:
+        """What a refinement moves, [N, 3]: the points, or the samples of a surface."""
+        return self.surface.samples if self.surface else self.points
 
     @property
     def camera_source(self) -> str:
@@ -223,18 +241,19 @@ def load_points_scene(
         raise InputError(f"--camera fit finds the camera of one mask, found {len(masks)} masks; expected one, or a camera file")
     cloud = read_cloud(cloud_file)
     colours = cloud.colours() if image_files else None
+    scene = Scene(cloud.points, (), (), "", "input", cloud=cloud, colours=colours, faces=cloud.faces())
     if fit:
         from .pose import fit_camera
 
         view = _read_view(masks[0], None, None, invert, _ignores_of(masks, ignore_files)[0])
-        fitted = fit_camera(cloud.points, view.mask, view.known, name=view.name)
+        fitted = fit_camera(scene.moving, view.mask, view.known, name=view.name)
         views: tuple[View, ...] = (replace(view, camera=fitted.camera),)
         if image_files:
             views = _with_images(views, image_files)
         if not fitted.sure:
             warnings.warn(f"{masks[0]}: the fitted camera is unsure: {fitted.doubt}", stacklevel=2)
         short = f"camera fitted to cloud and mask ({'sure' if fitted.sure else 'unsure'})"
-        return Scene(cloud.points, views, (fitted.describe(),), short, "input", cloud=cloud, colours=colours)
+        return replace(scene, views=views, camera_sources=(fitted.describe(),), camera_in_short=short)
     views, camera_files = load_views(masks, camera_file, invert, ignore_files)
     if depth_files:
         views = _with_depths(views, depth_files, depth_scale)
@@ -244,7 +263,8 @@ def load_points_scene(
         _warn_of_scale(cloud.points, view, cloud_file)
     for view, depth_file in zip(views, depth_files, strict=False):
         _warn_of_depth(cloud.points, view, depth_file)
-    return Scene(cloud.points, views, tuple(map(said, camera_files)), in_short(camera_files), "input", cloud, colours=colours)
+    sources = tuple(map(said, camera_files))
+    return replace(scene, views=views, camera_sources=sources, camera_in_short=in_short(camera_files))
 
 
 def _warn_of_scale(points: Array, view: View, cloud_file: Path) -> None:

@@ -188,7 +188,12 @@ def _interpolation(cloud: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
     parts = cloud.split(max(1, PAIRS_AT_ONCE // len(nodes)))
     found = [torch.cdist(part, nodes).topk(count, largest=False) for part in parts]
     index, distance = torch.cat([part.indices for part in found]), torch.cat([part.values for part in found])
+    return index.cpu(), falling_weights(distance).cpu()
+
+
+def falling_weights(distance: Tensor) -> Tensor:
+    """[n, k] of the k nearest nodes, in the order of their ``distance`` [n, k]; they sum to 1, and fall to 0 at the last."""
     furthest = distance[:, -1:].clamp_min(torch.finfo(distance.dtype).tiny)
     # The smallest part keeps the sum from 0 where all are equally far.
     weight = (1.0 - (distance / furthest).square()).square() + 1e-6
-    return index.cpu(), (weight / weight.sum(1, keepdim=True)).cpu()
+    return weight / weight.sum(1, keepdim=True)

@@ -14,8 +14,6 @@ from ..files.output import atomic_output, check_output
 from ..files.reading import read_bytes
 from . import options
 
-Write = Callable[[dict[str, Any], Path], None]
-
 answer = click.option(
     "-o", "--output", type=options.FilePath(), help="Write the record here (.json) and a chart beside it (.png)."
 )
@@ -37,55 +35,63 @@ def check_outputs(output: Path | None, overwrite: bool, resume: bool = False) ->
             check_output(path, overwrite or resume)
 
 
-def earlier_record(output: Path | None, resume: bool) -> dict[str, Any] | None:
+def earlier_record(study: str, output: Path | None, resume: bool) -> dict[str, Any] | None:
     """The record to go on from, None where there is none or it is not wanted.
 
-    Raises InputError if the file is no record.
+    Raises InputError if the file is no record, or one of ``study`` that another method made: cases of two methods are not one
+    record's. A record of another study is for the study to refuse.
     """
     if output is None or not resume or not output.exists():
         return None
+    from ..studies.fingerprint import differences, study_of
+
+    record = read_record(output)
+    if study_of(record) == study and (found := differences(record)):
+        raise InputError(
+            f"{output}: was made by another method ({found[0]}), expected one made by the method as it is (with --overwrite in "
+            "place of --resume it is made anew)"
+        )
+    return record
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """The record of a study; InputError if the file is none."""
     try:
-        record = json.loads(read_bytes(output, "the record of a study"))
+        record = json.loads(read_bytes(path, "the record of a study"))
     except (ValueError, RecursionError):
-        raise InputError(f"{output}: is not JSON, expected the record of a study to go on from") from None
+        raise InputError(f"{path}: is not JSON, expected the record of a study") from None
     if not isinstance(record, dict):
-        raise InputError(f"{output}: holds no JSON object, expected the record of a study to go on from")
+        raise InputError(f"{path}: holds no JSON object, expected the record of a study")
     return record
 
 
 def write_record(record: dict[str, Any], output: Path) -> None:
-    """Write the record over the one before."""
+    """Write the record, with the fingerprint of the method as it is, over the one before: a case a line."""
+    from ..studies.fingerprint import stamped
+
+    record = stamped(record)
+    cases = record.pop("cases", None)
+    text = json.dumps(record, indent=1)
+    if cases is not None:
+        lines = ",\n".join(json.dumps(case, separators=(",", ":")) for case in cases)
+        text = f'{text[:-2]},\n "cases": [\n{lines}\n]}}'
     with atomic_output(output) as temporary:
-        temporary.write_text(json.dumps(record, indent=1) + "\n")
+        temporary.write_text(text + "\n")
 
 
-def write_cases(record: dict[str, Any], output: Path) -> None:
-    """Write a record with hundreds of cases over the one before: a case a line."""
-    head = json.dumps({**record, "cases": []}, indent=1)
-    cases = ",\n".join(json.dumps(case, separators=(",", ":")) for case in record["cases"])
-    with atomic_output(output) as temporary:
-        temporary.write_text(f"{head.removesuffix('[]' + chr(10) + '}')}[\n{cases}\n]}}\n")
-
-
-def keep(
-    record: dict[str, Any],
-    output: Path | None,
-    draw: Callable[..., None],
-    overwrite: bool,
-    write: Write = write_record,
-) -> None:
+def keep(record: dict[str, Any], output: Path | None, draw: Callable[..., None], overwrite: bool) -> None:
     """Write the record and its chart, if they are wanted."""
     if output is not None:
-        write(record, output)
+        write_record(record, output)
         draw(output.with_suffix(".png"), record, overwrite)
 
 
-def so_far(output: Path | None, write: Write = write_record) -> Callable[[dict[str, Any]], None]:
+def so_far(output: Path | None) -> Callable[[dict[str, Any]], None]:
     """What keeps a record that is not complete, if it is wanted."""
 
     def kept(record: dict[str, Any]) -> None:
         if output is not None:
-            write(record, output)
+            write_record(record, output)
 
     return kept
 

@@ -175,7 +175,8 @@ def command(
     that the file names are used.
 
     The cloud that comes out is the file that went in with other coordinates: order, precision, colours, faces and every
-    other attribute stay. None of the variants draws random numbers; the seed is only recorded.
+    other attribute stay. Where the file has faces, 1,024 points spread over them are moved, and its vertices follow. The result
+    does not depend on the seed, which is only recorded.
     """
     started = time.perf_counter()
     if quiet and verbose:
@@ -219,7 +220,7 @@ def command(
             options.log(f"tso: checkpoint: {checkpoint}")
         options.log(f"tso: camera: {scene.camera_source}")
     if check:
-        placements = [place(scene.points, view) for view in scene.views]
+        placements = [place(scene.moving, view) for view in scene.views]
         if as_json or not quiet:
             print_check(scene, placements, as_json)
         for placement, view in zip(placements, scene.views, strict=True):
@@ -244,6 +245,7 @@ def command(
             network=scene.network,
             image=scene.image,
             colours=scene.colours,
+            faces=scene.faces,
             progress=told if sys.stderr.isatty() and not quiet else None,
         )
     finally:

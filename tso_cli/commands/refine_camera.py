@@ -90,7 +90,8 @@ def _change(view: View, camera: Camera, result: RefineResult) -> tuple[float, fl
 
     from ..pose.rotations import angle_between
 
-    middle = (result.initial.min(0) + result.initial.max(0)) / 2.0
+    start = result.shown[0]
+    middle = (start.min(0) + start.max(0)) / 2.0
     before, after = (c.R @ middle + c.t for c in (view.camera, camera))
     shifted = np.linalg.norm(after - before) / np.linalg.norm(before)
     return float(angle_between(view.camera.R, camera.R)), float(shifted)

@@ -74,6 +74,7 @@ def document(
         ],
         "frame": scene.frame,
         "points": len(result.points),
+        "surface_samples": result.surface_samples,
         "steps": result.steps,
         "best_step": result.best_step,
         "stop_reason": result.stop_reason,
@@ -91,6 +92,7 @@ def document(
             "chamfer_to_initial": "squared distances, mean over points, both directions summed, longest side 1",
             "iou": IOU_MEANS,
             "trust": "in a view: 1, or less where the other views contradict it",
+            "surface_samples": "points of a mesh's faces, which IoU, moved and chamfer_to_initial are of; null for a cloud",
             "weight": "of a view in the loss: its trust, divided among the views that show the same",
             "loss": result.objective + "; the mask's part is a sum over views, each times its weight",
             "symmetry": "a, b, c, d of the mirror plane ax + by + cz = d in the frame of the input, null for none",
@@ -113,7 +115,7 @@ def document(
 def print_check(scene: Scene, placements: list[Placement], as_json: bool) -> None:
     from ..placement import SMALLEST_BOX_IOU
 
-    size = scene.points.max(0) - scene.points.min(0)
+    size = scene.moving.max(0) - scene.moving.min(0)
     meets = [placement.box_iou > SMALLEST_BOX_IOU for placement in placements]
     if as_json:
         cameras = [_describe_camera(*one) for one in zip((v.camera for v in scene.views), scene.camera_sources, strict=True)]
@@ -122,6 +124,7 @@ def print_check(scene: Scene, placements: list[Placement], as_json: bool) -> Non
                 "camera": cameras[0],
                 "frame": scene.frame,
                 "extent": size.tolist(),
+                "surface_samples": len(scene.moving) if scene.surface else None,
                 "placement": placements[0].as_dict(),
                 "meets": all(meets),
                 "views": [
@@ -132,6 +135,8 @@ def print_check(scene: Scene, placements: list[Placement], as_json: bool) -> Non
             }
         )
         return
+    if scene.surface:
+        click.echo(f"mesh        {len(scene.points):,} vertices; points of its faces stand for it as a cloud")
     for number, placement in enumerate(placements):
         view = scene.views[number]
         if len(placements) > 1:

@@ -22,7 +22,8 @@ def print_result(
     ``network`` : in words, of the network modes. ``refined_cameras`` : they were to be corrected.
     """
     several = len(scene.views) > 1
-    click.echo(f"{output}: {len(result.points):,} points")
+    follow = f"vertices, which follow {result.surface_samples:,} points of the faces" if result.surface else "points"
+    click.echo(f"{output}: {len(result.points):,} {follow}")
     masks = f"masks, mean of {len(scene.views)}" if several else "mask"
     click.echo(f"  IoU    {result.iou_before:.3f} -> {result.iou_after:.3f} with the {masks}")
     click.echo(f"  moved  {_moved(result)}")

@@ -46,9 +46,13 @@ class PointCloud:
             raise InputError(f"{self.path}: its points have no colours, expected red, green and blue of a PLY file")
         return found
 
+    def faces(self) -> NDArray[np.int64] | None:
+        """Triangles [F, 3] of the points; None where the file has no faces, InputError where they name other points."""
+        return self.ply.read_faces() if self.ply else None
+
 
 def read_cloud(path: str | Path) -> PointCloud:
-    """Read a point cloud; of a mesh in PLY, its vertices.
+    """Read a point cloud; of a mesh in PLY, its vertices, which ``faces()`` of the result joins.
 
     The suffix decides: .ply; .npy with an array [N, 3]; .xyz and .txt with three numbers or more a line, of which the
     first three count, and comment lines that start with #.

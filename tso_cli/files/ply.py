@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .ply_header import Element, Header, parse_header
+from .ply_header import Element, Header, Property, parse_header
 from .ply_rows import Rows, find_rows
 from .reading import shown
 from .text import Integers, TextTable
@@ -16,6 +18,7 @@ from .text import Integers, TextTable
 Points = NDArray[np.float64]
 AXES = ("x", "y", "z")
 COLOURS = ("red", "green", "blue")
+CORNERS = ("vertex_indices", "vertex_index")
 _CHUNK = 1 << 16  # points of a text rewritten at a time
 
 
@@ -47,10 +50,10 @@ class PlyFile:
         self._rows: Rows | None = None
         self._words: Integers | None = None  # [N, 3], of a text body
         if self.header.order:
-            self._rows = find_rows(data, self.header, AXES, path)
+            self._rows = find_rows(data, self.header, self.vertex, AXES, path)
         else:
             self._table = TextTable(data, path, self.header.size, self.header.lines)
-            self._words = self._find_words(self._table, AXES)
+            self._words = self._find_words(self._table, self.vertex, AXES)
 
     def _vertex(self) -> Element:
         for element in self.header.elements:
@@ -90,11 +93,11 @@ class PlyFile:
         if len(kinds) < len(COLOURS):
             return None
         if self.header.order:
-            rows = find_rows(self.data, self.header, COLOURS, self.path)
+            rows = find_rows(self.data, self.header, self.vertex, COLOURS, self.path)
             found = np.stack([rows.get(self.data, k, kinds[name]) for k, name in enumerate(COLOURS)], axis=1, dtype=np.float64)
         else:
             assert self._table is not None
-            found = self._table.values(self._find_words(self._table, COLOURS))
+            found = self._table.values(self._find_words(self._table, self.vertex, COLOURS))
         full = [1.0 if kinds[name].startswith("f") else float(np.iinfo(kinds[name]).max) for name in COLOURS]
         found = found / full
         if not (found.min() >= 0.0 and found.max() <= 1.0):
@@ -102,6 +105,45 @@ class PlyFile:
                 f"{self.path}: its colours span {found.min():g} to {found.max():g} of their type's range, expected 0 to 1"
             )
         return found
+
+    def read_faces(self) -> Integers | None:
+        """Triangles [F, 3] of the faces, polygons as fans around their first corner; None where the file has no faces.
+
+        Raises InputError where a face names a vertex that is not there.
+        """
+        faces = [element for element in self.header.elements if element.name == "face" and element.count]
+        lists = [(own, p) for own in faces for p in own.properties if p.name in CORNERS and p.length_kind]
+        if not lists:
+            return None
+        element, corners = lists[0]
+        fans = [np.empty((0, 3), dtype=np.int64)]
+        for own in self._read_lists(element, corners):
+            wrong = ~((own >= 0) & (own < self.vertex.count) & (own == np.floor(own)))
+            if wrong.any():
+                last = self.vertex.count - 1
+                raise InputError(f"{self.path}: a face names vertex {own[wrong][0]:g}, expected 0 to {last}")
+            polygons = own.astype(np.int64)
+            ends = polygons[:, 1:-1], polygons[:, 2:]
+            fans.append(np.stack([polygons[:, :1].repeat(own.shape[1] - 2, axis=1), *ends], axis=2).reshape(-1, 3))
+        return np.concatenate(fans)
+
+    def _read_lists(self, element: Element, wanted: Property) -> Iterator[NDArray[Any]]:
+        """The lists ``wanted`` of the rows that hold three values or more, those of one length together: [rows, length]."""
+        assert wanted.length_kind is not None
+        lengths: NDArray[Any]
+        if self.header.order:
+            rows = find_rows(self.data, self.header, element, (wanted.name,), self.path)
+            lengths = rows.get(self.data, 0, wanted.length_kind)
+        else:
+            assert self._table is not None
+            table, words = self._table, self._find_words(self._table, element, (wanted.name,))
+            lengths = table.values(words)[:, 0]
+        for length in np.unique(lengths[lengths >= 3]).astype(int).tolist():
+            own = np.flatnonzero(lengths == length)
+            if self.header.order:
+                yield rows.get_lists(self.data, own, length, wanted)
+            else:
+                yield table.values(words[own] + 1 + np.arange(length))
 
     def with_points(self, points: Points) -> bytes:
         """The file with its vertices moved to ``points`` [N, 3]; what is not a coordinate keeps its bytes.
@@ -130,18 +172,18 @@ class PlyFile:
             head = head[:begin] + b"double" + head[end:]
         return head
 
-    def _find_words(self, table: TextTable, names: tuple[str, ...]) -> Integers:
-        """Which words of the text are the ``names`` of the vertices, [N, 3]."""
+    def _find_words(self, table: TextTable, wanted: Element, names: tuple[str, ...]) -> Integers:
+        """Which words of the text are the ``names`` of the rows ``wanted``, of a list its length, [N, names]."""
         begin = 0
-        words = np.empty((0, 3), dtype=np.int64)
+        words = np.empty((0, len(names)), dtype=np.int64)
         for element in self.header.elements:
             count = element.count if element.properties else 0
             if begin + count > table.first.size:
                 found = f"{table.first.size - begin} of {count}"
                 raise InputError(f"{self.path}: ends after {found} rows of element {shown(element.name)}")
             lines = slice(begin, begin + count)
-            places = self._columns(element, table, lines, names)
-            if element is self.vertex:
+            places = self._columns(element, table, lines, names if element is wanted else ())
+            if element is wanted:
                 words = table.first[lines, None] + places
             begin += count
         if begin < table.first.size:
@@ -151,12 +193,12 @@ class PlyFile:
         return words
 
     def _columns(self, element: Element, table: TextTable, lines: slice, names: tuple[str, ...]) -> Integers:
-        """Check the number of words of each line; return the columns of ``names`` in it, [1, 3] or [N, 3]."""
+        """Check the number of words of each line; return the columns of ``names`` in it, [N, names]."""
         found = table.counts[lines]
         expected = np.zeros(found.size, dtype=np.int64)
-        places = np.zeros((found.size, 3), dtype=np.int64)
+        places = np.zeros((found.size, len(names)), dtype=np.int64)
         for p in element.properties:
-            if element is self.vertex and p.name in names:
+            if p.name in names:
                 places[:, names.index(p.name)] = expected
             if p.length_kind:
                 # Past the end of a short line any word will do: the line is refused below.

@@ -5,12 +5,13 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .ply_header import Element, Header
+from .ply_header import Element, Header, Property
 from .reading import shown
 from .text import Integers
 
@@ -19,9 +20,9 @@ _CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I"}
 
 @dataclass(frozen=True)
 class Rows:
-    """The rows of one element and three values in each.
+    """The rows of one element and K values in each; of a list its length.
 
-    Either all rows are ``stride`` bytes long and the values lie at ``offsets`` [3] in each, or ``places`` [N, 3] gives
+    Either all rows are ``stride`` bytes long and the values lie at ``offsets`` [K] in each, or ``places`` [N, K] gives
     the byte of each value in the file.
     """
 
@@ -33,7 +34,7 @@ class Rows:
     offsets: tuple[int, ...] = ()
     places: Integers | None = None
 
-    def get(self, data: bytes, k: int, kind: str) -> NDArray[np.generic]:
+    def get(self, data: bytes, k: int, kind: str) -> NDArray[Any]:
         """The ``k``-th value [N] of each row."""
         dtype = np.dtype(self.order + kind)
         if self.places is None:
@@ -42,6 +43,17 @@ class Rows:
             return np.ndarray((self.count,), dtype, data, self.start + self.offsets[k], (self.stride,))
         letters = np.frombuffer(data, dtype=np.uint8)[self.places[:, k, None] + np.arange(dtype.itemsize)]
         return letters.view(dtype)[:, 0]
+
+    def get_lists(self, data: bytes, which: Integers, length: int, wanted: Property) -> NDArray[Any]:
+        """The values [n, length] of the list ``wanted``, the first of the K, in the rows ``which`` [n], all of that length."""
+        assert wanted.length_kind is not None
+        dtype, width = np.dtype(self.order + wanted.kind), int(wanted.length_kind[1])
+        if self.places is None:
+            # Rows of one stride hold lists of one length: these are all of them.
+            start, strides = self.start + self.offsets[0] + width, (self.stride, dtype.itemsize)
+            return np.ndarray((self.count, length), dtype, data, start, strides)
+        steps = np.arange(width, width + length * dtype.itemsize)
+        return np.frombuffer(data, dtype=np.uint8)[self.places[which, :1] + steps].view(dtype)
 
     def put(self, data: bytes, begin: int, columns: list[NDArray[np.generic]], kinds: list[str]) -> bytes:
         """``data[begin:]`` with the values replaced by ``columns``, whose types may be wider than ``kinds``."""
@@ -75,8 +87,8 @@ class Rows:
         return b"".join(pieces)
 
 
-def find_rows(data: bytes, header: Header, wanted: tuple[str, ...], path: Path) -> Rows:
-    """The rows of the vertex element and the places of its properties ``wanted``.
+def find_rows(data: bytes, header: Header, wanted: Element, names: tuple[str, ...], path: Path) -> Rows:
+    """The rows of the element ``wanted`` and the places of its properties ``names``.
 
     Raises
     ------
@@ -86,9 +98,9 @@ def find_rows(data: bytes, header: Header, wanted: tuple[str, ...], path: Path) 
     found = None
     at = header.size
     for element in header.elements:
-        names = wanted if element.name == "vertex" else ()
-        rows = _uniform(data, at, element, header.order, names) or _walk(data, at, element, header.order, names, path)
-        if element.name == "vertex":
+        own = names if element is wanted else ()
+        rows = _uniform(data, at, element, header.order, own) or _walk(data, at, element, header.order, own, path)
+        if element is wanted:
             found = rows
         at = rows.end
     rest = data[at:]

@@ -164,7 +164,8 @@ class RefineResult:
 
     Attributes
     ----------
-    points, initial : [N, 3] float64, in the frame and units of the input (network modes: of the network's output).
+    points, initial : [N, 3] float64, in the frame and units of the input (network modes: of the network's output); of a mesh
+        its vertices.
     mode : which parameters moved.
     steps : steps done; best_step : the step that the result is from (0: the start was best); with the preset "best" of points
         mode, whose result is a mean over the stages, that of the last stage's best.
@@ -180,6 +181,8 @@ class RefineResult:
         the objective, its trust divided among those that show the same side.
     moved_mean, moved_max : how far the points moved, in shares of the object's size, the longest side of the start's box.
     chamfer_to_initial : squared distances, mean over points, both directions summed, for a cloud of longest side 1.
+    surface : of a mesh the samples [S, 3] of its surface before and after, None of a cloud. IoU, how far points moved and
+        chamfer_to_initial are of these then.
     symmetry : a, b, c, d of the mirror plane ax + by + cz = d that was used, in the frame of the input, or None.
     symmetry_outcome : "used" (a plane that was found), "given", or none: "not_asked", "none_found" (the cloud has none) or
         "contradicted" (the cloud has one, the pictures speak against it). symmetry_reason : by what measure, in words.
@@ -220,6 +223,17 @@ class RefineResult:
     cameras: tuple[Camera, ...]
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    surface: tuple[Array, Array] | None = None
+
+    @property
+    def surface_samples(self) -> int | None:
+        """How many samples of a surface were moved; None of a cloud."""
+        return len(self.surface[0]) if self.surface else None
+
+    @property
+    def shown(self) -> tuple[Array, Array]:
+        """What moved, before and after: the points of a cloud, or the samples [S, 3] of a surface."""
+        return self.surface or (self.initial, self.points)
 
     @property
     def averaged(self) -> bool:

@@ -39,7 +39,7 @@ def remarks(result: RefineResult, views: Sequence[View], steps: int) -> tuple[st
         found.append(f"the loss was no number after step {result.steps}: the result is the best before that")
     elif result.moved_max < HARDLY:
         found.append(f"hardly anything moved: no point by more than {100.0 * HARDLY:g} % of the object's size")
-    found += [coarse for view in views if (coarse := coarse_mask(view, len(result.points)))]
+    found += [coarse for view in views if (coarse := coarse_mask(view, len(result.shown[0])))]
     found += [
         f"{view.name}: the other views contradict it, so it counts for little (trust {trust:.2f} of 1); is its mask or camera "
         "wrong?"

@@ -28,7 +28,7 @@ from .config import PRESETS, RefineConfig, RefineResult, Settings, StopReason
 from .judging import view_ious
 from .loop import Descent, Objective, Progress, descend
 from .remarks import remarks
-from .starts import Cloud, NetworkStart, PointsStart
+from .starts import Carried, Cloud, NetworkStart, PointsStart
 from .views import as_views
 
 if TYPE_CHECKING:
@@ -50,9 +50,10 @@ def refine(
     network: BaseNetwork | None = None,
     image: Any = None,
     colours: Any = None,
+    faces: Any = None,
     progress: Progress | None = None,
 ) -> RefineResult:
-    """Move a cloud, or the network that predicts it, until its projection agrees with the masks.
+    """Move a cloud, a mesh, or the network that predicts a cloud, until its projection agrees with the masks.
 
     Parameters
     ----------
@@ -65,6 +66,8 @@ def refine(
     image : [3, 64, 64] network input in [0, 1], array or tensor.
     colours : [N, 3] red, green and blue of the points, in [0, 1] or uint8, array or tensor; views that have an image ask for
         them.
+    faces : [F, 3] whole numbers, the triangles that join the points of a mesh, array or tensor; None for a cloud. Of a mesh
+        1,024 points of the surface move in place of its vertices, and these follow.
     progress : called after every step with (step, steps, loss).
 
     Returns
@@ -75,7 +78,8 @@ def refine(
     Raises
     ------
     InputError
-        Points, masks or cameras that cannot be used or do not meet, a mode that lacks its network, or an image without colours.
+        Points, faces, masks or cameras that cannot be used or do not meet, a mode that lacks its network, or an image without
+        colours.
     TsoError
         The loss of the start, or after the first step, is not a finite number.
     """
@@ -88,7 +92,7 @@ def refine(
         if settings.mode == "points":
             if points is None:
                 raise InputError("mode points needs points, found none")
-            cloud = Cloud(points, "points", colours)
+            cloud = Cloud(points, "points", colours, faces)
             start = PointsStart([cloud], device)
         else:
             start = NetworkStart(network, image, settings.mode, device)
@@ -248,21 +252,20 @@ def _refined(
             descent = descend(start.produce, start.parameters, objective, steps, settings.learning_rate, told)
         descent = replace(descent, interrupted=descent.interrupted or at_start)
     with _timed(seconds, "judge"), devices.one_thread(small):
-        moved_by = chamfer(descent.best).tolist()
-        offsets = (descent.best.double() - first.double()).cpu().numpy()
-        # What did not move keeps every bit of the input.
-        refined: list[Array] = [
-            item.cloud.initial + item.cloud.scale * offset[: len(item.cloud.initial)]
-            for item, offset in zip(items, offsets, strict=True)
-        ]
+        ways = descent.best.double() - first.double()
+        ends = [item.cloud.carried(way) for item, way in zip(items, ways.cpu().numpy(), strict=True)]
+        for way, end in zip(ways, ends, strict=True):
+            way[: len(end.ways)] = torch.from_numpy(end.ways)
+        moved_by = chamfer((first.double() + ways).to(first)).tolist()
+        refined = [end.moved for end in ends]
         ious = [
             view_ious(item.cloud.initial, points, own, item.views)
             for item, points, own in zip(items, refined, given, strict=True)
         ]
     seconds = {phase: value / len(items) for phase, value in seconds.items()}
     return [
-        _result(item, descent, number, points, own, weights, moved_by[number], first.device, settings, seconds)
-        for number, (item, points, own) in enumerate(zip(items, refined, ious, strict=True))
+        _result(item, descent, number, end, own, weights, moved_by[number], first.device, settings, seconds)
+        for number, (item, end, own) in enumerate(zip(items, ends, ious, strict=True))
     ]
 
 
@@ -330,7 +333,7 @@ def _result(
     item: Item,
     descent: Descent,
     number: int,
-    points: Array,
+    end: Carried,
     ious: list[tuple[float, float]],
     weights: Weights,
     moved_by: float,
@@ -346,10 +349,10 @@ def _result(
     if steps == 0 and not finite.all():
         return TsoError("the loss is no finite number after the first step (a smaller learning rate?)")
     before, after = np.mean(ious, 0).tolist()
-    moved = np.linalg.norm(points - item.cloud.initial, axis=1) / item.cloud.scale
+    moved = np.linalg.norm(end.ways, axis=1)
     result = RefineResult(
-        points=points,
-        initial=item.cloud.initial,
+        points=end.points,
+        initial=item.cloud.given,
         mode=settings.mode,
         steps=steps,
         best_step=int(descent.best_step[number]),
@@ -377,6 +380,7 @@ def _result(
         seed=settings.seed,
         cameras=tuple(view.camera for view in item.views),
         seconds=seconds,
+        surface=(item.cloud.initial, end.moved) if item.cloud.surface else None,
     )
     return replace(result, warnings=remarks(result, item.views, settings.steps))
 

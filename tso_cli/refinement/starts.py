@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from torch import Tensor, nn
 
 from ..errors import InputError
 from ..geometry import as_points, bounding_box_normalisation
+from ..surface import Surface
 
 if TYPE_CHECKING:
     from ..network import BaseNetwork
@@ -21,26 +23,60 @@ Array = NDArray[np.float64]
 
 
 class Cloud:
-    """A cloud in the units of its file, and its normalisation to longest side 1.
+    """A cloud in the units of its file, and its normalisation to longest side 1; or a mesh, of which samples move.
 
     Attributes
     ----------
-    initial : [N, 3] float64.
+    given : [V, 3] float64, what the cloud was made of.
+    surface : that of a mesh, or None.
+    initial : [N, 3] float64, what moves: the points given, or the samples of the surface.
     centre [3], scale : (X - centre) / scale is normalised.
     colours : [N, 3] float32 in [0, 1], or None.
     """
 
-    def __init__(self, points: Any, name: str, colours: Any = None) -> None:
+    def __init__(self, points: Any, name: str, colours: Any = None, faces: Any = None) -> None:
         if isinstance(points, Tensor):
             points = points.detach().cpu().numpy()
-        self.initial: Array = as_points(points, name)
+        if isinstance(faces, Tensor):
+            faces = faces.detach().cpu().numpy()
+        self.given: Array = as_points(points, name)
+        self.surface = None if faces is None else Surface.of(self.given, faces, name)
+        self.initial = self.surface.samples if self.surface else self.given
         self.centre, self.scale = bounding_box_normalisation(self.initial, name)
-        self.colours = None if colours is None else _as_colours(colours, len(self.initial), name)
+        self.colours = None if colours is None else _as_colours(colours, len(self.given), name)
+        if self.surface and self.colours is not None:
+            self.colours = self.surface.at(self.colours.astype(np.float64)).astype(np.float32)
 
     def normalised(self) -> Array:
         """[N, 3]."""
         normalised: Array = (self.initial - self.centre) / self.scale
         return normalised
+
+    def carried(self, ways: Array) -> Carried:
+        """What comes of the points given where what moves goes ``ways`` [N or more, 3], in units of the longest side."""
+        ways = ways[: len(self.initial)]
+        followed = ways
+        if self.surface:
+            followed = self.surface.followed(ways)
+            ways = self.surface.at(followed)
+        # What did not move keeps every bit of the input.
+        return Carried(self.given + self.scale * followed, self.initial + self.scale * ways, ways)
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """The end of a cloud's way.
+
+    Attributes
+    ----------
+    points : [V, 3] the points given, moved.
+    moved : [N, 3] what moved: of a mesh its samples, where the moved faces have them.
+    ways : [N, 3] how far, in units of the longest side.
+    """
+
+    points: Array
+    moved: Array
+    ways: Array
 
 
 def _as_colours(colours: Any, count: int, name: str) -> NDArray[np.float32]:

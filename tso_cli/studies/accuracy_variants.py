@@ -62,7 +62,9 @@ ABLATION = {
     "no mirror plane": POINTS[NO_SYMMETRY],
     "no smoothing": _made(stages=tuple(replace(stage, smoothness=0.0, nodes=NODES) for stage in BEST.stages)),
     "1,024 nodes in every stage": _made(stages=tuple(replace(stage, nodes=NODES) for stage in BEST.stages)),
-    "one stage": _made(stages=(Stage(10.0, 3.0, 1.0),)),
+    "one stage": _made(stages=(Stage(10.0, 3.0, 1.0, finest=True),)),
+    "64 cells in the last stage too": _made(stages=tuple(replace(stage, finest=False) for stage in BEST.stages)),
+    "anchor by the whole cloud alone": _made(local=False),
     "the last stage's result alone": _made(
         stages=(*(replace(stage, share=0.0) for stage in BEST.stages[:-1]), BEST.stages[-1])
     ),

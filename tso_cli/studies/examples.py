@@ -55,16 +55,13 @@ def study_examples(checkpoint: Path | None = None, report: Report | None = None)
 
 def _run(folder: Path, name: str, mode: str, checkpoint: Path | None) -> dict[str, Any]:
     target = read_cloud(folder / "target.ply").points
-    if mode == "points" or checkpoint is None:
-        scene = load_points_scene(folder / "initial.ply", folder / "mask.png")
-    else:
-        scene = load_network_scene(folder / "image.png", folder / "mask.png", checkpoint, world=True)
+    scene = example_scene(folder, mode, checkpoint)
     config = RefineConfig(mode, sigma_sq=scene.sigma_sq, preset="paper")
     results: list[RefineResult] = []
     seconds = []
     for _ in range(RUNS + 1):
         start = time.perf_counter()
-        results.append(_refine(scene, config))
+        results.append(refine_scene(scene, config))
         seconds.append(time.perf_counter() - start)
     result = results[0]
     before, after = (scene.to_output(points) for points in (result.initial, result.points))
@@ -90,5 +87,13 @@ def _run(folder: Path, name: str, mode: str, checkpoint: Path | None) -> dict[st
     }
 
 
-def _refine(scene: Scene, config: RefineConfig) -> RefineResult:
+def example_scene(folder: Path, mode: str, checkpoint: Path | None) -> Scene:
+    """The example in ``folder``; the clouds of a network are judged in the world of the camera file."""
+    if mode == "points" or checkpoint is None:
+        return load_points_scene(folder / "initial.ply", folder / "mask.png")
+    return load_network_scene(folder / "image.png", folder / "mask.png", checkpoint, world=True)
+
+
+def refine_scene(scene: Scene, config: RefineConfig) -> RefineResult:
+    """Refine what was loaded, a cloud or a network."""
     return refine(None if scene.network else scene.points, scene.view, config=config, network=scene.network, image=scene.image)

@@ -24,15 +24,15 @@ MEAN_STEPS, MEAN_RATE, MEAN_BATCH = 300, 3e-3, 16
 TURNS = tuple(np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]], dtype=np.float32) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1)))
 
 
-def mean_shape(targets: Sequence[Floats], seed: int = 0) -> Floats:
+def mean_shape(targets: Sequence[Floats], seed: int = 0, steps: int = MEAN_STEPS) -> Floats:
     """The cloud of 1,024 points with the least mean Chamfer distance to ``targets`` (of [1024, 3]), found by Adam."""
     rng = np.random.default_rng([seed, 11])
     stacked = torch.from_numpy(np.stack(targets))
     pool = stacked.reshape(-1, 3)
     points = pool[torch.from_numpy(rng.permutation(len(pool))[:POINTS])].clone().requires_grad_(True)
     optimiser = torch.optim.Adam([points], lr=MEAN_RATE)
-    for step in range(MEAN_STEPS):
-        optimiser.param_groups[0]["lr"] = MEAN_RATE * (1.0 - step / MEAN_STEPS)
+    for step in range(steps):
+        optimiser.param_groups[0]["lr"] = MEAN_RATE * (1.0 - step / steps)
         chosen = stacked[torch.from_numpy(rng.permutation(len(stacked))[:MEAN_BATCH])]
         forward, backward = chamfer(points.expand(len(chosen), -1, -1), chosen)
         loss = (forward + backward).mean()

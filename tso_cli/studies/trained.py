@@ -139,7 +139,9 @@ def study_networks(
         "networks": [[setting.name, setting.category] for setting in settings],
     }
     runs = _earlier_runs(keeping.earlier, name, common)
-    record = _record(name, common, runs, False)
+    if keeping.keep and keeping.earlier is None:
+        # What is gone on with, the first network's state too, is of the method that this record says.
+        keeping.keep(_record(name, common, runs, False))
     done = {(run["setting"], run["category"]) for run in runs}
     for number, setting in enumerate(settings, 1):
         if (setting.name, setting.category) in done:

@@ -9,6 +9,7 @@ from .affinity import affinity
 from .evidence import evidence
 from .examples import examples
 from .failures import failures
+from .fingerprint import fingerprint
 from .network import network
 from .points import points
 from .pose import pose
@@ -38,5 +39,6 @@ for study in (
     weight,
     affinity,
     failures,
+    fingerprint,
 ):
     command.add_command(study)

@@ -10,7 +10,7 @@ import click
 from ...files.output import check_output
 from ...files.shipped import DEFAULT, named_checkpoint
 from .. import options
-from ..records import Reporter, answer, check_outputs, earlier_record, keep, resume, so_far, write_cases
+from ..records import Reporter, answer, check_outputs, earlier_record, keep, resume, so_far
 
 
 @click.command("accuracy")
@@ -80,10 +80,10 @@ def accuracy(
     if "network" in config.kinds:
         network = named_checkpoint(checkpoint)
         options.log(f"tso: checkpoint: {network}")
-    earlier = earlier_record(output, resume)
+    earlier = earlier_record("accuracy", output, resume)
     split_file = split_file or SPLIT
-    record = study_accuracy(meshes, config, split_file, network, earlier, so_far(output, write_cases), Reporter())
-    keep(record, output, draw_accuracy_study, overwrite or resume, write_cases)
+    record = study_accuracy(meshes, config, split_file, network, earlier, so_far(output), Reporter())
+    keep(record, output, draw_accuracy_study, overwrite or resume)
     if pictures is not None:
         from ...report.accuracy_pictures import draw_cases
         from ...studies.accuracy_examples import telling_cases

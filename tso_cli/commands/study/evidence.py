@@ -9,7 +9,7 @@ import click
 
 from ...files.shipped import DEFAULT, named_checkpoint
 from .. import options
-from ..records import Reporter, answer, check_outputs, earlier_record, keep, resume, so_far, write_cases
+from ..records import Reporter, answer, check_outputs, earlier_record, keep, resume, so_far
 
 QUESTIONS = ("depth", "colours", "missing", "wrong", "cameras", "placing", "rates")
 JUDGED = ("cases", "mean_ratio", "worst_ratio", "worse")
@@ -63,9 +63,9 @@ def evidence(
         network = named_checkpoint(checkpoint)
         options.log(f"tso: checkpoint: {network}")
     config = EvidenceConfig(wanted, part, limit, views, seed, device)
-    earlier = earlier_record(output, resume)
-    record = study_evidence(meshes, config, split_file or SPLIT, network, earlier, so_far(output, write_cases), Reporter())
-    keep(record, output, draw_evidence_study, overwrite or resume, write_cases)
+    earlier = earlier_record("evidence", output, resume)
+    record = study_evidence(meshes, config, split_file or SPLIT, network, earlier, so_far(output), Reporter())
+    keep(record, output, draw_evidence_study, overwrite or resume)
     if as_json:
         options.echo_json(record)
     else:

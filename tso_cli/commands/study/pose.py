@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from .. import options
-from ..records import Reporter, answer, check_outputs, earlier_record, keep, resume, so_far, write_cases
+from ..records import Reporter, answer, check_outputs, earlier_record, keep, resume, so_far
 
 
 @click.command("pose")
@@ -41,9 +41,9 @@ def pose(
     from ...studies.pose import PoseConfig, study_pose
 
     config = PoseConfig(part, limit, views, seed)
-    earlier = earlier_record(output, resume)
-    record = study_pose(meshes, config, split_file or SPLIT, earlier, so_far(output, write_cases), Reporter())
-    keep(record, output, draw_pose_study, overwrite or resume, write_cases)
+    earlier = earlier_record("pose", output, resume)
+    record = study_pose(meshes, config, split_file or SPLIT, earlier, so_far(output), Reporter())
+    keep(record, output, draw_pose_study, overwrite or resume)
     if as_json:
         options.echo_json(record)
     else:

@@ -101,9 +101,10 @@ def run(
     chosen = tuple(dict.fromkeys(categories)) or (study.FULL if full else study.REDUCED)
     source = Source(meshes, split_file or SPLIT, part, chosen, limit, seed)
     unfinished = output.with_name(f"{output.stem}.unfinished.safetensors") if output else None
-    if not resume:
+    earlier = earlier_record(study.NAME, output, resume)
+    if earlier is None:
         forget(unfinished)
-    keeping = Keeping(earlier_record(output, resume), so_far(output), unfinished)
+    keeping = Keeping(earlier, so_far(output), unfinished)
     record = study_networks(study.NAME, source, budget, study.settings(chosen), study.conclude, measure, keeping, Reporter())
     keep(record, output, draw, overwrite or resume)
     if as_json:

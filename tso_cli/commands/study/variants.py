@@ -63,7 +63,7 @@ def variants(
 
     chosen = categories or (() if split_file else CATEGORIES)
     config = VariantsConfig(part, chosen, limit, views, steps=steps, seed=seed, device=device)
-    earlier = earlier_record(output, resume)
+    earlier = earlier_record("tso", output, resume)
     record = study_variants(meshes, checkpoint, config, split_file or SPLIT, earlier, so_far(output), Reporter())
     keep(record, output, draw_variants_study, overwrite or resume)
     if as_json:

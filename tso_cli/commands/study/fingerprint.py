@@ -1,0 +1,42 @@
+"""`tso study fingerprint`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from ...errors import GateError, InputError
+from .. import options
+from ..records import read_record, write_record
+
+
+@click.command("fingerprint")
+@click.argument("records", nargs=-1, required=True, type=options.FilePath())
+@click.option("--stamp", is_flag=True, help="Write today's fingerprint into RECORDS: say that they are of the method as it is.")
+def fingerprint(records: tuple[Path, ...], stamp: bool) -> None:
+    """Whether RECORDS are of the method as it is: their fingerprints beside today's.
+
+    A fingerprint is what the method does to the shipped examples, in a few numbers; every record that -o writes has one.
+    The exit code is 3 where one differs or is missing. --stamp is for a record without one whose figures were found to be
+    today's by other means, say by making some of them anew.
+    """
+    from ...studies.fingerprint import differences
+
+    others = 0
+    for path in records:
+        record = read_record(path)
+        try:
+            if stamp:
+                write_record(record, path)
+                click.echo(f"{path}: stamped")
+                continue
+            found = differences(record)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+        others += bool(found)
+        click.echo(f"{path}: " + ("of another method" if found else "of the method as it is"))
+        for line in found:
+            click.echo(f"  {line}")
+    if others:
+        raise GateError(f"{others} of {len(records)} records are not known to be of the method as it is")
