@@ -85,8 +85,8 @@ def print_details(result: RefineResult, scene: Scene, refined_cameras: bool, sec
     click.echo(f"  mirror {_plane(result)}")
     click.echo(
         f"  sigma_sq {result.sigma_sq:g} (squared 64ths of the window), learning rate {result.learning_rate:g}, gamma "
-        f"{result.gamma:g}, preset {result.preset}, {result.device}, seed {result.seed}, {seconds['optimise']:.2f} s in the loop, "
-        f"{seconds['total']:.2f} s in all"
+        f"{result.gamma:g}, preset {result.preset}, {result.device}, seed {result.seed}, {seconds['optimise']:.2f} s in the "
+        f"loop, {seconds['total']:.2f} s in all"
     )
 
 
