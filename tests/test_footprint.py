@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import distance_transform_cdt, distance_transform_edt
 from scipy.spatial import cKDTree
 
 from tso_cli.camera import Camera
@@ -17,7 +18,7 @@ from tso_cli.files.cameras import read_cameras
 from tso_cli.files.clouds import read_cloud
 from tso_cli.files.images import read_mask
 from tso_cli.files.meshes import read_mesh
-from tso_cli.footprint import RIM, common_window, footprint, in_window, spacing, window_iou
+from tso_cli.footprint import RIM, _nearest, common_window, footprint, in_window, spacing, window_iou
 from tso_cli.refinement.judging import view_ious
 from tso_cli.render import RayScene, RenderSettings, fitting_distance, ground_truth, look_at, normalise, render_view
 from tso_cli.resample import area_resize
@@ -208,6 +209,19 @@ def test_the_silhouette_is_the_cloud_dilated_by_a_disc_and_eroded_by_a_little_le
     assert (found != expected).sum() < 0.03 * expected.sum()
 
 
+@pytest.mark.parametrize("within", [3, 12, 20_000])
+def test_the_nearest_cell_is_the_nearest_and_none_where_none_is_near(within):
+    cells = np.random.default_rng(within).random((40, 70)) < 0.004
+    found = _nearest(cells, within)
+    rows, columns = np.indices(cells.shape)
+    expected = distance_transform_edt(~cells)
+    near = expected <= min(within, 70)
+    assert near.any() and (within == 20_000 or not near.all())
+    np.testing.assert_array_equal(np.hypot(found // 70 - rows, found % 70 - columns)[near], expected[near])
+    assert cells.ravel()[found[found >= 0]].all()
+    assert (found[distance_transform_cdt(~cells) > within] == -1).all()
+
+
 def test_the_disc_is_as_wide_as_the_spacing_is_seen_at_its_depth():
     # Beside each other a plate and another three times as far, of one spacing: it is seen as 6 px and as 2 px.
     near, far = _plate() - [0.78, 0.49, -1.0], _plate(last=1.3) + [0.4, -0.7, 3.0]
@@ -227,7 +241,7 @@ def test_the_spacing_is_that_of_the_points_on_their_surface(count):
     ball = rng.standard_normal((count, 3))
     apart, radius = spacing(7.0 * ball / np.linalg.norm(ball, axis=1, keepdims=True))
     assert apart == pytest.approx(7.0 * np.sqrt(4.0 * np.pi / count), rel=0.06)
-    assert 1.3 * apart < radius <= 1.4 * apart
+    assert 1.3 < radius / apart < 1.41
 
 
 def test_points_that_lie_evenly_need_a_smaller_disc():

@@ -30,12 +30,12 @@ RIM = 0.15
 LEAST_REACH, LEAST_RIM = 1.5, 0.25
 # The largest disc, as a share of the window's longer side: a few points far from each other have nothing to close.
 WIDEST = 1.0 / 8.0
-# Cells along the window's longer side, about.
-CELLS = 256
+# Cells along the window's longer side where it has more pixels, and the fewest: pixels are divided where they are fewer.
+CELLS, FEWEST = 256, 192
 # The spacing is told by the distance to so many neighbours, of so many points where the cloud has more.
-NEIGHBOURS, ASKED = 8, 2048
+NEIGHBOURS, ASKED = 8, 128
 # Of a cloud that is larger than this only so many points, drawn at random, are neighbours.
-MOST = 1 << 16
+MOST = 4096
 
 IOU_MEANS = (
     "intersection over union of the mask (> 0.5) and the cloud's silhouette, its points joined over gaps of up to "
@@ -86,7 +86,7 @@ def in_window(points: Array, view: View, box: Box) -> Seen:
     step, fine = float((last - first).max()) / CELLS, 1
     if step < 1.0:
         first, last = np.floor(first + 0.5) - 0.5, np.ceil(last + 0.5) - 0.5
-        step, fine = 1.0, max(1, round(CELLS / float((last - first).max())))
+        step, fine = 1.0, int(np.ceil(FEWEST / float((last - first).max())))
     size = np.array([camera.width, camera.height])
     first, last = np.maximum(first, -0.5), np.minimum(last, size - 0.5)
     counts = np.maximum(np.rint((last - first) / step), 1.0)
@@ -111,14 +111,19 @@ def spacing(points: Array) -> tuple[float, float]:
     1 / sqrt(points per area), the median over the cloud, and 1 to 1.4 times that, in the units of the points. 0 where all are
     equal.
     """
-    from scipy.spatial import cKDTree
-
     unit = float(np.ptp(points, axis=0).max())
     if unit == 0.0:
         return 0.0, 0.0
-    cloud = _drawn(points, MOST) / unit
-    count = min(NEIGHBOURS, len(cloud) - 1)
-    nearest, farthest = np.median(cKDTree(cloud).query(_drawn(cloud, ASKED), [2, count + 1])[0], axis=0).tolist()
+    cloud = _drawn(points, MOST)
+    cloud = (cloud - cloud.mean(0)) / unit
+    asked, count = _drawn(cloud, ASKED), min(NEIGHBOURS, len(cloud) - 1)
+    squared = asked @ cloud.T
+    squared *= -2.0
+    squared += np.square(cloud).sum(1)
+    # The least is the point itself.
+    squared.partition([1, count], axis=1)
+    squared = squared[:, [1, count]] + np.square(asked).sum(1)[:, None]
+    nearest, farthest = np.sqrt(np.maximum(np.median(squared, axis=0), 0.0)).tolist()
     # A disc of that radius holds so many neighbours.
     apart = farthest * float(np.sqrt(np.pi / count))
     # The nearest neighbour is 0.9 spacings away where points lie evenly, 0.5 where at random.
@@ -145,8 +150,6 @@ def footprint(points: Array, camera: Camera) -> Bools:
     points : [N, 3], N >= 1.
     camera : its image is the grid. Time and memory grow with it; some hundred pixels a side are meant.
     """
-    from scipy.ndimage import distance_transform_edt
-
     size = np.array([camera.width, camera.height])
     widest = WIDEST * float(size.max())
     pixels, depth = camera.project(points)
@@ -173,22 +176,37 @@ def footprint(points: Array, camera: Camera) -> Bools:
     row, column = (np.arange(count, dtype=np.float32) for count in number.shape)
     row = row[:, None]
 
-    def nearest(cells: Bools) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        rows, columns = distance_transform_edt(~cells, return_distances=False, return_indices=True)
-        return rows, columns
-
-    point = number[nearest(number >= 0)]
+    point = number.ravel()[_nearest(number >= 0, border)]
     beyond = np.hypot(x[point] - column, y[point] - row) - reach[point]
     # The point of the nearest cell need not be the nearest one: where that matters, those of the cells around are asked too.
     at = np.nonzero((beyond > 0.0) & (beyond < 1.5))
     for down, right in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         other = point[at[0] + down, at[1] + right]
         beyond[at] = np.minimum(beyond[at], np.hypot(x[other] - at[1], y[other] - at[0]) - reach[other])
-    rows, columns = nearest(beyond > 0.0)
+    outside = _nearest(beyond > 0.0, border)
     # From the nearest cell beyond the discs it is so far back to their edge.
-    depth_inside = np.hypot(columns - column, rows - row) - beyond[rows, columns]
-    inside = (beyond <= 0.0) & (depth_inside > (reach - rim)[point])
+    rows, columns = np.divmod(outside, number.shape[1])
+    depth_inside = np.hypot(columns - column, rows - row) - beyond.ravel()[outside]
+    inside = (beyond <= 0.0) & ((outside < 0) | (depth_inside > (reach - rim)[point]))
 
     (left, top), (right, bottom) = np.clip([low, high], 0, size)
     silhouette[top:bottom, left:right] = inside[top - low[1] : bottom - low[1], left - low[0] : right - low[0]]
     return silhouette
+
+
+def _nearest(cells: Bools, within: int) -> NDArray[np.signedinteger]:
+    """The number [H, W] of the nearest of ``cells`` [H, W], counted row by row; -1 where none is within as many rows."""
+    bits = cells.size.bit_length()
+    # Squared distance and number in one integer: the least of them tells both.
+    kind = np.int32 if (2 * within**2).bit_length() + bits < 30 else np.int64
+    none = np.iinfo(kind).max // 2
+    least = np.full(cells.shape, none, dtype=kind)
+    least[cells] = np.flatnonzero(cells)
+    for _ in range(2):
+        least = np.ascontiguousarray(least.T)
+        start = least.copy()
+        for step in range(1, within + 1):
+            farther = start + kind(step * step << bits)
+            np.minimum(least[step:], farther[:-step], out=least[step:])
+            np.minimum(least[:-step], farther[step:], out=least[:-step])
+    return np.where(least < none, least & ((1 << bits) - 1), -1)

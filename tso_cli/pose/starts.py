@@ -82,7 +82,7 @@ def _spread_out(image: NDArray[np.float32]) -> NDArray[np.float32]:
 def closed_iou(points: Array, poses: Poses, target: Target, reach: float) -> Array:
     """IoU [P] of mask and cloud, both widened by ``reach`` (units of the cloud): gaps between points are closed, alike in both.
 
-    Unlike the silhouette's IoU it does not depend on how densely the cloud is sampled or how large it is seen.
+    Unlike the IoU of a Gaussian silhouette it does not depend on how densely the cloud is sampled or how large it is seen.
     """
     from scipy.ndimage import distance_transform_edt
 
