@@ -27,6 +27,7 @@ from tso_cli.studies.evidence_cases import (
     anothers_mask,
     bunched,
     cameras_off,
+    in_photo,
     placed_by,
     turned_away,
     with_depth,
@@ -102,6 +103,16 @@ def test_an_object_that_lacks_a_part_lacks_it_in_truth_and_masks_and_keeps_its_s
     else:
         assert (lacking.dense[:, axis] > 0.12).mean() < (whole.dense[:, axis] > 0.12).mean()
     assert len(lacking.target) == len(whole.target)
+
+
+def test_a_photo_around_a_picture_shows_the_same_object_where_its_camera_says(cases, truths):
+    right = cases["car"]
+    photo = in_photo(4, 1.0, 0.25)(right, truths["car"], rng()).views[0]
+    assert photo.mask.shape == (256, 256)
+    assert photo.mask.sum() == right.views[0].mask.sum()
+    shift = photo.camera.project(right.target)[0] - right.views[0].camera.project(right.target)[0]
+    np.testing.assert_allclose(shift, np.tile([192.0, 48.0], (len(right.target), 1)), atol=1e-9)
+    np.testing.assert_array_equal(photo.mask[48:112, 192:], right.views[0].mask)
 
 
 def test_wrong_views_are_the_last_alone(cases, truths):

@@ -9,6 +9,7 @@ from ..files.output import atomic_output, check_output
 from .accuracy_chart import COLOURS, INK, MARKERS
 
 TITLES = {
+    "framing": "The object in a larger photo",
     "depth": "Depth maps",
     "colours": "Photos of painted objects",
     "missing": "Objects of which a part is missing",

@@ -28,6 +28,7 @@ SIZE, POINTS = 64, 1024
 CONVENTION = {
     "ratio": "Chamfer distance after / before, mean of the cases' own; squared distances, mean over points, forward + "
     "backward, longest side 1, to as many target points; worse: cases over 1",
+    "IoU": "of mask and silhouette after, mean",
     "without a plane": "share of the cases whose refinement used no mirror plane",
     "trust in the fourth": "1, or less where the other views contradict the fourth, mean",
     "corrected": "share of the cameras that --refine-camera corrected",

@@ -57,6 +57,23 @@ def as_it_is(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> Accu
     return case
 
 
+def in_photo(times: int, across: float = 0.5, down: float = 0.3) -> Alter:
+    """The picture lies in a photo so many times as wide and high, at a share of the free way; around it is background."""
+
+    def altered(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> AccuracyCase:
+        views = []
+        for view in case.views:
+            height, width = view.mask.shape
+            top, left = int(height * (times - 1) * down), int(width * (times - 1) * across)
+            mask = np.zeros((times * height, times * width), np.float32)
+            mask[top : top + height, left : left + width] = view.mask
+            K = view.camera.K + [[0, 0, left], [0, 0, top], [0, 0, 0]]
+            views.append(View(mask, replace(view.camera, K=K, width=mask.shape[1], height=mask.shape[0]), name=view.name))
+        return replace(case, views=tuple(views))
+
+    return altered
+
+
 def with_depth(noise: float = 0.0) -> Alter:
     """Each view with the depth of the true surface in the middle of its pixels, and Gaussian noise (longest side 1) on it."""
 

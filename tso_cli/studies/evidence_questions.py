@@ -20,6 +20,7 @@ from .evidence_cases import (
     as_it_is,
     bunched,
     cameras_off,
+    in_photo,
     placed_by,
     turned_away,
     with_depth,
@@ -82,6 +83,17 @@ def _corrected(case: AccuracyCase, altered: AccuracyCase, result: RefineResult) 
 def _degrees_left(case: AccuracyCase, altered: AccuracyCase, result: RefineResult) -> float:
     true = [view.camera for view in case.views]
     return float(np.mean([angle_between(a.R, b.R) for a, b in zip(result.cameras, true, strict=False)]))
+
+
+def _iou(case: AccuracyCase, altered: AccuracyCase, result: RefineResult) -> float:
+    return result.iou_after
+
+
+def _framing_rows() -> dict[str, Row]:
+    photos: dict[str, Alter] = {"the picture itself": as_it_is}
+    photos |= {f"in a photo {times} times as wide": in_photo(times) for times in (2, 4, 8, 16)}
+    photos["in the corner of a photo 8 times as wide"] = in_photo(8, 1.0, 1.0)
+    return {what: Row(alter, _of()) for what, alter in photos.items()}
 
 
 def _depth_rows() -> dict[str, Row]:
@@ -172,6 +184,7 @@ def _rate_rows() -> dict[str, Row]:
 
 
 QUESTIONS = {
+    "framing": Question(("other", "near"), _framing_rows(), told={"IoU": _iou}),
     "depth": Question(("other", "near"), _depth_rows(), ("chair", "airplane", "car")),
     "colours": Question(("other",), _colour_rows(), ("chair", "airplane", "car")),
     "missing": Question(("other",), _missing_rows(), ("chair", "airplane", "car", "sofa"), {"without a plane": _no_plane}),
@@ -185,5 +198,5 @@ QUESTIONS = {
     "placing": Question(("network",), _placing_rows()),
     "rates": Question(("network",), _rate_rows()),
 }
-"""By name: depth maps, photos of painted objects, objects of which a part is missing, wrong views, cameras that are off,
-predictions at an unknown distance, learning rates of the network's variants."""
+"""By name: objects in larger photos, depth maps, photos of painted objects, objects of which a part is missing, wrong views,
+cameras that are off, predictions at an unknown distance, learning rates of the network's variants."""

@@ -30,6 +30,7 @@ OTHERS = ("training on masks, plain projection", "training on masks, depth proje
 POINTS, MEAN = "training on points", "mean shape"
 PICTURES, PREDICTION = "pictures", "prediction"
 QUESTIONS = {
+    "framing": (BEST,),
     "depth": (BEST, f"{BEST}, depth map"),
     "colours": (BEST, f"{BEST}, photo"),
     "missing": (BEST,),

@@ -11,7 +11,7 @@ from ...files.shipped import DEFAULT, named_checkpoint
 from .. import options
 from ..records import Reporter, answer, check_outputs, earlier_record, keep, resume, so_far
 
-QUESTIONS = ("depth", "colours", "missing", "wrong", "cameras", "placing", "rates")
+QUESTIONS = ("framing", "depth", "colours", "missing", "wrong", "cameras", "placing", "rates")
 JUDGED = ("cases", "mean_ratio", "worst_ratio", "worse")
 """What the record has of every row; the rest is told of some."""
 
@@ -47,7 +47,7 @@ def evidence(
 ) -> None:
     """What other evidence than one right mask of the whole object is worth.
 
-    Depth maps (depth), photos of painted objects (colours), objects of which a part is missing (missing), wrong views among
+    Objects in larger photos (framing), depth maps (depth), photos of painted objects (colours), objects of which a part is missing (missing), wrong views among
     right ones (wrong), cameras that are off (cameras), predictions whose distance is not known (placing), and the learning
     rates of the network's variants (rates).
     """
