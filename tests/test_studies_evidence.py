@@ -237,7 +237,7 @@ def test_a_stopped_study_goes_on_with_the_next_group(split, quick):
 
 
 def test_a_question_that_is_not_asked_here_is_refused():
-    with pytest.raises(InputError, match="'weather', expected one of depth, colours"):
+    with pytest.raises(InputError, match="'weather', expected one of framing, depth"):
         EvidenceConfig(("weather",))
 
 

@@ -47,9 +47,9 @@ def evidence(
 ) -> None:
     """What other evidence than one right mask of the whole object is worth.
 
-    Objects in larger photos (framing), depth maps (depth), photos of painted objects (colours), objects of which a part is missing (missing), wrong views among
-    right ones (wrong), cameras that are off (cameras), predictions whose distance is not known (placing), and the learning
-    rates of the network's variants (rates).
+    Objects in larger photos (framing), depth maps (depth), photos of painted objects (colours), objects of which a part is
+    missing (missing), wrong views among right ones (wrong), cameras that are off (cameras), predictions whose distance is not
+    known (placing), and the learning rates of the network's variants (rates).
     """
     check_outputs(output, overwrite, resume)
     from ...report.evidence_chart import draw_evidence_study
