@@ -282,7 +282,7 @@ def test_a_study_changes_one_ingredient_of_the_preset_at_a_time(cars):
     plain = moved(RefineConfig())
     np.testing.assert_array_equal(moved(RefineConfig(recipe=BEST)), plain)
     changed = {name: variant for name, variant in ABLATION.items() if variant.config.recipe is not None}
-    assert len(changed) == 15
+    assert len(changed) == 17
     for name, variant in changed.items():
         recipe = variant.config.recipe
         differing = {key for key, value in vars(recipe).items() if value != getattr(BEST, key)}

@@ -31,7 +31,7 @@ LEAST_REACH, LEAST_RIM = 1.5, 0.25
 # The largest disc, as a share of the window's longer side: a few points far from each other have nothing to close.
 WIDEST = 1.0 / 8.0
 # Cells along the window's longer side where it has more pixels, and the fewest: pixels are divided where they are fewer.
-CELLS, FEWEST = 256, 192
+CELLS, FEWEST = 256, 214
 # The spacing is told by the distance to so many neighbours, of so many points where the cloud has more.
 NEIGHBOURS, ASKED = 8, 128
 # Of a cloud that is larger than this only so many points, drawn at random, are neighbours.
