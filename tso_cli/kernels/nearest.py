@@ -13,7 +13,8 @@ COMPARE_ALL_UP_TO = 8192
 # k-d trees, whose import takes a quarter of a second.
 MULTIPLY_UP_TO = 1500
 PAIRS_PER_PRODUCT = 1 << 17
-# Images up to this wide are searched by torch alone, which takes some milliseconds; importing scipy takes a quarter of a second.
+# Images up to this wide are searched by torch alone, which takes some milliseconds; importing scipy takes a quarter of a
+# second.
 BY_COLUMNS_UP_TO = 128
 # Pairs compared at once in plain torch; bounds memory at about 400 MB.
 PAIRS_PER_CHUNK = 1 << 24
