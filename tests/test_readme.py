@@ -33,6 +33,7 @@ TO_BE_REMADE = (
     "accuracy-ablation",
     "accuracy-large",
     "accuracy-training",
+    "affinity",
     "evidence",
     "examples",
     "lambda",
