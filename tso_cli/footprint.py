@@ -16,11 +16,9 @@ from numpy.typing import NDArray
 from .camera import NEAR, Camera
 from .metrics import iou
 from .scene import View
-from .window import window_of
+from .window import Array, Box, window_of
 
-Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-Box = tuple[float, float, float, float]
 
 # Radius of the disc in spacings: of points that lie evenly, and of those that lie at random and so leave wider gaps.
 EVEN, RANDOM = 1.0, 1.4

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .camera import NEAR
+from .resample import Array, Box
 from .scene import View
-
-Array = NDArray[np.float64]
-Box = tuple[float, float, float, float]
 
 # Background on every side of the object, in units of the longer side of its box. Chosen on training and validation shapes: with
 # half as much single clouds get worse, with more all gain less.
