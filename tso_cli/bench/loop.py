@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import torch
@@ -14,7 +15,7 @@ from ..errors import TsoError
 from ..losses import UNCOVERED, ChamferToInitial, PixelWeights, affinity, mask_loss, silhouette_bce
 from ..network import build_network
 from ..projection import project, silhouette_sums
-from ..refinement import RefineConfig, refine, refine_batch
+from ..refinement import PRESETS, RefineConfig, refine, refine_batch
 from ..refinement.config import PAPER_GAMMA, PAPER_LEARNING_RATE
 from ..refinement.run import SMALL_CLOUD
 from ..refinement.starts import NetworkStart
@@ -24,7 +25,7 @@ from .timing import Setting, Work, gradient
 Sizes = Sequence[tuple[int, int]]
 TERM_SIZES: Sizes = ((1024, 64), (16384, 256))
 STEP_SIZES = (1024, 16384)
-BATCHES, LARGE_BATCHES = (1, 4, 16, 64), (256, 1024)
+BATCHES, LARGE_BATCHES = (1, 4, 16), (64, 256, 1024)
 # Half of a refinement is behind the cloud whose step is measured.
 HALFWAY = 25
 # Steps of a network before its step is measured: its cloud has left the start.
@@ -153,38 +154,42 @@ def _network_step(setting: Setting, mode: str) -> list[dict[str, Any]]:
     return setting.records(f"step, {mode}", timings, points=initial.shape[1], side=64, precision="float32", added=added)
 
 
-def batch(setting: Setting, batches: Sequence[int] | None = None, count: int = 1024, steps: int = 50) -> list[dict[str, Any]]:
+def batch(
+    setting: Setting, batches: Sequence[int] | None = None, count: int = 1024, steps: int | None = None
+) -> list[dict[str, Any]]:
     """Seconds a cloud, and clouds a second, of `refine` called once a cloud and of `refine_batch` on more and more clouds."""
     if batches is None:
         batches = (*BATCHES, *LARGE_BATCHES) if setting.device.type == "cuda" else BATCHES
-    view, config = chair_view(256), RefineConfig(steps=steps, device=str(setting.device), seed=setting.seed, preset="paper")
-    one = cloud(count, setting.seed)
-    together = {str(size): many_clouds(setting, size, count, steps) for size in batches}
-    setting.report(f"batches of {batches[0]} to {batches[-1]}")
-    timings = setting.race({"refine": lambda: refine(one, view, config=config)} | together)
-    alone = timings["refine"].median
+    one, view = cloud(count, setting.seed), chair_view(256)
     records = []
-    for name, timing in timings.items():
-        size = 1 if name == "refine" else int(name)
-        each = timing.scaled(1.0 / size)
-        records.append(
-            setting.record(
-                "batch",
-                "refine" if name == "refine" else "refine_batch",
-                each,
-                points=count,
-                side=view.camera.width,
-                batch=size,
-                clouds_per_second=1.0 / each.median,
-                times_refine=alone / each.median,
+    for preset in PRESETS:
+        config = RefineConfig(steps=steps, device=str(setting.device), seed=setting.seed, preset=preset)
+        together = {str(size): many_clouds(setting, size, count, steps, preset) for size in batches}
+        setting.report(f"{preset}: batches of {batches[0]} to {batches[-1]}")
+        timings = setting.race({"refine": partial(refine, one, view, config=config)} | together)
+        alone = timings["refine"].median
+        for name, timing in timings.items():
+            size = 1 if name == "refine" else int(name)
+            each = timing.scaled(1.0 / size)
+            records.append(
+                setting.record(
+                    "batch",
+                    "refine" if name == "refine" else "refine_batch",
+                    each,
+                    points=count,
+                    side=view.camera.width,
+                    batch=size,
+                    preset=preset,
+                    clouds_per_second=1.0 / each.median,
+                    times_refine=alone / each.median,
+                )
             )
-        )
     return records
 
 
-def many_clouds(setting: Setting, size: int, count: int = 1024, steps: int = 50) -> Work:
+def many_clouds(setting: Setting, size: int, count: int = 1024, steps: int | None = None, preset: str = "paper") -> Work:
     """One call of `refine_batch` on ``size`` clouds of ``count`` points, all in the picture of the chair."""
-    config = RefineConfig(steps=steps, device=str(setting.device), seed=setting.seed, preset="paper")
+    config = RefineConfig(steps=steps, device=str(setting.device), seed=setting.seed, preset=preset)
     view = chair_view(256)
     scenes = [(cloud(count, setting.seed + i), view) for i in range(size)]
 

@@ -27,7 +27,7 @@ CONVENTION = {
     "terms": "value and gradient of each term; the projector is points to sums of the silhouette and back",
     "step": "one step of points mode and of the network modes, and its parts",
     "network forms": "forward and backward of the network on one image in other layouts and precisions; Adam for its weights",
-    "batch": "one cloud, all of `refine`: 50 steps, preparation and judgement; seconds of a call over the clouds in it",
+    "batch": "one cloud, all of `refine`: all steps, preparation and judgement; seconds of a call over the clouds in it",
     "start-up": "a whole process; low and high are the quickest and the slowest",
     "threads": "the same work on one thread and on all cores, by turns; over_first: how many times quicker than on the first",
     "training": "a step of 16 images without the optimiser; the bare network's forward and backward beside it; waiting: share "

@@ -78,15 +78,19 @@ def _chamfer(axis: Any, records: Records) -> None:
 
 
 def _batch(axis: Any, records: Records) -> None:
-    together = [r for r in records if r["name"] == "refine_batch"]
-    alone = next(r["clouds_per_second"] for r in records if r["name"] == "refine")
-    sizes = [r["batch"] for r in together]
-    axis.plot(sizes, [r["clouds_per_second"] for r in together], color=OWN, marker="o", linewidth=2, label="refine_batch")
-    axis.axhline(alone, color=INK, linestyle="--", linewidth=1.2, label="refine, call by call")
+    for preset, colour in (("best", OWN), ("paper", "#d55e00")):
+        own = [r for r in records if r["preset"] == preset]
+        together = [r for r in own if r["name"] == "refine_batch"]
+        sizes = [r["batch"] for r in together]
+        rates = [r["clouds_per_second"] for r in together]
+        axis.plot(sizes, rates, color=colour, marker="o", linewidth=2, label=f"refine_batch, {preset}")
+        alone = next(r["clouds_per_second"] for r in own if r["name"] == "refine")
+        axis.axhline(alone, color=colour, linestyle="--", linewidth=1.2, label=f"refine, call by call, {preset}")
     axis.set_xscale("log")
     axis.set_yscale("log")
     axis.set_xticks(sizes, [str(size) for size in sizes])
-    _finish(axis, f"clouds of {together[0]['points']:,} points, 50 steps", "clouds in one call", "clouds a second")
+    axis.minorticks_off()
+    _finish(axis, f"clouds of {records[0]['points']:,} points", "clouds in one call", "clouds a second")
 
 
 def _growth(axis: Any, records: Records) -> None:

@@ -167,11 +167,11 @@ def _forms(records: Records) -> Section:
 
 def _batch(records: Records) -> Section:
     rows: list[list[Cell]] = [
-        [r["name"], str(r["batch"]), _ms(r), _digits(r["clouds_per_second"]), f"{r['times_refine']:.1f}x"]
+        [r["preset"], r["name"], str(r["batch"]), _ms(r), _digits(r["clouds_per_second"]), f"{r['times_refine']:.1f}x"]
         for r in _of(records, "batch")
     ]
-    header = ["call", "clouds", "ms a cloud", "clouds a second", "x `refine`"]
-    return Section("batch", "clouds of 1,024 points, 50 steps and all around them", header, rows)
+    header = ["preset", "call", "clouds", "ms a cloud", "clouds a second", "x `refine`"]
+    return Section("batch", "clouds of 1,024 points, all steps and what is around them", header, rows)
 
 
 def _threads(records: Records) -> Section:

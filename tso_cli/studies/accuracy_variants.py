@@ -43,11 +43,11 @@ POINTS = {
     NO_SYMMETRY: Variant(RefineConfig(symmetry="none")),
     TWO_MASKS: Variant(masks=2),
     FOUR_MASKS: Variant(masks=4),
-    "best, 12 steps": Variant(RefineConfig(steps=12)),
-    "best, 144 steps": Variant(RefineConfig(steps=144)),
 }
+STEPS = {f"best, {steps} steps": Variant(RefineConfig(steps=steps)) for steps in (12, 144)}
 NETWORK_MODES = ("encoder", "encoder-decoder", "latent")
-NETWORK = {name: POINTS[name] for name in (PAPER, DEFAULT, NO_SYMMETRY, TWO_MASKS, FOUR_MASKS)} | {
+NETWORK = {
+    **POINTS,
     **{
         f"{mode}, {preset}": Variant(RefineConfig(mode, preset=preset)) for mode in NETWORK_MODES for preset in (PAPER, DEFAULT)
     },
@@ -61,15 +61,9 @@ ABLATION = {
     DEFAULT: POINTS[DEFAULT],
     "no mirror plane": POINTS[NO_SYMMETRY],
     "no smoothing": _made(stages=tuple(replace(stage, smoothness=0.0, nodes=NODES) for stage in BEST.stages)),
-    "1,024 nodes in every stage": _made(stages=tuple(replace(stage, nodes=NODES) for stage in BEST.stages)),
     "one stage": _made(stages=(Stage(10.0, 3.0, 1.0, finest=True),)),
     "64 cells in the last stage too": _made(stages=tuple(replace(stage, finest=False) for stage in BEST.stages)),
     "anchor by the whole cloud alone": _made(local=False),
-    "the last stage's result alone": _made(
-        stages=(*(replace(stage, share=0.0) for stage in BEST.stages[:-1]), BEST.stages[-1])
-    ),
-    "stages that count alike": _made(stages=tuple(replace(stage, share=1.0) for stage in BEST.stages)),
-    "one pace in every stage": _made(stages=tuple(replace(stage, pace=0.75) for stage in BEST.stages)),
     "no anchor": _made(anchor=0.0, least_anchor=0.0, most_anchor=0.0),
     "points that hold all alike": _made(by_area=False),
     "a cut object held like a whole one": _made(cut=1.0, unseen=1.0),
@@ -79,8 +73,6 @@ ABLATION = {
     "no bounded reach": _made(stages=tuple(replace(stage, reach=1000.0) for stage in BEST.stages)),
     "what pixels do not show pulled back too": _made(looks=False),
     "Adam for each number": Variant(RefineConfig(learning_rate=ADAM_RATE, recipe=replace(BEST, optimiser=Adam))),
-    "half the steps": Variant(RefineConfig(steps=24)),
-    "twice the steps": Variant(RefineConfig(steps=96)),
     "Chamfer to the start added": Variant(RefineConfig(gamma=1e6)),
 }
 """The default preset with one ingredient changed in each row, between the paper's and itself."""
@@ -88,7 +80,9 @@ ABLATION = {
 
 def variants_of(kind: str, ablation: bool) -> dict[str, Variant]:
     """The variants that cases of that kind are refined with."""
-    return ABLATION if ablation else NETWORK if kind == "network" else POINTS
+    if ablation:
+        return ABLATION
+    return {"network": NETWORK, "other": {**POINTS, **STEPS}}.get(kind, POINTS)
 
 
 def refined(

@@ -43,7 +43,7 @@ TIMED = {
     "silhouette": (PAPER,),
     "chamfer": (PAPER,),
     "step": (PAPER,),
-    "batch": (PAPER,),
+    "batch": (PAPER, BEST),
     "step, encoder": ("encoder, paper",),
     "step, encoder-decoder": ("encoder-decoder, paper",),
     "training, points": (POINTS,),
