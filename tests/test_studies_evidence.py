@@ -107,7 +107,7 @@ def test_an_object_that_lacks_a_part_lacks_it_in_truth_and_masks_and_keeps_its_s
 
 def test_a_photo_around_a_picture_shows_the_same_object_where_its_camera_says(cases, truths):
     right = cases["car"]
-    photo = in_photo(4, 1.0, 0.25)(right, truths["car"], rng()).views[0]
+    photo = in_photo(4, across=1.0, down=0.25)(right, truths["car"], rng()).views[0]
     assert photo.mask.shape == (256, 256)
     assert photo.mask.sum() == right.views[0].mask.sum()
     shift = photo.camera.project(right.target)[0] - right.views[0].camera.project(right.target)[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import cycle
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,12 +58,15 @@ def as_it_is(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> Accu
     return case
 
 
-def in_photo(times: int, across: float = 0.5, down: float = 0.3) -> Alter:
-    """The picture lies in a photo so many times as wide and high, at a share of the free way; around it is background."""
+def in_photo(*widths: int, across: float = 0.5, down: float = 0.3) -> Alter:
+    """Each picture lies in a photo so many times as wide and high, at a share of the free way; around it is background.
+
+    ``widths`` are those of the views by turns.
+    """
 
     def altered(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> AccuracyCase:
         views = []
-        for view in case.views:
+        for view, times in zip(case.views, cycle(widths), strict=False):
             height, width = view.mask.shape
             top, left = int(height * (times - 1) * down), int(width * (times - 1) * across)
             mask = np.zeros((times * height, times * width), np.float32)

@@ -92,8 +92,12 @@ def _iou(case: AccuracyCase, altered: AccuracyCase, result: RefineResult) -> flo
 def _framing_rows() -> dict[str, Row]:
     photos: dict[str, Alter] = {"the picture itself": as_it_is}
     photos |= {f"in a photo {times} times as wide": in_photo(times) for times in (2, 4, 8, 16)}
-    photos["in the corner of a photo 8 times as wide"] = in_photo(8, 1.0, 1.0)
-    return {what: Row(alter, _of()) for what, alter in photos.items()}
+    photos["in the corner of a photo 8 times as wide"] = in_photo(8, across=1.0, down=1.0)
+    rows = {what: Row(alter, _of()) for what, alter in photos.items()}
+    for masks, words in ((2, "two"), (4, "four")):
+        rows[f"{words} masks"] = Row(as_it_is, _of(masks))
+        rows[f"{words} masks, in photos of other widths each"] = Row(in_photo(1, 4, 2, 8), _of(masks))
+    return rows
 
 
 def _depth_rows() -> dict[str, Row]:
