@@ -34,11 +34,7 @@ TO_BE_REMADE = (
     "accuracy-large",
     "affinity",
     "evidence",
-    "examples",
     "lambda",
-    "photos",
-    "points",
-    "speed",
     "tso",
     "views",
 )
