@@ -32,11 +32,8 @@ TO_BE_REMADE = (
     "accuracy-256",
     "accuracy-ablation",
     "accuracy-large",
-    "affinity",
     "evidence",
-    "lambda",
     "tso",
-    "views",
 )
 
 NUMBER = re.compile(r"-?\d[\d,]*\.?\d*(?:e[+-]?\d+)?")
