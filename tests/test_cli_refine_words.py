@@ -60,12 +60,12 @@ def test_who_wants_quiet_reads_errors_alone(folder, capsys):
 
 
 def test_a_run_that_moves_nothing_says_so_and_why(folder, capsys):
-    why = "nothing moved: no step lowered the loss (3 tried); the cloud is as it was"
+    why = "nothing moved: none of 3 steps agrees better with what the mask shows than the start does; the cloud is as it was"
     arguments = ("initial.ply", "mask.png", "--preset", "paper", "--learning-rate", "0.5", "--steps", "3")
     assert tso(*arguments) == 0
     captured = capsys.readouterr()
     assert captured.err == f"tso: warning: {why}\n"
-    assert "  moved  nothing: no step lowered the loss (3 tried)\n" in captured.out
+    assert "  moved  nothing: none of 3 steps agrees better with what the mask shows than the start does\n" in captured.out
     assert tso(*arguments, "--json") == 0
     document = json.loads(capsys.readouterr().out)
     assert (document["stop_reason"], document["warnings"], document["moved_max"]) == ("not_improved", [why], 0.0)

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import pytest
 
+from tso_cli import footprint, projection, pull
 from tso_cli import losses as the_losses
-from tso_cli import projection, pull
 from tso_cli.cli import main
 from tso_cli.commands.records import earlier_record, write_record
 from tso_cli.commands.study import command as study
 from tso_cli.errors import InputError
 from tso_cli.kernels import nearest, splat
-from tso_cli.refinement import cameras, config, run
+from tso_cli.refinement import batching, cameras, config, run
 from tso_cli.studies import evidence_questions
 from tso_cli.studies import fingerprint as prints
 from tso_cli.studies.fingerprint import BEST, JUDGED, PAPER, PARTS, differences, fingerprint, stamped
@@ -46,8 +46,15 @@ def tso(*arguments) -> int:
     return stopped.value.code
 
 
+def _whole_photo(view, points):
+    return -0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5
+
+
 CHANGES = {
     "points, best": lambda patch: patch.setattr(run, "BEST", replace(run.BEST, anchor=0.8 * run.BEST.anchor)),
+    "points, paper": lambda patch: patch.setattr(footprint, "EVEN", 1.5 * footprint.EVEN),
+    "points, best, in a larger photo": lambda patch: patch.setattr(batching, "window_of", _whole_photo),
+    "points, best, mask of 64 px": lambda patch: patch.setattr(batching, "FINER_FROM", ((96.0, 128),)),
     "points, best, four masks": lambda patch: patch.setattr(run, "BEST", replace(run.BEST, weighs=False, anchor=200.0)),
     "points, best, camera refined": lambda patch: patch.setattr(cameras, "LEFT", 0.0),
     "latent, paper": lambda patch: patch.setitem(config.PAPER_GAMMA, "latent", 1.1e6),
@@ -137,14 +144,15 @@ def test_a_record_of_another_method_is_not_gone_on_from(name, tmp_path, monkeypa
     assert earlier_record("points", path, True)["study"] == name
 
 
-def test_the_command_tells_records_of_the_method_from_others_and_stamps_what_it_is_told_to(tmp_path, monkeypatch, capsys):
+def test_the_command_tells_records_of_the_method_from_others(tmp_path, monkeypatch, capsys):
     make_known(monkeypatch)
     path = tmp_path / "evidence.json"
     path.write_text(json.dumps(RECORD, indent=1))
-    assert tso("study", "fingerprint", path) == 3
-    assert "of another method\n  it has no fingerprint" in capsys.readouterr().out
-    assert json.loads(path.read_text()) == RECORD
-    assert tso("study", "fingerprint", "--stamp", path) == 0
+    for options in ((), ("--complete",)):
+        assert tso("study", "fingerprint", path, *options) == 3
+        assert "of another method\n  it has no fingerprint" in capsys.readouterr().out
+        assert json.loads(path.read_text()) == RECORD
+    write_record(RECORD, path)
     assert json.loads(path.read_text()) == {**RECORD, "fingerprint": fingerprint(RECORD)}
     assert tso("study", "fingerprint", path) == 0
     assert "evidence.json: of the method as it is" in capsys.readouterr().out
@@ -153,6 +161,16 @@ def test_the_command_tells_records_of_the_method_from_others_and_stamps_what_it_
     printed = capsys.readouterr()
     assert "  points, best: number 0.0, now 7.0\n" in printed.out
     assert "1 of 1 records" in printed.err
+
+
+def test_a_fingerprint_is_completed_where_the_rest_of_it_is_todays_and_nowhere_else(tmp_path, monkeypatch, capsys):
+    make_known(monkeypatch)
+    path = tmp_path / "evidence.json"
+    for kept, code in (({"points, best": {"number": 0.0}}, 0), ({"points, best": {"number": 1.0}}, 3)):
+        path.write_text(json.dumps({**RECORD, "fingerprint": kept}))
+        assert tso("study", "fingerprint", path) == 3
+        assert tso("study", "fingerprint", path, "--complete") == code
+        assert json.loads(path.read_text())["fingerprint"] == (kept if code else fingerprint(RECORD))
 
 
 @pytest.mark.parametrize(
@@ -169,7 +187,7 @@ def test_the_command_tells_records_of_the_method_from_others_and_stamps_what_it_
 def test_what_is_no_record_gets_one_line(text, told, tmp_path, capsys):
     path = tmp_path / "record.json"
     path.write_text(text)
-    for options in ([], ["--stamp"]):
+    for options in ([], ["--complete"]):
         assert tso("study", "fingerprint", path, *options) == 2
         error = capsys.readouterr().err
         assert error.count("\n") == 1

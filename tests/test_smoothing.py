@@ -68,6 +68,31 @@ def test_a_cloud_among_others_of_other_sizes_moves_as_alone(nodes):
         torch.testing.assert_close(areas[number : number + 1, :count], alone.areas(cloud, counts[number : number + 1]))
 
 
+def test_surroundings_are_averaged_in_a_batch_as_alone():
+    clouds = _cloud(NODES + 90), _cloud(NODES + 700, 1)
+    counts = torch.tensor([NODES + 90, NODES + 700])
+    values = [torch.rand(1, int(count), dtype=torch.float64, generator=torch.Generator().manual_seed(0)) for count in counts]
+    padded = [torch.nn.functional.pad(clouds[0], (0, 0, 0, 610)), clouds[1]]
+    both = SmoothField(torch.cat(padded), counts).averaged(
+        torch.cat([torch.nn.functional.pad(values[0], (0, 610)), values[1]]), 1.0
+    )
+    for found, cloud, own in zip(both, clouds, values, strict=True):
+        torch.testing.assert_close(found[: cloud.shape[1]], SmoothField(cloud).averaged(own, 1.0)[0])
+
+
+@pytest.mark.parametrize("count", [300, NODES + 500])
+def test_what_is_high_in_one_place_is_high_around_it_and_what_is_alike_everywhere_stays(count):
+    cloud = _cloud(count)
+    field, ones = SmoothField(cloud), torch.ones(1, count, dtype=torch.float64)
+    torch.testing.assert_close(field.averaged(ones, 1.0), ones)
+    order = (cloud[0] - cloud[0, 0]).norm(dim=1).argsort()
+    peak = torch.zeros_like(ones)
+    peak[0, order[:10]] = 1.0
+    around = field.averaged(peak, 1.0)[0]
+    assert around[order[:10]].mean() > 0.2
+    assert around[order[count // 2 :]].max() < 0.01
+
+
 def test_a_large_cloud_moves_by_the_field_of_its_nodes():
     points = _cloud(5000)
     field = SmoothField(points)

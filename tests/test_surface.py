@@ -18,6 +18,7 @@ from tso_cli.files.cameras import read_camera
 from tso_cli.files.clouds import read_cloud
 from tso_cli.files.images import read_mask
 from tso_cli.files.meshes import read_mesh
+from tso_cli.footprint import window_iou
 from tso_cli.geometry import farthest_point_sample, sample_surface
 from tso_cli.metrics import chamfer, nearest_squared
 from tso_cli.projection import silhouette_of
@@ -85,13 +86,22 @@ def test_the_result_is_of_the_vertices_and_its_figures_are_of_the_moved_faces(st
     before, after = stretched.surface
     np.testing.assert_array_equal(stretched.initial, CORNERS)
     assert (stretched.points.shape, stretched.surface_samples) == (CORNERS.shape, SAMPLES)
-    np.testing.assert_allclose(after, Surface(CORNERS, BOX).at(stretched.points), atol=1e-12)
+    surface = Surface(CORNERS, BOX)
+    np.testing.assert_allclose(after, surface.drawn(stretched.points), atol=1e-12)
     assert stretched.view_ious == view_ious(before, after, views, views)
     assert all(new > old + 0.04 for old, new in stretched.view_ious)
-    ways = np.linalg.norm(after - before, axis=1) / np.ptp(before, axis=0).max()
+    moved = surface.at(stretched.points)
+    ways = np.linalg.norm(moved - surface.samples, axis=1) / np.ptp(surface.samples, axis=0).max()
     assert (stretched.moved_mean, stretched.moved_max) == pytest.approx((ways.mean(), ways.max()))
     # the longest side is 0.5, to within where samples lie
-    assert stretched.chamfer_to_initial == pytest.approx(chamfer(after, before).chamfer / 0.25, rel=0.02)
+    assert stretched.chamfer_to_initial == pytest.approx(chamfer(moved, surface.samples).chamfer / 0.25, rel=0.02)
+
+
+def test_the_iou_of_a_mesh_is_that_of_as_many_points_as_eval_draws(stretched, views):
+    """A thousand points would close the holes of a mesh."""
+    again = sample_surface(stretched.points, BOX, 16384, np.random.default_rng(5))
+    for view, (_, after) in zip(views, stretched.view_ious, strict=True):
+        assert window_iou(again, view) == pytest.approx(after, abs=0.01)
 
 
 def test_the_picture_shows_the_surface_and_not_the_vertices(stretched, views, tmp_path):
@@ -175,6 +185,13 @@ def test_faces_without_area_leave_a_cloud_with_a_warning(faces, views):
     with pytest.warns(UserWarning, match="points: the faces have no area, the vertices are taken for a cloud"):
         result = refine(points, views, config=RefineConfig(steps=3), faces=faces)
     np.testing.assert_array_equal(result.points, refine(points, views, config=RefineConfig(steps=3)).points)
+    assert result.surface is None
+
+
+def test_a_cloud_of_which_a_few_points_are_joined_is_a_cloud(views):
+    points = _dense(CORNERS, BOX)[:64]
+    with pytest.warns(UserWarning, match="points: the faces join 3 of 64 vertices, which are therefore taken for a cloud"):
+        result = refine(points, views, config=RefineConfig(steps=3), faces=[[0, 1, 2]])
     assert result.surface is None
 
 

@@ -1,6 +1,5 @@
 """The window: lengths belong to the object, whatever photo it is in."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +11,13 @@ from tso_cli import Camera, RefineConfig, View, refine, refine_batch
 from tso_cli.files.clouds import read_cloud
 from tso_cli.metrics import chamfer
 from tso_cli.objective import working_view
+from tso_cli.refinement import PRESETS
 from tso_cli.refinement.batching import Item, finest_grid
 from tso_cli.refinement.starts import Cloud
+from tso_cli.scene import object_box
 from tso_cli.scenes import load_view
-from tso_cli.window import window_of
+from tso_cli.studies.evidence_cases import framed
+from tso_cli.window import window_around, window_of
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -27,14 +29,7 @@ def _example(name):
 
 
 def _in_canvas(view, times, across=0.5, down=0.3):
-    """The view in a photo so many times as wide and high, at a share of the free way."""
-    height, width = view.mask.shape
-    mask = np.zeros((height * times, width * times), np.float32)
-    top, left = int((mask.shape[0] - height) * down), int((mask.shape[1] - width) * across)
-    mask[top : top + height, left : left + width] = view.mask
-    K = view.camera.K.copy()
-    K[:2, 2] += left, top
-    return View(mask, replace(view.camera, K=K, width=mask.shape[1], height=mask.shape[0]))
+    return framed(view, times, across, down)
 
 
 @pytest.mark.parametrize("preset", ["best", "paper"])
@@ -51,7 +46,7 @@ def test_an_object_comes_as_near_to_the_truth_in_a_large_photo_as_in_a_small_one
     assert max(ratios) < 0.97
 
 
-def test_where_in_a_photo_the_object_is_and_how_large_that_is_changes_no_bit():
+def test_where_in_a_photo_the_object_is_and_how_large_that_is_changes_nothing():
     initial, _, view = _example("airplane")
     config = RefineConfig(steps=12)
     expected = refine(initial, _in_canvas(view, 2), config=config)
@@ -143,6 +138,62 @@ def test_the_window_follows_a_cloud_that_starts_far_from_its_mask():
     np.testing.assert_allclose(last, window_of(photo, target))
 
 
+def test_a_refinement_ends_in_the_window_of_its_result_on_the_grid_that_its_mask_bears():
+    _, target, view = _example("chair")
+    photo = _in_canvas(view, 4)
+    start = target + [0.0, 0.3, 0.0] @ view.camera.R
+    result = refine(start, photo, config=RefineConfig(symmetry="none"))
+    ((box, cells),) = result.view_windows
+    assert cells == 128
+    first, last = (np.subtract(*window_of(photo, points)[2::-2]) for points in (start, result.points))
+    assert first > last + 10.0
+    assert abs(box[2] - box[0] - last) < 0.3 * (first - last)
+    small = View(view.mask[::4, ::4], view.camera.resized(64, 64))
+    results = [refine(target, small, config=RefineConfig(steps=3, preset=preset)) for preset in PRESETS]
+    assert [result.view_windows[0][1] for result in results] == [96, 64]
+
+
+def test_stray_foreground_far_from_the_object_is_left_out_and_told():
+    initial, target, view = _example("car")
+    photo = _in_canvas(view, 4)
+    mask = photo.mask.copy()
+    mask[-40:-38, 30:32] = 1.0
+    strayed = View(mask, photo.camera)
+    assert (strayed.box(), strayed.specks, photo.specks) == (photo.box(), 4, 0)
+    config = RefineConfig(steps=6)
+    found, expected = (refine(initial, shown, config=config) for shown in (strayed, photo))
+    np.testing.assert_array_equal(found.points, expected.points)
+    assert found.iou_after == expected.iou_after
+    assert found.warnings == ("mask: foreground far from the object is left out (4 px)",)
+
+
+def test_parts_of_an_object_are_no_strays():
+    thin = np.zeros((200, 200), bool)
+    thin[90:110, 20:60] = True
+    thin[100, 60:180] = True  # an aerial, joined to it
+    assert object_box(thin) == (20, 90, 180, 110)
+    near = thin.copy()
+    near[100, 60:65] = False  # now in two parts, but a large one
+    assert object_box(near) == (20, 90, 180, 110)
+    dust = np.zeros((200, 200), bool)
+    dust[::20, ::20] = True
+    assert object_box(dust) == (0, 0, 181, 181)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 39), st.integers(0, 39)), min_size=1, max_size=60))
+def test_the_box_of_an_object_holds_nearly_all_of_it(pixels):
+    inside = np.zeros((40, 40), bool)
+    inside[tuple(np.array(pixels).T)] = True
+    left, top, right, bottom = object_box(inside)
+    assert inside[top:bottom, left:right].sum() >= 0.99 * inside.sum()
+    assert inside[top].any() and inside[bottom - 1].any() and inside[:, left].any() and inside[:, right - 1].any()
+
+
+def test_windows_of_one_view_lie_in_one_around_them():
+    assert window_around((0.0, 10.0, 20.0, 30.0), (10.0, 5.0, 40.0, 35.0)) == (0.0, 0.0, 40.0, 40.0)
+
+
 def test_a_fine_mask_of_a_dense_cloud_is_looked_at_finely():
     assert [finest_grid(side, 1024) for side in (30.0, 60.0, 250.0)] == [64, 96, 128]
     assert finest_grid(250.0, 200) == 64
@@ -156,6 +207,15 @@ def test_objects_of_different_size_in_one_batch_come_to_what_they_come_to_alone(
     config = RefineConfig(steps=6)
     for (points, view), result in zip(scenes, refine_batch(scenes, config), strict=True):
         np.testing.assert_allclose(result.points, refine(points, view, config=config).points, atol=2e-3)
+
+
+def test_large_clouds_of_different_numbers_of_points_come_to_the_same_in_one_batch_and_alone():
+    _, target, view = _example("chair")
+    rng = np.random.default_rng(0)
+    clouds = [target[rng.integers(0, len(target), count)] + rng.normal(0.0, 0.03, (count, 3)) for count in (1500, 2900)]
+    config = RefineConfig(steps=6, symmetry="none")
+    for points, result in zip(clouds, refine_batch([(points, view) for points in clouds], config), strict=True):
+        np.testing.assert_allclose(result.points, refine(points, view, config=config).points, atol=2e-4)
 
 
 @settings(max_examples=30, deadline=None)

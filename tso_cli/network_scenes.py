@@ -14,7 +14,7 @@ from .camera import CANONICAL_ROTATION, Camera
 from .errors import InputError
 from .files.images import read_image
 from .network_input import network_input
-from .placement import coarse_mask, place_in_front, settle, view_to_world
+from .placement import mask_doubts, place_in_front, settle, view_to_world
 from .scene import View
 from .scenes import NO_FILE, Scene, load_view, said, same_size
 
@@ -101,8 +101,8 @@ def network_scene(
     with torch.no_grad():
         predicted = network(torch.from_numpy(given.image).unsqueeze(0))[0].double().numpy()
     # In the crop, which is enlarged, it no longer shows.
-    if coarse := coarse_mask(view, len(predicted)):
-        warnings.warn(coarse, stacklevel=2)
+    for doubt in mask_doubts(view, len(predicted)):
+        warnings.warn(doubt, stacklevel=2)
     crop, to_output, frame = given.view(view.name), Scene.to_output, config.frame
     short = f"camera {camera_source}" if known_camera else f"canonical camera {NO_FILE}"
     if config.frame == "view":

@@ -76,12 +76,16 @@ def place(points: Array, view: View) -> Placement:
     return Placement(len(points), int((~front).sum()), int(inside.sum()), int(on_mask.sum()), distances, box, mask_box, overlap)
 
 
-def coarse_mask(view: View, points: int) -> str | None:
-    """What a mask of so few pixels cannot tell a cloud of so many ``points``, in words; None for a mask of enough."""
-    inside = view.mask > 0.5
-    if view.known is not None:
-        inside &= view.known
-    pixels = int(inside.sum())
+def mask_doubts(view: View, points: int) -> list[str]:
+    """What is to be known of a mask for a cloud of so many ``points``, in words: that it is coarse, or has strays."""
+    found = [coarse] if (coarse := _coarse(view, points)) else []
+    if view.specks:
+        found.append(f"{view.name}: foreground far from the object is left out ({view.specks} px)")
+    return found
+
+
+def _coarse(view: View, points: int) -> str | None:
+    pixels = int(view.inside.sum())
     left, top, right, bottom = view.box()
     side = round(max(right - left, bottom - top))
     # A surface is projected twice, its front and its back: with over two points on a pixel they lie closer than it is wide.

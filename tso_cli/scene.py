@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .camera import Camera
 from .errors import InputError
+
+# The most that is a speck of a mask, as a share of its foreground; and how far beside the object it lies, in its sizes.
+SPECK, BESIDE = 0.01, 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +63,8 @@ class View:
             counted = mask[known]
         inside = int((counted > 0.5).sum())
         if inside == 0:
-            raise InputError(f"{self.name}: no pixel is foreground (> 0.5), expected an object")
+            ignored = ", but for those that the ignore map leaves out" if (mask > 0.5).any() else ""
+            raise InputError(f"{self.name}: no pixel is foreground (> 0.5){ignored}; expected an object")
         if inside == counted.size:
             raise InputError(f"{self.name}: every pixel is foreground, expected some background (try --invert-mask?)")
 
@@ -95,10 +100,56 @@ class View:
             raise InputError(f"{self.name}: the image's values span {image.min():g} to {image.max():g}, expected 0 to 1")
         return image
 
+    @cached_property
+    def inside(self) -> NDArray[np.bool_]:
+        """[H, W], pixels known to be foreground."""
+        inside: NDArray[np.bool_] = self.mask > 0.5
+        return inside if self.known is None else inside & self.known
+
+    @cached_property
+    def _edges(self) -> tuple[float, float, float, float]:
+        left, top, right, bottom = object_box(self.inside)
+        return left - 0.5, top - 0.5, right - 0.5, bottom - 0.5
+
     def box(self) -> tuple[float, float, float, float]:
-        """Left, top, right, bottom edges of the foreground in pixel coordinates."""
-        inside = self.mask > 0.5
-        if self.known is not None:
-            inside &= self.known
-        rows, columns = np.flatnonzero(inside.any(1)), np.flatnonzero(inside.any(0))
-        return columns[0] - 0.5, rows[0] - 0.5, columns[-1] + 0.5, rows[-1] + 0.5
+        """Left, top, right, bottom edges of the object in pixel coordinates: of the foreground, but for specks far off."""
+        return self._edges
+
+    @property
+    def specks(self) -> int:
+        """How many foreground pixels lie outside the object's box."""
+        left, top, right, bottom = (round(edge + 0.5) for edge in self._edges)
+        return int(self.inside.sum()) - int(self.inside[top:bottom, left:right].sum())
+
+
+def object_box(inside: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+    """First column and row of the object in [H, W], and those behind its last.
+
+    A speck is a part, joined to no other, of at most 1 % of the foreground; those that lie more than a quarter of the object's
+    size beside it are left out, if together they are no more than that either. A stray pixel of a segmentation would
+    otherwise stretch the object's window over half the photo.
+    """
+    counts = inside.sum(0), inside.sum(1)
+    whole = [(int(np.flatnonzero(count)[0]), int(np.flatnonzero(count)[-1]) + 1) for count in counts]
+    few = SPECK * int(counts[0].sum())
+    # Edges of a box that leaves out no more than that at each of its sides.
+    ends = [[int(np.searchsorted(np.cumsum(count), few, "right")) for count in (own, own[::-1])] for own in counts]
+    bulk = [(first, len(own) - last) for (first, last), own in zip(ends, counts, strict=True)]
+    beside = BESIDE * max(last - first for first, last in bulk)
+    if all(first - beside <= a and b <= last + beside for (first, last), (a, b) in zip(bulk, whole, strict=True)):
+        return whole[0][0], whole[1][0], whole[0][1], whole[1][1]
+    from scipy.ndimage import find_objects, label
+
+    parts, _ = label(inside, np.ones((3, 3)))
+    sizes = np.bincount(parts.ravel())[1:]
+    boxes = np.array([[across.start, down.start, across.stop, down.stop] for down, across in find_objects(parts)])
+    large = sizes > few
+    if not large.any():
+        return whole[0][0], whole[1][0], whole[0][1], whole[1][1]
+    low, high = boxes[large, :2].min(0), boxes[large, 2:].max(0)
+    beside = BESIDE * (high - low).max()
+    far = ~large & ((boxes[:, :2] < low - beside) | (boxes[:, 2:] > high + beside)).any(1)
+    if sizes[far].sum() > few:
+        far[:] = False
+    (left, top), (right, bottom) = boxes[~far, :2].min(0).tolist(), boxes[~far, 2:].max(0).tolist()
+    return left, top, right, bottom

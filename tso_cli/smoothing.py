@@ -87,16 +87,17 @@ class SmoothField:
     def averaged(self, values: Tensor, weight: float) -> Tensor:
         """[B, N] ``values`` at the points, averaged over their surroundings: ``(I + weight L)^-1`` of their sums at the nodes,
         over that of the numbers of points."""
-        if self._between is None:
-            owner = torch.arange(values.numel(), device=values.device)
-        else:
-            owner = self._between[0][:, 0]
-        total, count = (
-            torch.zeros(self.shape[0] * self.shape[1], dtype=values.dtype, device=values.device)
-            .index_add(0, owner, part.flatten())
-            .view(self.shape[:2])
-            for part in (values, torch.ones_like(values))
-        )
+        total, count = values, torch.ones_like(values)
+        if self._between is not None:
+            index, shares = self._between
+            # What lies behind a smaller cloud of a batch is interpolated from nothing.
+            there = shares.any(1).to(values)
+            total, count = (
+                torch.zeros(self.shape[0] * self.shape[1], dtype=values.dtype, device=values.device)
+                .index_add(0, index[:, 0], part)
+                .view(self.shape[:2])
+                for part in (values.flatten() * there, there)
+            )
         smoother = self.smoother(weight)
         found = (smoother @ torch.stack([total, count], 2)).unbind(2)
         return self.of_nearest_node(found[0] / found[1].clamp_min(torch.finfo(values.dtype).tiny))

@@ -38,27 +38,35 @@ class Surface:
         self.vertices = vertices
         self._corners = triangles[drawn]
         self._shares = np.concatenate([1.0 - shares.sum(1, keepdims=True), shares], axis=1)
-        chosen = spread_subset(self.at(vertices), SAMPLES)
-        self._corners, self._shares = self._corners[chosen], self._shares[chosen]
+        self._chosen = spread_subset(self.drawn(vertices), SAMPLES)
         self.samples = self.at(vertices)
 
     @classmethod
     def of(cls, vertices: Array, faces: Any, name: str) -> Surface | None:
-        """The surface of a mesh; None, with a warning, where its faces have no area.
+        """The surface of a mesh; None, with a warning, where its faces have no area or join under half of its vertices.
 
         Raises InputError where ``faces`` are not whole numbers [F, 3] that index ``vertices`` [V, 3].
         """
         triangles = as_triangles(faces, len(vertices), name)
+        joined = len(np.unique(triangles))
         try:
-            return cls(vertices, triangles)
+            found = cls(vertices, triangles)
         except InputError:
             warnings.warn(f"{name}: the faces have no area, the vertices are taken for a cloud", stacklevel=2)
             return None
+        if 2 * joined >= len(vertices):
+            return found
+        told = f"{name}: the faces join {joined:,} of {len(vertices):,} vertices, which are therefore taken for a cloud"
+        warnings.warn(told, stacklevel=2)
+        return None
 
     def at(self, values: Array) -> Array:
         """What the samples have, [S, C], of values [V, C] that the vertices have and that are linear on every face."""
-        found: Array = np.einsum("sk,skc->sc", self._shares, values[self._corners])
-        return found
+        return _mixed(values, self._corners[self._chosen], self._shares[self._chosen])
+
+    def drawn(self, values: Array) -> Array:
+        """The same of all points that were drawn by area, of which the samples are some: the surface as it is judged."""
+        return _mixed(values, self._corners, self._shares)
 
     def followed(self, ways: Array) -> Array:
         """How far the vertices go, [V, 3], with samples that go ``ways`` [S, 3].
@@ -76,9 +84,14 @@ class Surface:
         count = len(ways)
         # [S, S], what the faces bring of the way of each sample to every other.
         taken = np.zeros((count, count))
-        rows = np.arange(count)[:, None, None]
-        np.add.at(taken, (rows, nearest[self._corners]), self._shares[..., None] * weights[self._corners])
+        rows, corners = np.arange(count)[:, None, None], self._corners[self._chosen]
+        np.add.at(taken, (rows, nearest[corners]), self._shares[self._chosen][..., None] * weights[corners])
         normal = taken.T @ taken + HELD * np.eye(count)
         ways = ways + np.linalg.solve(normal, taken.T @ (ways - taken @ ways))
         found: Array = (weights[..., None] * ways[nearest]).sum(1)
         return found
+
+
+def _mixed(values: Array, corners: NDArray[np.int64], shares: Array) -> Array:
+    found: Array = np.einsum("sk,skc->sc", shares, values[corners])
+    return found

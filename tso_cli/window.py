@@ -43,6 +43,16 @@ def window_of(view: View, points: Array | None = None) -> Box:
     low, high = np.maximum(low, -0.5), np.minimum(high, border)
     margin = MARGIN * float((high - low).max())
     low, high = np.maximum(low - margin, -0.5), np.minimum(high + margin, border)
+    return _squared(low, high)
+
+
+def window_around(*boxes: Box) -> Box:
+    """The square that holds several windows, in which what is seen in each can be compared."""
+    edges = np.array(boxes)
+    return _squared(edges[:, :2].min(0), edges[:, 2:].max(0))
+
+
+def _squared(low: Array, high: Array) -> Box:
     half, middle = float((high - low).max()) / 2.0, (low + high) / 2.0
     left, top, right, bottom = (float(edge) for edge in (*(middle - half), *(middle + half)))
     return left, top, right, bottom

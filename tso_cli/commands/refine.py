@@ -120,7 +120,8 @@ MODES = ("points", "encoder", "encoder-decoder", "latent")
 @click.option(
     "--sigma-sq",
     type=float,
-    help="Variance of the projection's Gaussian, squared 64ths of the object's window.  [default: 0.4; for --preset paper]",
+    help="Variance of the projection's Gaussian, squared 64ths of the object's window; for --preset paper, --refine-camera.  "
+    "[default: 0.4]",
 )
 @options.device
 @options.seed
@@ -200,7 +201,7 @@ def command(
         _refuse_outputs(output, overlay, overwrite, inputs)
         refuse_camera_output(write_camera, overwrite, (*inputs, output, overlay))
     with options.loading():
-        from ..placement import place, require_overlap
+        from ..placement import mask_doubts, place, require_overlap
         from ..scenes import load_points_scene
 
     if checkpoint is None:
@@ -221,6 +222,8 @@ def command(
         options.log(f"tso: camera: {scene.camera_source}")
     if check:
         placements = [place(scene.moving, view) for view in scene.views]
+        for doubt in (doubt for view in scene.views for doubt in mask_doubts(view, len(scene.moving))):
+            warnings.warn(doubt, stacklevel=1)
         if as_json or not quiet:
             print_check(scene, placements, as_json)
         for placement, view in zip(placements, scene.views, strict=True):
@@ -230,6 +233,8 @@ def command(
     with options.loading():
         from ..refinement import RefineConfig, refine
 
+    if sigma_sq is not None and preset == "best" and not refine_camera:
+        warnings.warn("--sigma-sq is of the paper's projection, which the preset best does not use", stacklevel=1)
     sigma_sq = scene.sigma_sq if sigma_sq is None else sigma_sq
     config = RefineConfig(mode, steps, learning_rate, gamma, sigma_sq, device, seed, preset, symmetry, refine_camera)
     bar = options.ProgressBar("tso: refining")

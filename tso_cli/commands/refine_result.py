@@ -92,7 +92,7 @@ def document(
             "chamfer_to_initial": "squared distances, mean over points, both directions summed, longest side 1",
             "iou": IOU_MEANS,
             "trust": "in a view: 1, or less where the other views contradict it",
-            "surface_samples": "points of a mesh's faces, which IoU, moved and chamfer_to_initial are of; null for a cloud",
+            "surface_samples": "points of a mesh's faces, which moved and chamfer_to_initial are of; null for a cloud",
             "weight": "of a view in the loss: its trust, divided among the views that show the same",
             "loss": result.objective + "; the mask's part is a sum over views, each times its weight",
             "symmetry": "a, b, c, d of the mirror plane ax + by + cz = d in the frame of the input, null for none",

@@ -9,9 +9,10 @@ import torch
 from torch import Tensor
 
 from ..losses import ChamferToInitial
-from ..objective import MaskObjective, PullObjective
+from ..objective import MaskObjective, PullObjective, working_view
 from ..pose.moves import CameraMoves, moved_camera
 from ..scene import View
+from ..window import window_around, window_of
 from .batching import Item
 from .config import PAPER_GAMMA, PAPER_LEARNING_RATE, PAPER_STEPS, Settings
 from .loop import descend
@@ -20,7 +21,7 @@ from .starts import PointsStart
 # A correction is accepted if it alone takes the misfit of the start in that view to under this share: the silhouette of a
 # wrong shape asks for corrections of a right camera too, but no camera makes a wrong shape fit.
 LEFT = 0.38
-# The misfit is tso_cli.pull.mask_pull with this reach, px: unlike the silhouette's it is near 0 for a cloud that fits.
+# The misfit is tso_cli.pull.mask_pull with this reach, cells: unlike the silhouette's it is near 0 for a cloud that fits.
 REACH = 4.0
 
 
@@ -65,19 +66,30 @@ def settled(items: Sequence[Item], start: PointsStart, settings: Settings) -> tu
         )
         for item, row in zip(items, values, strict=True)
     ]
-    before, after = (_misfit(own, start.counts, first) for own in (items, _seen_by(items, corrected, settings)))
+    before, after = _misfits(items, corrected, start.counts, first)
     chosen = [
         tuple(other if better else view for view, other, better in zip(item.views, views, row, strict=True))
         for item, views, row in zip(items, corrected, (after < LEFT * before).tolist(), strict=True)
     ]
-    return _seen_by(items, chosen, settings), False
+    return [item.seen_by(own, settings) for item, own in zip(items, chosen, strict=True)], False
 
 
-def _seen_by(items: Sequence[Item], views: Sequence[tuple[View, ...]], settings: Settings) -> list[Item]:
-    return [item.seen_by(own, settings) for item, own in zip(items, views, strict=True)]
+def _misfits(
+    items: Sequence[Item], corrected: Sequence[tuple[View, ...]], counts: Tensor, points: Tensor
+) -> tuple[Tensor, ...]:
+    """How far ``points`` [B, N, 3] are from what each view asks, [B, V] as it is and as it is corrected.
 
-
-def _misfit(items: Sequence[Item], counts: Tensor, points: Tensor) -> Tensor:
-    """[B, V] how far ``points`` [B, N, 3] are from what each view asks."""
-    columns = zip(*(item.working[: len(item.views)] for item in items), strict=True)
-    return torch.stack([PullObjective([[view] for view in column], counts, points)(points, REACH) for column in columns], 1)
+    Both in one window that holds the cloud as either camera sees it: the misfit counts cells, and these are to be as large.
+    """
+    found = []
+    for number in range(len(items[0].views)):
+        pairs = []
+        for item, others in zip(items, corrected, strict=True):
+            seen, other, cloud = item.working[number], others[number], item.cloud
+            box = window_around(seen.box, window_of(other, cloud.initial))
+            pairs.append(
+                [working_view(view, seen.sigma_sq, cloud.centre, cloud.scale, box) for view in (item.views[number], other)]
+            )
+        own = [PullObjective([[view] for view in column], counts, points) for column in zip(*pairs, strict=True)]
+        found.append(torch.stack([pull(points, REACH) for pull in own]))
+    return torch.stack(found, 2).unbind()

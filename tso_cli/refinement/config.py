@@ -181,8 +181,8 @@ class RefineResult:
         the objective, its trust divided among those that show the same side.
     moved_mean, moved_max : how far the points moved, in shares of the object's size, the longest side of the start's box.
     chamfer_to_initial : squared distances, mean over points, both directions summed, for a cloud of longest side 1.
-    surface : of a mesh the samples [S, 3] of its surface before and after, None of a cloud. IoU, how far points moved and
-        chamfer_to_initial are of these then.
+    surface : of a mesh the points [S, 3] drawn from its surface before and after, which IoU is of; None of a cloud.
+    surface_samples : how many of these moved, which the way of the points and chamfer_to_initial are of; None of a cloud.
     symmetry : a, b, c, d of the mirror plane ax + by + cz = d that was used, in the frame of the input, or None.
     symmetry_outcome : "used" (a plane that was found), "given", or none: "not_asked", "none_found" (the cloud has none) or
         "contradicted" (the cloud has one, the pictures speak against it). symmetry_reason : by what measure, in words.
@@ -224,15 +224,11 @@ class RefineResult:
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     surface: tuple[Array, Array] | None = None
-
-    @property
-    def surface_samples(self) -> int | None:
-        """How many samples of a surface were moved; None of a cloud."""
-        return len(self.surface[0]) if self.surface else None
+    surface_samples: int | None = None
 
     @property
     def shown(self) -> tuple[Array, Array]:
-        """What moved, before and after: the points of a cloud, or the samples [S, 3] of a surface."""
+        """What is judged, before and after: the points of a cloud, or those [S, 3] drawn from a surface."""
         return self.surface or (self.initial, self.points)
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..placement import coarse_mask
+from ..placement import mask_doubts
 from ..scene import View
 from .config import RefineResult
 
@@ -24,7 +24,7 @@ def unmoved(result: RefineResult) -> str | None:
         "interrupted": f"interrupted at step {result.steps}, before one lowered the loss",
         "non_finite": f"the loss was no number after step {result.steps}, and none before was lower than that of the start",
         "nothing_to_do": f"the cloud already agrees with all that {shows}",
-        "not_improved": f"no step lowered the loss ({result.steps} tried)",
+        "not_improved": f"none of {result.steps} steps agrees better with what {shows} than the start does",
     }[result.stop_reason]
 
 
@@ -39,7 +39,8 @@ def remarks(result: RefineResult, views: Sequence[View], steps: int) -> tuple[st
         found.append(f"the loss was no number after step {result.steps}: the result is the best before that")
     elif result.moved_max < HARDLY:
         found.append(f"hardly anything moved: no point by more than {100.0 * HARDLY:g} % of the object's size")
-    found += [coarse for view in views if (coarse := coarse_mask(view, len(result.shown[0])))]
+    for view in views:
+        found += mask_doubts(view, result.surface_samples or len(result.points))
     found += [
         f"{view.name}: the other views contradict it, so it counts for little (trust {trust:.2f} of 1); is its mask or camera "
         "wrong?"

@@ -257,10 +257,8 @@ def _refined(
         for way, end in zip(ways, ends, strict=True):
             way[: len(end.ways)] = torch.from_numpy(end.ways)
         moved_by = chamfer((first.double() + ways).to(first)).tolist()
-        refined = [end.moved for end in ends]
         ious = [
-            view_ious(item.cloud.initial, points, own, item.views)
-            for item, points, own in zip(items, refined, given, strict=True)
+            view_ious(item.cloud.judged, end.judged, own, item.views) for item, end, own in zip(items, ends, given, strict=True)
         ]
     seconds = {phase: value / len(items) for phase, value in seconds.items()}
     return [
@@ -380,7 +378,8 @@ def _result(
         seed=settings.seed,
         cameras=tuple(view.camera for view in item.views),
         seconds=seconds,
-        surface=(item.cloud.initial, end.moved) if item.cloud.surface else None,
+        surface=(item.cloud.judged, end.judged) if item.cloud.surface else None,
+        surface_samples=len(end.ways) if item.cloud.surface else None,
     )
     return replace(result, warnings=remarks(result, item.views, settings.steps))
 

@@ -60,7 +60,16 @@ class Cloud:
             followed = self.surface.followed(ways)
             ways = self.surface.at(followed)
         # What did not move keeps every bit of the input.
-        return Carried(self.given + self.scale * followed, self.initial + self.scale * ways, ways)
+        points = self.given + self.scale * followed
+        return Carried(points, self._judged(points), ways)
+
+    @property
+    def judged(self) -> Array:
+        """[S, 3], what stands for it where it is judged: the points, or many drawn from the surface."""
+        return self._judged(self.given)
+
+    def _judged(self, points: Array) -> Array:
+        return self.surface.drawn(points) if self.surface else points
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +79,12 @@ class Carried:
     Attributes
     ----------
     points : [V, 3] the points given, moved.
-    moved : [N, 3] what moved: of a mesh its samples, where the moved faces have them.
+    judged : [S, 3] what stands for it where it is judged, as :attr:`Cloud.judged`.
     ways : [N, 3] how far, in units of the longest side.
     """
 
     points: Array
-    moved: Array
+    judged: Array
     ways: Array
 
 

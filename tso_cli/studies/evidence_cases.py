@@ -65,17 +65,20 @@ def in_photo(*widths: int, across: float = 0.5, down: float = 0.3) -> Alter:
     """
 
     def altered(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> AccuracyCase:
-        views = []
-        for view, times in zip(case.views, cycle(widths), strict=False):
-            height, width = view.mask.shape
-            top, left = int(height * (times - 1) * down), int(width * (times - 1) * across)
-            mask = np.zeros((times * height, times * width), np.float32)
-            mask[top : top + height, left : left + width] = view.mask
-            K = view.camera.K + [[0, 0, left], [0, 0, top], [0, 0, 0]]
-            views.append(View(mask, replace(view.camera, K=K, width=mask.shape[1], height=mask.shape[0]), name=view.name))
-        return replace(case, views=tuple(views))
+        views = zip(case.views, cycle(widths), strict=False)
+        return replace(case, views=tuple(framed(view, times, across, down) for view, times in views))
 
     return altered
+
+
+def framed(view: View, times: int, across: float, down: float) -> View:
+    """The view's picture in a photo so many times as wide and high, at a share of the free way; around it is background."""
+    height, width = view.mask.shape
+    top, left = int(height * (times - 1) * down), int(width * (times - 1) * across)
+    mask = np.zeros((times * height, times * width), np.float32)
+    mask[top : top + height, left : left + width] = view.mask
+    K = view.camera.K + [[0, 0, left], [0, 0, top], [0, 0, 0]]
+    return View(mask, replace(view.camera, K=K, width=mask.shape[1], height=mask.shape[0]), name=view.name)
 
 
 def with_depth(noise: float = 0.0) -> Alter:

@@ -20,7 +20,7 @@ KEY = "fingerprint"
 # instructions they differ by 3e-4 at most. Where points move in stages the last bit of a start can choose other nodes, which
 # more masks and steps amplify: there Chamfer distances differ by up to 0.014, the ways of the points by up to 0.029.
 TOLERANCE = 0.005
-STAGED, STAGED_TOLERANCES = "points, best", {"Chamfer": 0.02, "moved": 0.04}
+STAGED, STAGED_TOLERANCES = "points, best", {"Chamfer": 0.02, "moved": 0.04, "IoU": 0.01}
 
 PAPER, BEST = "points, paper", "points, best"
 FOUR = "four masks"
@@ -30,7 +30,7 @@ OTHERS = ("training on masks, plain projection", "training on masks, depth proje
 POINTS, MEAN = "training on points", "mean shape"
 PICTURES, PREDICTION = "pictures", "prediction"
 QUESTIONS = {
-    "framing": (BEST,),
+    "framing": (BEST, f"{BEST}, in a larger photo", f"{BEST}, in photos of other widths each"),
     "depth": (BEST, f"{BEST}, depth map"),
     "colours": (BEST, f"{BEST}, photo"),
     "missing": (BEST,),
@@ -73,7 +73,7 @@ _known: Fingerprint = {}
 
 
 def _of_accuracy(kinds: list[str], ablation: bool, **_: Any) -> Iterable[str]:
-    yield from (PAPER, BEST)
+    yield from (PAPER, BEST, f"{BEST}, mask of 64 px")
     if "cut" in kinds:
         yield from (f"{PAPER}, cut by the border", f"{BEST}, cut by the border")
     if "network" in kinds:
@@ -115,8 +115,11 @@ def stamped(record: Record) -> Record:
     return {**record, KEY: fingerprint(record)}
 
 
-def differences(record: Record) -> list[str]:
-    """What sets the method of ``record`` apart from the method as it is, a line a number; empty where nothing does."""
+def differences(record: Record, lacking: bool = True) -> list[str]:
+    """What sets the method of ``record`` apart from the method as it is, a line a number; empty where nothing does.
+
+    ``lacking`` : numbers that one of both lacks set them apart too.
+    """
     parts_of(record)
     kept = record.get(KEY)
     if not isinstance(kept, dict):
@@ -127,7 +130,7 @@ def differences(record: Record) -> list[str]:
         own = own if isinstance(own, dict) else {}
         for what in dict.fromkeys((*numbers, *own)):
             then, now = own.get(what), numbers.get(what)
-            if not _alike(part, what, then, now):
+            if (lacking or (part in kept and what in own and now is not None)) and not _alike(part, what, then, now):
                 found.append(f"{part}: {what} {then}, now {now}")
     return found
 

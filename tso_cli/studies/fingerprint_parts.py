@@ -27,6 +27,7 @@ from ..scene import View
 from ..scenes import load_points_scene
 from ..train import train
 from ..train.data import TrainingData
+from .evidence_cases import framed
 from .examples import example_scene, refine_scene
 from .judging import judge, predict
 from .mean_shape import mean_shape, pair_chamfer
@@ -77,9 +78,18 @@ def predicted() -> Numbers:
 
 def from_four_sides(preset: str) -> Numbers:
     """The example's own mask, and silhouettes of the truth from the three other sides."""
-    view = _view()
-    others = [_turned(view, degrees) for degrees in QUARTER_TURNS]
-    return _refined((view, *(replace(other, mask=silhouette_of(_truth(ONE), other.camera)) for other in others)), preset)
+    return _refined(_from_four_sides(), preset)
+
+
+def in_photos(*widths: int) -> Numbers:
+    """The example's picture in a photo so many times as wide; with more widths, the truth's silhouettes from four sides."""
+    views = _from_four_sides() if len(widths) > 1 else (_view(),)
+    return _refined(tuple(framed(view, times, 0.5, 0.3) for view, times in zip(views, widths, strict=True)))
+
+
+def of_64_pixels() -> Numbers:
+    """The example's mask averaged to 64x64."""
+    return _refined((_of_64_pixels(_view()),))
 
 
 def cut_by_the_border(preset: str) -> Numbers:
@@ -124,12 +134,9 @@ def silhouettes() -> Numbers:
     """Mean |silhouette - mask| over the pixels of 64x64, by sigma^2."""
     found: Numbers = {}
     for name in CATEGORIES:
-        view = _view(name)
-        whole = (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5)
-        mask, _ = area_resize(view.mask, whole, 64, 64)
-        camera = view.camera.resized(64, 64)
+        view = _of_64_pixels(_view(name))
         for sigma_sq in SIGMAS:
-            error = np.abs(silhouette_of(_truth(name), camera, sigma_sq) - mask).mean()
+            error = np.abs(silhouette_of(_truth(name), view.camera, sigma_sq) - view.mask).mean()
             found[f"{name}: sigma^2 {sigma_sq:g}"] = float(error)
     return found
 
@@ -169,6 +176,9 @@ PARTS: dict[str, Callable[[], Numbers]] = {
     **{f"{mode}, {preset}": partial(refined, mode, preset) for mode in MODES for preset in PRESETS},
     **{f"points, {preset}, four masks": partial(from_four_sides, preset) for preset in PRESETS},
     **{f"points, {preset}, cut by the border": partial(cut_by_the_border, preset) for preset in PRESETS},
+    "points, best, in a larger photo": partial(in_photos, 5),
+    "points, best, in photos of other widths each": partial(in_photos, 1, 4, 2, 8),
+    "points, best, mask of 64 px": of_64_pixels,
     "points, best, depth map": with_depth,
     "points, best, photo": with_photo,
     "points, best, camera refined": with_its_camera_refined,
@@ -194,7 +204,8 @@ def _after(name: str, result: RefineResult, points: Array | None = None) -> Numb
     """Of the cloud that came of it, in the truth's frame: that of the result, unless ``points`` are given."""
     points = result.points if points is None else points
     moved = np.linalg.norm(result.points - result.initial, axis=1).mean()
-    return {"Chamfer": 1e3 * chamfer(points, _truth(name)).chamfer, "moved": 1e3 * float(moved)}
+    distance = 1e3 * chamfer(points, _truth(name)).chamfer
+    return {"Chamfer": distance, "moved": 1e3 * float(moved), "IoU": result.iou_after}
 
 
 @cache
@@ -209,6 +220,17 @@ def _view(name: str = ONE) -> View:
 
 def _start() -> Array:
     return read_cloud(examples_folder() / ONE / "initial.ply").points
+
+
+def _from_four_sides() -> tuple[View, ...]:
+    view = _view()
+    others = [_turned(view, degrees) for degrees in QUARTER_TURNS]
+    return (view, *(replace(other, mask=silhouette_of(_truth(ONE), other.camera)) for other in others))
+
+
+def _of_64_pixels(view: View) -> View:
+    whole = (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5)
+    return View(area_resize(view.mask, whole, 64, 64)[0].astype(np.float32), view.camera.resized(64, 64))
 
 
 def _turned(view: View, degrees: float) -> View:

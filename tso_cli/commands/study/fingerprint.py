@@ -13,13 +13,15 @@ from ..records import read_record, write_record
 
 @click.command("fingerprint")
 @click.argument("records", nargs=-1, required=True, type=options.FilePath())
-@click.option("--stamp", is_flag=True, help="Write today's fingerprint into RECORDS: say that they are of the method as it is.")
-def fingerprint(records: tuple[Path, ...], stamp: bool) -> None:
+@click.option(
+    "--complete", is_flag=True, help="Add what fingerprints have gained to those of RECORDS, where the rest is today's."
+)
+def fingerprint(records: tuple[Path, ...], complete: bool) -> None:
     """Whether RECORDS are of the method as it is: their fingerprints beside today's.
 
     A fingerprint is what the method does to the shipped examples, in a few numbers; every record that -o writes has one.
-    The exit code is 3 where one differs or is missing. --stamp is for a record without one whose figures were found to be
-    today's by other means, say by making some of them anew.
+    The exit code is 3 where one differs or is missing. What differs is made anew by its own command: no option says that it
+    need not be.
     """
     from ...studies.fingerprint import differences
 
@@ -27,11 +29,9 @@ def fingerprint(records: tuple[Path, ...], stamp: bool) -> None:
     for path in records:
         record = read_record(path)
         try:
-            if stamp:
+            found = differences(record, lacking=not complete)
+            if complete and not found:
                 write_record(record, path)
-                click.echo(f"{path}: stamped")
-                continue
-            found = differences(record)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         others += bool(found)
