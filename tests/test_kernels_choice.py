@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import warnings
 
 import pytest
@@ -41,3 +44,18 @@ def test_work_that_pays_for_loading_but_not_for_compiling_waits_for_what_is_on_d
             # said once, and the choice stays
             warnings.simplefilter("error")
             assert not compiled_pays(SMALL)
+
+
+def test_what_tso_compile_keeps_is_all_that_a_refinement_asks_for(tmp_path):
+    """In a process of its own, with an empty folder for machine code."""
+    script = """
+from tso_cli.kernels import choice
+from tso_cli.refinement.run import compile_loops
+
+compile_loops()
+print(choice._on_disk())
+"""
+    found = subprocess.run(
+        [sys.executable, "-c", script], env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}, capture_output=True, text=True
+    )
+    assert found.stdout.splitlines()[-1] == "True", found.stderr

@@ -64,10 +64,10 @@ _plan: ContextVar[_Plan | None] = ContextVar("plan", default=None)
 
 
 def _on_disk() -> bool:
-    from . import compiled, compiled_mask, compiled_projection, compiled_pull, compiled_static
+    from . import compiled_mask, compiled_projection, compiled_pull, compiled_static
     from .jit import kept
 
-    return kept(compiled._add, compiled_mask._run, compiled_projection._project, compiled_static._search, compiled_pull._pull)
+    return kept(compiled_mask._run, compiled_projection._project, compiled_static._search, compiled_pull._pull)
 
 
 def compiled_pays(points: Tensor) -> bool:
