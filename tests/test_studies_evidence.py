@@ -34,6 +34,7 @@ from tso_cli.studies.evidence_cases import (
     without,
 )
 from tso_cli.studies.evidence_colours import paint_of, painted, photo
+from tso_cli.studies.evidence_meshes import FACES, SAMPLES, VERTICES, from_mesh
 from tso_cli.studies.evidence_questions import QUESTIONS, Question, Row
 from tso_cli.studies.parts import shapes_of_part
 from tso_cli.symmetry import find_mirror_plane
@@ -113,6 +114,23 @@ def test_a_photo_around_a_picture_shows_the_same_object_where_its_camera_says(ca
     shift = photo.camera.project(right.target)[0] - right.views[0].camera.project(right.target)[0]
     np.testing.assert_allclose(shift, np.tile([192.0, 48.0], (len(right.target), 1)), atol=1e-9)
     np.testing.assert_array_equal(photo.mask[48:112, 192:], right.views[0].mask)
+
+
+def test_a_start_that_is_a_mesh_is_the_one_its_cloud_is_from_and_judged_by_its_surface(cases, truths):
+    right = cases["chair"]
+    vertices, samples, mesh = (from_mesh(form)(right, truths["chair"], rng()) for form in (VERTICES, SAMPLES, FACES))
+    assert (vertices.faces, samples.surface) == (None, None)
+    np.testing.assert_array_equal(vertices.initial, mesh.initial)
+    assert len(samples.initial) == 1024
+    assert mesh.faces.max() == len(mesh.initial) - 1
+    # another sampling of the same surface, to twice its noise
+    assert chamfer(samples.initial, right.initial).chamfer < 2.0 * right.floor
+    assert samples.chamfer_of(samples.initial) == pytest.approx(right.chamfer_of(right.initial), rel=0.15)
+    assert mesh.chamfer_of(mesh.initial) == vertices.chamfer_of(vertices.initial)
+    assert mesh.chamfer_of(mesh.initial) < chamfer(mesh.initial, right.target).chamfer
+    fewer = from_mesh(FACES, 60)(right, truths["chair"], rng())
+    assert 40 < len(fewer.faces) <= 60
+    assert from_mesh(FACES, 10**6)(right, truths["chair"], rng()) is None
 
 
 def test_wrong_views_are_the_last_alone(cases, truths):

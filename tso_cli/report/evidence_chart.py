@@ -17,6 +17,7 @@ TITLES = {
     "cameras": "Cameras that are off",
     "placing": "Where a prediction stands",
     "rates": "Learning rates of the network's variants",
+    "meshes": "Starts that are meshes",
 }
 
 

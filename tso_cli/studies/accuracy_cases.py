@@ -20,6 +20,7 @@ from ..network import BaseNetwork, NetworkConfig
 from ..network_scenes import network_scene
 from ..render import RayScene, RenderSettings, fitting_distance, look_at, normalise, render_view, sample_cameras
 from ..scene import View
+from ..surface import Surface
 from .parts import Shape, shapes_of_part
 from .protocol import shape_type
 
@@ -52,6 +53,8 @@ class AccuracyCase:
     floor, floor_dense : Chamfer distance of another sampling of the truth, N points, to ``target`` and to ``dense``.
     image : [3, 64, 64], what the network saw; None where there is none.
     colours : [N, 3] in [0, 1] of ``initial``, for views that have photos.
+    start_file : the mesh that ``initial`` was sampled from.
+    faces : [F, 3] where ``initial`` are the vertices of a mesh; surface : what stands for such vertices when they are judged.
     """
 
     kind: str
@@ -67,6 +70,15 @@ class AccuracyCase:
     floor_dense: float
     image: NDArray[np.float32] | None = None
     colours: Array | None = None
+    start_file: Path | None = None
+    faces: NDArray[np.int64] | None = None
+    surface: Surface | None = None
+
+    def chamfer_of(self, points: Array) -> float:
+        """Chamfer distance to the truth: of a cloud, or of the surface that has ``points`` for vertices."""
+        if self.surface is None:
+            return chamfer(points, self.target).chamfer
+        return chamfer(self.surface.drawn(points), self.dense).chamfer
 
 
 class CaseBuilder:
@@ -110,9 +122,10 @@ class CaseBuilder:
                 for number in range(self._views)
             ]
         if kind == "right":
-            start, initial = "the truth", other
+            start, file, initial = "the truth", None, other
         else:
-            start, initial = self._start(shape, _subset(dense, JUDGED), LEVELS[kind].get(shape.category, 0.0))
+            found, initial = self._start(shape, _subset(dense, JUDGED), LEVELS[kind].get(shape.category, 0.0))
+            start, file = found.name, found.path
         # Each view has the next three beside it.
         count = self._views + MASKS - 1
         views = [self._seen(shape, number, mesh.vertices, scene, kind == "cut", rng) for number in range(count)]
@@ -128,6 +141,7 @@ class CaseBuilder:
                 dense,
                 tuple(views[number : number + MASKS]),
                 *floors,
+                start_file=file,
             )
             for number in range(self._views)
         ]
@@ -135,8 +149,8 @@ class CaseBuilder:
     def _rng(self, shape: Shape, what: str) -> np.random.Generator:
         return np.random.default_rng([self._seed, zlib.crc32(shape.name.encode()), zlib.crc32(what.encode())])
 
-    def _start(self, shape: Shape, target: Array, level: float) -> tuple[str, Array]:
-        """Name and cloud of the training shape of another type whose distance from the truth is nearest to ``level``."""
+    def _start(self, shape: Shape, target: Array, level: float) -> tuple[Shape, Array]:
+        """The training shape and its cloud, of those of another type whose distance from the truth is nearest to ``level``."""
         if shape.category not in self._starts:
             found = []
             for own in shapes_of_part(self._folder, self._split_file, "train", [shape.category]):
@@ -145,7 +159,7 @@ class CaseBuilder:
                 found.append((own, samples, _subset(samples, JUDGED)))
             self._starts[shape.category] = found
         starts = [
-            (own.name, samples, few)
+            (own, samples, few)
             for own, samples, few in self._starts[shape.category]
             if shape_type(own.path.stem) != shape_type(shape.path.stem)
         ]
@@ -154,8 +168,8 @@ class CaseBuilder:
                 f"{shape.name}: no {shape.category} of another type is in the list train, expected one to start from"
             )
         away = [abs(chamfer(few, target).chamfer - level) for _, _, few in starts]
-        name, samples, _ = starts[int(np.argmin(away))]
-        return name, _subset(samples, self._points)
+        nearest, samples, _ = starts[int(np.argmin(away))]
+        return nearest, _subset(samples, self._points)
 
     def _seen(self, shape: Shape, number: int, vertices: Array, scene: RayScene, cut: bool, rng: np.random.Generator) -> View:
         settings = RenderSettings(views=1, size=(self._size, self._size))

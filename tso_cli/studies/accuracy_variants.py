@@ -88,11 +88,12 @@ def variants_of(kind: str, ablation: bool) -> dict[str, Variant]:
 def refined(
     cases: list[AccuracyCase], variant: Variant, device: str, network: BaseNetwork | None
 ) -> tuple[list[RefineResult], float | None]:
-    """The result of every case, and the seconds a case of a batch; None where there is no batch, as with networks and colours.
+    """The result of every case, and the seconds a case of a batch; None where there is none, as with networks, colours, meshes.
 
     Raises TsoError where a case cannot be refined.
     """
-    if (network is not None and variant.config.mode != "points") or any(case.colours is not None for case in cases):
+    single = any(case.colours is not None or case.faces is not None for case in cases)
+    if single or (network is not None and variant.config.mode != "points"):
         return [alone(case, variant, device, network)[0] for case in cases], None
     start = time.perf_counter()
     found = refine_batch(
@@ -112,7 +113,7 @@ def alone(case: AccuracyCase, variant: Variant, device: str, network: BaseNetwor
     config, views = replace(variant.config, device=device), case.views[: variant.masks]
     start = time.perf_counter()
     if config.mode == "points":
-        result = _whole(refine(case.initial, views, config=config, colours=case.colours))
+        result = _whole(refine(case.initial, views, config=config, colours=case.colours, faces=case.faces))
     else:
         result = _whole(refine(None, views, config=config, network=network, image=case.image))
     if variant.then is not None:

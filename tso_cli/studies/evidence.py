@@ -12,7 +12,6 @@ import numpy as np
 
 from .. import __version__
 from ..errors import InputError
-from ..metrics import chamfer
 from ..network import BaseNetwork
 from .accuracy import CATEGORIES, AccuracyConfig, builder_of
 from .accuracy_cases import AccuracyCase, kinds_of
@@ -128,8 +127,8 @@ def judge(
             results = [alone(case, row.variant(case), config.device, network)[0] for case in changed]
         for number, case, result in zip(had, changed, results, strict=True):
             found: dict[str, float | None] = {
-                "before": chamfer(case.initial, case.target).chamfer,
-                "chamfer": chamfer(result.points, case.target).chamfer,
+                "before": case.chamfer_of(case.initial),
+                "chamfer": case.chamfer_of(result.points),
             }
             found |= {about: tell(cases[number][0], case, result) for about, tell in question.told.items()}
             records[number]["rows"][words] = {

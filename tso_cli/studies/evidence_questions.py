@@ -27,6 +27,7 @@ from .evidence_cases import (
     without,
 )
 from .evidence_colours import painted
+from .evidence_meshes import FACES, SAMPLES, VERTICES, from_mesh
 
 Told = Callable[[AccuracyCase, AccuracyCase, RefineResult], float | None]
 """Something else about a result, of the case as it was, as it was altered, and what came of it; None where it is untold."""
@@ -171,6 +172,12 @@ def _colour_rows() -> dict[str, Row]:
     return rows
 
 
+def _mesh_rows() -> dict[str, Row]:
+    meshes = {"as it is": None, "cut down to 400 faces": 400}
+    forms = VERTICES, SAMPLES, FACES
+    return {f"{what}; {form}": Row(from_mesh(form, faces), _of()) for what, faces in meshes.items() for form in forms}
+
+
 # About the chosen one a third and three times of it, and the paper's.
 RATES = {"encoder": (1e-6, 1e-5, 3e-5, 1e-4), "encoder-decoder": (5e-6, 2e-5, 6e-5, 2e-4), "latent": (3e-4, 1e-3, 3e-3)}
 
@@ -201,6 +208,7 @@ QUESTIONS = {
     ),
     "placing": Question(("network",), _placing_rows()),
     "rates": Question(("network",), _rate_rows()),
+    "meshes": Question(("other",), _mesh_rows()),
 }
 """By name: objects in larger photos, depth maps, photos of painted objects, objects of which a part is missing, wrong views,
-cameras that are off, predictions at an unknown distance, learning rates of the network's variants."""
+cameras that are off, predictions at an unknown distance, learning rates of the network's variants, starts that are meshes."""

@@ -38,6 +38,7 @@ QUESTIONS = {
     "cameras": (BEST, f"{BEST}, camera refined"),
     "placing": (PREDICTION, PAPER, BEST, "latent, best"),
     "rates": (PREDICTION, BEST, *NETWORKS),
+    "meshes": (BEST, f"{BEST}, mesh"),
 }
 TIMED = {
     "silhouette": (PAPER,),

@@ -92,6 +92,16 @@ def of_64_pixels() -> Numbers:
     return _refined((_of_64_pixels(_view()),))
 
 
+def of_a_mesh() -> Numbers:
+    """A shipped mesh toward the example's mask; its surface is judged."""
+    from ..files.meshes import read_mesh
+    from ..render import normalise
+
+    mesh = normalise(read_mesh(examples_folder() / "meshes" / f"{MESH}.ply"))
+    result = refine(mesh.vertices, (_view(),), faces=mesh.faces)
+    return _after(ONE, result, result.shown[1])
+
+
 def cut_by_the_border(preset: str) -> Numbers:
     """The picture ends in the middle of the object."""
     view = _view()
@@ -179,6 +189,7 @@ PARTS: dict[str, Callable[[], Numbers]] = {
     "points, best, in a larger photo": partial(in_photos, 5),
     "points, best, in photos of other widths each": partial(in_photos, 1, 4, 2, 8),
     "points, best, mask of 64 px": of_64_pixels,
+    "points, best, mesh": of_a_mesh,
     "points, best, depth map": with_depth,
     "points, best, photo": with_photo,
     "points, best, camera refined": with_its_camera_refined,

@@ -11,7 +11,7 @@ from ...files.shipped import DEFAULT, named_checkpoint
 from .. import options
 from ..records import Reporter, answer, check_outputs, earlier_record, keep, resume, so_far
 
-QUESTIONS = ("framing", "depth", "colours", "missing", "wrong", "cameras", "placing", "rates")
+QUESTIONS = ("framing", "depth", "colours", "missing", "wrong", "cameras", "placing", "rates", "meshes")
 JUDGED = ("cases", "mean_ratio", "worst_ratio", "worse")
 """What the record has of every row; the rest is told of some."""
 
