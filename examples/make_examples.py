@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import csv
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,8 @@ from tso_cli.render import (
 )
 
 SIZE = (256, 256)
+# A photo in which the chair of its example is small: width and height, focal length, principal point.
+PHOTO, FOCAL, MIDDLE = (1280, 960), 210.0, (923.5, 567.5)
 
 # Category: target, initial (the other shape), azimuth and elevation of the picture in degrees.
 EXAMPLES = {
@@ -90,6 +93,17 @@ def make_example(folder: Path, target: Mesh, initial: Mesh, azimuth: float, elev
         write_cloud(folder / f"{name}.ply", points.astype(np.float32), overwrite=True)
 
 
+def make_photo(folder: Path, target: Mesh, azimuth: float, elevation: float) -> None:
+    """Write mask.png and camera.json of a large photo, taken from where the example's picture was."""
+    target = normalise(target)
+    camera = look_at(azimuth, elevation, 2.0, SIZE)
+    camera = look_at(azimuth, elevation, fitting_distance(target.vertices, camera, margin=8.0), SIZE)
+    K = np.array([[FOCAL, 0.0, MIDDLE[0]], [0.0, FOCAL, MIDDLE[1]], [0.0, 0.0, 1.0]])
+    camera = replace(camera, K=K, width=PHOTO[0], height=PHOTO[1])
+    write_image(folder / "mask.png", render_view(RayScene(target), camera).mask, overwrite=True)
+    write_cameras(folder / "camera.json", [CameraRecord(camera, None, None)], overwrite=True)
+
+
 def credits_table(rows: list[tuple[str, dict[str, str]]]) -> str:
     """CREDITS.md: one line a shipped file or folder of files."""
     lines = [
@@ -130,6 +144,11 @@ def make(meshes: Path, output: Path) -> None:
         make_example(folder, target_mesh, initial_mesh, azimuth, elevation)
         shipped.append((f"{category}/image.png, mask.png, target.ply", target_row))
         shipped.append((f"{category}/initial.ply", initial_row))
+        if category == "chair":
+            folder = output / "photo"
+            folder.mkdir(parents=True, exist_ok=True)
+            make_photo(folder, target_mesh, azimuth, elevation)
+            shipped.append(("photo/mask.png", target_row))
     for category, names in TRAINING.items():
         folder = output / "meshes" / category
         folder.mkdir(parents=True, exist_ok=True)

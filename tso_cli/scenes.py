@@ -43,7 +43,7 @@ class Scene:
     cloud : the file that `points` are from, None in the network modes.
     colours : [N, 3] of `points`, None where no view has an image.
     network, image : the network and its input [3, 64, 64], None in points mode.
-    sigma_sq : px^2, what the checkpoint was trained with; None in points mode.
+    sigma_sq : squared cells of the window, what the checkpoint was trained with; None in points mode.
     to_output : takes points from the frame of `points` to that of the output.
     """
 
