@@ -32,7 +32,6 @@ TO_BE_REMADE = (
     "accuracy-256",
     "accuracy-ablation",
     "accuracy-large",
-    "evidence",
     "tso",
 )
 
