@@ -31,13 +31,18 @@ def draw_evidence_study(path: Path, record: dict[str, Any], overwrite: bool = Fa
     from matplotlib.figure import Figure
 
     panels = [(name, kind, found) for name, kinds in record["summary"].items() for kind, found in kinds.items()]
+    # A category looks the same in all panels.
+    known = list(dict.fromkeys(category for _, _, found in panels for category in found if category != "all"))
     heights = [1.0 + 0.24 * len(found["all"]) for _, _, found in panels]
     figure = Figure(figsize=(10.0, sum(heights)), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(len(panels), 1, height_ratios=heights, squeeze=False)[:, 0]
     for axis, (name, kind, found) in zip(axes, panels, strict=True):
         rows = list(found["all"])
-        for number, (category, own) in enumerate(item for item in found.items() if item[0] != "all"):
+        for category, own in found.items():
+            if category == "all":
+                continue
+            number = known.index(category)
             places = [row for row in rows if row in own]
             style = {"color": COLOURS[1 + number], "marker": MARKERS[number], "linestyle": "none", "alpha": 0.85}
             axis.plot([own[row]["mean_ratio"] for row in places], [rows.index(row) for row in places], label=category, **style)
