@@ -254,17 +254,34 @@ def _refined(
     with _timed(seconds, "judge"), devices.one_thread(small):
         ways = descent.best.double() - first.double()
         ends = [item.cloud.carried(way) for item, way in zip(items, ways.cpu().numpy(), strict=True)]
-        for way, end in zip(ways, ends, strict=True):
-            way[: len(end.ways)] = torch.from_numpy(end.ways)
-        moved_by = chamfer((first.double() + ways).to(first)).tolist()
         ious = [
             view_ious(item.cloud.judged, end.judged, own, item.views) for item, end, own in zip(items, ends, given, strict=True)
         ]
+        for number, (item, own) in enumerate(zip(items, weights.shared.tolist(), strict=True)):
+            if settings.staged and not settings.refine_camera and _agrees_less(item, ious[number], own):
+                ends[number] = item.cloud.carried(np.zeros_like(ends[number].ways))
+                ious[number] = [(before, before) for before, _ in ious[number]]
+                descent.best_step[number], descent.best_loss[number] = 0, descent.first_loss[number]
+        for way, end in zip(ways, ends, strict=True):
+            way[: len(end.ways)] = torch.from_numpy(end.ways)
+        moved_by = chamfer((first.double() + ways).to(first)).tolist()
     seconds = {phase: value / len(items) for phase, value in seconds.items()}
     return [
         _result(item, descent, number, end, own, weights, moved_by[number], first.device, settings, seconds)
         for number, (item, end, own) in enumerate(zip(items, ends, ious, strict=True))
     ]
+
+
+def _agrees_less(item: Item, ious: list[tuple[float, float]], weights: list[float]) -> bool:
+    """Whether the masks are all that was asked, and the silhouette agrees less with them than that of the start.
+
+    The pull may be less all the same, as it counts how far off cells are: so a start that is right would be led away from the
+    truth, after its mask's pixels.
+    """
+    if any(view.depth is not None or view.image is not None for view in item.views):
+        return False
+    before, after = np.average(ious, axis=0, weights=weights)
+    return bool(after < before)
 
 
 class _Following:
