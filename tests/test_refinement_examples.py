@@ -11,7 +11,8 @@ from tso_cli.files.cameras import read_camera
 from tso_cli.files.clouds import read_cloud
 from tso_cli.files.images import read_mask
 from tso_cli.metrics import chamfer
-from tso_cli.refinement import RefineConfig, refine
+from tso_cli.refinement import RefineConfig, refine, refine_batch
+from tso_cli.scene import View
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NAMES = pytest.mark.parametrize("name", ["chair", "airplane", "car"])
@@ -44,3 +45,21 @@ def test_every_other_point_of_the_truth_comes_no_further_from_the_rest(name):
     assert chamfer(moved, rest).chamfer < 1.01 * chamfer(start, rest).chamfer
     # and where the start is right, little is asked of it
     assert np.square(moved - start).sum(1).mean() < chamfer(start, rest).chamfer
+
+
+def test_a_start_whose_silhouette_would_agree_less_with_the_mask_is_returned_as_it_was():
+    _, mask, camera, target = _example("chair")
+    start, small, half = target[::2], mask[::2, ::2], camera.resized(128, 128)
+    result = refine(start, small, half)
+    assert result.stop_reason == "not_improved"
+    assert "agrees better" in result.warnings[0]
+    np.testing.assert_array_equal(result.points, start)
+    assert (result.best_step, result.iou_after, result.moved_max) == (0, result.iou_before, 0.0)
+    assert (result.loss_after, result.chamfer_to_initial) == (result.loss_before, 0.0)
+    # a depth map or another camera may have other reasons to move it
+    assert refine(start, small, half, RefineConfig(refine_camera=True)).moved_max > 0.0
+    # and in a batch nothing of that reaches its neighbours
+    initial = _example("chair")[0][: len(start)]
+    alone, other = refine_batch([(start, View(small, half)), (initial, View(small, half))])
+    np.testing.assert_array_equal(alone.points, start)
+    assert other.moved_mean > 0.01
