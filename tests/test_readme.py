@@ -27,8 +27,6 @@ from tso_cli.studies.fingerprint import differences, study_of
 
 # Records that the method has left behind; a name goes from here when its record is made anew, and none is added.
 TO_BE_REMADE = (
-    "accuracy-128",
-    "accuracy-256",
     "accuracy-large",
     "tso",
 )
