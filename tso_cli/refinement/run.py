@@ -39,6 +39,8 @@ Array = NDArray[np.float64]
 # Clouds up to this size are moved by one CPU thread each, alone or in a batch: threads would wait for one another.
 SMALL_CLOUD = 8192
 LIGHT = ("points", "latent")
+# Under this IoU hardly anything of the start lies on the mask, as of a pole beside its own: coming nearer need not show in it.
+HARDLY_MEET = 0.1
 
 
 def refine(
@@ -258,7 +260,7 @@ def _refined(
             view_ious(item.cloud.judged, end.judged, own, item.views) for item, end, own in zip(items, ends, given, strict=True)
         ]
         for number, (item, own) in enumerate(zip(items, weights.shared.tolist(), strict=True)):
-            if settings.staged and not settings.refine_camera and _agrees_less(item, ious[number], own):
+            if settings.staged and item.views == given[number] and _agrees_less(item, ious[number], own):
                 ends[number] = item.cloud.carried(np.zeros_like(ends[number].ways))
                 ious[number] = [(before, before) for before, _ in ious[number]]
                 descent.best_step[number], descent.best_loss[number] = 0, descent.first_loss[number]
@@ -281,7 +283,7 @@ def _agrees_less(item: Item, ious: list[tuple[float, float]], weights: list[floa
     if any(view.depth is not None or view.image is not None for view in item.views):
         return False
     before, after = np.average(ious, axis=0, weights=weights)
-    return bool(after < before)
+    return bool(after < before and before >= HARDLY_MEET)
 
 
 class _Following:
