@@ -103,8 +103,7 @@ def working_view(
     mask, weight = area_resize(view.mask, box, cells, cells, weights=view.known, interpolate=True)
     image = None
     if view.image is not None:
-        shown = view.mask > 0.5 if view.known is None else (view.mask > 0.5) & view.known
-        image = area_resize(view.image, box, cells, cells, weights=shown, interpolate=True)[0]
+        image = area_resize(view.image, box, cells, cells, weights=view.inside, interpolate=True)[0]
     depth = None if view.depth is None else _sampled(view.depth, box, cells) / scale
     known = None if view.known is None and weight.min() >= 1.0 - 1e-9 else weight
     found = WorkingView(

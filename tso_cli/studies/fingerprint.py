@@ -131,7 +131,7 @@ def differences(record: Record, lacking: bool = True) -> list[str]:
         own = own if isinstance(own, dict) else {}
         for what in dict.fromkeys((*numbers, *own)):
             then, now = own.get(what), numbers.get(what)
-            if (lacking or (part in kept and what in own and now is not None)) and not _alike(part, what, then, now):
+            if (lacking or None not in (then, now)) and not _alike(part, what, then, now):
                 found.append(f"{part}: {what} {then}, now {now}")
     return found
 

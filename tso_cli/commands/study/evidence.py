@@ -49,7 +49,7 @@ def evidence(
 
     Objects in larger photos (framing), depth maps (depth), photos of painted objects (colours), objects of which a part is
     missing (missing), wrong views among right ones (wrong), cameras that are off (cameras), predictions whose distance is not
-    known (placing), and the learning rates of the network's variants (rates).
+    known (placing), the learning rates of the network's variants (rates), and starts that are meshes (meshes).
     """
     check_outputs(output, overwrite, resume)
     from ...report.evidence_chart import draw_evidence_study
