@@ -253,6 +253,22 @@ def test_a_stopped_study_goes_on_with_the_next_group_and_ends_alike(split, quick
         study_accuracy(MESHES, QUICK, split, earlier={"study": "tso"})
 
 
+def test_a_group_of_which_a_shape_is_missing_is_judged_anew_and_its_cases_stay_single(tmp_path, monkeypatch):
+    path = tmp_path / "split.json"
+    path.write_text(json.dumps({"train": TRAIN[3:] + TRAIN[:1], "test": ["car/qbasic_BasicCar", "car/qreal_Cop"]}))
+
+    def named(cases, *_):
+        return [{"kind": case.kind, "category": case.category, "shape": case.shape} for case in cases]
+
+    monkeypatch.setattr(accuracy, "judge_group", named)
+    monkeypatch.setattr(accuracy, "summarise", lambda cases: {})
+    monkeypatch.setattr(accuracy, "claims", lambda cases, summary: [])
+    config = replace(QUICK, categories=("car",))
+    whole = study_accuracy(MESHES, config, path)
+    assert len(whole["cases"]) == 2
+    assert study_accuracy(MESHES, config, path, earlier={**whole, "cases": whole["cases"][:1]})["cases"] == whole["cases"]
+
+
 def test_settings_that_cannot_be_are_refused(split):
     with pytest.raises(InputError, match="points is 100, expected 1024 to 16384"):
         study_accuracy(MESHES, replace(QUICK, points=100), split)

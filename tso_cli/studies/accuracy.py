@@ -122,7 +122,13 @@ def study_accuracy(
     settings["variants"] = {kind: list(variants_of(kind, config.ablation)) for kind in config.kinds}
     settings |= {"categories": list(config.categories), "kinds": list(config.kinds)}
     cases = cases_of("accuracy", earlier, settings)
+    wanted = _groups(shapes, config)
+    if not wanted:
+        raise InputError(f"kinds are {', '.join(config.kinds)}, expected some that {', '.join(config.categories)} have")
     done = {(case["kind"], case["shape"]) for case in cases}
+    # A group of which a shape is missing is judged anew as a whole.
+    kept = {(kind, shape.name) for kind, group in wanted if all((kind, s.name) in done for s in group) for shape in group}
+    cases = [case for case in cases if (case["kind"], case["shape"]) in kept]
     timed = {(case["kind"], case["category"]) for case in cases}
 
     def judged(kind: str, group: list[Shape]) -> Cases:
@@ -131,12 +137,7 @@ def study_accuracy(
         timed.add((kind, group[0].category))
         return judge_group(built, config, network, TIMED if first else 0)
 
-    wanted = _groups(shapes, config)
-    if not wanted:
-        raise InputError(f"kinds are {', '.join(config.kinds)}, expected some that {', '.join(config.categories)} have")
-    groups = [
-        None if all((kind, shape.name) in done for shape in group) else partial(judged, kind, group) for kind, group in wanted
-    ]
+    groups = [None if (kind, group[0].name) in kept else partial(judged, kind, group) for kind, group in wanted]
     return complete(cases, groups, partial(_record, settings), "refining", keep, report)
 
 
