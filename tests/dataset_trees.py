@@ -175,6 +175,12 @@ def write_r2n2(
     return root
 
 
+def write_clouds(beside: Path, *models: str) -> None:
+    for model in models:
+        (beside / "ShapeNet_pcl" / CHAIR / model).mkdir(parents=True)
+        np.save(beside / "ShapeNet_pcl" / CHAIR / model / "pcl_1024_fps_trimesh.npy", lopsided_points())
+
+
 def write_binvox(path: Path, in_the_middle: bool, side: int = 32) -> None:
     """The object as voxels the size of the file's scale, at the corner of the grid or (binvox -cb) in the middle of it."""
     mesh = lopsided()

@@ -34,24 +34,17 @@ def bce(points_px: Tensor, mask: Tensor, sigma_sq: float) -> Tensor:
     return loss.sum() * 4096.0 / (height * width)
 
 
-def affinity_paper(silhouette: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-    """Eq. 5 as printed, by all pairs of pixels, M^+ being values over 0.5.
-
-    Where several pixels are equally near, the equation leaves open whose value counts: the least and the largest result.
-    """
+def affinity_paper(silhouette: Tensor, mask: Tensor, level: float = 0.5) -> Tensor:
+    """Eq. 5 as printed, by all pairs of pixels, M^+ being values over ``level``."""
     height, width = mask.shape
     pixels = torch.stack(torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij"), -1).reshape(-1, 2)
-    bounds = [silhouette.new_zeros(()), silhouette.new_zeros(())]
+    total = silhouette.new_zeros(())
     for source, goal in ((silhouette, mask), (mask, silhouette)):
-        marked = torch.nonzero(goal > 0.5)
-        value = goal[marked[:, 0], marked[:, 1]]
+        marked = torch.nonzero(goal > level)
         squared = (pixels[:, None] - marked[None]).square().sum(-1)
-        smallest = squared.min(1, keepdim=True).values
-        tied = squared == smallest
-        for i, pick in enumerate((torch.where(tied, value, torch.inf).min(1), torch.where(tied, value, -torch.inf).max(1))):
-            bounds[i] = bounds[i] + (smallest[:, 0] * source.reshape(-1) * pick.values).sum()
-    weight = (4096.0 / (height * width)) ** 2
-    return bounds[0] * weight, bounds[1] * weight
+        products = squared * source.reshape(-1, 1) * goal[marked[:, 0], marked[:, 1]]
+        total = total + products.min(1).values.sum()
+    return total * (4096.0 / (height * width)) ** 2
 
 
 def chamfer(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:

@@ -185,6 +185,27 @@ def _table(found: dict[str, dict]) -> str:
     return "\n".join(rows)
 
 
+def departures_table(record: dict) -> str:
+    """What `tso train` does otherwise than the paper, and Chamfer with each thing done the other way, as Markdown."""
+    base = next(name for name in record["summary"] if name not in record["why"] and "train" in name and "mean" not in name)
+    columns = [name for name in record["summary"][base] if name != "mean"]
+    rows = [
+        "| changed | the paper, or its authors' code | here | " + " | ".join(columns) + " |",
+        "|---" * (len(columns) + 3) + "|",
+    ]
+    for name, own in record["summary"].items():
+        cells = [f"{own[column]:.2f}" for column in columns]
+        if name == base:
+            seeds = record["seeds"]
+            cells = [f"{cell} ({min(seeds[c]):.2f} to {max(seeds[c]):.2f})" for cell, c in zip(cells, columns, strict=True)]
+        rows.append(
+            "| "
+            + " | ".join([f"*{name}*" if name not in record["why"] else name, *record["why"].get(name, ("", "")), *cells])
+            + " |"
+        )
+    return "\n".join(rows)
+
+
 def sigma_table(record: dict) -> str:
     """The best sigma^2 of each category as Markdown."""
     rows = ["| category | shapes | best sigma^2 | error | the paper's | error there |", "|---|---|---|---|---|---|"]
@@ -241,6 +262,7 @@ TABLES = {
     "lambda": settings_table,
     "affinity": affinity_table,
     "failures": failures_table,
+    "departures": departures_table,
     "photos": photos_table,
     "pose": pose_table,
 }

@@ -18,12 +18,11 @@ from tests.dataset_trees import (
     lopsided,
     lopsided_points,
     write_binvox,
+    write_clouds,
     write_r2n2,
 )
 from tso_cli.datasets.r2n2 import open_r2n2, r2n2_camera
 from tso_cli.errors import InputError
-
-CLOUD = "pcl_1024_fps_trimesh.npy"
 
 
 @pytest.fixture
@@ -33,12 +32,6 @@ def root(tmp_path: Path) -> Path:
 
 def pictures(root: Path, name: str = "abc") -> Path:
     return root / CHAIR / name / "rendering"
-
-
-def write_clouds(beside: Path, *models: str) -> None:
-    for model in models:
-        (beside / "ShapeNet_pcl" / CHAIR / model).mkdir(parents=True)
-        np.save(beside / "ShapeNet_pcl" / CHAIR / model / CLOUD, lopsided_points())
 
 
 @pytest.mark.parametrize("rotation", [0.0, 25.0])
@@ -132,7 +125,6 @@ def test_the_focal_length_is_35_of_a_sensor_of_32_whatever_the_field_of_view_say
         ("row", "abc/02.png", 2, r"rendering_metadata\.txt: has 2 rows, expected one for 02\.png"),
         ("ratio", "abc/00.png", 2, r"rendering_metadata\.txt: line 1 has a distance ratio of 0"),
         ("picture", "abc/'01.png'", 2, r"renderings\.txt: names '01\.png'"),
-        ("voxels", "abc", 0, r"model\.binvox: does not exist"),
     ],
 )
 def test_what_is_missing_is_named_and_skipped_or_an_error(root: Path, what: str, item: str, views: int, message: str) -> None:
@@ -148,8 +140,6 @@ def test_what_is_missing_is_named_and_skipped_or_an_error(root: Path, what: str,
         table.unlink()
     elif what == "picture":
         (folder / "01.png").unlink()
-    elif what == "voxels":
-        write_binvox(root.parent / "ShapeNetVox32" / CHAIR / "def" / "model.binvox", True)
     else:
         changed = {"columns": ["1 2"], "nan": ["nan 2 0 0.8 25"], "row": rows[:2], "ratio": ["1 2 0 0 25", *rows[1:]]}[what]
         table.write_text("\n".join(changed) + "\n")
@@ -160,6 +150,15 @@ def test_what_is_missing_is_named_and_skipped_or_an_error(root: Path, what: str,
     assert str(raised.value) == data.skipped[f"{CHAIR}/{item}"] and "\n" not in str(raised.value)
     kept = {item.name: len(item.views) for item in data.objects}
     assert kept == {f"{CHAIR}/abc": views, f"{CHAIR}/def": 3} if views else kept == {f"{CHAIR}/def": 3}
+
+
+def test_a_model_without_its_3d_file_keeps_its_pictures(root: Path) -> None:
+    write_binvox(root.parent / "ShapeNetVox32" / CHAIR / "def" / "model.binvox", True)
+    lacking, whole = open_r2n2(root, strict=True).objects
+    assert (lacking.target, len(lacking.views)) == (None, 3)
+    assert lacking.lacking.endswith("model.binvox: does not exist, expected the shape of this object")
+    assert whole.target is not None
+    assert whole.lacking == ""
 
 
 def test_a_damaged_picture_says_so_when_it_is_loaded(root: Path) -> None:

@@ -150,8 +150,6 @@ def break_tree(root: Path, what: str) -> None:
         (folder / "view.txt").write_text("10 20 0 2\n10 20 0 2\n10 20 0 -1\n")
     elif what == "depth":
         (folder / "depth_1.png").unlink()
-    elif what == "cloud":
-        (root / "ShapeNet_pcl" / CHAIR / "abc" / "pcl_1024_fps_trimesh.npy").unlink()
 
 
 @pytest.mark.parametrize(
@@ -161,7 +159,6 @@ def break_tree(root: Path, what: str) -> None:
         ("table", "abc", 0, r"view\.txt: does not exist"),
         ("number", "abc", 0, r"view\.txt: line 2 has 'up'"),
         ("columns", "abc", 0, r"view\.txt: line 2 has 1 numbers, expected 2 or more"),
-        ("cloud", "abc", 0, r"pcl_1024_fps_trimesh\.npy: does not exist"),
         ("row", "abc/render_2.png", 2, r"view\.txt: has 2 rows, expected one for render_2\.png"),
         ("tilt", "abc/render_1.png", 2, r"view\.txt: line 2 has a tilt of 5"),
         ("distance", "abc/render_2.png", 2, r"view\.txt: line 3 has a distance of -1"),
@@ -177,6 +174,14 @@ def test_what_is_missing_is_named_and_skipped_or_an_error(root: Path, what: str,
     assert str(raised.value) == data.skipped[f"{CHAIR}/{item}"] and "\n" not in str(raised.value)
     kept = {item.name: len(item.views) for item in data.objects}
     assert kept == {f"{CHAIR}/abc": views, f"{CHAIR}/def": 3} if views else kept == {f"{CHAIR}/def": 3}
+
+
+def test_a_model_without_its_cloud_keeps_its_pictures(root: Path) -> None:
+    (root / "ShapeNet_pcl" / CHAIR / "abc" / "pcl_1024_fps_trimesh.npy").unlink()
+    lacking, whole = open_shapenet(root, strict=True).objects
+    assert (lacking.target, len(lacking.views)) == (None, 3)
+    assert "pcl_1024_fps_trimesh.npy: does not exist" in lacking.lacking
+    assert whole.target is not None
 
 
 def test_a_damaged_picture_says_so_when_it_is_loaded(root: Path) -> None:

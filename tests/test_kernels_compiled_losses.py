@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 import torch
 
-from tests import oracles
 from tso_cli import losses
 from tso_cli.kernels import choice
 from tso_cli.kernels.splat import splat
@@ -87,20 +86,6 @@ def test_a_stray_point_is_pulled_to_one_of_the_nearest_mask_pixels(monkeypatch):
         rows, columns = torch.nonzero(inside[i], as_tuple=True)
         least = ((rows - row) ** 2 + (columns - column) ** 2).min()
         assert (goal - pixel[i, n]).square().sum() == least
-
-
-def test_the_printed_affinity_of_a_batch_is_that_of_all_pairs_of_pixels(monkeypatch):
-    monkeypatch.setattr(choice, "POINTS_WORTH_COMPILING", 0)
-    points, valid = _clouds(17, 4, 60, 18.0, torch.float64)
-    masks = _masks(18, 4, 18, 20).double()
-    points[3] += 100.0  # no silhouette
-    sums = splat(points, valid, 18, 20, 0.4)
-    for i, value in enumerate(affinity(sums, masks, points, valid, "paper")):
-        if i in (0, 3):
-            assert value == pytest.approx(0.0, abs=1e-9) if i == 3 else value >= 0.0
-            continue
-        least, largest = oracles.affinity_paper(torch.tanh(sums[i]), masks[i])
-        assert least * (1 - 1e-9) <= value <= largest * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("loss", ["cross-entropy", "affinity of points"])

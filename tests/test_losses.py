@@ -172,9 +172,32 @@ def test_the_printed_affinity_loss_is_that_of_all_pairs_of_pixels():
     mask = _disc(20, 6.0)
     valid = torch.ones(1, 40, dtype=torch.bool)
     silhouette = torch.tanh(splat(points[None], valid, 20, 20, SIGMA_SQ, "exact"))[0]
-    least, largest = oracles.affinity_paper(silhouette, mask)
-    assert largest / least < 1.02
-    assert least * (1 - 1e-6) <= _affinity(points, mask, "paper") <= largest * (1 + 1e-6)
+    soft = 0.9 * mask + 0.1 * torch.rand(20, 20, generator=generator, dtype=torch.float64)
+    for own in (mask, soft):
+        assert _affinity(points, own, "paper").item() == pytest.approx(oracles.affinity_paper(silhouette, own).item(), rel=1e-6)
+
+
+def test_the_printed_affinity_of_a_batch_is_that_of_its_pictures_one_by_one():
+    generator = torch.Generator().manual_seed(17)
+    points = torch.rand(4, 60, 2, generator=generator, dtype=torch.float64) * 18
+    points[3] += 100.0  # no silhouette
+    masks = (torch.rand(4, 18, 20, generator=generator) > 0.8).double()
+    valid = torch.ones(4, 60, dtype=torch.bool)
+    sums = splat(points, valid, 18, 20, SIGMA_SQ)
+    values = affinity(sums, masks, points, valid, "paper")
+    for i in range(3):
+        assert values[i].item() == pytest.approx(oracles.affinity_paper(torch.tanh(sums[i]), masks[i]).item(), rel=1e-9)
+    assert values[3].item() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_of_all_pixels_that_are_not_zero_the_printed_loss_would_ask_next_to_nothing_of_an_uncovered_mask():
+    """The rim of a Gaussian is not zero: the least product is found there, however far the mask pixel is."""
+    mask = torch.zeros(40, 40, dtype=torch.float64)
+    mask[20, 30] = 1.0
+    point = torch.tensor([[[8.0, 20.0]]], dtype=torch.float64)
+    silhouette = torch.tanh(splat(point, torch.ones(1, 1, dtype=torch.bool), 40, 40, SIGMA_SQ))[0]
+    over_half = oracles.affinity_paper(silhouette, mask, 0.5) - oracles.affinity_paper(silhouette, mask, 0.0)
+    assert over_half > 300.0 * (4096.0 / 1600.0) ** 2
 
 
 def test_a_step_down_the_points_affinity_moves_a_lone_point_toward_an_uncovered_pixel():

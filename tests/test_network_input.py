@@ -172,3 +172,44 @@ def test_wrong_sizes_and_settings_are_refused() -> None:
         network_input(image.astype(float) + 3.0, view)
     with pytest.raises(InputError, match="box is"):
         area_resize(image, (3.0, 0.0, 3.0, 5.0), 4, 4)
+
+
+@pytest.mark.parametrize("size", [0.3, 0.9])
+def test_a_crop_of_share_0_keeps_the_size_of_the_object(size: float) -> None:
+    """Of two objects at one distance the larger one fills more of the input; the canonical picture is taken whole."""
+    camera = Camera.canonical(128, 128)
+    edge = 120.0 * 2.0 * size / 2.0 / 2.0  # half of its side, in pixels of 128
+    axis = np.abs(np.arange(128) - 63.5)
+    mask = ((axis[:, None] <= edge) & (axis[None] <= edge)).astype(np.float32)
+    crop = network_input(np.zeros((128, 128, 3), np.uint8), View(mask, camera), crop_share=0.0)
+    np.testing.assert_allclose(crop.box, (-0.5, -0.5, 127.5, 127.5))
+    assert crop.mask.sum() == pytest.approx((60.0 * size) ** 2, rel=0.06)
+
+
+def test_a_crop_of_share_0_shows_the_same_of_an_object_in_a_larger_photo_and_from_farther_away() -> None:
+    near = Camera.canonical(64, 64)
+    K = near.K.copy()
+    K[:2, :2] *= 3.0
+    K[:2, 2] = [200.0, 90.0]
+    far = Camera(K, near.R, 1.5 * near.t, 320, 240)
+    point = np.array([[0.2, -0.1, 0.0]])
+    pixels = []
+    for camera in (near, far):
+        mask = np.zeros((camera.height, camera.width), np.float32)
+        u, v = np.rint(camera.project(np.zeros((1, 3)))[0][0]).astype(int)
+        mask[v - 3 : v + 4, u - 3 : u + 4] = 1.0
+        crop = network_input(np.zeros((camera.height, camera.width, 3), np.uint8), View(mask, camera), crop_share=0.0)
+        pixels.append(crop.camera.project(point)[0][0])
+    np.testing.assert_allclose(pixels[0], pixels[1], atol=1e-9)
+
+
+def test_a_crop_of_share_0_needs_the_object_before_the_camera_and_near_the_origin() -> None:
+    def rectangle_at(camera: Camera) -> View:
+        return replace(rectangle(64, 64, slice(20, 30), slice(20, 30)), camera=camera)
+
+    camera = replace(Camera.canonical(64, 64), t=np.array([0.0, 0.0, -2.0]))
+    with pytest.raises(InputError, match="at depth -2, expected it in front"):
+        network_input(np.zeros((64, 64, 3), np.uint8), rectangle_at(camera), crop_share=0.0)
+    aside = replace(camera, t=np.array([5.0, 0.0, 2.0]))
+    with pytest.raises(InputError, match=r"nothing of the object lies in the 1\.07 units around the world's origin"):
+        network_input(np.zeros((64, 64, 3), np.uint8), rectangle_at(aside), crop_share=0.0)

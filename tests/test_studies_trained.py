@@ -14,7 +14,7 @@ from tso_cli.cli import main
 from tso_cli.errors import InputError
 from tso_cli.files.packing import pack, unpack
 from tso_cli.render import look_at
-from tso_cli.studies import affinity, failures, material, supervision, trained, views, weight
+from tso_cli.studies import affinity, departures, failures, material, supervision, trained, views, weight
 from tso_cli.studies.judging import Predicted, camera_axes, judge, object_axes, predict
 from tso_cli.studies.material import ALL, Material, Source
 from tso_cli.studies.mean_shape import MEAN_SHAPE, constant_answer, pair_chamfer
@@ -246,11 +246,13 @@ def held(record: dict[str, Any]) -> list[bool]:
 def test_conclusions_follow_from_the_figures():
     names = (supervision.POINTS, supervision.MASKS, supervision.DISCRETISED, supervision.LIN, MEAN_SHAPE)
     runs = [fabricated(name, "car", value) for name, value in zip(names, (2.0, 2.9, 4.0, 3.0, 3.05), strict=True)]
-    assert held(supervision.conclude(runs)) == [True, True, True]
+    assert held(supervision.conclude(runs)) == [True, True, True, True]
+    # One category that fails is enough, whatever the mean of all says.
+    chairs = [fabricated(name, "chair", 9.0 * value) for name, value in zip(names, (2.0, 2.9, 4.0, 3.0, 3.05), strict=True)]
     runs[1] = fabricated(supervision.MASKS, "car", 3.1)
-    record = supervision.conclude(runs)
-    assert held(record) == [False, False, False]
-    assert record["claims"][0]["found"] == "2.00 and 3.10 against 3.05; not masks on car"
+    record = supervision.conclude([*chairs, *runs])
+    assert held(record) == [True, False, False, False]
+    assert record["claims"][1]["found"] == "chair 26.10 against 27.45; car 3.10 against 3.05, not there"
 
     by_count = dict(zip(views.COUNTS, (4.0, 2.0, 2.1, 2.0, 2.0, 2.0, 2.1), strict=True))
     runs = [fabricated(f"V = {n}", "car", value) for n, value in by_count.items()] + [fabricated(MEAN_SHAPE, "car", 5.0)]
@@ -266,6 +268,12 @@ def test_conclusions_follow_from_the_figures():
     assert held(weight.conclude(runs)) == [False, False]
     runs = [fabricated(run["setting"], "chair", 1.0 if run["setting"].endswith(", 1") else 5.0) for run in runs]
     assert held(weight.conclude(runs)) == [True, True]
+
+    runs = [fabricated(s.name, "car", 2.0 + 0.1 * s.repeat) for s in departures.settings(["car"])]
+    record = departures.conclude(runs)
+    assert record["summary"][departures.AS_IS]["car"] == pytest.approx(2.1)
+    assert record["seeds"]["car"] == pytest.approx([2.0, 2.1, 2.2])
+    assert set(record["summary"]) == {MEAN_SHAPE, departures.AS_IS, *departures.WHY}
 
 
 def test_the_failures_show_where_the_figures_say_so():
@@ -312,7 +320,7 @@ def test_the_answer_without_a_network_is_one_cloud_for_all_and_better_than_any_s
     np.testing.assert_array_equal(turned[0].points[0], turned[0].points[1])
 
 
-@pytest.mark.parametrize("name", ["supervision", "views", "lambda", "affinity", "failures"])
+@pytest.mark.parametrize("name", ["supervision", "views", "lambda", "affinity", "failures", "departures"])
 def test_each_command_writes_its_record_and_chart_and_says_what_holds(name, split_file, tmp_path, capsys):
     output = tmp_path / f"{name}.json"
     arguments = ["study", name, "--meshes", str(MESHES), "--split", str(split_file), "--steps", "2", "--batch-size", "3"]
@@ -320,7 +328,7 @@ def test_each_command_writes_its_record_and_chart_and_says_what_holds(name, spli
         main([*arguments, "-o", str(output)])
     printed = capsys.readouterr().out
     assert stopped.value.code == 0, printed
-    assert "holds: " in printed or "does not hold: " in printed
+    assert ("holds: " in printed or "does not hold: " in printed) == (name != "departures")
     assert "2 steps of 3" in printed and "seed 0" in printed and "canonical frame" in printed
     record = json.loads(output.read_text())
     assert record["complete"] and len(record["runs"]) == len(record["settings"]["networks"])

@@ -13,6 +13,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
+from tests.dataset_trees import CHAIR, write_clouds, write_r2n2
 from tso_cli.camera import CANONICAL_ROTATION, Camera
 from tso_cli.cli import main
 from tso_cli.commands import options
@@ -237,6 +238,11 @@ def test_three_steps_and_three_more_after_a_resume_are_six_steps_bit_for_bit(
     assert_equal(load_file(state_path(tmp_path / "straight.safetensors")), load_file(state_path(path)))
 
 
+def test_lambda_may_drop_from_a_third_of_the_steps_on_however_few_there_are() -> None:
+    assert [TrainConfig(steps=steps).saturation_window for steps in (6, 600, 20_000)] == [10, 100, 500]
+    assert TrainConfig(steps=600, saturation_steps=7).saturation_window == 7
+
+
 def test_a_resumed_schedule_knows_what_it_had_seen(thin: None, data: TrainingData, tmp_path: Path) -> None:
     settings = config(supervision="masks", steps=3)
     state = start(data, settings)
@@ -420,6 +426,37 @@ def test_a_rendered_folder_gives_the_batches_that_its_pictures_gave_in_memory(fo
     np.testing.assert_allclose(one.masks, other.masks, atol=1e-6)
     np.testing.assert_allclose(one.K, other.K)
     np.testing.assert_allclose(one.targets, other.targets, atol=1e-6)
+
+
+def test_masks_teach_objects_without_a_3d_file_and_the_judgement_counts_them(
+    thin: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_r2n2(tmp_path / "ShapeNetRendering", ("abc", "def"))
+    write_clouds(tmp_path, "abc")
+    settings = ["-o", tmp_path / "base.safetensors", "--steps", 2, "--batch-size", 2, "--points", 32, "--json", "--overwrite"]
+    assert run(tmp_path, *settings, "--supervision", "masks", "--views", 2) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["objects"], document["without_3d_file"], document["chamfer_training"]["shapes"]) == (2, 1, 1)
+    assert document["left_out"] == {}
+    assert run(tmp_path, *settings) == 0
+    captured = capsys.readouterr()
+    document = json.loads(captured.out)
+    assert (document["objects"], document["without_3d_file"]) == (1, 0)
+    assert list(document["left_out"]) == [f"{CHAIR}/def"]
+    assert "pcl_1024_fps_trimesh.npy: does not exist" in captured.err
+    assert run(tmp_path, *settings, "--strict") == 2
+    assert "pcl_1024_fps_trimesh.npy: does not exist" in capsys.readouterr().err
+
+
+def test_every_figure_says_the_scale_it_is_in(thin: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The same clouds in two scales: a Chamfer distance of longest side 1, and one of the data set's own units."""
+    write_r2n2(tmp_path / "ShapeNetRendering")
+    write_clouds(tmp_path, "abc")
+    settings = [tmp_path, "-o", tmp_path / "base.safetensors", "--steps", 2, "--batch-size", 2, "--points", 32, "--overwrite"]
+    for share, scale in ((0.9, "longest side 1"), (0, "units of the data set")):
+        assert run(*settings, "--crop-share", share) == 0
+        assert f"mean over points, {scale}; N 32" in capsys.readouterr().out
+        assert load_network(tmp_path / "base.safetensors")[1].crop_share == share
 
 
 def test_the_command_trains_on_a_folder_and_says_what_it_did(

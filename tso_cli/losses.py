@@ -15,8 +15,12 @@ from .projection import pixels_under
 
 # Windows are square: a sum below this may come from the corner of one while a nearer point lies beyond its side.
 UNCOVERED = NEGLIGIBLE
+AFFINITIES = ("points", "paper")
+"""Forms of the affinity loss."""
 # Where the sum is this, the silhouette is 0.5.
 HALF = math.atanh(0.5)
+# Pairs of pixels at a time.
+PAIRS_PER_CHUNK = 1 << 24
 # Losses are stated for a 64x64 mask.
 REFERENCE_PIXELS = 64.0 * 64.0
 
@@ -138,49 +142,60 @@ def affinity(
     valid: Tensor,  # [M, N]
     form: str = "points",
 ) -> Tensor:
-    """Nearest-point affinity loss (Eq. 5), O(HW): by distance transforms, never by pairs of pixels.
+    """Nearest-point affinity loss (Eq. 5).
 
     Parameters
     ----------
     sums, mask, points_px, valid : as in :func:`silhouette_bce`.
-    form : "paper", Eq. 5 as printed with M^+ the pixels of a silhouette over 0.5: a stray silhouette pixel pays its squared
-        distance to the mask; a mask pixel pays its squared distance to the silhouette times the value there, which rewards
-        dimming that pixel. "points": each uncovered mask pixel (silhouette <= 0.5) pulls its nearest projected point, each
-        point that falls on background inside the image is pulled to the nearest mask pixel: nearest to the pixel it falls on,
-        any of those that are equally near. Which one is taken may differ between the plain form, the compiled one and a GPU's,
-        and with it what the point pays beside the centre of its pixel.
+    form : "paper", Eq. 5 as printed, but for M^+, here the pixels over 0.5. The paper has all that are not zero: the rim of a
+        Gaussian is as good as zero, the least product lies there, and half of the loss vanishes. A stray silhouette pixel pays
+        the least product of squared distance to a mask pixel and the mask there; a mask pixel the least product of squared
+        distance to a silhouette pixel and the silhouette there, which rewards dimming that pixel. "points": each
+        uncovered mask pixel (silhouette <= 0.5) pulls its nearest projected point, each point that falls on background inside
+        the image is pulled to the nearest mask pixel: nearest to the pixel it falls on, any of those that are equally near.
+        Which one is taken may differ between the plain form, the compiled one and a GPU's, and with it what the point pays
+        beside the centre of its pixel. O(HW) by distance transforms; the printed form compares all pairs of pixels.
 
     Returns
     -------
     [M] squared pixels, weighted by 64^4 / (W H)^2: distances and pixels are those of a 64x64 mask.
     """
-    if form not in ("paper", "points"):
-        raise ValueError(f"form is {form!r}, expected paper or points")
+    if form not in AFFINITIES:
+        raise ValueError(f"form is {form!r}, expected one of {AFFINITIES}")
     inside, predicted = mask > 0.5, sums.detach() > HALF
     if form == "points":
         term = _stray_points(points_px, valid, inside) + _far_pixels(inside & ~predicted, mask, points_px, valid, 1.0)
     else:
-        term = _far_values(torch.tanh(sums), mask, inside, predicted, compiled_pays(points_px))
+        silhouette = torch.tanh(sums)
+        term = _far_values(silhouette, mask, inside) + _far_values(mask, silhouette, predicted)
     return term * _per_reference_pixel(mask) ** 2
 
 
-def _far_values(silhouette: Tensor, mask: Tensor, inside: Tensor, predicted: Tensor, compiled: bool) -> Tensor:
-    """Sum [M] over pixels of squared distance to the nearest pixel of the other image, times the values at both."""
-    if compiled:
-        from .kernels.compiled_losses import pull_silhouette
+def _far_values(source: Tensor, goal: Tensor, marked: Tensor) -> Tensor:
+    """Sum [M] over pixels of ``source`` times the least product of squared distance and ``goal`` over the ``marked`` pixels.
 
-        return pull_silhouette(silhouette, mask, inside, predicted)
-    return _far_from(silhouette, mask, *nearest_marked(inside)) + _far_from(mask, silhouette, *nearest_marked(predicted))
-
-
-def _far_from(source: Tensor, goal: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
-    """Sum [M] over pixels of squared distance to the nearest marked pixel (at rows, columns) * source * goal there."""
-    height, width = source.shape[-2:]
-    away_y = rows - torch.arange(height, device=rows.device).unsqueeze(1)
-    away_x = columns - torch.arange(width, device=rows.device)
-    squared = (away_y.square() + away_x.square()) * (rows >= 0)
-    there = goal.flatten(1).gather(1, (rows * width + columns).clamp_min(0).flatten(1)).view_as(goal)
-    return (squared * source * there).sum((-1, -2))
+    By all pairs: where the least product lies depends on the values, so that no distance transform finds it.
+    """
+    width, terms = source.shape[-1], []
+    for own, values, there in zip(source.flatten(1), goal.flatten(1), marked.flatten(1), strict=True):
+        # A marked pixel is at distance 0 from itself.
+        asking, places = torch.nonzero((own > 0.0) & ~there).squeeze(1), torch.nonzero(there).squeeze(1)
+        if len(asking) == 0 or len(places) == 0:
+            terms.append(own.sum() * 0.0)
+            continue
+        with torch.no_grad():
+            from_px, to_px = (torch.stack([i // width, i % width], -1).to(own.dtype) for i in (asking, places))
+            middle = to_px.mean(0)
+            one, other = from_px - middle, to_px - middle
+            # v |x - p|^2 = (|x|^2, x, 1) . (v, -2 v p, v |p|^2), one matrix product
+            left = torch.cat([one.square().sum(1, keepdim=True), one, torch.ones_like(one[:, :1])], 1)
+            right = torch.cat([torch.ones_like(other[:, :1]), -2.0 * other, other.square().sum(1, keepdim=True)], 1)
+            right = right * values[places].unsqueeze(1)
+            parts = left.split(max(1, PAIRS_PER_CHUNK // len(places)))
+            best = torch.cat([(part @ right.T).argmin(1) for part in parts])
+            squared = (from_px - to_px[best]).square().sum(1)
+        terms.append((squared * own[asking] * values[places[best]]).sum())
+    return torch.stack(terms)
 
 
 def _stray_points(points_px: Tensor, valid: Tensor, inside: Tensor) -> Tensor:

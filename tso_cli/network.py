@@ -40,7 +40,8 @@ class NetworkConfig:
     image_size : side of the input image in pixels; always 64.
     frame : "view" (x right, y up, z toward the viewer) or "canonical" (the frame of the objects).
     sigma_sq : variance of the projection kernel, px^2 of a 64x64 mask (sigma^2).
-    crop_share : share of the input's side that the object's box takes up (see `network_input`).
+    crop_share : share of the input's side that the object's box takes up; 0: the input keeps its size, and clouds are in the
+        scale of the training set instead of longest side 1 (see `network_input`).
     background : "black", "white" or "keep".
     training_set : what it was trained on, in words.
     supervision : "points" (3D, PSGN-FC), "masks" (2D) or "joint".

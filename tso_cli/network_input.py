@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .camera import Camera
+from .camera import CANONICAL_DISTANCE, CANONICAL_FOCAL_AT_64, Camera
 from .errors import InputError
 from .resample import Box, area_resize
 from .scene import View
 
 BACKGROUNDS = ("black", "white", "keep")
+WHOLE = 64.0 * CANONICAL_DISTANCE / CANONICAL_FOCAL_AT_64
+"""What the canonical camera sees each way at the object's distance, in units of the cloud: 1.07."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +44,24 @@ class NetworkInput:
 def crop_box(mask_box: Box, crop_share: float) -> Box:
     """The square around ``mask_box`` whose side is the box's longer side divided by ``crop_share``."""
     if not 0.0 < crop_share <= 1.0:
-        raise InputError(f"crop share is {crop_share!r}, expected more than 0 and at most 1")
+        raise InputError(f"crop share is {crop_share!r}, expected 0 to 1")
     left, top, right, bottom = (float(edge) for edge in mask_box)
     half = max(right - left, bottom - top) / crop_share / 2.0
     across, down = (left + right) / 2.0, (top + bottom) / 2.0
+    return across - half, down - half, across + half, down + half
+
+
+def whole_box(camera: Camera, name: str = "mask") -> Box:
+    """The square of the photo that shows as much as the canonical camera does: `WHOLE` units around the world's origin.
+
+    It is as large for a small object as for a large one, so that the picture tells their size, as the whole pictures do that
+    the authors of CAPNet train with. Raises InputError if the origin is not in front of the camera.
+    """
+    depth = float(camera.t[2]) if camera.model == "perspective" else 1.0
+    if depth <= 0.0:
+        raise InputError(f"{name}: the camera has the object at depth {camera.t[2]:g}, expected it in front (> 0)")
+    across, down = (camera.K[:2, :2] @ camera.t[:2] / depth + camera.K[:2, 2]).tolist()
+    half = 0.5 * WHOLE * float(camera.K[0, 0]) / depth
     return across - half, down - half, across + half, down + half
 
 
@@ -55,15 +71,15 @@ def network_input(
     """Crop, composite and shrink a photo as the network expects it.
 
     The crop is a square centred on the box of the mask (> 0.5), so large that the box's longer side takes up
-    ``crop_share`` of it. It is resampled to ``size`` x ``size`` by exact area averaging, whether that shrinks or
-    enlarges. What lies outside the photo gets the background colour.
+    ``crop_share`` of it; or, for a share of 0, :func:`whole_box`. It is resampled to ``size`` x ``size`` by exact area
+    averaging, whether that shrinks or enlarges. What lies outside the photo gets the background colour.
 
     Parameters
     ----------
     image : [H, W], [H, W, 3] or [H, W, 4]; uint8, or float in [0, 1].
     view : mask [H, W] and camera of the photo.
     size : pixels of the network's input along each side.
-    crop_share : share of the crop's side that the longer side of the object's box takes up.
+    crop_share : share of the crop's side that the longer side of the object's box takes up; 0 keeps the object's size.
     background : "black" or "white" puts the object, cut out by its mask, on that colour; "keep" leaves the photo as it
         is (transparent parts and what lies outside it are black).
 
@@ -83,7 +99,7 @@ def network_input(
             f"{view.name}: the image is {image.shape[1]}x{image.shape[0]}, the mask {width}x{height} (width x height), "
             "expected the same"
         )
-    box = crop_box(view.box(), crop_share)
+    box = crop_box(view.box(), crop_share) if crop_share else whole_box(view.camera, view.name)
 
     # Composite only the part of the photo that the crop meets: the photo may be large.
     left, top = max(0, int(np.floor(box[0] + 0.5))), max(0, int(np.floor(box[1] + 0.5)))
@@ -101,6 +117,11 @@ def network_input(
     counted = None if view.known is None else view.known[part]
     shrunk, share = area_resize(mask, shifted, size, size, counted)
     known = share >= 0.5
+    if not crop_share and not (shrunk[known] > 0.5).any():
+        raise InputError(
+            f"{view.name}: nothing of the object lies in the {WHOLE:.2f} units around the world's origin that the network "
+            "sees, expected a camera in the scale of its training set"
+        )
     return NetworkInput(
         image=np.ascontiguousarray(np.clip(values, 0.0, 1.0).transpose(2, 0, 1), dtype=np.float32),
         mask=np.where(known, np.clip(shrunk, 0.0, 1.0), 0.0).astype(np.float32),

@@ -51,7 +51,7 @@ def command(
     for path in (output, pictures) if checkpoint else (output,):
         check_output(path, overwrite)
     read = [read_log(path) for path in logs]
-    samples = _samples(checkpoint, data, split_file, count) if checkpoint and data else []
+    samples, scale = _samples(checkpoint, data, split_file, count) if checkpoint and data else ([], "")
     draw_curves(output, read, overwrite)
     for name, log in zip(labels(read), read, strict=True):
         losses, drop = log.columns["loss"], lambda_drop(log)
@@ -59,12 +59,12 @@ def command(
         last = running_mean(losses, max(1, len(losses) // 50))[-1]
         click.echo(f"{name}: {len(losses)} steps, {log.settings['supervision']}, loss {losses[0]:.4g} to {last:.4g}{told}")
     if samples:
-        draw_samples(pictures, samples, overwrite)
-        click.echo(f"{pictures}: {len(samples)} samples of {checkpoint}")
+        draw_samples(pictures, samples, scale, overwrite)
+        click.echo(f"{pictures}: {len(samples)} samples of {checkpoint}, {scale}")
 
 
-def _samples(checkpoint: Path, folder: Path, split_file: Path | None, count: int) -> list[Sample]:
-    """The first view of ``count`` objects spread evenly over the data set, predicted."""
+def _samples(checkpoint: Path, folder: Path, split_file: Path | None, count: int) -> tuple[list[Sample], str]:
+    """The first view of ``count`` objects spread evenly over the data set, predicted; and the scale of the clouds."""
     from ..files.checkpoints import load_network
     from ..files.shipped import named_checkpoint
     from ..studies.samples import sample_predictions
@@ -72,4 +72,5 @@ def _samples(checkpoint: Path, folder: Path, split_file: Path | None, count: int
 
     network, config = load_network(named_checkpoint(checkpoint))
     wanted = Wanted(folder, split_file, crop_share=config.crop_share, background=config.background, part="test")
-    return sample_predictions(network, load(wanted), config.frame, count)
+    data = load(wanted)
+    return sample_predictions(network, data, config.frame, count), data.scale

@@ -91,6 +91,12 @@ class CategoryValue(click.ParamType):
     "--affinity", type=click.Choice(["points", "paper"]), default="points", show_default=True, help="Form of the affinity loss."
 )
 @click.option(
+    "--saturation-steps",
+    type=int,
+    help="Lambda drops once the mean loss over so many steps is not 1 % below that of as many before.  [default: a sixth of "
+    "--steps, 10 to 500]",
+)
+@click.option(
     "--sigma-sq",
     type=float,
     default=0.4,
@@ -106,7 +112,12 @@ class CategoryValue(click.ParamType):
 )
 @click.option("--points", type=int, default=1024, show_default=True, help="Points of the predicted cloud.")
 @click.option(
-    "--crop-share", type=float, default=0.9, show_default=True, help="Share of the input's side that the object takes up."
+    "--crop-share",
+    type=float,
+    default=0.9,
+    show_default=True,
+    help="Share of the input's side that the object takes up, whatever its size; clouds have longest side 1. 0: the input "
+    "keeps sizes, and so do the clouds.",
 )
 @click.option(
     "--background",
@@ -204,7 +215,8 @@ def command(
         if processes.first:
             _check_outputs(output, log_file, resume, overwrite)
         processes.wait()
-        wanted = Wanted(data, split_file, categories, strict, crop_share, background, behind)
+        points = config.supervision != "masks"
+        wanted = Wanted(data, split_file, categories, strict, crop_share, background, behind, points=points)
         training = load(wanted, quiet=not processes.first)
         of_masks = Wanted(mask_data, mask_split, mask_categories, strict, crop_share, background)
         masked = load(of_masks, quiet=not processes.first) if mask_data else None
@@ -294,7 +306,10 @@ def _run(
 
 def _refuse_unused(ctx: click.Context, supervision: str) -> None:
     """Options that the supervision has no use for, if they were given."""
-    of = {"views": ("masks",), **dict.fromkeys(("affinity_weight", "affinity", "category_sigma_sq"), ("masks", "joint"))}
+    of = {
+        "views": ("masks",),
+        **dict.fromkeys(("affinity_weight", "affinity", "saturation_steps", "category_sigma_sq"), ("masks", "joint")),
+    }
     of |= dict.fromkeys(("mask_split", "mask_categories"), ("joint",))
     for option in ctx.command.params:
         kinds = of.get(option.name or "")

@@ -42,12 +42,14 @@ def result_document(
         "training_set": training.description,
     }
     # Masks may be all there is to learn from.
-    if training.has_targets():
+    if pointed := len(training.pointed()):
         document["chamfer_training"] = judged(training)
+    document["objects"], document["without_3d_file"] = len(training.objects), len(training.objects) - pointed
     if on_examples:
         document["chamfer_unseen_examples"] = judged(shipped_examples(training.crop_share, training.background))
     document |= {
-        "convention": "squared distances, mean over points, longest side 1; forward is target -> prediction",
+        "convention": f"squared distances, mean over points, {training.scale}; forward is target -> prediction",
+        "scale": training.scale,
         "supervision": config.supervision,
         "frame": config.frame,
         "points": config.points,
@@ -72,12 +74,14 @@ def print_result(document: dict[str, Any]) -> None:
                 f"Chamfer x1000, {document[key]['shapes']} {label}: {values['chamfer']:.2f} "
                 f"(forward {values['forward']:.2f}, backward {values['backward']:.2f})"
             )
+    if document["without_3d_file"] and "chamfer_training" in document:
+        click.echo(f"{document['without_3d_file']} of {document['objects']} objects have no 3D file and were not judged")
     speed = document["images_per_second"]
     click.echo(
         f"{speed['training']:.0f} images/s in training; a step without the optimiser {speed['step']:.0f}, the bare network's "
         f"forward and backward {speed['bare']:.0f}: data, projector and losses add {round(100.0 * speed['added'])} %"
     )
     click.echo(
-        f"(squared distances, mean over points, longest side 1; N {document['points']}, seed {document['seed']}, "
+        f"(squared distances, mean over points, {document['scale']}; N {document['points']}, seed {document['seed']}, "
         f"sigma^2 {document['sigma_sq']:g}, {document['device']})"
     )

@@ -25,7 +25,9 @@ class Wanted:
     folder : of a data set; None is the shipped example meshes.
     split : file of a split, of which ``part`` is taken; None takes everything.
     categories : names; empty takes all.
+    crop_share : 0 keeps sizes, in the picture and of the clouds.
     behind : a folder of photos, or "textures", to put the objects on.
+    points : leave out objects without a 3D file.
     """
 
     folder: Path | None
@@ -36,6 +38,7 @@ class Wanted:
     background: str = "black"
     behind: str | None = None
     part: str = "train"
+    points: bool = False
 
 
 def load(wanted: Wanted, quiet: bool = False) -> TrainingData:
@@ -74,7 +77,7 @@ def chosen(wanted: Wanted) -> Dataset:
     from ..datasets.opening import open_dataset, read_part
 
     assert wanted.folder is not None
-    dataset = open_dataset(wanted.folder, wanted.strict)
+    dataset = open_dataset(wanted.folder, wanted.strict, own_scale=wanted.crop_share == 0.0)
     if wanted.categories:
         held = sorted({item.category for item in dataset.objects})
         unknown = [name for name in wanted.categories if name not in held]
@@ -87,4 +90,4 @@ def chosen(wanted: Wanted) -> Dataset:
         # Of the other categories the split may name what is not here.
         own = [name for name in names if not wanted.categories or name.split("/")[0] in wanted.categories]
         dataset = dataset.select(own, str(wanted.split))
-    return dataset
+    return dataset.with_points(wanted.strict) if wanted.points else dataset

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TypeVar, overload
 
@@ -116,7 +117,8 @@ def objects_of(
     progress: Progress | None,
     look: Callable[[str], Known],
     pictures: Callable[[str, Known], Iterable[Path]],
-    build: Callable[[str, Known, tuple[int, int]], tuple[LazyViews, Callable[[], Floats] | None]],
+    build: Callable[[str, Known, tuple[int, int]], LazyViews],
+    shape: Callable[[str], tuple[Path, Callable[[str], Floats]]] | None,
     apart_from: str = "",
 ) -> list[ObjectItem]:
     """The models of ``folder``/SYNSET/MODEL, named so; those that cannot be used are noted in ``skipped``.
@@ -125,7 +127,9 @@ def objects_of(
     ----------
     look : what is known of a model's views; InputError where it cannot be used.
     pictures : those of a model whose size is that of all pictures of its category.
-    build : views and target of a model whose pictures are of a size (width, height).
+    build : views of a model whose pictures are of a size (width, height).
+    shape : the 3D file of a model and what reads it; None where the data set has no such files. A model without its file keeps
+        its views: masks can teach it.
     apart_from : a folder that is no category.
     """
     objects, done = [], 0
@@ -146,8 +150,20 @@ def objects_of(
             if size is None:
                 skipped.add(name, f"{folder / name}: no picture of the category can be read")
                 continue
-            objects.append(ObjectItem(name, SYNSETS.get(category, category), *build(name, known, size)))
+            objects.append(ObjectItem(name, SYNSETS.get(category, category), build(name, known, size), *_target(name, shape)))
     return objects
+
+
+def _target(
+    name: str, shape: Callable[[str], tuple[Path, Callable[[str], Floats]]] | None
+) -> tuple[Callable[[], Floats] | None, str]:
+    """What reads the points of a model, or None and, if it should have them, which file is missing."""
+    if shape is None:
+        return None, ""
+    path, read = shape(name)
+    if not path.is_file():
+        return None, f"{path}: does not exist, expected the shape of this object"
+    return partial(read, str(path)), ""
 
 
 def cloud_folder(beside: Path) -> Path | None:

@@ -43,12 +43,14 @@ class ObjectItem:
     category : of its type; "" where the data set knows none.
     views : at least one.
     target : gives points of the surface [P, 3] float32 in the object's own frame; None where there is no such file.
+    lacking : one line naming the 3D file that is missing, where other objects of the data set have theirs.
     """
 
     name: str
     category: str
     views: Sequence[ViewItem]
     target: Callable[[], Floats] | None
+    lacking: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +82,19 @@ class Dataset:
         if not chosen:
             raise InputError(f"{source}: names no object that can be used, expected some of {self.description}")
         return Dataset(chosen, self.description, self.skipped)
+
+    def with_points(self, strict: bool = False) -> Dataset:
+        """The objects that have a 3D file, for what learns from points; the others are skipped, all of them kept if none has.
+
+        Raises InputError with ``strict`` where one lacks its file.
+        """
+        chosen = [item for item in self.objects if item.target is not None]
+        if not chosen:
+            return self
+        lacking = {item.name: item.lacking for item in self.objects if item.target is None}
+        if lacking and strict:
+            raise InputError(next(iter(lacking.values())))
+        return Dataset(chosen, self.description, {**self.skipped, **lacking})
 
 
 def copied(name: str, copy: int) -> str:

@@ -12,6 +12,7 @@ from .pix3d import TABLE, open_pix3d
 from .r2n2 import PICTURES, open_r2n2
 from .r2n2 import RENDERED as R2N2
 from .rendered import holds_object, open_rendered
+from .scale import normalised
 from .shapenet import RENDERED as SHAPENET
 from .shapenet import open_shapenet
 from .splits import read_part, read_split
@@ -25,7 +26,9 @@ LAYOUTS = (
 )
 
 
-def open_dataset(folder: Path | str, strict: bool = False, progress: common.Progress | None = None) -> Dataset:
+def open_dataset(
+    folder: Path | str, strict: bool = False, progress: common.Progress | None = None, own_scale: bool = False
+) -> Dataset:
     """Open the data set in ``folder``; its layout shows in the names of the folders and files in it.
 
     Parameters
@@ -34,6 +37,7 @@ def open_dataset(folder: Path | str, strict: bool = False, progress: common.Prog
     strict : what cannot be used is an error; else it is named in ``skipped`` and left out. Pictures are read, and found to be
         damaged, only when they are loaded.
     progress : called now and then with how much is done, of how much, and a note.
+    own_scale : leave objects and cameras in the data set's own scale; else every object is centred and of longest side 1.
 
     Raises
     ------
@@ -47,7 +51,7 @@ def open_dataset(folder: Path | str, strict: bool = False, progress: common.Prog
     own = folder.resolve().name
     fitting: list[tuple[str, Opener]] = []
     if TABLE in files:
-        fitting.append((TABLE, open_pix3d))
+        fitting.append((TABLE, open_pix3d))  # normalises by its models
     if SHAPENET in folders or (own == SHAPENET and R2N2 not in folders):
         fitting.append((SHAPENET, open_shapenet))
     if R2N2 in folders or (not fitting and _is_r2n2(folder, folders)):
@@ -55,7 +59,9 @@ def open_dataset(folder: Path | str, strict: bool = False, progress: common.Prog
     if len(fitting) > 1:
         raise InputError(f"{folder}: holds {fitting[0][0]} and {fitting[1][0]}, expected one data set")
     if fitting:
-        return fitting[0][1](folder, strict, progress)
+        layout, opener = fitting[0]
+        dataset = opener(folder, strict, progress)
+        return dataset if own_scale or layout == TABLE else normalised(dataset)
     if not holds_object(folder):
         raise InputError(f"{folder}: has no layout known here, expected {LAYOUTS}")
     return open_rendered(folder, strict, progress)

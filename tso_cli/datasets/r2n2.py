@@ -54,8 +54,8 @@ def open_r2n2(folder: Path | str, strict: bool = False, progress: common.Progres
 
     Returns
     -------
-    Targets are clouds or points of the voxels' boundary; None for all where neither folder is there. All pictures of a
-    category have the size of its first that can be read: no other is opened here.
+    Targets are clouds or points of the voxels' boundary; None where an object has no such file. All pictures of a category
+    have the size of its first that can be read: no other is opened here.
 
     Raises
     ------
@@ -76,21 +76,15 @@ def open_r2n2(folder: Path | str, strict: bool = False, progress: common.Progres
     skipped = common.Skipped(strict)
 
     def look(name: str) -> Views:
-        if target_of is not None and not target_of(name)[0].is_file():
-            raise InputError(f"{target_of(name)[0]}: does not exist, expected the shape of this object")
         return _views_of(root / name / PICTURES, name, skipped)
 
     def pictures(name: str, known: Views) -> Iterator[Path]:
         return (root / name / PICTURES / file for file in known[0])
 
-    def build(name: str, known: Views, size: tuple[int, int]) -> tuple[common.LazyViews, Callable[[], Floats] | None]:
-        views = common.LazyViews(len(known[0]), partial(_view, str(root / name / PICTURES), *known, size))
-        if target_of is None:
-            return views, None
-        path, read = target_of(name)
-        return views, partial(read, str(path))
+    def build(name: str, known: Views, size: tuple[int, int]) -> common.LazyViews:
+        return common.LazyViews(len(known[0]), partial(_view, str(root / name / PICTURES), *known, size))
 
-    objects = common.objects_of(root, skipped, progress, look, pictures, build)
+    objects = common.objects_of(root, skipped, progress, look, pictures, build, target_of)
     described = f"{root.resolve().name} (renders of 3D-R2N2)"
     return common.finished(objects, described, skipped, f"SYNSET/MODEL/{PICTURES} with 00.png and {TABLE}")
 

@@ -55,7 +55,7 @@ def open_shapenet(folder: Path | str, strict: bool = False, progress: common.Pro
 
     Returns
     -------
-    Targets are the clouds; None for all where there is no folder of clouds. All pictures of a category have the size of its
+    Targets are the clouds; None where an object has none. All pictures of a category have the size of its
     first that can be read: no other is opened here.
 
     Raises
@@ -74,14 +74,18 @@ def open_shapenet(folder: Path | str, strict: bool = False, progress: common.Pro
     def depths(name: str, known: Views) -> Iterator[Path]:
         return (models / name / f"depth_{number}.png" for number in known[0].tolist())
 
-    def build(name: str, known: Views, size: tuple[int, int]) -> tuple[common.LazyViews, Callable[[], Floats] | None]:
-        views = common.LazyViews(len(known[0]), partial(_view, str(models / name), *known, size))
-        return views, None if clouds is None else partial(common.cloud_target, str(clouds / name / common.CLOUD))
+    def build(name: str, known: Views, size: tuple[int, int]) -> common.LazyViews:
+        return common.LazyViews(len(known[0]), partial(_view, str(models / name), *known, size))
 
     def look(name: str) -> Views:
-        return _views_of(models / name, name, clouds, skipped)
+        return _views_of(models / name, name, skipped)
 
-    objects = common.objects_of(models, skipped, progress, look, depths, build, apart_from=SPLITS)
+    def cloud(name: str) -> tuple[Path, Callable[[str], Floats]]:
+        assert clouds is not None
+        return clouds / name / common.CLOUD, common.cloud_target
+
+    shape = None if clouds is None else cloud
+    objects = common.objects_of(models, skipped, progress, look, depths, build, shape, apart_from=SPLITS)
     described = f"{root.resolve().name} (ShapeNet of the CAPNet authors)"
     return common.finished(objects, described, skipped, f"{RENDERED}/SYNSET/MODEL with render_0.png, depth_0.png, view.txt")
 
@@ -103,14 +107,12 @@ def shapenet_camera(azimuth: float, elevation: float, size: tuple[int, int], dis
     return Camera(K, rotation, np.array([0.0, 0.0, distance]), *size)
 
 
-def _views_of(folder: Path, name: str, clouds: Path | None, skipped: common.Skipped) -> Views:
+def _views_of(folder: Path, name: str, skipped: common.Skipped) -> Views:
     """Numbers [V] of the usable pictures of a model, and azimuth, elevation, distance of each [V, 3]."""
     files = common.listed(folder)[1]
     numbers = sorted(int(match[1]) for match in map(_PICTURE.fullmatch, files) if match)
     if not numbers:
         raise InputError(f"{folder}: holds no picture, expected render_0.png and so on")
-    if clouds is not None and not (clouds / name / common.CLOUD).is_file():
-        raise InputError(f"{clouds / name / common.CLOUD}: does not exist, expected the points of this object")
     rows = common.read_table(folder / "view.txt", 2, 4, "azimuth and elevation in degrees")
     kept, angles = [], []
     for number in numbers:

@@ -187,7 +187,7 @@ def _config(path: Path, values: dict[str, Any]) -> NetworkConfig:
     check("image_size", whole("image_size") and values["image_size"] == IMAGE_SIZE, str(IMAGE_SIZE))
     check("frame", values["frame"] in FRAMES, " or ".join(FRAMES))
     check("sigma_sq", number("sigma_sq", 0.0, 1e6), "a number above 0")
-    check("crop_share", number("crop_share", 0.0, 1.0), "a number above 0 and at most 1")
+    check("crop_share", values["crop_share"] == 0 or number("crop_share", 0.0, 1.0), "a number from 0 to 1")
     check("background", values["background"] in BACKGROUNDS, " or ".join(BACKGROUNDS))
     check("supervision", values["supervision"] in SUPERVISIONS, " or ".join(SUPERVISIONS))
     check("seed", whole("seed"), "a whole number")

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from .compiled_nearest import cell_edge, nearest_in_cells, nearest_in_column, nearest_in_row, sort_into_cells
+from .compiled_nearest import cell_edge, nearest_in_cells, nearest_in_column, sort_into_cells
 from .jit import compiled, part, share
 from .lanes import LOWEST, exp, log
 
@@ -45,17 +45,6 @@ def pull_to_mask(points_px: Tensor, valid: Tensor, inside: Tensor) -> Tensor:
     total, slope = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
     share(len(inside), 8 * inside.numel() + 32 * valid.numel(), _pull_to_mask, points_px, valid, inside, total, slope)
     return WithSlope.apply(points_px, total, slope)
-
-
-def pull_silhouette(silhouette: Tensor, mask: Tensor, inside: Tensor, predicted: Tensor) -> Tensor:
-    """Sum [M] over pixels of squared distances between mask and silhouette (Eq. 5 as printed).
-
-    Each pixel of the silhouette [M, H, W] counts with its squared distance to the nearest that is ``inside`` and the mask
-    there, each of the mask with that to the nearest that is ``predicted`` and the silhouette there.
-    """
-    total, slope = silhouette.new_empty(len(mask)), torch.zeros_like(silhouette, memory_format=torch.contiguous_format)
-    share(len(mask), 32 * mask.numel(), _pull_silhouette, silhouette, mask, inside, predicted, total, slope)
-    return WithSlope.apply(silhouette, total, slope)
 
 
 class WithSlope(torch.autograd.Function):
@@ -184,31 +173,4 @@ def _pull_to_mask(first, last, points, valid, inside, total, slope):  # type: ig
                 loss += by_x * by_x + by_y * by_y
                 slope[image, n, 0] = 2.0 * by_x
                 slope[image, n, 1] = 2.0 * by_y
-        total[image] = loss
-
-
-@compiled
-def _pull_silhouette(first, last, silhouette, mask, inside, predicted, total, slope):  # type: ignore[no-untyped-def]
-    height, width = mask.shape[1:]
-    near = np.empty((height, width), np.int64)
-    rows, columns = np.empty(width, np.int64), np.empty(width, np.int64)
-    vertex, since = np.empty(width, np.int64), np.empty(width, np.int64)
-    for image in range(first, last):
-        loss = 0.0
-        nearest_in_column(inside[image], near)
-        for i in range(height):
-            nearest_in_row(near, i, rows, columns, vertex, since)
-            for j in range(width):
-                if rows[j] >= 0:
-                    there = ((rows[j] - i) ** 2 + (columns[j] - j) ** 2) * mask[image, rows[j], columns[j]]
-                    loss += there * silhouette[image, i, j]
-                    slope[image, i, j] += there
-        nearest_in_column(predicted[image], near)
-        for i in range(height):
-            nearest_in_row(near, i, rows, columns, vertex, since)
-            for j in range(width):
-                if rows[j] >= 0:
-                    there = ((rows[j] - i) ** 2 + (columns[j] - j) ** 2) * mask[image, i, j]
-                    loss += there * silhouette[image, rows[j], columns[j]]
-                    slope[image, rows[j], columns[j]] += there
         total[image] = loss

@@ -97,8 +97,8 @@ def draw_curves(path: Path, logs: Sequence[TrainingLog], overwrite: bool = False
         figure.savefig(temporary, dpi=110)
 
 
-def draw_samples(path: Path, samples: Sequence[Sample], overwrite: bool = False) -> None:
-    """A row for each sample: the picture, and prediction and target from the front and from the right.
+def draw_samples(path: Path, samples: Sequence[Sample], scale: str, overwrite: bool = False) -> None:
+    """A row for each sample: the picture, and prediction and target from the front and from the right; ``scale`` in words.
 
     Raises InputError if ``path`` cannot be written to.
     """
@@ -133,6 +133,7 @@ def draw_samples(path: Path, samples: Sequence[Sample], overwrite: bool = False)
         strict=True,
     ):
         axis.set_xlabel(title)
+    figure.supxlabel(f"Chamfer: squared distances, mean over points, {scale}", fontsize=8)
     for axis in axes.flat:
         axis.set_xticks([])
         axis.set_yticks([])

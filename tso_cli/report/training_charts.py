@@ -63,7 +63,8 @@ def draw_supervision(path: Path, record: dict[str, Any], overwrite: bool = False
             axis.annotate(
                 f"mean {summary[name]['mean']:.2f}", (longest, i), xytext=(10, 0), textcoords="offset points", va="center"
             )
-        axis.plot([], [], "D", color="white", markeredgecolor=INK, markersize=5, label="paper")
+        if paper:
+            axis.plot([], [], "D", color="white", markeredgecolor=INK, markersize=5, label="paper")
         axis.set_yticks(range(len(names)), names)
         axis.invert_yaxis()
         axis.margins(x=0.15)
@@ -75,7 +76,7 @@ def draw_supervision(path: Path, record: dict[str, Any], overwrite: bool = False
 
 def draw_views(path: Path, record: dict[str, Any], overwrite: bool = False) -> None:
     """Chamfer over the number of supervising masks. Raises InputError if ``path`` cannot be written."""
-    with _page(path, overwrite, (6.4, 4.4)) as figure:
+    with _page(path, overwrite, (7.6, 5.4)) as figure:
         axis = figure.subplots()
         for i, (category, values) in enumerate(record["summary"].items()):
             counts = [int(count) for count in values]
@@ -95,7 +96,7 @@ def draw_views(path: Path, record: dict[str, Any], overwrite: bool = False) -> N
         axis.set_xlabel("masks of each object that supervise a step")
         axis.set_ylabel(LABEL)
         axis.set_title(f"{_budget(record)}; unseen shapes")
-        axis.legend(frameon=False)
+        figure.legend(loc="outside lower center", ncols=len(record["summary"]), frameon=False)
 
 
 def draw_weight(path: Path, record: dict[str, Any], overwrite: bool = False) -> None:

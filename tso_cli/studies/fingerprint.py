@@ -65,6 +65,7 @@ JUDGED: dict[str, Callable[[Record], Iterable[str]]] = {
     "lambda": lambda record: [PICTURES, MASKS, PRINTED],
     "affinity": lambda record: [PICTURES, MASKS, PRINTED],
     "failures": lambda record: [PICTURES, MASKS],
+    "departures": lambda record: [PICTURES, MASKS],
     "photos": lambda record: [PAPER, BEST, f"{PAPER}, {FOUR}", f"{BEST}, {FOUR}"],
     "speed": lambda record: [part for row in record["records"] for part in TIMED.get(row["what"], ())],
 }

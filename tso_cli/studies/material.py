@@ -77,15 +77,21 @@ class Material:
         names = "\n".join(shape.name for shape in (*self.training, *self.judged))
         return hashlib.sha256(names.encode()).hexdigest()[:16]
 
-    def data(self, category: str, training: bool, dense: bool = False) -> TrainingData:
-        """The training or the judged shapes of ``category``, or of `ALL`; with ``dense`` targets of 16,384 points."""
+    def data(self, category: str, training: bool, dense: bool = False, whole: bool = False) -> TrainingData:
+        """The training or the judged shapes of ``category``, or of `ALL`.
+
+        dense : targets of 16,384 points. whole : shapes of unit diagonal, as ShapeNet has them, in pictures that show size.
+        """
         objects = []
         for name in self.source.categories if category == ALL else (category,):
             objects += self._rendered(name, training)
         if dense:
             objects = [replace(item, target=self._dense(item.name)) for item in objects]
         part = "train" if training else self.source.part
-        return TrainingData(objects, f"{len(objects)} meshes of {self.source.split.name}, {part}: {category}")
+        described = f"{len(objects)} meshes of {self.source.split.name}, {part}: {category}"
+        if whole:
+            return TrainingData([_unit_diagonal(item) for item in objects], described, crop_share=0.0)
+        return TrainingData(objects, described)
 
     def _rendered(self, category: str, training: bool) -> list[ObjectItem]:
         if (category, training) not in self._objects:
@@ -112,3 +118,12 @@ class Material:
             return sample_surface(mesh.vertices, mesh.faces, DENSE, np.random.default_rng(0)).astype(np.float32)
 
         return load
+
+
+def _unit_diagonal(item: ObjectItem) -> ObjectItem:
+    """A shape and its cameras in the scale of ShapeNet's models."""
+    assert item.target is not None
+    points = item.target()
+    diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
+    views = [replace(view, camera=replace(view.camera, t=view.camera.t / diagonal)) for view in item.views]
+    return replace(item, views=views, target=lambda: points / np.float32(diagonal))

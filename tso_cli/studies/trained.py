@@ -5,15 +5,21 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+import torch
+from torch import Tensor
 
 from .. import __version__
 from ..errors import InputError
 from ..files.reading import shown
-from ..network import BaseNetwork, NetworkConfig
-from ..train import TrainConfig, network_config, train
+from ..network import BaseNetwork, NetworkConfig, build_network
+from ..train import TrainConfig, network_config, start, train
+from ..train.batches import Batch
 from ..train.data import TrainingData
+from ..train.losses import mask_loss
 from ..train.state import TrainingState, load_training, save_training, state_path
 from ..train.step import Objective
 from .judging import CONVENTION, JUDGED_VIEWS, Predicted, judge, predict
@@ -53,8 +59,8 @@ class Budget:
         return cls(**{"steps": 20_000, "batch_size": 16, "learning_rate": 5e-5, "averaging": 0.0, **changes})
 
     def config(self, **changes: Any) -> TrainConfig:
-        """Settings of one network. lambda may drop from a third of the steps on, when the loss no longer falls."""
-        return TrainConfig(**{**asdict(self), "saturation_steps": min(500, max(10, self.steps // 6)), **changes})
+        """Settings of one network."""
+        return TrainConfig(**{**asdict(self), **changes})
 
 
 @dataclass(frozen=True)
@@ -69,6 +75,8 @@ class Setting:
     constant : no network: the mean training shape, whatever the picture shows.
     repeat : which of several networks that differ in their seed alone.
     projection : "gaussian" (the paper's), or one of `other_projections.PROJECTIONS`.
+    latent_relu : a ReLU behind the latent vector. bounded : points beyond the crop count as outliers.
+    whole : pictures that show size, and clouds in the scale of ShapeNet.
     """
 
     name: str
@@ -77,6 +85,9 @@ class Setting:
     projection: str = GAUSSIAN
     constant: bool = False
     repeat: int = 0
+    latent_relu: bool = False
+    bounded: bool = True
+    whole: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +188,7 @@ def _run(
         return {"setting": setting.name, "category": setting.category, "judged": judge(answer)}
     seed = budget.seed + setting.repeat
     config = budget.config(**{"seed": seed, "balance": setting.category == ALL, **setting.changes})
-    data = material.data(setting.category, True, dense=setting.projection == DEPTH)
+    data = material.data(setting.category, True, dense=setting.projection == DEPTH, whole=setting.whole)
 
     def progress(done: int, total: int, note: str) -> None:
         if report:
@@ -189,9 +200,11 @@ def _run(
     if setting.projection != GAUSSIAN:
         objective = projected_objective(config, setting.projection)
         extra["bce_gradient"] = first_gradients(data, config)
-    network, dropped = _trained(data, config, unfinished, progress, objective)
+    elif not setting.bounded:
+        objective = partial(_unbounded, config)
+    network, dropped = _trained(data, config, unfinished, progress, objective, setting.latent_relu)
     seconds = time.perf_counter() - start
-    unseen = material.data(setting.category, False)
+    unseen = material.data(setting.category, False, whole=setting.whole)
     predicted = predict(network, unseen, config.frame)
     masks = config.supervision == "masks"
     return {
@@ -209,6 +222,7 @@ def _run(
         "batch_size": config.batch_size,
         "seed": config.seed,
         "seconds": seconds,
+        "device": config.device,
         "judged": judge(predicted),
         **extra,
         **(measure(predicted, unseen) if measure else {}),
@@ -221,6 +235,7 @@ def _trained(
     unfinished: Path | None,
     progress: Callable[[int, int, str], None],
     objective: Objective | None,
+    latent_relu: bool,
 ) -> tuple[BaseNetwork, int | None]:
     """The trained network, gone on with where its state lies beside ``unfinished``; and when lambda dropped."""
     state: TrainingState | None = None
@@ -232,6 +247,10 @@ def _trained(
             state = load_training(unfinished, described, data.fingerprint(), devices.resolve(config.device))
         except InputError:
             state = None  # of another network of the study, or damaged: this one starts anew
+    if latent_relu:
+        network = build_network(config.points, config.seed)
+        network.encoder = torch.nn.Sequential(network.encoder, torch.nn.ReLU())  # type: ignore[assignment]
+        state = start(data, config, network)
 
     def save(current: TrainingState, described: NetworkConfig) -> None:
         # A finished network goes into the record; only what is to be gone on with needs its state.
@@ -242,6 +261,10 @@ def _trained(
     if result.stop_reason == "interrupted":
         raise KeyboardInterrupt
     return result.network, result.lambda_dropped_at
+
+
+def _unbounded(config: TrainConfig, points: Tensor, batch: Batch, weight: float) -> tuple[Tensor, float, float]:
+    return mask_loss(points, batch, config.sigma_sq, weight, config.affinity, bounded=False)
 
 
 def forget(unfinished: Path | None) -> None:

@@ -43,7 +43,7 @@ def conclude(runs: list[dict[str, Any]]) -> dict[str, Any]:
         claim(
             "two masks of each object are better than one, whatever the seed",
             all(max(two[category]) < min(one[category]) for category in categories),
-            ", ".join(f"{name} {_listed(one[name])} to {_listed(two[name])}{_paper(name)}" for name in categories),
+            ", ".join(f"{name} {_listed(one[name])} to {_listed(two[name])}{_gain(name, summary)}" for name in categories),
         ),
         claim(
             f"more than two change little (largest at most {CONSTANT:g} times the smallest)",
@@ -80,5 +80,11 @@ def _spread(values: Sequence[float]) -> float:
     return float(max(values) / min(values))
 
 
-def _paper(category: str) -> str:
-    return f" (paper {VIEWS[category][1]:.2f} to {VIEWS[category][2]:.2f})" if category in VIEWS else ""
+def _gain(category: str, summary: dict[str, dict[str, float]]) -> str:
+    """How much lower two masks are than one, here and in the paper."""
+    theirs = f", paper {_percent(VIEWS[category][2] / VIEWS[category][1])}" if category in VIEWS else ""
+    return f" ({_percent(summary[category]['2'] / summary[category]['1'])}{theirs})"
+
+
+def _percent(ratio: float) -> str:
+    return f"{100.0 * (ratio - 1.0):+.0f} %"

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..errors import InputError
+from ..losses import AFFINITIES
 from ..network import FRAMES, SUPERVISIONS
 
-AFFINITIES = ("points", "paper")
 PRECISIONS = ("float32", "bfloat16")
 
 
@@ -29,8 +29,9 @@ class TrainConfig:
     views : V, supervising masks of each object a step ("masks" only); the paper's is 4.
     affinity_weight : lambda of Eq. 6, dropped to 0.02 of it when the loss saturates ("masks" only). With the form "points",
         of 0, 0.01, 0.1 and 1 the last gave the lowest Chamfer distance on the shipped shapes (150 steps at 3e-4).
-    affinity : form of Eq. 5, "points" or "paper" (see `losses.affinity`).
-    saturation_steps : window of the running mean that decides on saturation: no improvement by 1 % over the window before.
+    affinity : form of Eq. 5, one of `losses.AFFINITIES`.
+    saturation_steps : window of the running mean that decides on saturation: no improvement by 1 % over the window before. None
+        for a sixth of ``steps``, from 10 to 500, so that lambda may drop from a third of the steps on.
     sigma_sq : variance of the projection kernel, px^2 of the 64x64 mask.
     category_sigma_sq : the same for categories that need another, by name.
     points : N, size of the predicted cloud.
@@ -59,7 +60,7 @@ class TrainConfig:
     views: int = 4
     affinity_weight: float = 1.0
     affinity: str = "points"
-    saturation_steps: int = 500
+    saturation_steps: int | None = None
     sigma_sq: float = 0.4
     category_sigma_sq: Mapping[str, float] = field(default_factory=dict)
     points: int = 1024
@@ -82,8 +83,9 @@ class TrainConfig:
             if getattr(self, name) not in allowed:
                 raise InputError(f"{name} is {getattr(self, name)!r}, expected {' or '.join(allowed)}")
         for name in ("steps", "batch_size", "views", "saturation_steps", "points", "workers"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} is {getattr(self, name)}, expected 1 or more")
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise InputError(f"{name} is {value}, expected 1 or more")
         if not 0 <= self.seed < 2**63:
             raise InputError(f"seed is {self.seed}, expected 0 or more, below 2^63")
         if not 0.0 <= self.averaging < 1.0:
@@ -96,3 +98,8 @@ class TrainConfig:
                 raise InputError(f"sigma_sq of {name} is {value:g}, expected a finite number above 0")
         if not 0.0 <= self.affinity_weight < np.inf:
             raise InputError(f"lambda is {self.affinity_weight:g}, expected a finite number, 0 or more")
+
+    @property
+    def saturation_window(self) -> int:
+        """``saturation_steps``, or what stands for it."""
+        return self.saturation_steps or min(500, max(10, self.steps // 6))

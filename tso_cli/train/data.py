@@ -97,11 +97,17 @@ class TrainingData:
 
     def spread(self, most: int) -> list[int]:
         """Indices of at most ``most`` objects, evenly from the first to the last."""
-        return np.unique(np.linspace(0, len(self.objects) - 1, min(most, len(self.objects))).round().astype(int)).tolist()
+        return _spread(list(range(len(self.objects))), most)
 
-    def has_targets(self) -> bool:
-        """Whether every object knows points of its surface."""
-        return all(item.target is not None for item in self.objects)
+    def pointed(self, most: int | None = None) -> list[int]:
+        """Indices of the objects that have a 3D file; of at most ``most`` of them, spread evenly."""
+        found = [index for index, item in enumerate(self.objects) if item.target is not None]
+        return found if most is None else _spread(found, most)
+
+    @property
+    def scale(self) -> str:
+        """The scale of all clouds, in words."""
+        return "longest side 1" if self.crop_share else "units of the data set"
 
     def target(self, index: int) -> Floats:
         """Points [M, 3] of an object, in its own frame."""
@@ -210,6 +216,11 @@ class _Packed:
         scale = np.float32(1.0 / 255.0)
         known = np.ones(self.mask.shape, dtype=bool) if self.known is None else self.known
         return NetworkInput(self.image * scale, self.mask * scale, self.camera, known, self.box)
+
+
+def _spread(indices: list[int], most: int) -> list[int]:
+    places = np.unique(np.linspace(0, len(indices) - 1, min(most, len(indices))).round().astype(int))
+    return [indices[place] for place in places]
 
 
 def _require_perspective(name: str, camera: Camera) -> None:

@@ -52,13 +52,19 @@ def mask_loss_by_category(
 
 
 def mask_loss(
-    points: Tensor, batch: Batch, sigma_sq: float, weight: float, form: str, silhouette: Silhouette | None = None
+    points: Tensor,
+    batch: Batch,
+    sigma_sq: float,
+    weight: float,
+    form: str,
+    silhouette: Silhouette | None = None,
+    bounded: bool = True,
 ) -> tuple[Tensor, float, float]:
     """BCE + weight * affinity (Eq. 4 to 6) of predicted points [B, N, 3], summed over views, mean over the batch.
 
     The crop holds the whole object. A point that falls beyond its edge, where no pixel speaks against it, is an outlier too:
-    its squared distance to the edge, in pixels, counts as affinity. ``silhouette`` gives the sums s [B, V, H, W] of another
-    projection; then BCE moves the points by the derivative of those sums alone.
+    its squared distance to the edge, in pixels, counts as affinity unless ``bounded`` is False. ``silhouette`` gives the sums
+    s [B, V, H, W] of another projection; then BCE moves the points by the derivative of those sums alone.
 
     Returns the loss, and the values of BCE and of the affinity term (before its weight).
     """
@@ -79,7 +85,10 @@ def mask_loss(
     bce = silhouette_bce(sums, masks, reached, valid, sigma_sq, known).sum() / len(points)
     if weight == 0.0:
         return bce, float(bce.detach()), 0.0
-    outliers = (affinity(sums, masks, points_px, valid, form) + _beyond(points_px, valid, height, width)).sum() / len(points)
+    outliers = affinity(sums, masks, points_px, valid, form)
+    if bounded:
+        outliers = outliers + _beyond(points_px, valid, height, width)
+    outliers = outliers.sum() / len(points)
     return bce + weight * outliers, float(bce.detach()), float(outliers.detach())
 
 

@@ -6,6 +6,7 @@ import click
 
 from .accuracy import accuracy
 from .affinity import affinity
+from .departures import departures
 from .evidence import evidence
 from .examples import examples
 from .failures import failures
@@ -39,6 +40,7 @@ for study in (
     weight,
     affinity,
     failures,
+    departures,
     fingerprint,
 ):
     command.add_command(study)
