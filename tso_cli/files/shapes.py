@@ -86,7 +86,7 @@ def read_shape(path: Path | str, samples: int = 16384, seed: int | Sequence[int]
     if kind == "cloud" or (as_vertices and path.suffix.lower() == ".ply"):
         return read_cloud(path, extended=False).points
     if kind == "mesh":
-        mesh = read_mesh(path)
+        mesh = read_mesh(path, textures=False)
         if as_vertices:
             return mesh.vertices
         vertices, faces = mesh.vertices, mesh.faces
