@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
 import sys
+import time
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import open3d  # noqa: F401  without it nothing here can be tested: a missing library must fail, not skip
@@ -17,6 +22,7 @@ from scipy import ndimage
 from tso_cli import render
 from tso_cli.camera import CANONICAL_ROTATION, Camera
 from tso_cli.commands.render import command
+from tso_cli.datasets import rendered
 from tso_cli.datasets.rendered import open_rendered
 from tso_cli.errors import InputError, TsoError
 from tso_cli.files.meshes import Mesh, write_mesh
@@ -26,6 +32,7 @@ from tso_cli.render.rays import RAYS_AT_ONCE
 from tso_cli.render.viewpoints import MARGIN_PX
 
 FAST = RenderSettings(views=3, size=(24, 24), samples=200, points=50)
+MANY = ["--views", "300", "--size", "48"]
 
 
 def box(sides: tuple[float, float, float] = (1.0, 1.0, 1.0), centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Mesh:
@@ -307,8 +314,6 @@ def test_an_object_depends_on_the_seed_and_not_on_the_others(meshes: Path, tmp_p
 def test_an_interrupted_run_leaves_only_whole_objects_and_goes_on(
     meshes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tso_cli.datasets import rendered
-
     render_folder(meshes, tmp_path / "whole", FAST)
     calls = []
 
@@ -330,6 +335,102 @@ def test_an_interrupted_run_leaves_only_whole_objects_and_goes_on(
     assert summary.skipped == ["c"]
     assert summary.written == ["chair/a", "chair/b"]
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
+
+
+def stopped_by(number: signal.Signals, source: Path, output: Path) -> tuple[int, str]:
+    """Start `tso render` and send it a signal while it writes an object; its exit status and stderr."""
+    command = [sys.executable, "-m", "tso_cli", "render", str(source), "-o", str(output), *MANY]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        deadline = time.monotonic() + 120
+        while not list(output.glob("**/.*.partial/002.png")) and process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.002)
+        process.send_signal(number)
+        _, told = process.communicate(timeout=60)
+    return process.returncode, told
+
+
+def hidden(folder: Path) -> list[str]:
+    return [path.name for path in folder.rglob(".*")]
+
+
+def test_a_killed_run_leaves_what_the_next_one_sweeps_away(meshes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert stopped_by(signal.SIGKILL, meshes, out)[0] == -signal.SIGKILL
+    assert any(name.endswith(".partial") for name in hidden(out))
+    whole = [path.parent for path in out.glob("**/render.json") if not path.parent.name.startswith(".")]
+    arguments = [str(meshes), "-o", str(out), *MANY]
+    result = CliRunner().invoke(command, arguments, catch_exceptions=False)
+    assert result.exit_code == 0
+    assert hidden(out) == []
+    assert sorted(path.parent.relative_to(out).as_posix() for path in out.glob("**/render.json")) == ["c", "chair/a", "chair/b"]
+    assert (f"{len(whole)} rendered before, skipped" in result.stderr) == bool(whole)
+
+
+def test_a_run_that_is_asked_to_end_cleans_up_as_after_ctrl_c(meshes: Path, tmp_path: Path) -> None:
+    status, told = stopped_by(signal.SIGTERM, meshes, tmp_path / "out")
+    assert status == 130
+    assert told.splitlines()[-1] == "tso: error: interrupted"
+    assert "Traceback" not in told
+    assert hidden(tmp_path / "out") == []
+
+
+def left_behind(out: Path, name: str) -> Path:
+    folder = out / name
+    folder.mkdir(parents=True)
+    (folder / "000.png").write_bytes(b"half")
+    return folder
+
+
+def test_only_what_no_living_process_writes_of_these_objects_is_swept(meshes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    stale = left_behind(out, ".c.0123abcd.partial")
+    living = left_behind(out, ".c.89abcdef.partial")
+    others = [left_behind(out, name) for name in (".other.0123abcd.partial", ".c.0123abcd.backup", ".c.partial")]
+    (out / "chair").mkdir()
+    (out / "chair" / ".a.0123abcd.partial").symlink_to(others[0])
+    just_made = out / "chair" / ".b.0123abcd.partial"
+    just_made.mkdir()
+    lock = rendered._lock(living)
+    assert lock is not None
+    render_folder(meshes, out, FAST)
+    assert not stale.exists()
+    assert all(path.exists() for path in (living, *others, just_made))
+    os.close(lock)
+    os.utime(just_made, (0, 0))
+    render_folder(meshes, out, FAST)
+    assert not living.exists()
+    assert not just_made.exists()
+    assert all((path / "000.png").exists() for path in others)
+
+
+def test_an_object_whose_replacement_was_killed_half_way_comes_back(meshes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    render_folder(meshes, out, FAST)
+    before = contents(out)
+    (out / "c").rename(out / ".c.0123abcd.old")
+    left_behind(out, ".c.0123abcd.partial")
+    (out / "chair" / "a").rename(out / "chair" / ".a.0123abcd.old")
+    render_folder(meshes / "chair", out / "chair", FAST)
+    render_folder(meshes / "c.ply", out, FAST)
+    assert contents(out) == before
+    left_behind(out, ".c.0123abcd.old")
+    render_folder(meshes, out, FAST)
+    assert contents(out) == before
+
+
+def test_an_object_is_locked_while_it_is_written(meshes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out, write, seen = tmp_path / "out", rendered.write_image, []
+
+    def swept(path: Path, *arguments: Any, **options: Any) -> None:
+        write(path, *arguments, **options)
+        rendered.sweep([out / "c"])
+        seen.append(path.exists())
+
+    monkeypatch.setattr(rendered, "write_image", swept)
+    render_folder(meshes / "c.ply", out, FAST)
+    render_folder(meshes / "c.ply", out, FAST, overwrite=True)
+    assert seen == [True] * 12
+    assert hidden(out) == []
 
 
 def test_other_settings_are_not_mixed_into_a_folder_without_overwrite(meshes: Path, tmp_path: Path) -> None:

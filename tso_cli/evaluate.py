@@ -23,6 +23,8 @@ from .scene import View
 
 METRICS = ("chamfer", "f_score", "emd", "iou")
 PROTOCOLS = ("plain", "capnet")
+# What the paper's evaluation keeps of every shape.
+CAPNET_POINTS = 1024
 # What a record holds of each metric, in the order of the table.
 FIELDS = {
     "chamfer": ("forward", "backward", "chamfer"),
@@ -45,14 +47,16 @@ class EvalConfig:
     Parameters
     ----------
     metrics : some of "chamfer", "f_score", "emd", "iou".
-    protocol : "plain" takes coordinates as they are. "capnet" first centres each cloud on its own bounding box and scales it
-        to longest side 1, which hides errors of scale and place, and squares the distances of EMD.
-    points : thin every cloud to so many points by farthest-point sampling first, or None for all.
+    protocol : "plain" takes coordinates as they are. "capnet" is the paper's: each cloud is thinned to ``points``, then centred
+        on its own bounding box and scaled to longest side 1, which hides errors of scale and place; EMD squares its distances.
+    points : thin every cloud to so many points first, by farthest-point sampling from its first point on (of a surface, the
+        first drawn). None takes all points; under "capnet" it takes 1,024, and all of a cloud that has fewer.
     samples : points drawn from the surface of a mesh or voxel grid.
     threshold : of the F-score, in units of the clouds as compared; None for 1 % of the target's longest side.
     sigma_sq : of the IoU: take the paper's silhouette, Gaussians of this variance in px^2 over the whole image, in place of the
         footprint of :mod:`tso_cli.footprint`.
-    seed : of the surface samples.
+    seed : of the surface samples. Prediction and target draw from streams of their own: of equal surfaces the distance is that
+        of two samples, as it is of any prediction that has the true surface, and not 0.
     as_vertices : of meshes take the vertices, not the surface.
 
     Raises
@@ -170,7 +174,7 @@ def evaluate(pairs: Sequence[Pair], config: EvalConfig, progress: Progress | Non
 def judge_pair(pair: Pair, config: EvalConfig) -> dict[str, Any]:
     """The record of one pair: its metrics, and what was read from the two files."""
     kinds = [shapes.shape_kind(path) for path in (pair.prediction, pair.target)]
-    ours, theirs = _read(pair.prediction, config), _read(pair.target, config)
+    ours, theirs = _read(pair.prediction, config, [config.seed, 1]), _read(pair.target, config, config.seed)
     record: dict[str, Any] = {"name": pair.name}
     with _naming(f"{pair.prediction} against {pair.target}"):
         compared = ours, theirs
@@ -194,17 +198,23 @@ def judge_pair(pair: Pair, config: EvalConfig) -> dict[str, Any]:
         prediction_points=len(ours),
         target_points=len(theirs),
         target_longest_side=float(np.ptp(theirs, axis=0).max()),
+        centre_offset=float(np.linalg.norm(_centre(ours) - _centre(theirs))),
     )
     return record
 
 
-def _read(path: Path, config: EvalConfig) -> Array:
-    points = shapes.read_shape(path, config.samples, config.seed, config.as_vertices)
-    if config.points is None:
+def _read(path: Path, config: EvalConfig, seed: int | list[int]) -> Array:
+    points = shapes.read_shape(path, config.samples, seed, config.as_vertices)
+    if config.points is None and (config.protocol != "capnet" or len(points) <= CAPNET_POINTS):
         return points
-    if len(points) < config.points:
-        raise InputError(f"{path}: holds {len(points):,} points, expected at least the {config.points:,} of --points")
-    return points[farthest_point_sample(points, config.points)]
+    count = config.points or CAPNET_POINTS
+    if len(points) < count:
+        raise InputError(f"{path}: holds {len(points):,} points, expected at least the {count:,} of --points")
+    return points[farthest_point_sample(points, count)]
+
+
+def _centre(points: Array) -> Array:
+    return points.min(axis=0) / 2.0 + points.max(axis=0) / 2.0
 
 
 def _iou(points: Array, pair: Pair, sigma_sq: float | None) -> dict[str, Any]:
@@ -249,6 +259,8 @@ def _camera_of(pair: Pair, mask: Path) -> Path:
 
 def _convention(config: EvalConfig) -> dict[str, Any]:
     capnet = config.protocol == "capnet"
+    kept = config.points or (CAPNET_POINTS if capnet else None)
+    at_most = " at most" if config.points is None else ""
     threshold = f"{config.threshold:g}" if config.threshold else f"{metrics.F_SCORE_SHARE:.0%} of the target's longest side"
     measured = {
         "chamfer": "squared distances, mean over points; forward target -> prediction, backward prediction -> target, "
@@ -262,10 +274,12 @@ def _convention(config: EvalConfig) -> dict[str, Any]:
     return {
         **{name: text for name, text in measured.items() if name in config.metrics},
         "protocol": config.protocol,
-        "normalisation": "each cloud centred on its bounding box, longest side 1" if capnet else "none",
-        "points": config.points,
+        "normalisation": "each cloud, once thinned, centred on its bounding box, longest side 1" if capnet else "none",
+        "points": kept,
+        "thinning": f"{kept} points{at_most} (farthest-point)" if kept else "all points",
         "samples": config.samples,
-        "surfaces": "vertices of meshes" if config.as_vertices else "points drawn from the surface",
+        "surfaces": ("vertices of meshes, of grids " if config.as_vertices else "")
+        + "points drawn from the surface, by prediction and target each for itself",
         "seed": config.seed,
         "device": "cpu",
         "precision": "float64",

@@ -13,6 +13,8 @@ from ..evaluate import FIELDS, METRICS, PROTOCOLS, EvalConfig, evaluate, find_pa
 from ..report.table import text_table
 from . import options
 
+# Centres further apart than this, in longest sides of the target, are no error of a prediction.
+_FAR = 0.25
 # Shown x1000 in the table: squared distances of shapes of size 1 are small.
 _SQUARED = ("forward", "backward", "chamfer")
 
@@ -25,7 +27,9 @@ _SQUARED = ("forward", "backward", "chamfer")
 @click.option("--emd", is_flag=True, help="Earth mover's distance; clouds of equal size.")
 @click.option("--iou", is_flag=True, help="IoU of silhouette and mask; needs --mask.")
 @click.option("--protocol", type=click.Choice(PROTOCOLS), default="plain", show_default=True)
-@click.option("--points", type=int, metavar="N", help="Thin every cloud to N points by farthest-point sampling first.")
+@click.option(
+    "--points", type=int, metavar="N", help="Thin every cloud to N points first, farthest-point.  [default: all; capnet: 1024]"
+)
 @click.option("--samples", type=int, default=16384, show_default=True, help="Points drawn from a mesh or voxel grid.")
 @click.option("--vertices", is_flag=True, help="Of meshes take the vertices, not the surface.")
 @click.option("--threshold", type=float, help="Distance of the F-score.  [default: 1 % of the target's longest side]")
@@ -61,11 +65,12 @@ def command(
     """Judge PREDICTION against TARGET: two files, or two folders matched by name.
 
     Files are point clouds (.ply .npy .xyz .txt), meshes (.obj .off .stl .glb, .ply with faces) or voxel grids (.npy .binvox);
-    meshes and grids are judged by points drawn from their surface. In folders .txt files are left out.
+    meshes and grids are judged by points drawn from their surface, those of PREDICTION and TARGET each for itself: equal
+    surfaces are as far apart as two samples. A .binvox grid is centred at the origin. In folders .txt files are left out.
 
     Chamfer: squared distances, mean over points; forward is target -> prediction, backward prediction -> target. The table
-    shows it x1000, --json raw. --protocol capnet first centres each cloud on its own bounding box and scales it to longest
-    side 1, which hides errors of scale and place.
+    shows it x1000, --json raw. --protocol capnet, the paper's, first thins each cloud to 1,024 points, then centres it on its
+    own bounding box and scales it to longest side 1, which hides errors of scale and place.
     """
     asked = zip(METRICS, (chamfer, f_score, emd, iou), strict=True)
     chosen = tuple(name for name, wanted in asked if wanted) or ("chamfer",)
@@ -103,7 +108,20 @@ def _remarks(records: list[dict[str, Any]], config: EvalConfig) -> None:
                 hint = " (--vertices takes the vertices)" if kind == "mesh" and not config.as_vertices else ""
                 options.log(f"{side}: {kinds[kind]} of {len(records)} are {noun}, judged by {how}{hint}")
     sides = [record["target_longest_side"] for record in records]
-    if config.protocol == "plain" and not all(0.98 < side < 1.02 for side in sides):
+    if config.protocol != "plain":
+        return
+    far = [
+        record
+        for record, side in zip(records, sides, strict=True)
+        if "voxels" in (record["prediction_kind"], record["target_kind"]) and record["centre_offset"] > _FAR * side
+    ]
+    if far:
+        pairs = f", too far in {len(far)} of {len(records)} pairs" if len(far) > 1 else ""
+        options.log(
+            f"{far[0]['name']}: the centres of prediction and target are {far[0]['centre_offset']:.3g} apart{pairs}; voxel "
+            "grids are centred at the origin, expected the same of what they are compared with (--protocol capnet centres both)"
+        )
+    if min(sides) > 0.0 and not all(0.98 < side < 1.02 for side in sides):
         span = f"{min(sides):.4g}" if len(sides) == 1 else f"{min(sides):.4g} to {max(sides):.4g}"
         options.log(f"the longest side of the target is {span}; published figures are for 1 (--protocol capnet rescales)")
 
@@ -130,6 +148,7 @@ def _thousandfold(field: str, config: EvalConfig) -> bool:
 def _footnote(result: dict[str, Any], config: EvalConfig, fields: list[str]) -> str:
     """The convention of every number above it."""
     convention = result["convention"]
+    drawn = {"voxels"} if config.as_vertices else {"mesh", "voxels"}
     lines = []
     if "chamfer" in fields:
         lines.append(f"Chamfer x1000: {convention['chamfer']}")
@@ -139,9 +158,12 @@ def _footnote(result: dict[str, Any], config: EvalConfig, fields: list[str]) -> 
         lines.append(f"EMD{' x1000' if _thousandfold('emd', config) else ''}: {convention['emd']}")
     if "iou" in fields:
         lines.append(f"IoU: {convention['iou']}; clouds in their own frame")
-    thinned = f"{config.points} points (farthest-point)" if config.points else "all points"
+    if any({record["prediction_kind"], record["target_kind"]} <= drawn for record in result["pairs"]):
+        lines.append(
+            "surfaces: prediction and target draw their own points, so that equal shapes are not at 0 but at two samples"
+        )
     lines.append(
-        f"protocol {config.protocol} (normalisation: {convention['normalisation']}), {thinned}, samples {config.samples}, "
-        f"seed {config.seed}, cpu, float64"
+        f"protocol {config.protocol} (normalisation: {convention['normalisation']}), {convention['thinning']}, "
+        f"samples {config.samples}, seed {config.seed}, cpu, float64"
     )
     return "\n".join(lines)

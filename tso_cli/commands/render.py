@@ -62,8 +62,8 @@ def command(
 ) -> None:
     """Render a mesh, or all meshes of a folder: pictures, masks, cameras and ground truth.
 
-    Every mesh is centred and scaled to longest side 1. Views are random, reproducible from the seed. A run that was stopped
-    goes on where it was when started again.
+    Every mesh is centred and scaled to longest side 1. Textures are read from its folder and below. Views are random,
+    reproducible from the seed. A run that was stopped, or killed, goes on where it was when started again.
     """
     from .. import __version__
     from ..errors import InputError
@@ -75,7 +75,8 @@ def command(
         from ..datasets.opening import read_part
 
         only = read_part(split, part)
-    summary = render_folder(source, output, chosen, seed, overwrite, options.ProgressBar("rendering"), only)
+    with options.terminated_as_interrupted():
+        summary = render_folder(source, output, chosen, seed, overwrite, options.ProgressBar("rendering"), only)
     for message in summary.failed.values():
         options.log(message)
     if summary.skipped:

@@ -178,7 +178,7 @@ def _name(path: str, category: str) -> str:
 def _read(path: str) -> tuple[Array, np.ndarray[Any, np.dtype[np.int64]]]:
     from ..files.meshes import read_mesh
 
-    mesh = read_mesh(path)
+    mesh = read_mesh(path, textures=False)
     return mesh.vertices, mesh.faces
 
 

@@ -12,8 +12,7 @@ Facts about the data, from the code that rendered it: the camera stands at 1.75 
 origin; in the axes of the models (y up) its direction is (cos el cos az, sin el, cos el sin az). The lens is Blender's default,
 35 mm on a sensor of 32 mm, whatever the last column says. The in-plane rotation, 0 in the published files, turns the picture.
 
-The models of ShapeNet are centred at the origin. What the header of a .binvox file places there depends on the options it was
-made with (the corner of the grid or of the object), so only its scale is used, and the occupied part is centred too.
+The models of ShapeNet are centred at the origin, and so are the grids of .binvox files as `files.shapes` reads them.
 """
 
 from __future__ import annotations
@@ -110,11 +109,10 @@ def r2n2_camera(azimuth: float, elevation: float, ratio: float, size: tuple[int,
 
 
 def voxel_target(path: str) -> Floats:
-    """Points of the boundary of the occupied voxels, centred at the origin: [POINTS, 3] in the units of the model."""
+    """Points of the boundary of the occupied voxels: [POINTS, 3] in the frame of the model."""
     from ..files.shapes import grid_surface
 
-    vertices, faces = grid_surface(path)
-    return common.surface_target(vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0, faces)
+    return common.surface_target(*grid_surface(path))
 
 
 def _file_and_reader(folder: Path, file: str, read: Callable[[str], Floats], name: str) -> tuple[Path, Callable[[str], Floats]]:

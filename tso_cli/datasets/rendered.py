@@ -7,15 +7,21 @@
     NAME/render.json                       the settings it was made with
 
 NAME may contain "/" (category/name). Points are centred on the bounding box, longest side 1.
+
+While an object is written it is .NAME.xxxxxxxx.partial, and one that it replaces .NAME.xxxxxxxx.old, beside NAME. The process
+that writes locks both: what is there without a lock is of a run that was killed, and the next run sweeps it away.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import secrets
 import shutil
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -33,6 +39,7 @@ from . import common
 from .items import Dataset, Floats, ObjectItem, Pixels, ViewItem
 
 CAMERAS, TARGET, RECORD = "cameras.json", "target.ply", "render.json"
+_LEFT = re.compile(r"\.(.{1,40})\.[0-9a-f]{8}\.(partial|old)", re.DOTALL)
 
 
 def open_rendered(folder: Path | str, strict: bool = False, progress: common.Progress | None = None) -> Dataset:
@@ -116,9 +123,11 @@ def write_object(
     partial, old = (folder.with_name(f".{folder.name[:40]}.{token}.{kind}") for kind in ("partial", "old"))
     if stored_record(folder) is not None and not overwrite:
         raise InputError(f"{folder}: exists already, expected a new name or --overwrite")
+    locks = []
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         partial.mkdir()
+        locks.append(_lock(partial))
         records = []
         for number, (image, mask, camera) in enumerate(views):
             paths = partial / f"{number:03d}.png", partial / f"{number:03d}.mask.png"
@@ -131,6 +140,7 @@ def write_object(
         with atomic_output(partial / RECORD) as temporary:
             temporary.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
         if folder.exists():
+            locks.append(_lock(folder))
             folder.rename(old)
         partial.rename(folder)
     except OSError as error:
@@ -140,6 +150,51 @@ def write_object(
             old.rename(folder)
         for path in (partial, old):
             shutil.rmtree(path, ignore_errors=True)
+        for lock in locks:
+            if lock is not None:
+                os.close(lock)
+
+
+def sweep(folders: Iterable[Path]) -> None:
+    """Remove what killed runs left of the objects ``folders``, and put back one whose replacement was not finished.
+
+    What a living process writes stays; where the system has no locks, everything does.
+    """
+    names: dict[Path, dict[str, list[Path]]] = {}
+    for folder in folders:
+        names.setdefault(folder.parent, {}).setdefault(folder.name[:40], []).append(folder)
+    for parent, objects in names.items():
+        for path in sorted(parent.glob(".*")):
+            match = _LEFT.fullmatch(path.name)
+            if match is None or match[1] not in objects or path.is_symlink() or (lock := _lock(path)) is None:
+                continue
+            # Of names that begin alike it is not known which one this was.
+            replaced = objects[match[1]][0] if len(objects[match[1]]) == 1 else None
+            # Another run may sweep too.
+            with suppress(OSError):
+                # Its writer has made it but may not have locked it yet.
+                fresh = not any(path.iterdir()) and time.time() - path.stat().st_mtime < 60.0
+                if match[2] == "old" and replaced is not None and not replaced.exists():
+                    path.rename(replaced)
+                elif not fresh and (match[2] == "partial" or replaced is not None):
+                    shutil.rmtree(path, ignore_errors=True)
+            os.close(lock)
+
+
+def _lock(folder: Path) -> int | None:
+    """Lock ``folder``, until what is returned is closed or the process ends; None where it is locked or cannot be."""
+    try:
+        import fcntl
+
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except (ImportError, OSError):
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(handle)
+        return None
+    return handle
 
 
 class _Views:

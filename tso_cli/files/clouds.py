@@ -51,16 +51,20 @@ class PointCloud:
         return self.ply.read_faces() if self.ply else None
 
 
-def read_cloud(path: str | Path) -> PointCloud:
+def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
     """Read a point cloud; of a mesh in PLY, its vertices, which ``faces()`` of the result joins.
 
     The suffix decides: .ply; .npy with an array [N, 3]; .xyz and .txt with three numbers or more a line, of which the
     first three count, and comment lines that start with #.
 
+    Parameters
+    ----------
+    extended : refuse a cloud without extent: a single point, or equal ones.
+
     Raises
     ------
     InputError
-        The file cannot be read, is damaged, or does not hold at least two different, finite points.
+        The file cannot be read, is damaged, holds no point or one that is not finite, or is not ``extended`` as asked.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -77,7 +81,7 @@ def read_cloud(path: str | Path) -> PointCloud:
             cloud = _from_text(data, path)
     except MemoryError:
         raise InputError(f"{path}: does not fit into memory") from None
-    _check(cloud.points, path)
+    _check(cloud.points, path, extended)
     return cloud
 
 
@@ -203,10 +207,10 @@ def _from_text(data: bytes, path: Path) -> PointCloud:
     return PointCloud(points, path)
 
 
-def _check(points: Points, path: Path) -> None:
-    count = len(points)
-    if count < 2:
-        raise InputError(f"{path}: {count} point{'s' * (count != 1)}, expected at least 2")
+def _check(points: Points, path: Path, extended: bool) -> None:
+    count, least = len(points), 1 + extended
+    if count < least:
+        raise InputError(f"{path}: {count} point{'s' * (count != 1)}, expected at least {least}")
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
         index = int((~finite).argmax())
@@ -217,5 +221,5 @@ def _check(points: Points, path: Path) -> None:
     largest = max(-float(points.min()), float(points.max()))
     if largest > _LARGEST:
         raise InputError(f"{path}: a coordinate of {largest:g}, expected at most {_LARGEST:g}")
-    if (points.max(axis=0) - points.min(axis=0)).max() <= 1.0 / _LARGEST:
+    if extended and (points.max(axis=0) - points.min(axis=0)).max() <= 1.0 / _LARGEST:
         raise InputError(f"{path}: all {count} points are the same {points[0].tolist()}, expected different ones")

@@ -109,6 +109,15 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     return _decode(read_bytes(path, what, _FILE_LIMIT), path, what, _colours)
 
 
+def as_colours(image: Image.Image, path: Path) -> NDArray[np.uint8]:
+    """A picture that Pillow has opened, as :func:`read_image` gives it; InputError naming ``path`` where it is too large.
+
+    What else Pillow raises while it decodes goes through.
+    """
+    _check_size(image.width, image.height, path)
+    return _colours(image, path)
+
+
 def write_image(path: str | Path, array: NDArray[np.uint8], overwrite: bool = False) -> None:
     """Write ``array`` ([H, W], [H, W, 3] or [H, W, 4], uint8 or bool) in the format of the suffix, .png for instance.
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from .output import atomic_output, check_output, reason
 from .reading import read_bytes
+from .textures import Pictures, Texture
 
 Array = NDArray[np.float64]
 GREY = (170, 170, 170)
@@ -31,11 +32,13 @@ class Mesh:
     vertices : [V, 3] float64.
     faces : [F, 3] int64, indices of vertices.
     colours : [F, 3] uint8, one RGB colour a face (vertex colours averaged), or None where the file has none.
+    textures : pictures, which stand before the colours of the faces that wear them.
     """
 
     vertices: Array
     faces: NDArray[np.int64]
     colours: NDArray[np.uint8] | None = None
+    textures: tuple[Texture, ...] = ()
 
 
 def find_meshes(folder: Path | str) -> list[Path]:
@@ -61,12 +64,14 @@ def find_meshes(folder: Path | str) -> list[Path]:
     return found
 
 
-def read_mesh(path: Path | str) -> Mesh:
+def read_mesh(path: Path | str, textures: bool = True) -> Mesh:
     """Read a triangle mesh; faces stay in order and vertices in place, polygons become triangles.
 
     Parameters
     ----------
     path : a .ply, .obj, .off, .stl or .glb file.
+    textures : read pictures on it too: baseColorTexture (times baseColorFactor) of .glb, map_Kd of .obj. They are inside the
+        file or in its folder or below; of one that cannot be read a warning says so, and the material's colour stays.
 
     Raises
     ------
@@ -78,7 +83,8 @@ def read_mesh(path: Path | str) -> Mesh:
     if path.suffix.lower() not in SUFFIXES and path.is_file():
         raise InputError(f"{path}: the suffix is {path.suffix!a}, expected a mesh: {', '.join(SUFFIXES)}")
     content = read_bytes(path, f"a mesh ({', '.join(SUFFIXES)})")
-    vertices, faces, colours = _parse(path, content)
+    pictures = Pictures(path, content, textures)
+    vertices, faces, colours, worn = _parse(path, content, pictures)
     if vertices.ndim != 2 or vertices.shape[1:] != (3,) or len(vertices) == 0:
         raise InputError(f"{path}: no vertices, expected a mesh")
     if faces.ndim != 2 or faces.shape[1:] != (3,) or len(faces) == 0:
@@ -91,13 +97,17 @@ def read_mesh(path: Path | str) -> Mesh:
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
     if not np.isfinite(area) or area <= 0.0:
         raise InputError(f"{path}: the area of its {len(faces):,} faces is {area:g}, expected a surface")
-    return Mesh(vertices, faces, colours)
+    if textures and pictures.missing:
+        more = f" ({len(pictures.missing)} textures in all)" if len(pictures.missing) > 1 else ""
+        warnings.warn(f"{path}: {pictures.missing[0]}{more}, the material's colour stands in", stacklevel=2)
+    return Mesh(vertices, faces, colours, worn)
 
 
-def _parse(path: Path, content: bytes) -> tuple[Array, NDArray[np.int64], NDArray[np.uint8] | None]:
-    """Vertices, faces and colours of all parts of the file, each where the file places it; unchecked."""
+def _parse(
+    path: Path, content: bytes, pictures: Pictures
+) -> tuple[Array, NDArray[np.int64], NDArray[np.uint8] | None, tuple[Texture, ...]]:
+    """Vertices, faces, colours and textures of all parts of the file, each where the file places it; unchecked."""
     import trimesh
-    from trimesh.resolvers import FilePathResolver
 
     # The library logs its own complaints with a traceback; the one line raised below replaces them.
     log = logging.getLogger("trimesh")
@@ -109,9 +119,10 @@ def _parse(path: Path, content: bytes) -> tuple[Array, NDArray[np.int64], NDArra
                 io.BytesIO(content),
                 file_type=path.suffix.lower()[1:],
                 process=False,
-                resolver=FilePathResolver(str(path)),
+                resolver=pictures.resolver,
             )
-            parts = scene.dump()
+            images = {name: pictures.take(geometry) for name, geometry in scene.geometry.items()}
+            parts: list[Any] = scene.dump()
             vertices = [np.array(getattr(part, "vertices", ()), dtype=np.float64).reshape(-1, 3) for part in parts]
             faces = [np.array(getattr(part, "faces", ()), dtype=np.int64).reshape(-1, 3) for part in parts]
     # A damaged file makes the parser fail in any way there is.
@@ -127,25 +138,29 @@ def _parse(path: Path, content: bytes) -> tuple[Array, NDArray[np.int64], NDArra
     starts = np.cumsum([0] + [len(part) for part in vertices])
     colours = [_face_colours(part, len(own)) for part, own in zip(parts, faces, strict=True)]
     known = [np.full((len(own), 3), GREY, np.uint8) if c is None else c for c, own in zip(colours, faces, strict=True)]
+    ends = np.cumsum([len(own) for own in faces])
+    pixels = [images.get(part.metadata.get("name")) for part in parts]
     return (
         np.concatenate([np.empty((0, 3)), *vertices]),
         np.concatenate([np.empty((0, 3), np.int64), *(own + start for own, start in zip(faces, starts[:-1], strict=True))]),
         None if all(c is None for c in colours) else np.concatenate(known),
+        tuple(
+            Texture(image, np.arange(end - len(own), end), np.asarray(part.visual.uv, dtype=np.float64)[own])
+            for image, part, own, end in zip(pixels, parts, faces, ends, strict=True)
+            if image is not None
+        ),
     )
 
 
 def _face_colours(part: Any, count: int) -> NDArray[np.uint8] | None:
     """RGB of every face [F, 3], or None where the file states no colour or one that cannot be read."""
-    # Colour only decorates the picture: a missing texture or an odd material must not stop the work.
+    # Colour only decorates the picture: an odd material must not stop the work.
     try:
         visual = part.visual
         if visual.kind is None:
             return None
         if visual.kind != "texture":
             colours = np.asarray(visual.face_colors)[:, :3].astype(np.uint8)
-        elif visual.uv is not None and getattr(visual.material, "image", None) is not None:
-            corners = np.asarray(visual.to_color().vertex_colors)[np.asarray(part.faces), :3]
-            colours = np.rint(corners.mean(axis=1)).astype(np.uint8)
         else:
             colours = np.tile(np.asarray(visual.material.main_color)[:3].astype(np.uint8), (count, 1))
     except Exception:

@@ -1,17 +1,20 @@
 """Any file that describes a shape -> points to judge it by.
 
-- a point cloud gives its points;
+- a point cloud gives its points, be it a single one;
 - a mesh (.obj, .off, .stl, .glb, and a .ply with faces) gives points drawn uniformly from its surface;
 - a voxel grid (.npy of 3 dimensions, .binvox) gives points of its boundary: marching cubes at occupancy 0.5, then the same.
 
-Frames: clouds, meshes and .binvox files are taken in their own units. A .npy grid has none: its longest side spans 1, it is
-centred at the origin, and its axes are x, y, z in the order of the array.
+Frames: clouds and meshes are taken in their own units and place. A .npy grid has neither: its longest side spans 1, it is
+centred at the origin, and its axes are x, y, z in the order of the array. A .binvox file has units but, in effect, no place:
+its `translate` is the corner of the object or of the grid, by the options it was made with, and does not say which. So the box
+of its occupied part is centred at the origin, where the models of ShapeNet are.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -59,14 +62,14 @@ def shape_kind(path: Path | str) -> str:
     return "cloud"
 
 
-def read_shape(path: Path | str, samples: int = 16384, seed: int = 0, as_vertices: bool = False) -> Array:
+def read_shape(path: Path | str, samples: int = 16384, seed: int | Sequence[int] = 0, as_vertices: bool = False) -> Array:
     """The points by which the shape in a file is judged.
 
     Parameters
     ----------
     path : point cloud, mesh or voxel grid; :func:`shape_kind` says which.
     samples : how many points to draw from a surface; a cloud keeps all of its own.
-    seed : of the drawing. Every file is drawn with the same seed, so a mesh compared with itself is at distance 0.
+    seed : of the drawing, as `numpy.random.default_rng` takes it.
     as_vertices : of a mesh, take the vertices instead of its surface.
 
     Returns
@@ -81,9 +84,9 @@ def read_shape(path: Path | str, samples: int = 16384, seed: int = 0, as_vertice
     path = Path(path)
     kind = shape_kind(path)
     if kind == "cloud" or (as_vertices and path.suffix.lower() == ".ply"):
-        return read_cloud(path).points
+        return read_cloud(path, extended=False).points
     if kind == "mesh":
-        mesh = read_mesh(path)
+        mesh = read_mesh(path, textures=False)
         if as_vertices:
             return mesh.vertices
         vertices, faces = mesh.vertices, mesh.faces
@@ -98,15 +101,12 @@ def read_shape(path: Path | str, samples: int = 16384, seed: int = 0, as_vertice
 def grid_surface(path: Path | str) -> tuple[Array, NDArray[np.int64]]:
     """Vertices [V, 3] and faces [F, 3] of the boundary of the voxel grid in a .npy or .binvox file.
 
-    The grid is padded by one empty voxel on every side, so that the surface is closed. Raises InputError.
+    The grid is padded by one empty voxel on every side, so that the surface is closed. Where it stands and how large it is, the
+    module says. Raises InputError.
     """
     path = Path(path)
-    if path.suffix.lower() == ".binvox":
-        grid, origin, step = read_binvox(path)
-    else:
-        grid = _read_npy_grid(path)
-        step = 1.0 / max(grid.shape)
-        origin = -0.5 * step * np.array(grid.shape, dtype=np.float64)
+    placed = path.suffix.lower() != ".binvox"
+    grid, side = (_read_npy_grid(path), 1.0) if placed else read_binvox(path)
     occupied = grid > 0.5
     if not occupied.any():
         raise InputError(f"{path}: no voxel of the {_sides(grid.shape)} grid is occupied (> 0.5), expected a shape")
@@ -118,13 +118,14 @@ def grid_surface(path: Path | str) -> tuple[Array, NDArray[np.int64]]:
     part = grid[tuple(slice(c, int(span[-1]) + 2) for c, span in zip(corner, spans, strict=True))]
     padded = np.pad(np.clip(part, 0.0, 1.0).astype(np.float32), 1)
     vertices, faces, _, _ = marching_cubes(padded, 0.5)
-    # Voxel i spans i to i + 1 steps from the origin, its value stands at the middle.
+    # Voxel i spans i to i + 1 steps from the corner of the grid, its value stands at the middle.
     centres = np.asarray(vertices, dtype=np.float64) - 1.0 + corner + 0.5
-    return origin + step * centres, np.asarray(faces, dtype=np.int64)
+    middle = np.array(grid.shape) / 2.0 if placed else (centres.min(axis=0) + centres.max(axis=0)) / 2.0
+    return side / max(grid.shape) * (centres - middle), np.asarray(faces, dtype=np.int64)
 
 
-def read_binvox(path: Path | str) -> tuple[NDArray[np.bool_], Array, float]:
-    """A .binvox file: occupancy [X, Y, Z], the outer corner [3] of voxel (0, 0, 0) and the side of a voxel, in model units.
+def read_binvox(path: Path | str) -> tuple[NDArray[np.bool_], float]:
+    """A .binvox file: occupancy [X, Y, Z] and the longest side of the whole grid, in model units.
 
     Raises InputError if the header is not one of version 1, the sizes are out of bounds or the runs do not fill the grid.
     """
@@ -139,13 +140,12 @@ def read_binvox(path: Path | str) -> tuple[NDArray[np.bool_], Array, float]:
         raise InputError(f"{path}: the data line is not ended, expected a .binvox header")
     fields = {line.split()[0]: line.split()[1:] for line in head.splitlines()[1:] if line.strip()}
     depth, height, width = (int(side) for side in _numbers(path, fields, b"dim", 3))
-    translate = np.array(_numbers(path, fields, b"translate", 3) if b"translate" in fields else [0.0, 0.0, 0.0])
     scale = _numbers(path, fields, b"scale", 1)[0] if b"scale" in fields else 1.0
     total = depth * height * width
     if min(depth, height, width) < 1 or total > MAX_VOXELS:
         raise InputError(f"{path}: dim is {shown(f'{depth} {height} {width}')}, expected 1 to {MAX_VOXELS:,} voxels")
-    if not 1e-30 < scale < 1e30 or np.abs(translate).max() > 1e30:
-        raise InputError(f"{path}: scale is {scale:g}, translate {translate.tolist()}, expected a size > 0 and a place")
+    if not 1e-30 < scale < 1e30:
+        raise InputError(f"{path}: scale is {scale:g}, expected a size > 0")
     runs = np.frombuffer(data[1:], dtype=np.uint8)
     if len(runs) % 2:
         raise InputError(f"{path}: the data end in the middle of a run, the file is cut off")
@@ -156,7 +156,7 @@ def read_binvox(path: Path | str) -> tuple[NDArray[np.bool_], Array, float]:
         raise InputError(f"{path}: the runs hold {int(counts.sum()):,} voxels, dim promises {total:,}")
     # The file runs fastest along y, then z, then x.
     grid = np.repeat(values.astype(bool), counts).reshape(depth, height, width).transpose(0, 2, 1)
-    return grid, translate.astype(np.float64), scale / max(depth, height, width)
+    return grid, scale
 
 
 def _read_npy_grid(path: Path) -> NDArray[Any]:

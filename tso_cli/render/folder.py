@@ -5,13 +5,14 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from .. import __version__
 from ..datasets.items import copied
-from ..datasets.rendered import stored_record, write_object
+from ..datasets.rendered import stored_record, sweep, write_object
 from ..errors import InputError
 from ..files.meshes import find_meshes, read_mesh
 from .objects import normalise, render_mesh
@@ -45,8 +46,8 @@ def render_folder(
 
     NAME is the file's path below ``source`` without suffix, NAME~0001 and so on its warped copies. An object is written whole
     or not at all and depends only on its mesh, its name, ``settings`` and ``seed``, so that a run that was stopped can be
-    started again and goes on: what is there and was made alike is skipped. A mesh of a folder that cannot be rendered is left
-    out and named in ``failed``.
+    started again and goes on: what is there and was made alike is skipped, and what a killed run left of an object is removed.
+    A mesh of a folder that cannot be rendered is left out and named in ``failed``.
 
     Parameters
     ----------
@@ -78,6 +79,7 @@ def render_folder(
     waiting: list[tuple[str, Path, int]] = []
     # All of what is there is looked at before the work starts: a clash of settings should not show after an hour.
     objects = [(copied(name, copy), path, copy) for name, path in meshes.items() for copy in range(settings.copies + 1)]
+    sweep(output / name for name, _, _ in objects)
     for name, path, copy in objects:
         found = stored_record(output / name)
         if found is None or overwrite:
@@ -92,10 +94,12 @@ def render_folder(
                     "expected the same settings, --overwrite or another output folder"
                 )
         summary.skipped.append(name)
+    # The copies of a mesh follow it, so one is kept.
+    read = lru_cache(1)(read_mesh)
     for done, (name, path, copy) in enumerate(waiting):
         try:
             rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-            mesh = read_mesh(path)
+            mesh = read(path)
             rendered = render_mesh(warp(normalise(mesh), rng) if copy else mesh, settings, rng, name)
         except InputError as error:
             if len(objects) == 1:

@@ -47,12 +47,17 @@ class RayScene:
         self.mesh = mesh
         self._scene = self._o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
+        # Which texture each face wears, -1 for none, and its row there.
+        self._texture, self._row = np.full((2, len(mesh.faces)), -1)
+        for number, texture in enumerate(mesh.textures):
+            self._texture[texture.faces], self._row[texture.faces] = number, np.arange(len(texture.faces))
 
     def cast(self, camera: Camera, columns: Array, rows: Array) -> dict[str, Any]:
         """What the rays through pixel coordinates ``columns`` [C] x ``rows`` [R] meet first.
 
-        Returns ``hit`` [R, C] bool, ``face`` [R, C], ``normal`` [R, C, 3] (world axes, length 1) and ``depth`` [R, C]
-        along the camera's z, infinite where nothing is met.
+        Returns ``hit`` [R, C] bool, ``face`` [R, C], ``normal`` [R, C, 3] (world axes, length 1), ``shares`` [R, C, 2] (how far
+        from the face's first corner toward the second and the third) and ``depth`` [R, C] along the camera's z, infinite where
+        nothing is met.
         """
         x = (columns - camera.K[0, 2]) / camera.K[0, 0]
         y = (rows - camera.K[1, 2]) / camera.K[1, 1]
@@ -78,14 +83,26 @@ class RayScene:
             "depth": depth,
             "face": found["primitive_ids"].numpy(),
             "normal": found["primitive_normals"].numpy(),
+            "shares": found["primitive_uvs"].numpy(),
         }
+
+    def colours(self, found: dict[str, Any]) -> NDArray[np.uint8]:
+        """The mesh's own colour [R, C, 3] where the rays of :meth:`cast` met it, without light; elsewhere it means nothing."""
+        face = np.where(found["hit"], found["face"], 0)
+        own = np.full((*face.shape, 3), GREY, np.uint8) if self.mesh.colours is None else self.mesh.colours[face]
+        worn = np.where(found["hit"], self._texture[face], -1)
+        for number in np.unique(worn[worn >= 0]):
+            here = worn == number
+            own[here] = self.mesh.textures[number].at(self._row[face[here]], found["shares"][here])
+        return own
 
 
 def render_view(scene: RayScene, camera: Camera, rng: np.random.Generator | None = None) -> RenderedView:
     """Picture and mask of ``scene`` seen by ``camera``.
 
-    A pixel is inside the mask when more than half of its 25 rays meet the mesh. The picture is their mean over white, shaded
-    by one far light (Lambert, both sides of a face alike) whose direction ``rng`` draws; without it, it stands up on the left.
+    A pixel is inside the mask when more than half of its 25 rays meet the mesh. The picture is their mean over white. Each has
+    the colour of the texture where it meets the mesh, else of the face, shaded by one far light (Lambert, both sides of a face
+    alike) whose direction ``rng`` draws; without it, it stands up on the left.
     """
     height, width = camera.height, camera.width
     image = np.full((height, width, 3), 255, dtype=np.uint8)
@@ -104,11 +121,10 @@ def render_view(scene: RayScene, camera: Camera, rng: np.random.Generator | None
         shape = (stop - start, RAYS_ACROSS, right - left, RAYS_ACROSS)
         hit = found["hit"]
         shade = AMBIENT + (1.0 - AMBIENT) * np.abs(found["normal"] @ light.astype(np.float32))
-        if scene.mesh.colours is None:
+        if scene.mesh.colours is None and not scene.mesh.textures:
             colour = np.where(hit, shade * GREY[0], 255.0)[..., None]
         else:
-            own = scene.mesh.colours[np.where(hit, found["face"], 0)]
-            colour = np.where(hit[..., None], shade[..., None] * own, 255.0)
+            colour = np.where(hit[..., None], shade[..., None] * scene.colours(found), 255.0)
         pixels = colour.reshape(*shape, -1).mean(axis=(1, 3))
         image[start:stop, left:right] = np.clip(np.rint(pixels), 0, 255).astype(np.uint8)
         covered = hit.reshape(shape).sum(axis=(1, 3)) * 2 > RAYS_ACROSS**2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,7 +32,7 @@ def warp(mesh: Mesh, rng: np.random.Generator, strength: float = MAX_STRETCH) ->
     along, across = (0, 2) if rng.random() < 0.5 else (2, 0)
     points[:, along] += rng.uniform(-strength, strength) * np.abs(points[:, across])
     points[:, along] += 0.5 * rng.uniform(-strength, strength) * points[:, 1]
-    return Mesh(points, mesh.faces, mesh.colours)
+    return replace(mesh, vertices=points)
 
 
 def paint(mesh: Mesh, rng: np.random.Generator) -> Mesh:

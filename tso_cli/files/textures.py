@@ -1,0 +1,187 @@
+"""Pictures on meshes: what colour a place of the surface has.
+
+Nothing is fetched, and no file is read but of the mesh's own folder and below. Values are taken as they are stored (sRGB).
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .images import FORMATS, as_colours
+from .reading import shown
+
+Array = NDArray[np.float64]
+_FORMATS = (*FORMATS, "TGA")
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """A picture on faces of a mesh.
+
+    Parameters
+    ----------
+    pixels : [H, W, 3] uint8, the first row on top.
+    faces : [K] int64, which faces of the mesh wear it.
+    corners : [K, 3, 2], where their corners lie on it: u to the right, v up, from (0, 0) at the lower left to (1, 1) at the
+        upper right. Beyond that the picture repeats.
+    """
+
+    pixels: NDArray[np.uint8]
+    faces: NDArray[np.int64]
+    corners: Array
+
+    def at(self, rows: NDArray[np.int64], shares: Array) -> NDArray[np.uint8]:
+        """Colours [N, 3] of places in the faces ``faces[rows]``: that of the pixel they fall into.
+
+        Parameters
+        ----------
+        rows : [N].
+        shares : [N, 2], how far each lies from the face's first corner toward the second and the third.
+        """
+        first, second, third = self.corners[rows].transpose(1, 0, 2)
+        place = first + shares[:, :1] * (second - first) + shares[:, 1:] * (third - first)
+        sides = np.array(self.pixels.shape[1::-1])
+        # A remainder may be rounded up to 1.
+        column, from_below = np.minimum((np.mod(place, 1.0) * sides).astype(np.int64), sides - 1).T
+        return self.pixels[sides[1] - 1 - from_below, column]
+
+
+class Pictures:
+    """The pictures of the parts of a scene.
+
+    Parameters
+    ----------
+    path, content : of the mesh file.
+    wanted : decode them; False only takes them away.
+
+    Attributes
+    ----------
+    resolver : what trimesh is to read the files with that ``path`` names.
+    missing : what there is to say of pictures that cannot be used, each once.
+    """
+
+    def __init__(self, path: Path, content: bytes, wanted: bool) -> None:
+        self.missing: list[str] = []
+        self.resolver: Any = _Beside(path, self._miss)
+        self._wanted = wanted
+        self._known: dict[int, tuple[Any, NDArray[np.uint8] | None]] = {}
+        for name in _unreadable(content) if wanted and path.suffix.lower() == ".glb" else ():
+            self._miss(name, "cannot be decoded")
+
+    def take(self, geometry: Any) -> NDArray[np.uint8] | None:
+        """The picture [H, W, 3] that a part wears, None where it has none that can be used.
+
+        It leaves the part with the plain colour of its material: trimesh would copy and decode all pictures of a material
+        for each place where the part stands.
+        """
+        # A picture only decorates: an odd material must not stop the work.
+        try:
+            return self._taken(geometry) if geometry.visual.kind == "texture" else None
+        except Exception:
+            return None
+
+    def _taken(self, geometry: Any) -> NDArray[np.uint8] | None:
+        from trimesh.visual.material import SimpleMaterial
+
+        visual = geometry.visual
+        material = visual.material
+        factor = getattr(material, "baseColorFactor", None)
+        image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+        visual.material = SimpleMaterial(diffuse=material.main_color)
+        if image is None or not self._wanted:
+            return None
+        name = str(image.info.get("file_path") or material.name or f"number {len(self._known)}")
+        if np.shape(visual.uv) != (len(geometry.vertices), 2) or not np.isfinite(visual.uv).all():
+            self._miss(name, "has no coordinates on the mesh")
+            return None
+        if id(image) not in self._known:
+            # The image is kept, so that no other takes its id.
+            self._known[id(image)] = image, self._decoded(image, name)
+        pixels = self._known[id(image)][1]
+        if pixels is None or factor is None or (factor[:3] == 255).all():
+            return pixels
+        return np.rint(pixels * (factor[:3] / 255.0)).astype(np.uint8)
+
+    def _decoded(self, image: Any, name: str) -> NDArray[np.uint8] | None:
+        try:
+            if image.format not in _FORMATS:
+                raise InputError(f"{name}: is {image.format}, expected {', '.join(_FORMATS)}")
+            return as_colours(image, Path(name))[..., :3]
+        # Decoders fail on damaged files in many ways.
+        except Exception:
+            self._miss(name, "cannot be decoded")
+            return None
+
+    def _miss(self, name: str, why: str) -> None:
+        problem = f"the texture {shown(name)} {why}"
+        if problem not in self.missing:
+            self.missing.append(problem)
+
+
+class _Beside:
+    """Files of the folder of ``path`` and below; ``miss`` hears of pictures that are not there or are none."""
+
+    def __init__(self, path: Path, miss: Callable[[str, str], None]) -> None:
+        self._folder, self._miss = path.absolute().parent.resolve(), miss
+
+    def get(self, name: str) -> bytes:
+        picture = not name.strip().lower().endswith((".mtl", ".bin"))
+        slashed = name.strip().replace("\\", "/")
+        for candidate in (slashed, slashed.rpartition("/")[2]):
+            place = (self._folder / candidate).resolve()
+            if place.is_relative_to(self._folder) and place.is_file():
+                content = place.read_bytes()
+                if picture and not _opens(content):
+                    self._miss(name, "cannot be decoded")
+                return content
+        if picture:
+            self._miss(name, "is not in this folder or below")
+        raise FileNotFoundError(name)
+
+    __getitem__ = get
+
+
+def _opens(content: bytes) -> bool:
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(content), formats=_FORMATS):
+            return True
+    except Exception:
+        return False
+
+
+def _unreadable(content: bytes) -> Iterator[str]:
+    """Names of the base colours inside a .glb file that are no picture; trimesh passes over them in silence."""
+    try:
+        length = int.from_bytes(content[12:16], "little")
+        header, buffer = json.loads(content[20 : 20 + length]), content[28 + length :]
+        for material in header.get("materials", ()):
+            worn = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
+            number = None if worn is None else header["textures"][worn["index"]].get("source")
+            if number is None:
+                continue
+            image = header["images"][number]
+            if "bufferView" in image:
+                view = header["bufferViews"][image["bufferView"]]
+                start = view.get("byteOffset", 0)
+                data = buffer[start : start + view["byteLength"]]
+            elif "base64," in image["uri"]:
+                data = base64.b64decode(image["uri"].partition("base64,")[2])
+            else:
+                continue  # a file, which the resolver sees
+            if not _opens(data):
+                yield image.get("name") or f"number {number}"
+    # trimesh says what is wrong with the file.
+    except Exception:
+        return
