@@ -11,7 +11,7 @@ import pytest
 from tests.dataset_trees import CHAIR, agreement, iou, lopsided_points, write_clouds, write_r2n2, write_shapenet
 from tso_cli.datasets.items import Dataset
 from tso_cli.datasets.opening import open_dataset
-from tso_cli.datasets.scale import normalised
+from tso_cli.datasets.scale import normalised, of_unit_diagonal
 from tso_cli.files.checkpoints import load_network
 from tso_cli.files.shipped import DEFAULT, named_checkpoint
 from tso_cli.train import evaluate
@@ -71,6 +71,23 @@ def test_an_object_without_a_3d_file_takes_the_size_that_is_usual_for_its_catego
     assert iou(known.target(), lacking.views[0].camera, lacking.views[0].load()[1]) > 0.7
 
 
+def test_a_category_without_any_3d_file_takes_the_usual_size_of_the_others(root: Path) -> None:
+    (root / "ShapeNetRendering" / CHAIR).rename(root / "ShapeNetRendering" / "chairs")
+    (root / "ShapeNet_pcl" / CHAIR).rename(root / "ShapeNet_pcl" / "chairs")
+    write_r2n2(root / "ShapeNetRendering", ("car",))
+    chair, other = (next(item for item in open_dataset(root).objects if item.category == name) for name in ("chairs", "chair"))
+    assert other.target is None
+    np.testing.assert_allclose(other.views[0].camera.t, chair.views[0].camera.t)
+
+
+def test_shapes_that_have_lost_their_size_get_a_unit_diagonal_where_sizes_are_kept(root: Path) -> None:
+    raw = open_dataset(root, own_scale=True)
+    one = of_unit_diagonal(normalised(raw)).objects[0]
+    assert np.linalg.norm(np.ptp(one.target(), axis=0)) == pytest.approx(1.0, rel=1e-6)
+    # ShapeNet's models have one from the start.
+    np.testing.assert_allclose(one.views[0].camera.t, raw.objects[0].views[0].camera.t, rtol=0.05, atol=0.02)
+
+
 def test_a_damaged_3d_file_does_not_stop_masks(root: Path) -> None:
     path = root / "ShapeNet_pcl" / CHAIR / "abc" / "pcl_1024_fps_trimesh.npy"
     path.write_bytes(b"no array")
@@ -82,6 +99,7 @@ def test_without_any_3d_file_everything_stays_in_its_own_scale(tmp_path: Path) -
     write_r2n2(tmp_path / "ShapeNetRendering")
     raw, same = (open_dataset(tmp_path, own_scale=own).objects[0] for own in (True, False))
     np.testing.assert_array_equal(raw.views[0].camera.t, same.views[0].camera.t)
+    assert open_dataset(tmp_path).scale == "units of the data set"
 
 
 def test_what_learns_from_points_leaves_out_objects_without_them(root: Path) -> None:

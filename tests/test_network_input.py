@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tso_cli.camera import Camera
 from tso_cli.errors import InputError
+from tso_cli.files.cameras import read_camera
+from tso_cli.files.images import read_image, read_mask
+from tso_cli.network import NetworkConfig, build_network
 from tso_cli.network_input import crop_box, network_input
+from tso_cli.network_scenes import network_scene
 from tso_cli.resample import Box, area_resize
 from tso_cli.scene import View
 
@@ -213,3 +218,21 @@ def test_a_crop_of_share_0_needs_the_object_before_the_camera_and_near_the_origi
     aside = replace(camera, t=np.array([5.0, 0.0, 2.0]))
     with pytest.raises(InputError, match=r"nothing of the object lies in the 1\.07 units around the world's origin"):
         network_input(np.zeros((64, 64, 3), np.uint8), rectangle_at(aside), crop_share=0.0)
+
+
+def test_a_network_that_tells_sizes_sees_the_place_the_camera_gives_and_without_one_says_what_it_takes_for_it() -> None:
+    example = Path(__file__).parents[1] / "examples" / "chair"
+    image, mask = read_image(example / "image.png"), read_mask(example / "mask.png")
+    camera = read_camera(example / "camera.json", mask.shape[1], mask.shape[0])
+    network, config = build_network(seed=0).eval(), NetworkConfig(crop_share=0.0)
+
+    def crop_of(distance: float) -> np.ndarray:
+        view = View(mask, replace(camera, t=distance * camera.t))
+        scene = network_scene(image, view, network, config)
+        assert "(only its K and t)" in scene.camera_in_short
+        return scene.views[0].mask
+
+    # The same object, said to be nearer and so smaller, fills less of what the network sees.
+    assert crop_of(0.75).sum() < 0.7 * crop_of(1.0).sum()
+    with pytest.warns(UserWarning, match="tells sizes by the whole picture"):
+        network_scene(image, View(mask, camera), network, config, known_camera=False)

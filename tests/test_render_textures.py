@@ -309,7 +309,7 @@ def test_several_textures_that_are_missing_are_counted_in_one_line(tmp_path: Pat
     (tmp_path / "a.mtl").write_text("newmtl one\nmap_Kd 1.png\nnewmtl two\nmap_Kd 2.png\n")
     text = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 9 9 9\nvt 0 0\nusemtl one\nf 1/1 2/1 3/1\nusemtl two\nf 2/1 3/1 4/1\n"
     (tmp_path / "a.obj").write_text(text)
-    assert "'1.png' is not in this folder or below (2 textures in all)" in warned(tmp_path / "a.obj")[1]
+    assert "'1.png' is not in this folder or below (2 in all)" in warned(tmp_path / "a.obj")[1]
 
 
 @pytest.mark.filterwarnings("error")

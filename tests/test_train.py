@@ -239,8 +239,8 @@ def test_three_steps_and_three_more_after_a_resume_are_six_steps_bit_for_bit(
 
 
 def test_lambda_may_drop_from_a_third_of_the_steps_on_however_few_there_are() -> None:
-    assert [TrainConfig(steps=steps).saturation_window for steps in (6, 600, 20_000)] == [10, 100, 500]
-    assert TrainConfig(steps=600, saturation_steps=7).saturation_window == 7
+    assert [TrainConfig(steps=steps).saturation_steps for steps in (6, 600, 20_000)] == [10, 100, 500]
+    assert TrainConfig(steps=600, saturation_steps=7).saturation_steps == 7
 
 
 def test_a_resumed_schedule_knows_what_it_had_seen(thin: None, data: TrainingData, tmp_path: Path) -> None:
@@ -436,23 +436,61 @@ def test_masks_teach_objects_without_a_3d_file_and_the_judgement_counts_them(
     settings = ["-o", tmp_path / "base.safetensors", "--steps", 2, "--batch-size", 2, "--points", 32, "--json", "--overwrite"]
     assert run(tmp_path, *settings, "--supervision", "masks", "--views", 2) == 0
     document = json.loads(capsys.readouterr().out)
-    assert (document["objects"], document["without_3d_file"], document["chamfer_training"]["shapes"]) == (2, 1, 1)
-    assert document["left_out"] == {}
+    assert (document["objects"], document["chamfer_training"]["shapes"], document["left_out"]) == (2, 1, {})
+    assert document["not_judged"][f"{CHAIR}/def"].endswith("does not exist, expected the shape of this object")
     assert run(tmp_path, *settings) == 0
     captured = capsys.readouterr()
     document = json.loads(captured.out)
-    assert (document["objects"], document["without_3d_file"]) == (1, 0)
-    assert list(document["left_out"]) == [f"{CHAIR}/def"]
+    assert (document["objects"], document["not_judged"], list(document["left_out"])) == (1, {}, [f"{CHAIR}/def"])
     assert "pcl_1024_fps_trimesh.npy: does not exist" in captured.err
     assert run(tmp_path, *settings, "--strict") == 2
     assert "pcl_1024_fps_trimesh.npy: does not exist" in capsys.readouterr().err
 
 
-def test_every_figure_says_the_scale_it_is_in(thin: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The same clouds in two scales: a Chamfer distance of longest side 1, and one of the data set's own units."""
-    write_r2n2(tmp_path / "ShapeNetRendering")
-    write_clouds(tmp_path, "abc")
-    settings = [tmp_path, "-o", tmp_path / "base.safetensors", "--steps", 2, "--batch-size", 2, "--points", 32, "--overwrite"]
+def test_a_damaged_3d_file_stops_no_training_by_masks_and_no_other_object_is_judged_in_its_place(
+    thin: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_r2n2(tmp_path / "ShapeNetRendering", ("abc", "def", "ghi"))
+    write_clouds(tmp_path, "abc", "def", "ghi")
+    damaged = tmp_path / "ShapeNet_pcl" / CHAIR / "def" / "pcl_1024_fps_trimesh.npy"
+    damaged.write_bytes(b"no array")
+    settings = [tmp_path, "-o", tmp_path / "base.safetensors", "--steps", 2, "--batch-size", 2, "--points", 32, "--json"]
+    assert run(*settings, "--supervision", "masks", "--views", 2, "--strict") == 0
+    captured = capsys.readouterr()
+    document = json.loads(captured.out)
+    assert (document["chamfer_training"]["shapes"], document["left_out"]) == (2, {})
+    assert str(damaged) in document["not_judged"][f"{CHAIR}/def"]
+    assert "left out" not in captured.err
+
+
+def test_a_resumed_run_keeps_its_window_of_saturation(thin: None, folder: Path, tmp_path: Path) -> None:
+    settings = [folder, "-o", tmp_path / "base.safetensors", "--batch-size", 2, "--points", 32, "--supervision", "masks"]
+    settings += ["--views", 2, "--checkpoint-every", 0]
+    assert run(*settings, "--steps", 2, "--saturation-steps", 3) == 0
+    assert run(*settings, "--steps", 4, "--resume") == 0
+    assert load_network(tmp_path / "base.safetensors")[1].settings["saturation_steps"] == 3
+    assert run(*settings, "--steps", 6, "--resume", "--saturation-steps", 3) == 0
+    assert run(*settings, "--steps", 8, "--resume", "--saturation-steps", 4) == 2
+
+
+@pytest.mark.parametrize("share", ["-1", "nan", "1.5"])
+def test_a_share_that_is_none_is_refused_before_anything_is_opened(
+    share: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(tmp_path / "nowhere", "--crop-share", share) == 2
+    assert f"--crop-share is {float(share):g}, expected 0 to 1" in capsys.readouterr().err
+
+
+def test_every_figure_says_the_scale_it_is_in(
+    thin: None, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same clouds in several scales."""
+    root = tmp_path / "r2n2"
+    write_r2n2(root / "ShapeNetRendering")
+    write_clouds(root, "abc")
+    settings = [root, "-o", tmp_path / "base.safetensors", "--steps", 2, "--batch-size", 2, "--points", 32, "--overwrite"]
+    assert run(folder, *settings[1:], "--crop-share", 0) == 0
+    assert "mean over points, unit diagonal; N 32" in capsys.readouterr().out
     for share, scale in ((0.9, "longest side 1"), (0, "units of the data set")):
         assert run(*settings, "--crop-share", share) == 0
         assert f"mean over points, {scale}; N 32" in capsys.readouterr().out
@@ -564,7 +602,7 @@ def test_the_command_refuses_in_one_line_and_writes_nothing(
         ([folder, "-o", tmp_path / "a.pth"], "expected a checkpoint name in .safetensors"),
         ([folder, "-o", tmp_path / "a.safetensors", "--resume"], "a.training.safetensors: does not exist"),
         ([folder, "-o", tmp_path / "a.safetensors", "--steps", 0], "steps is 0"),
-        ([folder, "-o", tmp_path / "a.safetensors", "--crop-share", 2], "crop share"),
+        ([folder, "-o", tmp_path / "a.safetensors", "--crop-share", 2], "--crop-share is 2"),
         ([folder, "-o", tmp_path / "a.safetensors", "--device", "cuda:99"], "cuda:99"),
         ([folder, "-o", tmp_path / "a.safetensors", "--frame", "world"], "world"),
         ([folder, "-o", tmp_path / "a.safetensors", "--mask-data", folder], "expected joint with --mask-data"),

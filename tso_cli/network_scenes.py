@@ -106,6 +106,12 @@ def network_scene(
     crop, to_output, frame = given.view(view.name), Scene.to_output, config.frame
     short = f"camera {camera_source}" if known_camera else f"canonical camera {NO_FILE}"
     if config.frame == "view":
+        if not known_camera and not config.crop_share:
+            warnings.warn(
+                f"{view.name}: the network tells sizes by the whole picture, which without a camera is taken for that of the "
+                "canonical one (--camera FILE)",
+                stacklevel=2,
+            )
         if not known_camera:
             crop = replace(crop, camera=Camera.canonical(config.image_size, config.image_size))
         if placing == "camera":
@@ -120,9 +126,12 @@ def network_scene(
             placed = place_in_front(predicted, crop)
             if placing == "silhouette":
                 placed = settle(predicted, replace(crop, camera=placed), config.sigma_sq)
+            # A picture that shows sizes is cut out by the place of the object too.
+            counts = "K" if config.crop_share else "K and t"
             if known_camera:
-                short += " (only its K)"
-            camera_source += f"; of it K counts, the network's cloud is placed to fill the mask, at distance {placed.t[2]:.3g}"
+                short += f" (only its {counts})"
+            fills = f"the network's cloud is placed to fill the mask, at distance {placed.t[2]:.3g}"
+            camera_source += f"; of it {counts} {'counts' if config.crop_share else 'count'}, {fills}"
         crop = replace(crop, camera=placed)
         if world:
             frame = "world"

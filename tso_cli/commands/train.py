@@ -197,7 +197,10 @@ def command(
     """
     from ..train import TrainConfig
     from ..train.processes import joined
+    from ..train.state import stored_window
 
+    if resume and settings["saturation_steps"] is None:
+        settings["saturation_steps"] = stored_window(output)
     started = time.perf_counter()
     with joined(device) as (processes, device):
         config = TrainConfig(

@@ -41,10 +41,11 @@ def result_document(
         "lambda_dropped_at": result.lambda_dropped_at,
         "training_set": training.description,
     }
+    found = judged(training)
     # Masks may be all there is to learn from.
-    if pointed := len(training.pointed()):
-        document["chamfer_training"] = judged(training)
-    document["objects"], document["without_3d_file"] = len(training.objects), len(training.objects) - pointed
+    if found["shapes"]:
+        document["chamfer_training"] = found
+    document["objects"], document["not_judged"] = len(training.objects), dict(training.not_judged)
     if on_examples:
         document["chamfer_unseen_examples"] = judged(shipped_examples(training.crop_share, training.background))
     document |= {
@@ -74,8 +75,10 @@ def print_result(document: dict[str, Any]) -> None:
                 f"Chamfer x1000, {document[key]['shapes']} {label}: {values['chamfer']:.2f} "
                 f"(forward {values['forward']:.2f}, backward {values['backward']:.2f})"
             )
-    if document["without_3d_file"] and "chamfer_training" in document:
-        click.echo(f"{document['without_3d_file']} of {document['objects']} objects have no 3D file and were not judged")
+    if document["not_judged"]:
+        click.echo(
+            f"{len(document['not_judged'])} of {document['objects']} objects have no 3D file to judge by (--json names them)"
+        )
     speed = document["images_per_second"]
     click.echo(
         f"{speed['training']:.0f} images/s in training; a step without the optimiser {speed['step']:.0f}, the bare network's "

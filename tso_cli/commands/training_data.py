@@ -40,6 +40,10 @@ class Wanted:
     part: str = "train"
     points: bool = False
 
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.crop_share <= 1.0:
+            raise InputError(f"--crop-share is {self.crop_share:g}, expected 0 to 1")
+
 
 def load(wanted: Wanted, quiet: bool = False) -> TrainingData:
     """Open the data set, or render the shipped meshes; what was left out is named on stderr."""

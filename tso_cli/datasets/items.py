@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,11 +62,13 @@ class Dataset:
     objects : sorted by name.
     description : what it is, in words; it travels in checkpoints.
     skipped : item -> why it was left out.
+    scale : that of all clouds and cameras, in words.
     """
 
     objects: Sequence[ObjectItem]
     description: str
     skipped: dict[str, str] = field(default_factory=dict)
+    scale: str = "longest side 1"
 
     def select(self, names: Sequence[str], source: str) -> Dataset:
         """The objects that the list of a split names, with their warped copies (NAME~0001 and so on).
@@ -81,7 +83,7 @@ class Dataset:
             raise InputError(f"{source}: names {missing[0]}{more}, expected objects of {self.description}")
         if not chosen:
             raise InputError(f"{source}: names no object that can be used, expected some of {self.description}")
-        return Dataset(chosen, self.description, self.skipped)
+        return replace(self, objects=chosen)
 
     def with_points(self, strict: bool = False) -> Dataset:
         """The objects that have a 3D file, for what learns from points; the others are skipped, all of them kept if none has.
@@ -94,7 +96,7 @@ class Dataset:
         lacking = {item.name: item.lacking for item in self.objects if item.target is None}
         if lacking and strict:
             raise InputError(next(iter(lacking.values())))
-        return Dataset(chosen, self.description, {**self.skipped, **lacking})
+        return replace(self, objects=chosen, skipped={**self.skipped, **lacking})
 
 
 def copied(name: str, copy: int) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from ..errors import InputError
@@ -12,7 +13,7 @@ from .pix3d import TABLE, open_pix3d
 from .r2n2 import PICTURES, open_r2n2
 from .r2n2 import RENDERED as R2N2
 from .rendered import holds_object, open_rendered
-from .scale import normalised
+from .scale import OWN, normalised, of_unit_diagonal
 from .shapenet import RENDERED as SHAPENET
 from .shapenet import open_shapenet
 from .splits import read_part, read_split
@@ -37,7 +38,8 @@ def open_dataset(
     strict : what cannot be used is an error; else it is named in ``skipped`` and left out. Pictures are read, and found to be
         damaged, only when they are loaded.
     progress : called now and then with how much is done, of how much, and a note.
-    own_scale : leave objects and cameras in the data set's own scale; else every object is centred and of longest side 1.
+    own_scale : keep the sizes of objects. Those that have lost it, rendered here or of Pix3D, get a unit diagonal as ShapeNet's
+        have. Else every object is centred and of longest side 1.
 
     Raises
     ------
@@ -61,10 +63,13 @@ def open_dataset(
     if fitting:
         layout, opener = fitting[0]
         dataset = opener(folder, strict, progress)
-        return dataset if own_scale or layout == TABLE else normalised(dataset)
+        if layout != TABLE:
+            return replace(dataset, scale=OWN) if own_scale else normalised(dataset)
+        return of_unit_diagonal(dataset) if own_scale else dataset
     if not holds_object(folder):
         raise InputError(f"{folder}: has no layout known here, expected {LAYOUTS}")
-    return open_rendered(folder, strict, progress)
+    dataset = open_rendered(folder, strict, progress)
+    return of_unit_diagonal(dataset) if own_scale else dataset
 
 
 def _is_r2n2(folder: Path, categories: list[str]) -> bool:

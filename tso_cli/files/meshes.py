@@ -98,7 +98,7 @@ def read_mesh(path: Path | str, textures: bool = True) -> Mesh:
     if not np.isfinite(area) or area <= 0.0:
         raise InputError(f"{path}: the area of its {len(faces):,} faces is {area:g}, expected a surface")
     if textures and pictures.missing:
-        more = f" ({len(pictures.missing)} textures in all)" if len(pictures.missing) > 1 else ""
+        more = f" ({len(pictures.missing)} in all)" if len(pictures.missing) > 1 else ""
         warnings.warn(f"{path}: {pictures.missing[0]}{more}, the material's colour stands in", stacklevel=2)
     return Mesh(vertices, faces, colours, worn)
 

@@ -113,6 +113,8 @@ class Pictures:
         return np.rint(pixels * (factor[:3] / 255.0)).astype(np.uint8)
 
     def _decoded(self, image: Any, name: str) -> NDArray[np.uint8] | None:
+        if image.format is None:
+            return None  # trimesh's own, where an .obj has coordinates and no material
         try:
             if image.format not in _FORMATS:
                 raise InputError(f"{name}: is {image.format}, expected {', '.join(_FORMATS)}")
@@ -122,8 +124,8 @@ class Pictures:
             self._miss(name, "cannot be decoded")
             return None
 
-    def _miss(self, name: str, why: str) -> None:
-        problem = f"the texture {shown(name)} {why}"
+    def _miss(self, name: str, why: str, kind: str = "texture") -> None:
+        problem = f"the {kind} {shown(name)} {why}"
         if problem not in self.missing:
             self.missing.append(problem)
 
@@ -131,7 +133,7 @@ class Pictures:
 class _Beside:
     """Files of the folder of ``path`` and below; ``miss`` hears of pictures that are not there or are none."""
 
-    def __init__(self, path: Path, miss: Callable[[str, str], None]) -> None:
+    def __init__(self, path: Path, miss: Callable[..., None]) -> None:
         self._folder, self._miss = path.absolute().parent.resolve(), miss
 
     def get(self, name: str) -> bytes:
@@ -144,8 +146,8 @@ class _Beside:
                 if picture and not _opens(content):
                     self._miss(name, "cannot be decoded")
                 return content
-        if picture:
-            self._miss(name, "is not in this folder or below")
+        if not slashed.lower().endswith(".bin"):
+            self._miss(name, "is not in this folder or below", "texture" if picture else "material file")
         raise FileNotFoundError(name)
 
     __getitem__ = get

@@ -162,39 +162,6 @@ def nearest_in_column(marked, near):  # type: ignore[no-untyped-def]
                 near[i, j] = below
 
 
-@part
-def nearest_in_row(near, i, rows, columns, vertex, since):  # type: ignore[no-untyped-def]
-    """Fill ``rows`` and ``columns`` [W] with the marked pixel nearest to each of row i, -1 where nothing is marked.
-
-    ``near`` [H, W] is that of :func:`nearest_in_column`. The lower envelope of one parabola per column (Felzenszwalb and
-    Huttenlocher), in whole numbers; ``vertex`` and ``since`` [W] are room to work in.
-    """
-    width = near.shape[1]
-    size = 0
-    for j in range(width):
-        if near[i, j] < 0:
-            continue
-        start = 0
-        while size:
-            other = vertex[size - 1]
-            rise = (near[i, j] - i) ** 2 + j * j - (near[i, other] - i) ** 2 - other * other
-            # The first column where j is strictly nearer than the one before it.
-            start = max(0, rise // (2 * (j - other)) + 1)
-            if start > since[size - 1]:
-                break
-            size -= 1
-            start = 0
-        if start < width:
-            vertex[size], since[size] = j, start
-            size += 1
-    part = 0
-    for j in range(width):
-        while part + 1 < size and since[part + 1] <= j:
-            part += 1
-        rows[j] = near[i, vertex[part]] if size else -1
-        columns[j] = vertex[part] if size else -1
-
-
 @compiled
 def _compare_all(first, last, queries, data, out):  # type: ignore[no-untyped-def]
     """Fill ``out`` [B, Q] for the clouds ``first`` to ``last``: index into data [B, N, 3] of the nearest to each query."""

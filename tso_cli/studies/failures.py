@@ -26,6 +26,8 @@ ONE, FOUR = "one mask", "four masks"
 # The part of the length, from the nose, where there is neither wing nor tail; and fewer points than this show no width.
 NOSE, FEWEST = (0.08, 0.28), 5
 SPREAD = (5.0, 95.0)
+RIGHT = 0.95
+"""A size over this share of another is not told apart from it."""
 SHOWN_STEP = 1.0 / 16_384.0
 
 
@@ -134,8 +136,8 @@ def conclude(runs: list[dict[str, Any]]) -> dict[str, Any]:
             found = f"body width {one:.2f} of the true one under 0.4, {other:.2f} under 0.1"
             span = f"wing span {summary[wide]['span']:.2f} and {summary[narrow]['span']:.2f}"
             claims += [
-                claim(f"aeroplanes {where} have too narrow a body under sigma^2 = 0.4", one < 1.0, found),
-                claim(f"aeroplanes {where} have a wider body under sigma^2 = 0.1", one < other, f"{found}; {span}"),
+                claim(f"aeroplanes {where} have too narrow a body under sigma^2 = 0.4", one < RIGHT, found),
+                claim(f"aeroplanes {where} have a wider body under sigma^2 = 0.1", one < RIGHT * other, f"{found}; {span}"),
             ]
     if ONE in summary and FOUR in summary:
         depth, across = (summary[ONE][key] / summary[FOUR][key] for key in ("depth", "across"))

@@ -22,7 +22,8 @@ VIEWS = {
     "car": {1: 3.47, 2: 1.68, 3: 1.65, 4: 1.65, 5: 1.68, 6: 1.65, 8: 1.68},
     "chair": {1: 4.53, 2: 4.41, 3: 4.35, 4: 4.36, 5: 4.43, 6: 4.42, 8: 4.56},
 }
-LAMBDA = {0.5: 4.63, 1.0: 4.42, 5.0: 5.3}
+LAMBDA = {0.5e-4: 4.63, 1e-4: 4.42, 5e-4: 5.3}
+"""The supplement states lambda scaled by 1e4."""
 
 
 def sigma_sq(category: str) -> float:

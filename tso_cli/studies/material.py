@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datasets.items import ObjectItem
+from ..datasets.items import Dataset, ObjectItem
 from ..files.shipped import CATEGORIES
 from ..geometry import sample_surface
 from ..render import RenderSettings
 from ..train.data import TrainingData
-from ..train.sources import rendered_object
+from ..train.sources import rendered_object, sized
 from .parts import SPLIT, see, shapes_of_part
 from .protocol import Report
 
@@ -89,9 +89,7 @@ class Material:
             objects = [replace(item, target=self._dense(item.name)) for item in objects]
         part = "train" if training else self.source.part
         described = f"{len(objects)} meshes of {self.source.split.name}, {part}: {category}"
-        if whole:
-            return TrainingData([_unit_diagonal(item) for item in objects], described, crop_share=0.0)
-        return TrainingData(objects, described)
+        return sized(Dataset(objects, described), 0.0 if whole else 0.9)
 
     def _rendered(self, category: str, training: bool) -> list[ObjectItem]:
         if (category, training) not in self._objects:
@@ -118,12 +116,3 @@ class Material:
             return sample_surface(mesh.vertices, mesh.faces, DENSE, np.random.default_rng(0)).astype(np.float32)
 
         return load
-
-
-def _unit_diagonal(item: ObjectItem) -> ObjectItem:
-    """A shape and its cameras in the scale of ShapeNet's models."""
-    assert item.target is not None
-    points = item.target()
-    diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
-    views = [replace(view, camera=replace(view.camera, t=view.camera.t / diagonal)) for view in item.views]
-    return replace(item, views=views, target=lambda: points / np.float32(diagonal))

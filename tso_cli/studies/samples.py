@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from ..errors import InputError
 from ..metrics import chamfer
 from ..network import BaseNetwork
 from ..report.curves_chart import Sample
@@ -18,10 +19,20 @@ def sample_predictions(network: BaseNetwork, data: TrainingData, frame: str, cou
     device = next(network.parameters()).device
     for index in np.unique(np.linspace(0, len(data.objects) - 1, min(count, len(data.objects))).round().astype(int)):
         item = data.objects[index]
-        batch = assemble(data, [Draw(int(index), 0)], frame, targets=item.target is not None)
+        known = _readable(data, int(index))
+        if data.usable(int(index), 0, known)[0] != index:
+            continue  # no picture of it can be read
+        batch = assemble(data, [Draw(int(index), 0)], frame, targets=known)
         with torch.no_grad():
             points = network(torch.as_tensor(batch.images, device=device))[0].cpu().numpy().astype(np.float64)
         target = batch.targets[0].astype(np.float64) if batch.targets else None
         distance = None if target is None else chamfer(points, target).chamfer
         found.append(Sample(item.name, batch.images[0], points, target, distance))
     return found
+
+
+def _readable(data: TrainingData, index: int) -> bool:
+    try:
+        return data.objects[index].target is not None and len(data.target(index)) > 0
+    except InputError:
+        return False

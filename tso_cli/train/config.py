@@ -82,10 +82,11 @@ class TrainConfig:
         ):
             if getattr(self, name) not in allowed:
                 raise InputError(f"{name} is {getattr(self, name)!r}, expected {' or '.join(allowed)}")
+        if self.saturation_steps is None:
+            object.__setattr__(self, "saturation_steps", min(500, max(10, self.steps // 6)))
         for name in ("steps", "batch_size", "views", "saturation_steps", "points", "workers"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise InputError(f"{name} is {value}, expected 1 or more")
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} is {getattr(self, name)}, expected 1 or more")
         if not 0 <= self.seed < 2**63:
             raise InputError(f"seed is {self.seed}, expected 0 or more, below 2^63")
         if not 0.0 <= self.averaging < 1.0:
@@ -98,8 +99,3 @@ class TrainConfig:
                 raise InputError(f"sigma_sq of {name} is {value:g}, expected a finite number above 0")
         if not 0.0 <= self.affinity_weight < np.inf:
             raise InputError(f"lambda is {self.affinity_weight:g}, expected a finite number, 0 or more")
-
-    @property
-    def saturation_window(self) -> int:
-        """``saturation_steps``, or what stands for it."""
-        return self.saturation_steps or min(500, max(10, self.steps // 6))

@@ -40,12 +40,14 @@ class TrainingData:
     backgrounds : what `batches` puts behind the object, cut out by its mask; needs background "keep", for the network will
         see photos whole.
     strict : an unusable picture is an error; else it is named once, counted in ``unusable``, and another takes its place.
+    skipped : what the data set left out before -> why.
+    scale : of all clouds and cameras, in words.
 
     Attributes
     ----------
     categories : indices of the objects of each category, one array a category.
     unusable : picture, or object without points to be read -> why it could not be used.
-    skipped : what the data set left out before -> why.
+    not_judged : object -> why its points, which nothing was to learn from, could not be read.
     """
 
     def __init__(
@@ -57,6 +59,7 @@ class TrainingData:
         strict: bool = False,
         backgrounds: Backgrounds | None = None,
         skipped: Mapping[str, str] | None = None,
+        scale: str = "longest side 1",
     ) -> None:
         if not objects:
             raise InputError("the training set holds no object, expected at least one")
@@ -72,7 +75,8 @@ class TrainingData:
         names = sorted({item.category for item in objects})
         self.categories = [np.array([i for i, o in enumerate(objects) if o.category == name]) for name in names]
         self.unusable: dict[str, str] = {}
-        self.skipped = dict(skipped or {})
+        self.not_judged: dict[str, str] = {}
+        self.skipped, self.scale = dict(skipped or {}), scale
         self._bad: set[tuple[int, int]] = set()
         self._pointed: dict[int, bool] = {}
         self._cache: dict[tuple[int, int], _Packed] = {}
@@ -99,15 +103,18 @@ class TrainingData:
         """Indices of at most ``most`` objects, evenly from the first to the last."""
         return _spread(list(range(len(self.objects))), most)
 
-    def pointed(self, most: int | None = None) -> list[int]:
-        """Indices of the objects that have a 3D file; of at most ``most`` of them, spread evenly."""
-        found = [index for index, item in enumerate(self.objects) if item.target is not None]
-        return found if most is None else _spread(found, most)
-
-    @property
-    def scale(self) -> str:
-        """The scale of all clouds, in words."""
-        return "longest side 1" if self.crop_share else "units of the data set"
+    def judged(self, most: int) -> list[int]:
+        """Indices of at most ``most`` objects, spread evenly over those that have a 3D file, less what cannot be read."""
+        found = []
+        for index in _spread([index for index, item in enumerate(self.objects) if item.target is not None], most):
+            try:
+                self.target(index)
+                if self.usable(index, 0, points=True)[0] == index:
+                    found.append(index)
+            except InputError as error:
+                self.not_judged[self.objects[index].name] = str(error)
+        self.not_judged |= {item.name: item.lacking for item in self.objects if item.target is None}
+        return found
 
     def target(self, index: int) -> Floats:
         """Points [M, 3] of an object, in its own frame."""

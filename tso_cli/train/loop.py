@@ -88,7 +88,8 @@ def network_config(data: TrainingData, config: TrainConfig, steps: int) -> Netwo
 
 def start(data: TrainingData, config: TrainConfig, initial: BaseNetwork | None = None) -> TrainingState:
     """A training at step 0, from random weights or from those of ``initial``."""
-    schedule = AffinitySchedule(config.affinity_weight, config.saturation_window)
+    assert config.saturation_steps is not None
+    schedule = AffinitySchedule(config.affinity_weight, config.saturation_steps)
     network = copy.deepcopy(initial) if initial else build_network(config.points, config.seed)
     if network.decoder.points != config.points:
         raise InputError(f"the initial network predicts {network.decoder.points} points, expected {config.points}")
@@ -207,8 +208,7 @@ def _require_data(data: TrainingData, masked: TrainingData | None, config: Train
                 raise InputError(
                     f"{item.name}: has {len(item.views)} views, expected at least the {config.views} that supervise a step"
                 )
-    elif len(data.pointed()) < len(data.objects):
-        lacking = next(item.name for item in data.objects if item.target is None)
+    elif lacking := next((item.name for item in data.objects if item.target is None), None):
         raise InputError(f"{lacking}: has no points to learn from, expected some (or --supervision masks)")
 
 
@@ -238,18 +238,19 @@ def evaluate(
     """Chamfer distance (forward, backward; squared, mean over points, not multiplied) of predictions to the targets.
 
     The mean over the first ``views`` views of at most ``most`` objects, evenly spread over those that have a 3D file; clouds
-    are compared as they are, in the scale of ``data``. The third value is the number of objects.
+    are compared as they are, in the scale of ``data``. The third value is the number of objects; without one the distances are
+    NaN.
     """
     totals = []
     device = next(network.parameters()).device
     with torch.no_grad():
-        for index in data.pointed(most):
+        for index in data.judged(most):
             count = min(views, len(data.objects[index].views))
             batch = assemble(data, [Draw(index, view) for view in range(count)], frame)
             points = network(torch.as_tensor(batch.images, device=device))
             forward, backward = chamfer(points, torch.as_tensor(np.stack(batch.targets), device=device))
             totals.append((float(forward.mean()), float(backward.mean())))
-    forward_mean, backward_mean = np.mean(totals, axis=0)
+    forward_mean, backward_mean = np.mean(totals, axis=0) if totals else (np.nan, np.nan)
     return float(forward_mean), float(backward_mean), len(totals)
 
 

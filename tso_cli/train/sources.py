@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..datasets.items import Dataset, ObjectItem, ViewItem
+from ..datasets.scale import of_unit_diagonal
 from ..geometry import normalise_longest_side
 from .backgrounds import Backgrounds
 from .data import TrainingData
@@ -32,7 +33,7 @@ def from_dataset(
 ) -> TrainingData:
     """A data set as training data; pictures are read when they are first needed."""
     described = f"{dataset.description}: {len(dataset.objects)} objects"
-    return TrainingData(dataset.objects, described, crop_share, background, strict, backgrounds, dataset.skipped)
+    return TrainingData(dataset.objects, described, crop_share, background, strict, backgrounds, dataset.skipped, dataset.scale)
 
 
 def from_meshes(
@@ -45,7 +46,10 @@ def from_meshes(
     views: int = EXAMPLE_VIEWS,
     size: int = EXAMPLE_SIZE,
 ) -> TrainingData:
-    """Meshes rendered in memory; the pictures of each depend on ``seed`` and its place in the list alone."""
+    """Meshes rendered in memory; the pictures of each depend on ``seed`` and its place in the list alone.
+
+    A ``crop_share`` of 0 gives them a unit diagonal, as ShapeNet's models have, so that the pictures show sizes.
+    """
     from ..files.meshes import read_mesh
     from ..render import RenderSettings, render_mesh
 
@@ -57,7 +61,13 @@ def from_meshes(
         objects.append(rendered_object(name, path.parent.name, rendered.views, rendered.target))
         if progress:
             progress(number + 1, len(meshes), "")
-    return TrainingData(objects, description, crop_share, background)
+    return sized(Dataset(objects, description), crop_share, background)
+
+
+def sized(dataset: Dataset, crop_share: float, background: str = "black") -> TrainingData:
+    """Objects of longest side 1 as training data, of unit diagonal where the input keeps sizes."""
+    dataset = dataset if crop_share else of_unit_diagonal(dataset)
+    return TrainingData(dataset.objects, dataset.description, crop_share, background, scale=dataset.scale)
 
 
 def rendered_object(name: str, category: str, views: Sequence[RenderedView], target: Floats) -> ObjectItem:
@@ -81,7 +91,7 @@ def shipped_examples(crop_share: float = 0.9, background: str = "black") -> Trai
         view = ViewItem(str(folder / "mask.png"), camera, _loaded(image[..., :3], mask))
         target = normalise_longest_side(read_cloud(folder / "target.ply").points).astype(np.float32)
         objects.append(ObjectItem(category, category, [view], _always(target)))
-    return TrainingData(objects, "shipped examples", crop_share, background)
+    return sized(Dataset(objects, "shipped examples"), crop_share, background)
 
 
 def _always(points: Floats) -> Callable[[], Floats]:

@@ -125,6 +125,13 @@ def load_training(checkpoint: Path, config: NetworkConfig, fingerprint: str, dev
     return state
 
 
+def stored_window(checkpoint: Path) -> int | None:
+    """``saturation_steps`` of the training beside ``checkpoint``, None where it has none: a resumed run keeps it."""
+    path = state_path(checkpoint)
+    found = read_metadata(path)[0].settings.get("saturation_steps") if path.exists() else None
+    return found if isinstance(found, int) else None
+
+
 def new_state(
     network: BaseNetwork, config: NetworkConfig, schedule: AffinitySchedule, fingerprint: str, device: torch.device
 ) -> TrainingState:
