@@ -22,6 +22,7 @@ from trimesh.visual.material import PBRMaterial, SimpleMaterial
 from tso_cli import render
 from tso_cli.commands.evaluate import command as eval_command
 from tso_cli.commands.render import command
+from tso_cli.files.images import read_image
 from tso_cli.files.meshes import Mesh, read_mesh
 from tso_cli.files.textures import Texture
 from tso_cli.render import RayScene, RenderSettings, render_folder, render_view
@@ -291,6 +292,27 @@ def test_a_texture_that_cannot_be_used_gives_one_line_and_the_colour_of_the_mate
     assert mesh.colours is not None
     if kind.startswith("obj"):
         assert np.abs(mesh.colours.astype(int) - [90, 60, 30]).max() <= 1
+
+
+def test_a_texture_beside_the_folder_of_the_mesh_is_read_where_the_folder_above_is_rendered(tmp_path: Path) -> None:
+    """As ShapeNetCore v2 has them: ID/models/model_normalized.obj, ID/images/texture0.png."""
+    path, message = broken("obj, elsewhere", tmp_path)
+    assert read_mesh(path, within=tmp_path).textures
+    mesh, told = warned(path)
+    assert not mesh.textures
+    assert message in told
+    summary = render_folder(tmp_path, tmp_path.parent / f"{tmp_path.name}-out", RenderSettings(views=1, size=(32, 32)))
+    assert summary.written == ["inner/a"]
+    colours = read_image(tmp_path.parent / f"{tmp_path.name}-out" / "inner" / "a" / "000.png")[..., :3]
+    assert len(np.unique(colours.reshape(-1, 3), axis=0)) > 2
+    assert np.ptp(colours.astype(int), axis=2).max() > 50
+
+
+def test_options_of_a_texture_are_passed_over(tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.obj")
+    material = tmp_path / "material.mtl"
+    material.write_text(material.read_text().replace("map_Kd ", "map_Kd -s 2 2 1 "))
+    assert read_mesh(path).textures
 
 
 def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path) -> None:

@@ -62,8 +62,9 @@ def command(
 ) -> None:
     """Render a mesh, or all meshes of a folder: pictures, masks, cameras and ground truth.
 
-    Every mesh is centred and scaled to longest side 1. Textures are read from its folder and below. Views are random,
-    reproducible from the seed. A run that was stopped, or killed, goes on where it was when started again.
+    Every mesh is centred and scaled to longest side 1. Textures are read from its folder, or the one that is rendered, and
+    below. Views are random, reproducible from the seed. A run that was stopped, or killed, goes on where it was when started
+    again.
     """
     from .. import __version__
     from ..errors import InputError

@@ -64,14 +64,15 @@ def find_meshes(folder: Path | str) -> list[Path]:
     return found
 
 
-def read_mesh(path: Path | str, textures: bool = True) -> Mesh:
+def read_mesh(path: Path | str, textures: bool = True, within: Path | None = None) -> Mesh:
     """Read a triangle mesh; faces stay in order and vertices in place, polygons become triangles.
 
     Parameters
     ----------
     path : a .ply, .obj, .off, .stl or .glb file.
     textures : read pictures on it too: baseColorTexture (times baseColorFactor) of .glb, map_Kd of .obj. They are inside the
-        file or in its folder or below; of one that cannot be read a warning says so, and the material's colour stays.
+        file or in the folder ``within`` or below; of one that cannot be read a warning says so, the material's colour stays.
+    within : a folder above the file, such as the one that a user named; None for the file's own.
 
     Raises
     ------
@@ -83,7 +84,7 @@ def read_mesh(path: Path | str, textures: bool = True) -> Mesh:
     if path.suffix.lower() not in SUFFIXES and path.is_file():
         raise InputError(f"{path}: the suffix is {path.suffix!a}, expected a mesh: {', '.join(SUFFIXES)}")
     content = read_bytes(path, f"a mesh ({', '.join(SUFFIXES)})")
-    pictures = Pictures(path, content, textures)
+    pictures = Pictures(path, content, textures, within)
     vertices, faces, colours, worn = _parse(path, content, pictures)
     if vertices.ndim != 2 or vertices.shape[1:] != (3,) or len(vertices) == 0:
         raise InputError(f"{path}: no vertices, expected a mesh")

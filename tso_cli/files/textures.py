@@ -1,6 +1,7 @@
 """Pictures on meshes: what colour a place of the surface has.
 
-Nothing is fetched, and no file is read but of the mesh's own folder and below. Values are taken as they are stored (sRGB).
+Nothing is fetched, and no file is read but of the mesh's own folder, or the one that the user named, and below. Values are
+taken as they are stored (sRGB).
 """
 
 from __future__ import annotations
@@ -63,6 +64,7 @@ class Pictures:
     ----------
     path, content : of the mesh file.
     wanted : decode them; False only takes them away.
+    within : the folder that they are in, or below; None for that of ``path``.
 
     Attributes
     ----------
@@ -70,9 +72,9 @@ class Pictures:
     missing : what there is to say of pictures that cannot be used, each once.
     """
 
-    def __init__(self, path: Path, content: bytes, wanted: bool) -> None:
+    def __init__(self, path: Path, content: bytes, wanted: bool, within: Path | None = None) -> None:
         self.missing: list[str] = []
-        self.resolver: Any = _Beside(path, self._miss)
+        self.resolver: Any = _Beside(path, within, self._miss)
         self._wanted = wanted
         self._known: dict[int, tuple[Any, NDArray[np.uint8] | None]] = {}
         for name in _unreadable(content) if wanted and path.suffix.lower() == ".glb" else ():
@@ -131,17 +133,20 @@ class Pictures:
 
 
 class _Beside:
-    """Files of the folder of ``path`` and below; ``miss`` hears of pictures that are not there or are none."""
+    """Files that ``path`` names, of ``within`` and below; ``miss`` hears of pictures that are not there or are none."""
 
-    def __init__(self, path: Path, miss: Callable[..., None]) -> None:
+    def __init__(self, path: Path, within: Path | None, miss: Callable[..., None]) -> None:
         self._folder, self._miss = path.absolute().parent.resolve(), miss
+        self._within = self._folder if within is None else within.resolve()
 
     def get(self, name: str) -> bytes:
         picture = not name.strip().lower().endswith((".mtl", ".bin"))
         slashed = name.strip().replace("\\", "/")
+        if slashed.startswith("-"):
+            slashed = slashed.split()[-1]  # options of map_Kd, such as a scale: they are passed over
         for candidate in (slashed, slashed.rpartition("/")[2]):
             place = (self._folder / candidate).resolve()
-            if place.is_relative_to(self._folder) and place.is_file():
+            if place.is_relative_to(self._within) and place.is_file():
                 content = place.read_bytes()
                 if picture and not _opens(content):
                     self._miss(name, "cannot be decoded")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -95,7 +95,7 @@ def render_folder(
                 )
         summary.skipped.append(name)
     # The copies of a mesh follow it, so one is kept.
-    read = lru_cache(1)(read_mesh)
+    read = lru_cache(1)(partial(read_mesh, within=Path(source) if Path(source).is_dir() else None))
     for done, (name, path, copy) in enumerate(waiting):
         try:
             rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
