@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from .kernels.choice import compiled_pays, whole_batches
-from .kernels.nearest import StaticNearest, nearest_both_ways, nearest_in_rows, nearest_marked, nearest_points
+from .kernels.nearest import PAIRS_PER_CHUNK, StaticNearest, nearest_both_ways, nearest_in_rows, nearest_marked, nearest_points
 from .kernels.splat import NEGLIGIBLE, cheapest, splat, window_radius
 from .projection import pixels_under
 
@@ -19,8 +19,6 @@ AFFINITIES = ("points", "paper")
 """Forms of the affinity loss."""
 # Where the sum is this, the silhouette is 0.5.
 HALF = math.atanh(0.5)
-# Pairs of pixels at a time.
-PAIRS_PER_CHUNK = 1 << 24
 # Losses are stated for a 64x64 mask.
 REFERENCE_PIXELS = 64.0 * 64.0
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from ..errors import InputError
 from ..metrics import chamfer
 from ..network import BaseNetwork
 from ..report.curves_chart import Sample
@@ -19,7 +18,7 @@ def sample_predictions(network: BaseNetwork, data: TrainingData, frame: str, cou
     device = next(network.parameters()).device
     for index in np.unique(np.linspace(0, len(data.objects) - 1, min(count, len(data.objects))).round().astype(int)):
         item = data.objects[index]
-        known = _readable(data, int(index))
+        known = data.readable(int(index))
         if data.usable(int(index), 0, known)[0] != index:
             continue  # no picture of it can be read
         batch = assemble(data, [Draw(int(index), 0)], frame, targets=known)
@@ -29,10 +28,3 @@ def sample_predictions(network: BaseNetwork, data: TrainingData, frame: str, cou
         distance = None if target is None else chamfer(points, target).chamfer
         found.append(Sample(item.name, batch.images[0], points, target, distance))
     return found
-
-
-def _readable(data: TrainingData, index: int) -> bool:
-    try:
-        return data.objects[index].target is not None and len(data.target(index)) > 0
-    except InputError:
-        return False

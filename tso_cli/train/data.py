@@ -103,13 +103,21 @@ class TrainingData:
         """Indices of at most ``most`` objects, evenly from the first to the last."""
         return _spread(list(range(len(self.objects))), most)
 
+    def readable(self, index: int) -> bool:
+        """Whether the points of an object can be read; where not, ``not_judged`` says why."""
+        try:
+            self.target(index)
+        except InputError as error:
+            self.not_judged[self.objects[index].name] = self.objects[index].lacking or str(error)
+            return False
+        return True
+
     def judged(self, most: int) -> list[int]:
         """Indices of at most ``most`` objects, spread evenly over those that have a 3D file, less what cannot be read."""
         found = []
         for index in _spread([index for index, item in enumerate(self.objects) if item.target is not None], most):
             try:
-                self.target(index)
-                if self.usable(index, 0, points=True)[0] == index:
+                if self.readable(index) and self.usable(index, 0, points=True)[0] == index:
                     found.append(index)
             except InputError as error:
                 self.not_judged[self.objects[index].name] = str(error)
