@@ -17,19 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from tso_cli.errors import InputError, TsoError
-from tso_cli.files.cameras import CameraRecord, write_cameras
-from tso_cli.files.clouds import write_cloud
-from tso_cli.files.images import write_image
-from tso_cli.files.meshes import Mesh, read_mesh, write_mesh
-from tso_cli.render import (
-    RayScene,
-    RenderSettings,
-    fitting_distance,
-    ground_truth,
-    look_at,
-    normalise,
-    render_view,
-)
+from tso_cli.io.cameras import CameraRecord, write_cameras
+from tso_cli.io.clouds import write_cloud
+from tso_cli.io.images import write_image
+from tso_cli.io.meshes import Mesh, read_mesh, write_mesh
+from tso_cli.render import RayScene, RenderSettings, fitting_distance, ground_truth, look_at, normalise, render_view
 
 SIZE = (256, 256)
 # A photo in which the chair of its example is small: width and height, focal length, principal point.

@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 from tso_cli import RefineConfig, refine
-from tso_cli.files.clouds import read_cloud
-from tso_cli.files.shipped import named_checkpoint
-from tso_cli.geometry import normalise_longest_side
-from tso_cli.metrics import chamfer
-from tso_cli.network_scenes import load_network_scene
+from tso_cli.evaluation.metrics import chamfer
+from tso_cli.geometry.points import normalise_longest_side
+from tso_cli.io.clouds import read_cloud
+from tso_cli.io.shipped import named_checkpoint
+from tso_cli.scene.network import load_network_scene
 
 chair = Path(__file__).parent / "chair"
 target = normalise_longest_side(read_cloud(chair / "target.ply").points)

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from tso_cli import Camera, refine
-from tso_cli.files.cameras import read_cameras
-from tso_cli.files.clouds import read_cloud
-from tso_cli.files.images import read_mask
-from tso_cli.metrics import chamfer
+from tso_cli.evaluation.metrics import chamfer
+from tso_cli.io.cameras import read_cameras
+from tso_cli.io.clouds import read_cloud
+from tso_cli.io.images import read_mask
 
 chair = Path(__file__).parent / "chair"
 points, target = (read_cloud(chair / name).points for name in ("initial.ply", "target.ply"))  # [N, 3] arrays

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from tso_cli import Camera, RefineConfig, refine
-from tso_cli.files.cameras import CameraRecord, read_cameras, write_cameras
-from tso_cli.files.clouds import read_cloud, write_cloud
-from tso_cli.files.images import read_image, read_mask, write_image
-from tso_cli.footprint import IOU_MEANS, window_iou
-from tso_cli.scene import View
-from tso_cli.studies.fingerprint import stamped
+from tso_cli.evaluation.footprint import IOU_MEANS, window_iou
+from tso_cli.geometry.view import View
+from tso_cli.io.cameras import CameraRecord, read_cameras, write_cameras
+from tso_cli.io.clouds import read_cloud, write_cloud
+from tso_cli.io.images import read_image, read_mask, write_image
+from tso_cli.lab.studies.fingerprint import stamped
 
 Array = NDArray[np.float64]
 

@@ -15,12 +15,12 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from tso_cli.camera import Camera
 from tso_cli.datasets.items import ObjectItem
-from tso_cli.files.images import write_image
-from tso_cli.files.meshes import Mesh, read_mesh
-from tso_cli.files.shipped import examples_folder
-from tso_cli.geometry import farthest_point_sample, sample_surface
+from tso_cli.geometry.camera import Camera
+from tso_cli.geometry.points import farthest_point_sample, sample_surface
+from tso_cli.io.images import write_image
+from tso_cli.io.meshes import Mesh, read_mesh
+from tso_cli.io.shipped import examples_folder
 from tso_cli.render import RayScene, render_view
 
 CHAIR = "03001627"

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from tests.readme_accuracy import accuracy_tables, sizes_table
 from tests.readme_evidence import evidence_tables, pose_table
-from tso_cli.report.speed_table import left_out_lines, machine_line, sections
+from tso_cli.lab.charts.speed_table import left_out_lines, machine_line, sections
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"

@@ -1,4 +1,4 @@
-"""The tables of docs/accuracy.md, from the kept records of `tso study accuracy`."""
+"""The tables of docs/accuracy.md, from the kept records of `tso lab accuracy`."""
 
 from __future__ import annotations
 

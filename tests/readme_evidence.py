@@ -1,4 +1,4 @@
-"""The tables of docs/method.md, from the kept records of `tso study evidence` and `tso study pose`."""
+"""The tables of docs/method.md, from the kept records of `tso lab evidence` and `tso lab pose`."""
 
 from __future__ import annotations
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tso_cli import network as networks
-from tso_cli.camera import Camera
 from tso_cli.datasets.items import ObjectItem, ViewItem
+from tso_cli.geometry.camera import Camera
+from tso_cli.lab.studies import fingerprint
+from tso_cli.network import model as networks
 from tso_cli.render import look_at
-from tso_cli.studies import fingerprint
 from tso_cli.train import TrainConfig
 
 

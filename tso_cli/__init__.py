@@ -4,21 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from .version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from .camera import Camera as Camera
-    from .errors import GateError as GateError
-    from .errors import InputError as InputError
-    from .errors import TsoError as TsoError
-    from .refinement import RefineConfig as RefineConfig
-    from .refinement import RefineResult as RefineResult
-    from .refinement import refine as refine
-    from .refinement import refine_batch as refine_batch
-    from .scene import View as View
+    from .errors import GateError, InputError, TsoError
+    from .geometry.camera import Camera
+    from .geometry.view import View
+    from .refinement import RefineConfig, RefineResult, refine, refine_batch
 
 _WHERE = {
-    "Camera": "camera",
+    "Camera": "geometry.camera",
     "TsoError": "errors",
     "InputError": "errors",
     "GateError": "errors",
@@ -26,7 +21,7 @@ _WHERE = {
     "RefineResult": "refinement",
     "refine": "refinement",
     "refine_batch": "refinement",
-    "View": "scene",
+    "View": "geometry.view",
 }
 __all__ = ["Camera", "GateError", "InputError", "RefineConfig", "RefineResult", "TsoError", "View", "refine", "refine_batch"]
 

@@ -4,47 +4,35 @@ from __future__ import annotations
 
 import sys
 import warnings
-from importlib import import_module
 from typing import Any
 
 import click
 
-from . import __version__
+from .commands.lazy_group import LazyGroup
 from .errors import TsoError
+from .version import __version__
 
-# name -> (module in tso_cli.commands, one line of help). The help stands here so that `tso --help` imports no command.
-COMMANDS = {
-    "refine": ("refine", "Make a cloud agree with a mask."),
-    "eval": ("evaluate", "Judge clouds against ground truth: Chamfer, F-score, EMD, IoU."),
-    "train": ("train", "Train the network that predicts a cloud from a photo."),
-    "curves": ("curves", "Draw the loss curves of trainings, and samples of a network."),
-    "export": ("export", "Write a network in half the size, without the state of its training."),
-    "render": ("render", "Render meshes to images, masks, cameras and ground truth."),
-    "generate": ("generate", "Draw chairs, cars and aeroplanes by rule, to train on."),
-    "study": ("study", "Ask a question of the method, on many shapes, and keep the answer."),
-    "compile": ("compile_loops", "Compile the loops of large refinements now, once, for all runs."),
-    "bench": ("bench", "Measure the speed on this machine, beside other ways and the limit."),
+# Heading -> name -> (module, one line of help). The help stands here so that `tso --help` imports no command.
+SECTIONS = {
+    "Your data": {
+        "refine": ("tso_cli.commands.refine", "Make a cloud agree with a mask."),
+        "eval": ("tso_cli.commands.evaluate", "Judge clouds against ground truth: Chamfer, F-score, EMD, IoU."),
+    },
+    "Networks": {
+        "train": ("tso_cli.commands.train", "Train the network that predicts a cloud from a photo."),
+        "render": ("tso_cli.commands.render", "Render meshes to images, masks, cameras and ground truth."),
+        "export": ("tso_cli.commands.export", "Write a network in half the size, without the state of its training."),
+        "curves": ("tso_cli.commands.curves", "Draw the loss curves of trainings, and samples of a network."),
+    },
+    "Speed and research": {
+        "compile": ("tso_cli.commands.compile_loops", "Compile the loops of large refinements now, once, for all runs."),
+        "bench": ("tso_cli.lab.commands.bench", "Measure the speed on this machine, beside other ways and the limit."),
+        "lab": ("tso_cli.lab.commands", "Studies of the method: accuracy, the paper's tables, generated shapes."),
+    },
 }
 
 
-class LazyGroup(click.Group):
-    """A group whose commands are imported when they run: torch alone costs over a second."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(COMMANDS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in COMMANDS:
-            return None
-        command: click.Command = import_module(f".commands.{COMMANDS[cmd_name][0]}", __package__).command
-        return command
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
-
-
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=LazyGroup, sections=SECTIONS, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="tso")
 def tso() -> None:
     """Make a 3D point cloud agree with a picture.

@@ -19,7 +19,7 @@ def command() -> None:
     (NUMBA_CACHE_DIR, if set); another version of tso, of the compiler or of Python needs it again.
     """
     begun = time.perf_counter()
-    from ..refinement.run import compile_loops
+    from ..refinement.api import compile_loops
 
     compile_loops()
     options.log(f"tso: the loops are compiled ({time.perf_counter() - begun:.0f} s)")

@@ -11,7 +11,7 @@ from ..errors import InputError
 from . import options
 
 if TYPE_CHECKING:
-    from ..report.curves_chart import Sample
+    from ..plots.curves import Sample
 
 
 @click.command("curves", short_help="Draw the loss curves of trainings, and samples of a network.")
@@ -37,9 +37,9 @@ def command(
 
     With --checkpoint and --data also what the network makes of a few pictures: input, prediction and target from two sides.
     """
-    from ..files.logs import read_log
-    from ..files.output import check_output
-    from ..report.curves_chart import draw_curves, draw_samples, labels, lambda_drop, running_mean
+    from ..io.logs import read_log
+    from ..io.output import check_output
+    from ..plots.curves import draw_curves, draw_samples, labels, lambda_drop, running_mean
 
     if (checkpoint is None) != (data is None):
         raise InputError("samples need a network and pictures, expected --checkpoint and --data together")
@@ -65,9 +65,9 @@ def command(
 
 def _samples(checkpoint: Path, folder: Path, split_file: Path | None, count: int) -> tuple[list[Sample], str]:
     """The first view of ``count`` objects spread evenly over the data set, predicted; and the scale of the clouds."""
-    from ..files.checkpoints import load_network
-    from ..files.shipped import named_checkpoint
-    from ..studies.samples import sample_predictions
+    from ..io.checkpoints import load_network
+    from ..io.shipped import named_checkpoint
+    from ..plots.samples import sample_predictions
     from .training_data import Wanted, load
 
     network, config = load_network(named_checkpoint(checkpoint))

@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from ..errors import GateError, InputError
-from ..evaluate import FIELDS, METRICS, PROTOCOLS, EvalConfig, evaluate, find_pairs
-from ..report.table import text_table
+from ..evaluation.judge import FIELDS, METRICS, PROTOCOLS, EvalConfig, evaluate, find_pairs
+from ..plots.table import text_table
 from . import options
 
 # Centres further apart than this, in longest sides of the target, are no error of a prediction.

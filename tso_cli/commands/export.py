@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
-from .. import __version__
 from ..errors import InputError
-from ..files.output import check_output
+from ..io.output import check_output
+from ..version import __version__
 from . import options
 
 
@@ -28,8 +28,8 @@ def command(checkpoint: Path, output: Path, overwrite: bool, as_json: bool) -> N
     check_output(output, overwrite)
     import torch
 
-    from ..files.checkpoints import load_network, save_network
-    from ..files.shipped import CATEGORIES, examples_folder
+    from ..io.checkpoints import load_network, save_network
+    from ..io.shipped import CATEGORIES, examples_folder
 
     network, config = load_network(checkpoint)
     if output.exists() and output.samefile(checkpoint):
@@ -58,7 +58,7 @@ def _largest_change(folder: Path, *checkpoints: Path) -> float:
     """The largest distance between a point that one checkpoint predicts for an example and the other's."""
     import numpy as np
 
-    from ..network_scenes import load_network_scene
+    from ..scene.network import load_network_scene
 
     first, second = (load_network_scene(folder / "image.png", folder / "mask.png", path).points for path in checkpoints)
     return float(np.sqrt(np.square(first - second).sum(1)).max())

@@ -23,7 +23,7 @@ FIT = Path("fit")
 
 
 class FilePath(click.Path):
-    """A path as :class:`pathlib.Path`. Whether it can be read is the reader's to say, in one voice for every file."""
+    """A path as `pathlib.Path`. Whether it can be read is the reader's to say, in one voice for every file."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)

@@ -12,20 +12,15 @@ from typing import TYPE_CHECKING
 import click
 
 from ..errors import InputError
-from ..files.output import atomic_output, check_output
-from ..files.shipped import DEFAULT, named_checkpoint
+from ..io.output import atomic_output, check_output
+from ..io.shipped import DEFAULT, named_checkpoint
 from . import options
-from .refine_camera import (
-    camera_records,
-    refuse_camera_options,
-    refuse_camera_output,
-    write_used_cameras,
-)
+from .refine_camera import camera_records, refuse_camera_options, refuse_camera_output, write_used_cameras
 from .refine_result import document, print_check
 from .refine_summary import print_details, print_result
 
 if TYPE_CHECKING:
-    from ..network_scenes import Placing
+    from ..scene.network import Placing
 
 MODES = ("points", "encoder", "encoder-decoder", "latent")
 
@@ -201,15 +196,15 @@ def command(
         _refuse_outputs(output, overlay, overwrite, inputs)
         refuse_camera_output(write_camera, overwrite, (*inputs, output, overlay))
     with options.loading():
-        from ..placement import mask_doubts, place, require_overlap
-        from ..scenes import load_points_scene
+        from ..refinement.placement import mask_doubts, place, require_overlap
+        from ..scene.load import load_points_scene
 
     if checkpoint is None:
         scene = load_points_scene(
             source, masks, camera_file, invert_mask, ignore_files, fit, depth_files, depth_scale or 1.0, image_files
         )
     else:
-        from ..network_scenes import load_network_scene
+        from ..scene.network import load_network_scene
 
         ignore_file = ignore_files[0] if ignore_files else None
         scene = load_network_scene(
@@ -256,12 +251,12 @@ def command(
     finally:
         bar.close()
     writing = time.perf_counter()
-    from ..files.clouds import write_cloud
+    from ..io.clouds import write_cloud
 
     # The picture takes its name only once the cloud is written: both are there in the end, or neither.
     with ExitStack() as outputs:
         if overlay is not None:
-            from ..report.overlay import draw_overlay
+            from ..plots.overlay import draw_overlay
 
             draw_overlay(outputs.enter_context(atomic_output(overlay)), result, scene.views)
         if write_camera is not None:
@@ -337,7 +332,7 @@ def _masks_of(camera_file: Path | None) -> tuple[Path, ...]:
     """The masks that the camera file names, for want of others."""
     if camera_file is None:
         raise InputError("no MASK was given, expected one or more, or --camera FILE whose views name their masks")
-    from ..files.pairing import named_masks
+    from ..io.pairing import named_masks
 
     return tuple(named_masks(camera_file))
 

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import InputError
-from ..files.output import check_output
+from ..io.output import check_output
 
 if TYPE_CHECKING:
-    from ..camera import Camera
+    from ..geometry.camera import Camera
+    from ..geometry.view import View
     from ..refinement import RefineResult
-    from ..scene import View
-    from ..scenes import Scene
+    from ..scene.load import Scene
 
 
 def refuse_camera_options(mode: str, fit: bool, refine_camera: bool, write_camera: Path | None) -> None:
@@ -41,7 +41,7 @@ def refuse_camera_output(path: Path | None, overwrite: bool, others: Sequence[Pa
 
 def write_used_cameras(path: Path, result: RefineResult, masks: Sequence[Path]) -> None:
     """The cameras of the result as a camera file that names their masks."""
-    from ..files.cameras import CameraRecord, write_cameras
+    from ..io.cameras import CameraRecord, write_cameras
 
     pairs = zip(result.cameras, masks, strict=True)
     write_cameras(path, [CameraRecord(camera, mask) for camera, mask in pairs], overwrite=True)
@@ -66,7 +66,7 @@ def print_cameras(views: Sequence[View], result: RefineResult) -> None:
     """How far each camera moved, of cameras that were to move."""
     for view, camera in zip(views, result.cameras, strict=True) if result.steps else ():
         if camera is view.camera:
-            from ..refinement.cameras import LEFT
+            from ..refinement.camera_correction import LEFT
 
             click.echo(f"  camera kept   (no small correction takes the misfit of the start under {LEFT:g} of it; {view.name})")
         else:
@@ -88,7 +88,7 @@ def _change(view: View, camera: Camera, result: RefineResult) -> tuple[float, fl
     """Turn in degrees, and the shift of the cloud's middle as a share of its distance, from the view's camera to ``camera``."""
     import numpy as np
 
-    from ..pose.rotations import angle_between
+    from ..geometry.rotations import angle_between
 
     start = result.shown[0]
     middle = (start.min(0) + start.max(0)) / 2.0

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .. import __version__
+from ..version import __version__
 from . import options
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from ..camera import Camera
-    from ..placement import Placement
+    from ..geometry.camera import Camera
     from ..refinement import RefineResult
-    from ..scenes import Scene
+    from ..refinement.placement import Placement
+    from ..scene.load import Scene
 
 
 def _describe_camera(camera: Camera, source: str) -> dict[str, Any]:
@@ -42,7 +42,7 @@ def document(
     seconds: dict[str, float],
     warnings: list[str],
 ) -> dict[str, Any]:
-    from ..footprint import IOU_MEANS
+    from ..evaluation.footprint import IOU_MEANS
 
     return {
         "mode": result.mode,
@@ -113,7 +113,7 @@ def document(
 
 
 def print_check(scene: Scene, placements: list[Placement], as_json: bool) -> None:
-    from ..placement import SMALLEST_BOX_IOU
+    from ..refinement.placement import SMALLEST_BOX_IOU
 
     size = scene.moving.max(0) - scene.moving.min(0)
     meets = [placement.box_iou > SMALLEST_BOX_IOU for placement in placements]
@@ -145,7 +145,7 @@ def print_check(scene: Scene, placements: list[Placement], as_json: bool) -> Non
 
 
 def _print_placement(camera: Camera, source: str, size: NDArray[np.float64], placement: Placement, meets: bool) -> None:
-    from ..placement import SMALLEST_BOX_IOU, describe_box
+    from ..refinement.placement import SMALLEST_BOX_IOU, describe_box
 
     K = camera.K
     click.echo(f"camera      {camera.model}, {camera.width}x{camera.height}, from {source}")

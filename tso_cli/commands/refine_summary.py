@@ -11,7 +11,7 @@ from .refine_camera import camera_words, print_cameras
 
 if TYPE_CHECKING:
     from ..refinement import RefineResult
-    from ..scenes import Scene
+    from ..scene.load import Scene
 
 
 def print_result(
@@ -32,7 +32,7 @@ def print_result(
 
 
 def _moved(result: RefineResult) -> str:
-    from ..refinement.remarks import HARDLY, unmoved
+    from ..refinement.result_warnings import HARDLY, unmoved
 
     if why := unmoved(result):
         return f"nothing: {why}"
@@ -56,7 +56,7 @@ def _symmetry(result: RefineResult) -> str | None:
 
 
 def _doubted(result: RefineResult, scene: Scene) -> str | None:
-    from ..refinement.remarks import DOUBTED
+    from ..refinement.result_warnings import DOUBTED
 
     names = [view.name for view, trust in zip(scene.views, result.view_trust, strict=True) if trust < DOUBTED]
     return f"little of {', '.join(names)} (contradicted by the others)" if names else None
@@ -64,7 +64,7 @@ def _doubted(result: RefineResult, scene: Scene) -> str | None:
 
 def print_details(result: RefineResult, scene: Scene, refined_cameras: bool, seconds: dict[str, float]) -> None:
     """Every measure and setting."""
-    from ..footprint import IOU_MEANS
+    from ..evaluation.footprint import IOU_MEANS
 
     best = f"best at step {result.best_step}"
     if result.averaged and result.best_step:

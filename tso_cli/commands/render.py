@@ -66,9 +66,9 @@ def command(
     below. Views are random, reproducible from the seed. A run that was stopped, or killed, goes on where it was when started
     again.
     """
-    from .. import __version__
     from ..errors import InputError
     from ..render import RenderSettings, render_folder
+    from ..version import __version__
 
     chosen = RenderSettings(**settings)
     only = None

@@ -261,8 +261,8 @@ def _begin(
 ) -> TrainingState:
     """The state to go on from: that beside the checkpoint, or a new one."""
     from .. import device as devices
-    from ..files.checkpoints import load_network
-    from ..files.shipped import named_checkpoint
+    from ..io.checkpoints import load_network
+    from ..io.shipped import named_checkpoint
     from ..train import network_config, start
     from ..train.state import load_training
 
@@ -322,7 +322,7 @@ def _refuse_unused(ctx: click.Context, supervision: str) -> None:
 
 
 def _check_outputs(output: Path, log_file: Path | None, resume: bool, overwrite: bool) -> None:
-    from ..files.output import check_output
+    from ..io.output import check_output
 
     if output.suffix != ".safetensors":
         raise InputError(f"{output}: ends in {output.suffix or 'nothing'!r}, expected a checkpoint name in .safetensors")

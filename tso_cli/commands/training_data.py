@@ -52,7 +52,7 @@ def load(wanted: Wanted, quiet: bool = False) -> TrainingData:
     if wanted.folder is None:
         if wanted.split is not None or wanted.categories or wanted.behind is not None:
             raise InputError("--split, --category or --backgrounds without DATA, expected a data set")
-        from ..files.shipped import example_meshes
+        from ..io.shipped import example_meshes
 
         meshes = example_meshes()
         if not quiet:

@@ -12,12 +12,12 @@ from typing import TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Camera
 from ..errors import InputError
-from ..files.images import read_image
-from ..files.output import reason
-from ..files.reading import read_bytes, shown
-from ..geometry import Array, farthest_point_sample, sample_surface
+from ..geometry.camera import Camera
+from ..geometry.points import Array, farthest_point_sample, sample_surface
+from ..io.images import read_image
+from ..io.output import reason
+from ..io.reading import read_bytes, shown
 from .items import Dataset, Floats, ObjectItem, ViewItem
 
 Known = TypeVar("Known")
@@ -220,6 +220,6 @@ def surface_target(vertices: Array, faces: NDArray[np.int64]) -> Floats:
 
 def cloud_target(path: str) -> Floats:
     """The points of a cloud file [P, 3], in its own frame and scale."""
-    from ..files.clouds import read_cloud
+    from ..io.clouds import read_cloud
 
     return read_cloud(path).points.astype(np.float32)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Camera
 from ..errors import InputError
+from ..geometry.camera import Camera
 
 Pixels = NDArray[np.uint8]
 Floats = NDArray[np.float32]

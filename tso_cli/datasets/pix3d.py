@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 
-from ..camera import Array, Camera
 from ..errors import InputError
-from ..files.images import read_image, read_mask
-from ..files.reading import read_bytes, shown
-from ..geometry import bounding_box_normalisation
+from ..geometry.camera import Array, Camera
+from ..geometry.points import bounding_box_normalisation
+from ..io.images import read_image, read_mask
+from ..io.reading import read_bytes, shown
 from . import common
 from .items import Dataset, Floats, ObjectItem, Pixels, ViewItem
 
@@ -176,7 +176,7 @@ def _name(path: str, category: str) -> str:
 
 
 def _read(path: str) -> tuple[Array, np.ndarray[Any, np.dtype[np.int64]]]:
-    from ..files.meshes import read_mesh
+    from ..io.meshes import read_mesh
 
     mesh = read_mesh(path, textures=False)
     return mesh.vertices, mesh.faces

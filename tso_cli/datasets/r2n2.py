@@ -25,10 +25,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..camera import Array, Camera
 from ..errors import InputError
-from ..files.images import read_image
-from ..files.reading import read_bytes, shown
+from ..geometry.camera import Array, Camera
+from ..io.images import read_image
+from ..io.reading import read_bytes, shown
 from . import common
 from .items import Dataset, Floats, Pixels, ViewItem
 
@@ -110,7 +110,7 @@ def r2n2_camera(azimuth: float, elevation: float, ratio: float, size: tuple[int,
 
 def voxel_target(path: str) -> Floats:
     """Points of the boundary of the occupied voxels: [POINTS, 3] in the frame of the model."""
-    from ..files.shapes import grid_surface
+    from ..io.shapes import grid_surface
 
     return common.surface_target(*grid_surface(path))
 

@@ -29,12 +29,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Camera
 from ..errors import InputError, TsoError
-from ..files.cameras import CameraRecord, read_cameras, write_cameras
-from ..files.clouds import write_cloud
-from ..files.images import read_image, read_mask, write_image
-from ..files.output import atomic_output, reason
+from ..geometry.camera import Camera
+from ..io.cameras import CameraRecord, read_cameras, write_cameras
+from ..io.clouds import write_cloud
+from ..io.images import read_image, read_mask, write_image
+from ..io.output import atomic_output, reason
 from . import common
 from .items import Dataset, Floats, ObjectItem, Pixels, ViewItem
 

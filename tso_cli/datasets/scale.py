@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import InputError
-from ..geometry import Array, bounding_box_normalisation
+from ..geometry.points import Array, bounding_box_normalisation
 from .common import LazyViews
 from .items import Dataset, Floats, ObjectItem, ViewItem
 

@@ -27,9 +27,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import CANONICAL_DISTANCE, Array, Camera
 from ..errors import InputError
-from ..files.images import read_image
+from ..geometry.camera import CANONICAL_DISTANCE, Array, Camera
+from ..io.images import read_image
 from . import common
 from .items import Dataset, Floats, Pixels, ViewItem
 

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..files.output import reason
-from ..files.reading import read_bytes, shown
+from ..io.output import reason
+from ..io.reading import read_bytes, shown
 from . import common
 from .shapenet import RENDERED, SPLITS
 

@@ -44,7 +44,7 @@ forget_stale(Path(__file__).parent)
 
 
 def kept(*functions: Any) -> bool:
-    """Whether the machine code of all these :func:`compiled` functions is on disk, made from the sources as they are."""
+    """Whether the machine code of all these `compiled` functions is on disk, made from the sources as they are."""
     try:
         changed = max(source.stat().st_mtime for source in Path(__file__).parent.glob("*.py"))
         found = (Path(function.stats.cache_path).glob(f"*.{function.__name__}-*.nbi") for function in functions)
@@ -67,7 +67,7 @@ def compiled(function: Callable[..., Any]) -> Any:
 
 
 def part(function: Callable[..., Any]) -> Any:
-    """As :func:`compiled`, for what compiled functions alone call.
+    """As `compiled`, for what compiled functions alone call.
 
     It is kept inside them, and is compiled without the doors by which Python would come in: a tenth less to compile.
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .choice import compiled_pays, triton_runs, whole_batches
+from .dispatch import compiled_pays, triton_runs, whole_batches
 
 # Clouds up to this size are compared pair by pair in compiled code; in larger ones a k-d tree finds its way faster.
 COMPARE_ALL_UP_TO = 8192
@@ -59,7 +59,7 @@ def nearest_in_rows(queries: Tensor, data: Tensor, there: Tensor | None = None, 
     """
     queries, data = queries.detach(), data.detach()
     if triton_runs(queries):
-        from .triton_nearest import nearest_in_rows as compare
+        from .nearest_triton import nearest_in_rows as compare
 
         return compare(queries, data, there, asking)
     index = torch.full(queries.shape[:2], -1, dtype=torch.int64, device=queries.device)
@@ -90,7 +90,7 @@ def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     """
     smaller, larger = (a, b) if a.shape[1] <= b.shape[1] else (b, a)
     if compiled_pays(smaller) and larger.shape[1] <= COMPARE_ALL_UP_TO:
-        from .compiled_nearest import nearest_both_ways as compare
+        from .nearest_numba import nearest_both_ways as compare
 
         return compare(a, b)
     if whole_batches(a):
@@ -158,7 +158,7 @@ def _nearest_marked_by_columns(marked: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _multiplied(queries: Tensor, data: Tensor) -> Tensor:
-    """As :func:`nearest`, by |q - d|^2 = |q|^2 - 2 q d + |d|^2 in float64."""
+    """As `nearest`, by |q - d|^2 = |q|^2 - 2 q d + |d|^2 in float64."""
     # about the centre, where the numbers are small and little of them cancels
     data = data.double()
     centre = data.mean(0)

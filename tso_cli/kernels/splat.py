@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from .choice import compiled_pays, triton_runs
-from .reference import splat_exact
+from .dispatch import compiled_pays, triton_runs
+from .splat_reference import splat_exact
 
 # A tap below this value changes no float32 sum; it fixes the window's radius.
 NEGLIGIBLE = 1e-8
@@ -44,7 +44,7 @@ def splat(
     height, width : size of the image.
     sigma_sq : variance of the Gaussian, px^2.
     kernel : "compiled" (each point touches the pixels around it; on the CPU), "triton" (the same on a GPU), "windowed" (the
-        same in plain torch, on any device), "exact" (every pixel, Eq. 2 as printed) or "auto" (see :func:`cheapest`).
+        same in plain torch, on any device), "exact" (every pixel, Eq. 2 as printed) or "auto" (see `cheapest`).
 
     Returns
     -------
@@ -149,10 +149,10 @@ class _Windowed(torch.autograd.Function):
 def _fast(kernel: str) -> Any:
     """The module of a kernel that is not plain torch; importing it is slow."""
     if kernel == "triton":
-        from . import triton_splat
+        from . import splat_triton as triton_splat
 
         return triton_splat
-    from . import compiled
+    from . import splat_numba as compiled
 
     return compiled
 

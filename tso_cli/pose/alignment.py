@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from .rotations import from_vectors
+from ..geometry.rotations import from_vectors
 
 Array = NDArray[np.float64]
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..camera import CANONICAL_FOCAL_AT_64, Camera
 from ..errors import InputError
-from ..geometry import as_points, bounding_box_normalisation, farthest_point_sample
-from ..resample import area_resize
-from ..scene import View
+from ..geometry.camera import CANONICAL_FOCAL_AT_64, Camera
+from ..geometry.points import as_points, bounding_box_normalisation, farthest_point_sample
+from ..geometry.resampling import area_resize
+from ..geometry.rotations import angle_between
+from ..geometry.view import View
 from .alignment import Poses, Target, improve
-from .rotations import angle_between
 from .starts import apart, closed_iou, starts
 
 Array = NDArray[np.float64]

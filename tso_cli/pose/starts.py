@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.rotations import angle_between, spread
 from .alignment import Poses, Target, project
-from .rotations import angle_between, spread
 
 Array = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ BORDER = 2
 
 
 def starts(points: Array, target: Target, focal: float) -> tuple[Poses, Array]:
-    """Starting poses over all directions, and their scores (:func:`coarse_iou`).
+    """Starting poses over all directions, and their scores (`coarse_iou`).
 
     Scale and centre of each are those that give the box of the projected points the area and the middle of the mask's.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
+from .api import refine, refine_batch
 from .config import MODES, PRESETS, RefineConfig, RefineResult
-from .run import refine, refine_batch
 
 __all__ = ["MODES", "PRESETS", "RefineConfig", "RefineResult", "refine", "refine_batch"]

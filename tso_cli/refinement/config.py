@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Camera
 from ..errors import InputError
-from ..window import Box
+from ..geometry.camera import Camera
+from ..geometry.window import Box
 
 if TYPE_CHECKING:
-    from .best import Recipe
+    from .coarse_to_fine import Recipe
 
 MODES = ("points", "encoder", "encoder-decoder", "latent")
 # The paper's steps, learning rates, and gamma: the encoder variant uses the silhouette alone. It has no latent variant: ours.
@@ -61,7 +61,7 @@ class RefineConfig:
         "y", "z", the axis of the input normal to a plane through the middle of its bounding box; or "a,b,c,d", the plane
         ax + by + cz = d.
     refine_camera : correct the camera of each view first, held near the given one; points mode.
-    recipe : what the preset "best" of points mode is made of, for studies; None for :data:`tso_cli.refinement.best.BEST`.
+    recipe : what the preset "best" of points mode is made of, for studies; None for `BEST`.
 
     Raises
     ------
@@ -124,7 +124,7 @@ class RefineConfig:
 
 @dataclass(frozen=True)
 class Settings:
-    """A :class:`RefineConfig` whose every value is known, but for ``recipe``."""
+    """A `RefineConfig` whose every value is known, but for ``recipe``."""
 
     mode: str
     preset: str
@@ -176,7 +176,7 @@ class RefineResult:
     losses : the objective at the start and after every step. loss_before, loss_after : of the start and of the result. With the
         preset "best" the objective changes twice on the way: these two are both by the last.
     iou_before, iou_after : of the mask (> 0.5) and the cloud's silhouette, the gaps between its points closed as far as their
-        spacing asks, in the square around both (:mod:`tso_cli.footprint`); mean over views.
+        spacing asks, in the square around both (`tso_cli.evaluation.footprint`); mean over views.
     view_ious : the two of each view. view_trust : 1, or less where the other views contradict it. view_weights : of its loss in
         the objective, its trust divided among those that show the same side.
     moved_mean, moved_max : how far the points moved, in shares of the object's size, the longest side of the start's box.

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import __version__
 from ..datasets.items import copied
 from ..datasets.rendered import stored_record, sweep, write_object
 from ..errors import InputError
-from ..files.meshes import find_meshes, read_mesh
+from ..io.meshes import find_meshes, read_mesh
+from ..version import __version__
 from .objects import normalise, render_mesh
 from .variation import warp
 from .viewpoints import RenderSettings

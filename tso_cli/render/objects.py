@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.meshes import Mesh
-from ..geometry import Array, farthest_point_sample, sample_surface
+from ..geometry.points import Array, farthest_point_sample, sample_surface
+from ..io.meshes import Mesh
 from .rays import RayScene, RenderedView, render_view
 from .variation import paint
 from .viewpoints import RenderSettings, sample_cameras

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Camera
 from ..errors import TsoError
-from ..files.meshes import GREY, Mesh
-from ..geometry import Array
+from ..geometry.camera import Camera
+from ..geometry.points import Array
+from ..io.meshes import GREY, Mesh
 
 RAYS_ACROSS = 5
 """Rays across one pixel, 25 in all. An odd number: with an even one, ties at half cover would move every outline."""
@@ -87,7 +87,7 @@ class RayScene:
         }
 
     def colours(self, found: dict[str, Any]) -> NDArray[np.uint8]:
-        """The mesh's own colour [R, C, 3] where the rays of :meth:`cast` met it, without light; elsewhere it means nothing."""
+        """The mesh's own colour [R, C, 3] where the rays of `cast` met it, without light; elsewhere it means nothing."""
         face = np.where(found["hit"], found["face"], 0)
         own = np.full((*face.shape, 3), GREY, np.uint8) if self.mesh.colours is None else self.mesh.colours[face]
         worn = np.where(found["hit"], self._texture[face], -1)

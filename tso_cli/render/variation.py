@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.meshes import Mesh
+from ..io.meshes import Mesh
 
 MAX_STRETCH = 0.3
 """Half the range, in logarithms, of the factor by which each axis is stretched; the other deformations follow it."""

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..camera import CANONICAL_DISTANCE, CANONICAL_FOCAL_AT_64, Camera
 from ..errors import InputError
-from ..geometry import Array
+from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_FOCAL_AT_64, Camera
+from ..geometry.points import Array
 
 MARGIN_PX = 2.0
 """Free border left around the object when the distance is chosen here."""

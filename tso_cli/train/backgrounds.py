@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..files.images import read_image
-from ..network import IMAGE_SIZE
-from ..resample import area_resize
+from ..geometry.resampling import area_resize
+from ..io.images import read_image
+from ..network.model import IMAGE_SIZE
 
 Floats = NDArray[np.float32]
 TEXTURES = "textures"

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import CANONICAL_ROTATION
-from ..network_input import NetworkInput
+from ..geometry.camera import CANONICAL_ROTATION
+from ..network.input import NetworkInput
 from .data import TrainingData
 
 Floats = NDArray[np.float32]

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..errors import InputError
-from ..losses import AFFINITIES
-from ..network import FRAMES, SUPERVISIONS
+from ..network.model import FRAMES, SUPERVISIONS
+from ..silhouette.losses import AFFINITIES
 
 PRECISIONS = ("float32", "bfloat16")
 

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Camera
 from ..datasets.items import ObjectItem
 from ..errors import InputError
-from ..network_input import NetworkInput, network_input
-from ..resample import Box
-from ..scene import View
+from ..geometry.camera import Camera
+from ..geometry.resampling import Box
+from ..geometry.view import View
+from ..network.input import NetworkInput, network_input
 from .backgrounds import Backgrounds
 
 Floats = NDArray[np.float32]

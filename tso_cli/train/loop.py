@@ -17,11 +17,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from .. import __version__
 from .. import device as devices
 from ..errors import InputError, TsoError
-from ..losses import chamfer
-from ..network import BaseNetwork, NetworkConfig, build_network
+from ..network.model import BaseNetwork, NetworkConfig, build_network
+from ..silhouette.losses import chamfer
+from ..version import __version__
 from .batches import Batch, Draw, assemble
 from .config import TrainConfig
 from .data import TrainingData

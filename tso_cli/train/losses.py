@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ..losses import affinity, chamfer, silhouette_bce
-from ..projection import CameraBatch, Projected, project, silhouette_sums
+from ..silhouette.losses import affinity, chamfer, silhouette_bce
+from ..silhouette.projection import CameraBatch, Projected, project, silhouette_sums
 from .batches import Batch
 
 # The supplement: "reduced to 0.02 of its initial value upon loss saturation".

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..datasets.items import Dataset, ObjectItem, ViewItem
 from ..datasets.scale import of_unit_diagonal
-from ..geometry import normalise_longest_side
+from ..geometry.points import normalise_longest_side
 from .backgrounds import Backgrounds
 from .data import TrainingData
 
@@ -50,7 +50,7 @@ def from_meshes(
 
     A ``crop_share`` of 0 gives them a unit diagonal, as ShapeNet's models have, so that the pictures show sizes.
     """
-    from ..files.meshes import read_mesh
+    from ..io.meshes import read_mesh
     from ..render import RenderSettings, render_mesh
 
     settings = RenderSettings(views=views, size=(size, size))
@@ -78,10 +78,10 @@ def rendered_object(name: str, category: str, views: Sequence[RenderedView], tar
 
 def shipped_examples(crop_share: float = 0.9, background: str = "black") -> TrainingData:
     """The pictures of the shipped examples with their true shapes: unseen by a network trained on the shipped meshes."""
-    from ..files.cameras import read_camera
-    from ..files.clouds import read_cloud
-    from ..files.images import read_image, read_mask
-    from ..files.shipped import CATEGORIES, examples_folder
+    from ..io.cameras import read_camera
+    from ..io.clouds import read_cloud
+    from ..io.images import read_image, read_mask
+    from ..io.shipped import CATEGORIES, examples_folder
 
     objects = []
     for category in CATEGORIES:

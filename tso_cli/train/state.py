@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ..files.checkpoints import STATE_PREFIX, load_network, load_state, read_metadata, save_network, save_tensors
-from ..files.reading import shown
-from ..network import BaseNetwork, NetworkConfig
+from ..io.checkpoints import STATE_PREFIX, load_network, load_state, read_metadata, save_network, save_tensors
+from ..io.reading import shown
+from ..network.model import BaseNetwork, NetworkConfig
 from .losses import AffinitySchedule
 
 MOMENTS = ("exp_avg", "exp_avg_sq")
@@ -167,7 +167,7 @@ def _require_same(path: Path, stored: NetworkConfig, asked: NetworkConfig) -> No
 
 def write_history(path: Path, history: list[tuple[float, float, float, float]], config: NetworkConfig) -> None:
     """The settings, then the losses of every step so far, one JSON object a line; the file is replaced whole."""
-    from ..files.output import atomic_output
+    from ..io.output import atomic_output
 
     terms = {"points": ("forward", "backward"), "masks": ("bce", "affinity", "lambda"), "joint": ("chamfer", "bce", "lambda")}
     names = ("step", "loss", *terms[config.supervision])

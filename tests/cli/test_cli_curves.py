@@ -1,0 +1,157 @@
+"""Loss curves from logs, and pictures of what a network makes of a data set."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tso_cli.cli import main
+from tso_cli.datasets.rendered import write_object
+from tso_cli.errors import InputError
+from tso_cli.io.checkpoints import save_network
+from tso_cli.io.logs import read_log
+from tso_cli.network.model import NetworkConfig
+from tso_cli.plots.curves import labels, lambda_drop, running_mean
+from tso_cli.plots.samples import sample_predictions
+from tso_cli.train import train
+from tso_cli.train.data import TrainingData
+from tso_cli.train.state import write_history
+
+from ..training import config, make_objects, make_thin
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """Twelve steps with masks, lambda dropped after the eighth."""
+    rows = [(20.0 - step, 10.0, 1.0, 1.0 if step <= 8 else 0.02) for step in range(1, 13)]
+    path = tmp_path / "masks.jsonl"
+    write_history(path, rows, NetworkConfig(supervision="masks"))
+    return path
+
+
+def run(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as stopped:
+        main(["curves", *map(str, arguments)])
+    return stopped.value.code
+
+
+def test_a_log_is_read_as_it_was_written(log):
+    read = read_log(log)
+    assert read.settings["supervision"] == "masks"
+    assert list(read.columns) == ["step", "loss", "bce", "affinity", "lambda"]
+    np.testing.assert_array_equal(read.columns["loss"], 20.0 - np.arange(1, 13))
+
+
+def test_the_drop_of_lambda_is_the_first_step_with_the_smaller_one(log):
+    assert lambda_drop(read_log(log)) == 9
+    path = log.with_name("points.jsonl")
+    write_history(path, [(1.0, 0.5, 0.5, 0.0)] * 3, NetworkConfig())
+    assert lambda_drop(read_log(path)) is None
+
+
+def test_the_running_mean_is_over_the_last_values_there_are():
+    values = np.array([4.0, 2.0, 6.0, 0.0])
+    np.testing.assert_allclose(running_mean(values, 2), [4.0, 3.0, 4.0, 3.0])
+    np.testing.assert_allclose(running_mean(values, 9), [4.0, 3.0, 4.0, 3.0])
+    np.testing.assert_array_equal(running_mean(values, 1), values)
+
+
+def test_logs_of_one_name_are_told_apart_by_their_folders(log, tmp_path):
+    (tmp_path / "b").mkdir()
+    twin = tmp_path / "b" / log.name
+    twin.write_bytes(log.read_bytes())
+    assert labels([read_log(log), read_log(twin)]) == [f"{tmp_path.name}/masks", "b/masks"]
+    assert labels([read_log(log)]) == ["masks"]
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("{not json", "line 3 is"),
+        ("[1, 2]", "expected a JSON object"),
+        ('{"step": 2, "loss": 1.0}', "expected numbers for step, loss, bce"),
+        ('{"step": 2, "loss": NaN, "bce": 1, "affinity": 1, "lambda": 1}', "expected numbers"),
+    ],
+)
+def test_a_damaged_line_is_named(log, line, told):
+    lines = log.read_text().splitlines()
+    lines[2] = line
+    log.write_text("\n".join(lines))
+    with pytest.raises(InputError, match="masks.jsonl.*line 3") as error:
+        read_log(log)
+    assert told in str(error.value)
+
+
+def test_a_log_without_steps_or_settings_is_refused(log):
+    lines = log.read_text().splitlines()
+    log.write_text(lines[0])
+    with pytest.raises(InputError, match="no step"):
+        read_log(log)
+    log.write_text("\n".join(lines[1:]))
+    with pytest.raises(InputError, match="no supervision"):
+        read_log(log)
+
+
+def test_the_command_draws_several_logs_of_different_losses(log, tmp_path, capsys):
+    points = tmp_path / "points.jsonl"
+    write_history(points, [(1.0 / step, 0.5, 0.5, 0.0) for step in range(1, 20)], NetworkConfig())
+    output = tmp_path / "curves.png"
+    assert run(log, points, "-o", output) == 0
+    printed = capsys.readouterr().out
+    assert "masks: 12 steps, masks, loss 19 to 8, lambda dropped before step 9" in printed
+    assert "points: 19 steps, points" in printed
+    with Image.open(output) as picture:
+        # a panel for each of loss, bce, affinity, forward, backward
+        assert picture.size[0] > 2000
+    before = output.read_bytes()
+    assert run(log, "-o", output) == 2
+    assert output.read_bytes() == before
+
+
+def test_a_loss_that_is_zero_throughout_is_drawn(tmp_path):
+    path = tmp_path / "none.jsonl"
+    write_history(path, [(1.0, 1.0, 0.0, 0.0)] * 3, NetworkConfig(supervision="masks"))
+    assert run(path, "-o", tmp_path / "curves.png") == 0
+
+
+def test_the_command_draws_samples_beside_the_curves(monkeypatch, tmp_path, capsys):
+    make_thin(monkeypatch)
+    objects = make_objects(3, 2)
+    for item in objects:
+        pictures = [(*view.load(), view.camera) for view in item.views]
+        shown = [(image, np.rint(255 * mask).astype(np.uint8), camera) for image, mask, camera in pictures]
+        write_object(tmp_path / "data" / item.name, shown, item.target(), item.target()[:256], {})
+    result = train(TrainingData(objects, "three boxes"), config(steps=2))
+    save_network(tmp_path / "net.safetensors", result.network, result.config)
+    write_history(tmp_path / "log.jsonl", [tuple(row) for row in result.history], result.config)
+    output = tmp_path / "curves.png"
+    asked = ["--checkpoint", tmp_path / "net.safetensors", "--data", tmp_path / "data", "--samples", 2]
+    assert run(tmp_path / "log.jsonl", "-o", output, *asked) == 0
+    assert "2 samples" in capsys.readouterr().out
+    with Image.open(tmp_path / "curves.samples.png") as picture:
+        assert picture.size[0] > 800
+    assert run(tmp_path / "log.jsonl", "-o", tmp_path / "other.png", "--checkpoint", tmp_path / "net.safetensors") == 2
+    assert "expected --checkpoint and --data together" in capsys.readouterr().err
+    assert not (tmp_path / "other.png").exists()
+
+
+def test_samples_are_spread_over_the_data_and_judged(monkeypatch):
+    make_thin(monkeypatch)
+    data = TrainingData(make_objects(5, 2), "five boxes")
+    result = train(data, config(steps=1))
+    samples = sample_predictions(result.network, data, "view", 3)
+    assert [sample.name for sample in samples] == ["box0", "box2", "box4"]
+    for sample in samples:
+        assert sample.points.shape == (64, 3)
+        assert sample.chamfer is not None and sample.chamfer > 0.0
+    assert len(sample_predictions(result.network, data, "view", 50)) == 5
+
+
+def test_a_log_written_by_training_is_one_line_of_settings_and_one_a_step(log):
+    lines = [json.loads(line) for line in log.read_text().splitlines()]
+    assert len(lines) == 13
+    assert "supervision" in lines[0]

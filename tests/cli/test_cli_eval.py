@@ -1,0 +1,454 @@
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from PIL import Image
+from scipy.spatial import cKDTree
+
+from tests.dataset_trees import lopsided, write_binvox
+from tests.io.test_shapes import SQUARE_OFF, SQUARE_PLY
+from tso_cli.commands.evaluate import command
+from tso_cli.errors import GateError, InputError
+from tso_cli.evaluation.footprint import IOU_MEANS
+from tso_cli.evaluation.judge import EvalConfig, evaluate, find_pairs
+from tso_cli.evaluation.metrics import chamfer, emd, iou
+from tso_cli.geometry.camera import Camera
+from tso_cli.geometry.points import normalise_longest_side
+from tso_cli.io.cameras import CameraRecord, write_cameras
+from tso_cli.io.clouds import read_cloud, write_cloud
+from tso_cli.io.images import read_mask
+from tso_cli.io.meshes import read_mesh, write_mesh
+from tso_cli.io.shipped import examples_folder
+from tso_cli.plots.table import text_table
+from tso_cli.silhouette.projection import silhouette_of
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(command, [str(argument) for argument in arguments])
+
+
+def document(*arguments: object) -> dict[str, Any]:
+    result = run(*arguments, "--json")
+    assert result.exit_code == 0, result.output + repr(result.exception)
+    parsed: dict[str, Any] = json.loads(result.stdout)
+    return parsed
+
+
+def refusal(*arguments: object) -> str:
+    """The message of the error that a call ends with."""
+    result = run(*arguments)
+    assert isinstance(result.exception, InputError), repr(result.exception)
+    assert result.stdout == ""
+    return str(result.exception)
+
+
+@pytest.fixture
+def cloud(tmp_path: Path) -> Callable[..., Path]:
+    """Write a random cloud of longest side 1; the same seed gives the same cloud."""
+
+    def write(name: str, seed: int = 0, count: int = 40, scale: float = 1.0) -> Path:
+        points = np.random.default_rng(seed).uniform(-0.5, 0.5, (count, 3))
+        points[:2] = [[-0.5, 0, 0], [0.5, 0, 0]]
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_cloud(path, scale * points, dtype="float64")
+        return path
+
+    return write
+
+
+def points_of(seed: int, count: int = 40) -> np.ndarray:
+    points = np.random.default_rng(seed).uniform(-0.5, 0.5, (count, 3))
+    points[:2] = [[-0.5, 0, 0], [0.5, 0, 0]]
+    return points
+
+
+def test_two_files_give_one_pair_with_raw_numbers(cloud: Callable[..., Path]) -> None:
+    found = document("--chamfer", cloud("a.ply", 1), cloud("b.ply", 2, 50))
+    (pair,) = found["pairs"]
+    expected = chamfer(points_of(1), points_of(2, 50))
+    assert (pair["forward"], pair["backward"], pair["chamfer"]) == (expected.forward, expected.backward, expected.chamfer)
+    assert (pair["name"], pair["prediction_points"], pair["target_points"]) == ("a", 40, 50)
+    assert found["mean"] == {key: pair[key] for key in ("forward", "backward", "chamfer")}
+    assert found["convention"]["protocol"] == "plain"
+    assert found["convention"]["seed"] == 0
+
+
+def test_without_a_flag_chamfer_is_meant(cloud: Callable[..., Path]) -> None:
+    a, b = cloud("a.ply", 1), cloud("b.ply", 2)
+    assert document(a, b) == document("--chamfer", a, b)
+
+
+def test_the_table_shows_thousandfold_values_and_names_its_convention(cloud: Callable[..., Path]) -> None:
+    result = run(cloud("a.ply", 1), cloud("b.ply", 2))
+    value = chamfer(points_of(1), points_of(2)).chamfer
+    assert f"{1000 * value:.3f}" in result.stdout.splitlines()[2].split()
+    assert "Chamfer x1000: squared distances" in result.stdout
+    assert "seed 0" in result.stdout
+    assert result.stderr == ""
+
+
+def test_folders_are_matched_by_the_path_without_suffix(cloud: Callable[..., Path], tmp_path: Path) -> None:
+    cloud("ours/chair/one.ply", 1), cloud("ours/two.v2.ply", 2)
+    cloud("theirs/chair/one.ply", 3), cloud("theirs/two.v2.ply", 4)
+    np.save(tmp_path / "theirs" / "chair" / "one.npy", points_of(3))
+    (tmp_path / "theirs" / "chair" / "one.ply").unlink()
+    (tmp_path / "theirs" / "notes.txt").write_text("not a shape")
+    (tmp_path / "ours" / ".hidden.ply").write_text("not a shape")
+    found = document(tmp_path / "ours", tmp_path / "theirs")
+    assert [pair["name"] for pair in found["pairs"]] == ["chair/one", "two.v2"]
+    values = [chamfer(points_of(1), points_of(3)).chamfer, chamfer(points_of(2), points_of(4)).chamfer]
+    assert [pair["chamfer"] for pair in found["pairs"]] == values
+    assert found["mean"]["chamfer"] == pytest.approx(np.mean(values))
+
+
+def test_an_unmatched_name_is_an_error_that_names_it(cloud: Callable[..., Path], tmp_path: Path) -> None:
+    cloud("ours/a.ply"), cloud("theirs/a.ply"), cloud("ours/b.ply"), cloud("theirs/c.ply")
+    message = refusal(tmp_path / "ours", tmp_path / "theirs")
+    assert f"{tmp_path / 'ours'} has b, which" in message
+    assert f"{tmp_path / 'theirs'} has c, which" in message
+    for name in "defg":
+        cloud(f"ours/{name}.ply")
+    assert "b, d, e and 2 more" in refusal(tmp_path / "ours", tmp_path / "theirs")
+
+
+def test_a_suffix_of_the_predictions_is_dropped_only_on_request(cloud: Callable[..., Path], tmp_path: Path) -> None:
+    cloud("ours/a.refined.ply", 1), cloud("ours/a.ply", 2), cloud("theirs/a.ply", 3)
+    assert "--suffix .refined" in refusal(tmp_path / "ours", tmp_path / "theirs")
+    found = document(tmp_path / "ours", tmp_path / "theirs", "--suffix", ".refined")
+    assert found["mean"]["chamfer"] == chamfer(points_of(1), points_of(3)).chamfer
+
+
+def test_inputs_that_do_not_pair_are_refused(cloud: Callable[..., Path], tmp_path: Path) -> None:
+    file, (folder, empty) = cloud("a.ply"), (tmp_path / "folder", tmp_path / "empty")
+    cloud("folder/a.ply")
+    empty.mkdir()
+    assert "expected two files or two folders" in refusal(folder, file)
+    assert "expected two files or two folders" in refusal(file, folder)
+    assert "no file to judge" in refusal(folder, empty)
+    assert "missing.ply: no such file" in refusal(file, tmp_path / "missing.ply")
+    assert "is a file" in refusal(file, file, "--suffix", ".refined")
+    np.save(folder / "a.npy", points_of(0))
+    assert "have the same name" in refusal(folder, folder)
+
+
+def test_capnet_protocol_hides_scale_and_place_and_plain_does_not(cloud: Callable[..., Path]) -> None:
+    a, b, b_large = cloud("a.ply", 1), cloud("b.ply", 2), cloud("large.ply", 2, scale=7.0)
+    assert document(a, b)["mean"]["chamfer"] != pytest.approx(document(a, b_large)["mean"]["chamfer"])
+    scaled = document(a, b_large, "--protocol", "capnet", "--emd", "--chamfer")
+    assert scaled["mean"] == pytest.approx(document(a, b, "--protocol", "capnet", "--emd", "--chamfer")["mean"])
+    boxed = [p - (p.min(0) + p.max(0)) / 2 for p in (points_of(1), points_of(2))]
+    boxed = [p / np.ptp(p, axis=0).max() for p in boxed]
+    assert scaled["mean"]["emd"] == pytest.approx(emd(*boxed, squared=True))
+    assert "squared" in scaled["convention"]["emd"]
+    assert document(a, b, "--emd")["mean"]["emd"] == pytest.approx(emd(points_of(1), points_of(2)))
+
+
+CHAIR_MESH = examples_folder() / "meshes" / "chair" / "q17_ChairHandle.ply"
+
+
+def papers_chamfer(prediction: Path, target: Path, seed: int, thinned: int | None = 1024) -> float:
+    """The paper's evaluation written anew: 16,384 points of a mesh, farthest-point sampling, each cloud in its own box."""
+    rng, clouds = np.random.default_rng(seed), []
+    for path in (prediction, target):
+        mesh = read_mesh(path) if path.parent.name == "chair" and path.parent.parent.name == "meshes" else None
+        points = read_cloud(path).points
+        if mesh is not None:
+            a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
+            area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+            drawn = rng.choice(len(area), 16384, p=area / area.sum())
+            # A point of the parallelogram, folded back into the triangle.
+            u, v = rng.random((2, 16384, 1))
+            u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+            points = a[drawn] + u * (b - a)[drawn] + v * (c - a)[drawn]
+        if thinned is not None:
+            kept = [0]
+            distance = np.linalg.norm(points - points[0], axis=1)
+            while len(kept) < thinned:
+                kept.append(int(distance.argmax()))
+                distance = np.minimum(distance, np.linalg.norm(points - points[kept[-1]], axis=1))
+            points = points[kept]
+        low, high = points.min(axis=0), points.max(axis=0)
+        clouds.append((points - (low + high) / 2) / (high - low).max())
+    ours, theirs = map(cKDTree, clouds)
+    return float((ours.query(theirs.data)[0] ** 2).mean() + (theirs.query(ours.data)[0] ** 2).mean())
+
+
+@pytest.mark.parametrize("prediction", ["target.ply", "initial.ply", CHAIR_MESH])
+def test_capnet_protocol_is_the_papers_evaluation(prediction: str | Path) -> None:
+    ours = examples_folder() / "chair" / prediction
+    found = [document(ours, CHAIR_MESH, "--protocol", "capnet", "--seed", seed) for seed in range(3)]
+    expected = np.mean([papers_chamfer(ours, CHAIR_MESH, seed) for seed in range(3)])
+    assert np.mean([result["mean"]["chamfer"] for result in found]) == pytest.approx(expected, rel=0.03)
+    assert {(pair["prediction_points"], pair["target_points"]) for r in found for pair in r["pairs"]} == {(1024, 1024)}
+    assert found[0]["convention"]["points"] == 1024
+    # Without the thinning it would be another figure.
+    assert abs(papers_chamfer(ours, CHAIR_MESH, 0, thinned=None) / expected - 1) > 0.06
+
+
+def test_capnet_protocol_takes_other_numbers_on_request_and_small_clouds_whole(cloud: Callable[..., Path]) -> None:
+    a, b = cloud("a.ply", 1, 40), cloud("b.ply", 2, 1500)
+
+    def counts(*more: object) -> tuple[int, int]:
+        (pair,) = document(a, b, *more)["pairs"]
+        return pair["prediction_points"], pair["target_points"]
+
+    assert counts("--protocol", "capnet") == (40, 1024)
+    assert counts("--protocol", "capnet", "--points", 30) == (30, 30)
+    assert counts("--protocol", "plain") == (40, 1500)
+    assert "1024 points at most (farthest-point)" in run(a, b, "--protocol", "capnet").stdout
+
+
+def test_a_cloud_of_1024_points_is_judged_as_it_is_under_capnet(cloud: Callable[..., Path]) -> None:
+    a, b = cloud("a.ply", 1, 1024), cloud("b.ply", 2, 1024)
+    exact = chamfer(*(normalise_longest_side(read_cloud(path).points) for path in (a, b))).chamfer
+    assert document(a, b, "--protocol", "capnet")["mean"]["chamfer"] == exact
+
+
+@pytest.mark.parametrize("in_the_middle", [False, True])
+def test_a_binvox_grid_of_a_shape_lies_on_it_whatever_its_header_places_where(tmp_path: Path, in_the_middle: bool) -> None:
+    write_mesh(tmp_path / "shape.ply", lopsided())
+    write_binvox(tmp_path / "grid" / "shape.binvox", in_the_middle)
+    result = run(tmp_path / "shape.ply", tmp_path / "grid" / "shape.binvox", "--json")
+    # Half a voxel off all over, of 32 along a longest side of 0.66, would be 0.0002 to and fro.
+    assert json.loads(result.stdout)["mean"]["chamfer"] < 0.0004
+    assert "centres" not in result.stderr
+
+
+def test_a_grid_far_from_what_it_is_compared_with_is_remarked_on(cloud: Callable[..., Path], tmp_path: Path) -> None:
+    np.save(tmp_path / "grid.npy", np.ones((4, 4, 4), bool))
+    path = tmp_path / "shifted.ply"
+    for shift, said in ((0.1, False), (0.4, True)):
+        write_cloud(path, points_of(0) + [0, shift, 0], dtype="float64", overwrite=True)
+        for pair in ((path, tmp_path / "grid.npy"), (tmp_path / "grid.npy", path)):
+            assert ("voxel grids are centred at the origin" in run(*pair).stderr) == said
+            assert "voxel grids are centred" not in run(*pair, "--protocol", "capnet").stderr
+    assert "voxel grids are centred" not in run(cloud("a.ply"), path).stderr
+
+
+def test_a_surface_against_itself_is_as_far_as_two_samples_of_it(tmp_path: Path) -> None:
+    (tmp_path / "a.off").write_text(SQUARE_OFF)
+    found = run(tmp_path / "a.off", tmp_path / "a.off", "--samples", 4000)
+    assert "prediction and target draw their own points" in found.stdout
+    distance = document(tmp_path / "a.off", tmp_path / "a.off", "--samples", 4000)["mean"]
+    # Of N points at random on an area A the nearest to any place is at a mean squared distance of A / (pi N).
+    assert distance["forward"] == pytest.approx(4 / (np.pi * 4000), rel=0.1)
+    assert distance["backward"] == pytest.approx(distance["forward"], rel=0.1)
+    assert document(tmp_path / "a.off", tmp_path / "a.off", "--vertices")["mean"]["chamfer"] == 0.0
+    assert "draw" not in run(tmp_path / "a.off", tmp_path / "a.off", "--vertices").stdout
+
+
+def test_a_single_point_is_judged_by_distance_and_not_by_its_own_size(tmp_path: Path) -> None:
+    one, two = tmp_path / "one.xyz", tmp_path / "two.xyz"
+    one.write_text("1 0 0\n")
+    two.write_text("0 0 0\n1 0 0\n")
+    assert document(one, two)["mean"] == {"forward": 0.5, "backward": 0.0, "chamfer": 0.5}
+    assert document(two, one, "--f-score", "--threshold", 0.1)["mean"]["precision"] == 0.5
+    assert run(two, one).stderr == ""
+    assert refusal(two, one, "--f-score") == (
+        f"{two} against {one}: target: holds a single point, expected a cloud of some extent"
+    )
+    assert "prediction: holds a single point" in refusal(one, two, "--protocol", "capnet")
+    one.write_text("1 0 0\n1 0 0\n")
+    assert document(two, one)["mean"]["backward"] == 0.5
+    assert "target: all 2 points are equal" in refusal(two, one, "--protocol", "capnet")
+
+
+def test_plain_protocol_says_when_the_target_is_not_of_size_one(cloud: Callable[..., Path]) -> None:
+    large = cloud("large.ply", 2, scale=7.0)
+    assert "longest side of the target is 7" in run(large, large).stderr
+    assert run(large, large, "--protocol", "capnet").stderr == ""
+
+
+def test_points_thins_both_clouds_first(cloud: Callable[..., Path]) -> None:
+    pair = document(cloud("a.ply", 1, 60), cloud("b.ply", 2, 90), "--points", 25, "--emd")["pairs"][0]
+    assert (pair["prediction_points"], pair["target_points"]) == (25, 25)
+
+
+def test_a_cloud_smaller_than_points_asks_for_is_refused(cloud: Callable[..., Path]) -> None:
+    assert "b.ply: holds 30 points" in refusal(cloud("a.ply", 1, 60), cloud("b.ply", 2, 30), "--points", 40)
+
+
+def test_emd_of_unequal_clouds_advises_points_and_names_the_files(cloud: Callable[..., Path]) -> None:
+    message = refusal(cloud("a.ply", 1, 60), cloud("b.ply", 2, 30), "--emd")
+    assert "a.ply against" in message
+    assert "--points 30" in message
+
+
+def test_f_score_takes_a_threshold(cloud: Callable[..., Path]) -> None:
+    a, b = cloud("a.ply", 1), cloud("b.ply", 2)
+    assert document(a, b, "--f-score")["pairs"][0]["threshold"] == pytest.approx(0.01)
+    wide = document(a, b, "--f-score", "--threshold", 5)
+    assert wide["mean"] == {"precision": 1.0, "recall": 1.0, "f_score": 1.0}
+
+
+def test_meshes_are_judged_by_their_surface_and_this_is_said(tmp_path: Path) -> None:
+    (tmp_path / "a.off").write_text(SQUARE_OFF)
+    (tmp_path / "b.ply").write_text(SQUARE_PLY)
+    result = run(tmp_path / "a.off", tmp_path / "b.ply", "--samples", 500, "--json")
+    assert "prediction: 1 of 1 are meshes, judged by 500 points of the surface" in result.stderr
+    (pair,) = json.loads(result.stdout)["pairs"]
+    assert (pair["prediction_kind"], pair["prediction_points"]) == ("mesh", 500)
+    pair = document(tmp_path / "b.ply", tmp_path / "b.ply", "--vertices")["pairs"][0]
+    assert pair["prediction_points"] == 4
+
+
+def test_a_voxel_grid_is_judged_by_its_surface(tmp_path: Path) -> None:
+    np.save(tmp_path / "grid.npy", np.ones((4, 4, 4), bool))
+    pair = document(tmp_path / "grid.npy", tmp_path / "grid.npy", "--samples", 300, "--points", 50)["pairs"][0]
+    assert (pair["target_kind"], pair["target_points"]) == ("voxels", 50)
+    assert 0.0 < pair["chamfer"] < 0.05
+
+
+def test_the_same_seed_gives_the_same_numbers(tmp_path: Path, cloud: Callable[..., Path]) -> None:
+    (tmp_path / "a.off").write_text(SQUARE_OFF)
+    b = cloud("b.ply")
+    ours = [document(tmp_path / "a.off", b, "--samples", 50, "--seed", seed)["mean"] for seed in (1, 1, 2)]
+    assert ours[0] == ours[1] != ours[2]
+
+
+def test_fail_above_prints_the_result_and_then_fails_the_gate(cloud: Callable[..., Path]) -> None:
+    a, b = cloud("a.ply", 1), cloud("b.ply", 2)
+    thousandfold = 1000 * document(a, b)["mean"]["chamfer"]
+    assert run(a, b, "--fail-above", thousandfold * 1.01).exit_code == 0
+    result = run(a, b, "--json", "--fail-above", thousandfold * 0.99)
+    assert isinstance(result.exception, GateError)
+    assert result.exception.exit_code == 3
+    assert json.loads(result.stdout)["pairs"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--points", 1], "--points is 1"),
+        (["--samples", 1], "--samples is 1"),
+        (["--samples", 10, "--points", 20], "as many as --points"),
+        (["--f-score", "--threshold", 0], "--threshold is 0"),
+        (["--threshold", 1], "--threshold serves --f-score"),
+        (["--iou"], "--iou needs --mask"),
+        (["--camera", "."], "serve --iou"),
+        (["--emd", "--fail-above", 3], "--fail-above 3 bounds the Chamfer"),
+        (["--fail-above", "nan"], "expected a number >= 0"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(cloud: Callable[..., Path], options: list[object], message: str) -> None:
+    assert message in refusal(cloud("a.ply"), cloud("b.ply"), *options)
+
+
+@pytest.fixture
+def pictured(cloud: Callable[..., Path], tmp_path: Path) -> Path:
+    """A folder with a dense cloud in the left half of the picture, as `cloud.ply`, and its mask and camera."""
+    across = np.linspace(-0.25, 0.25, 40)
+    x, y = np.meshgrid(across, across)
+    points = np.stack([x.ravel() - 0.25, y.ravel(), 0 * x.ravel()], 1)
+    write_cloud(tmp_path / "cloud.ply", points)
+    camera = Camera.canonical(32, 32)
+    mask = np.zeros((32, 32), np.uint8)
+    pixel = np.rint(camera.project(points)[0]).astype(int)
+    mask[pixel[:, 1], pixel[:, 0]] = 255
+    Image.fromarray(mask).save(tmp_path / "mask.png")
+    Image.fromarray(255 - mask).save(tmp_path / "inverse.png")
+    write_cameras(tmp_path / "camera.json", [CameraRecord(camera)])
+    return tmp_path
+
+
+def test_iou_compares_the_silhouette_with_the_mask(pictured: Path) -> None:
+    cloud = pictured / "cloud.ply"
+    found = document(cloud, cloud, "--iou", "--mask", pictured / "mask.png", "--camera", pictured / "camera.json")
+    assert found["pairs"][0]["iou"] > 0.85
+    assert found["convention"]["iou"] == IOU_MEANS
+    assert set(found["mean"]) == {"iou"}
+    assert document(cloud, cloud, "--iou", "--mask", pictured / "inverse.png")["mean"]["iou"] < 0.15
+
+
+def test_sigma_sq_asks_for_the_silhouette_of_the_papers_projector(pictured: Path) -> None:
+    cloud, mask = pictured / "cloud.ply", pictured / "mask.png"
+    found = document(cloud, cloud, "--iou", "--mask", mask, "--sigma-sq", 0.3)
+    silhouette = silhouette_of(read_cloud(cloud).points, Camera.canonical(32, 32), 0.3)
+    assert found["mean"]["iou"] == iou(silhouette, read_mask(mask))
+    assert "Gaussian silhouette (sigma^2 0.3 px^2)" in found["convention"]["iou"]
+    assert "serves --iou" in refusal(cloud, cloud, "--sigma-sq", 0.3)
+
+
+def test_iou_is_the_mean_over_the_views_of_a_camera_file(pictured: Path) -> None:
+    cloud, camera = pictured / "cloud.ply", Camera.canonical(32, 32)
+    views = [CameraRecord(camera, mask=pictured / name) for name in ("mask.png", "inverse.png")]
+    write_cameras(pictured / "views.json", views)
+    single = [document(cloud, cloud, "--iou", "--mask", view.mask)["mean"]["iou"] for view in views]
+    (pair,) = document(cloud, cloud, "--iou", "--camera", pictured / "views.json")["pairs"]
+    assert (pair["iou"], pair["views"]) == (pytest.approx(np.mean(single)), 2)
+
+
+def test_masks_and_cameras_of_a_folder_are_found_by_name(pictured: Path, tmp_path: Path) -> None:
+    for folder in ("clouds", "masks", "cameras"):
+        (tmp_path / folder).mkdir()
+    for name, mask in (("one", "mask.png"), ("two", "inverse.png")):
+        shutil.copy(pictured / "cloud.ply", tmp_path / "clouds" / f"{name}.ply")
+        shutil.copy(pictured / mask, tmp_path / "masks" / f"{name}.png")
+        shutil.copy(pictured / "camera.json", tmp_path / "cameras" / f"{name}.camera.json")
+    clouds, masks, cameras = tmp_path / "clouds", tmp_path / "masks", tmp_path / "cameras"
+    found = document(clouds, clouds, "--iou", "--mask", masks, "--camera", cameras)
+    assert found["pairs"][0]["iou"] > 0.85 > 0.15 > found["pairs"][1]["iou"]
+    assert found == document(clouds, clouds, "--iou", "--mask", masks, "--camera", pictured / "camera.json")
+    (masks / "two.png").unlink()
+    assert "no mask for 'two', expected two.png" in refusal(clouds, clouds, "--iou", "--mask", masks)
+
+
+def test_iou_without_a_fitting_camera_is_refused(pictured: Path) -> None:
+    cloud, mask = pictured / "cloud.ply", pictured / "mask.png"
+    assert "names no mask" in refusal(cloud, cloud, "--iou", "--camera", pictured / "camera.json")
+    (pictured / "camera.json").unlink()
+    assert "no mask.camera.json or camera.json beside it" in refusal(cloud, cloud, "--iou", "--mask", mask)
+    write_cameras(pictured / "small.json", [CameraRecord(Camera.canonical(16, 32))])
+    message = refusal(cloud, cloud, "--iou", "--mask", mask, "--camera", pictured / "small.json")
+    assert "16x32" in message
+    assert "32x32" in message
+
+
+def test_progress_counts_the_pairs(cloud: Callable[..., Path], tmp_path: Path) -> None:
+    for i in range(3):
+        cloud(f"ours/{i}.ply", i)
+    seen: list[tuple[int, int]] = []
+    evaluate(find_pairs(tmp_path / "ours", tmp_path / "ours"), EvalConfig(), lambda done, total: seen.append((done, total)))
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_an_unknown_metric_or_protocol_is_refused() -> None:
+    with pytest.raises(InputError, match="metrics are"):
+        EvalConfig(metrics=("volume",))
+    with pytest.raises(InputError, match="protocol is 'other'"):
+        EvalConfig(protocol="other")
+
+
+def test_pairs_carry_their_files(cloud: Callable[..., Path]) -> None:
+    a, b = cloud("a.ply"), cloud("b.ply")
+    (pair,) = find_pairs(a, b)
+    assert (pair.name, pair.prediction, pair.target, pair.mask) == ("a", a, b, None)
+
+
+def test_a_table_sets_text_to_the_left_and_numbers_to_the_right() -> None:
+    table = text_table(["name", "value", "count"], [["a", 1.5, 10], ["long name", None, 2], ["c", float("nan"), 3]])
+    assert table.splitlines() == [
+        "name       value  count",
+        "---------  -----  -----",
+        "a          1.500     10",
+        "long name      -      2",
+        "c              -      3",
+    ]
+
+
+def test_a_small_number_in_a_table_does_not_look_like_zero() -> None:
+    row = text_table(["a", "b", "c"], [[0.00001234, 0.0, -0.0005]]).splitlines()[-1]
+    assert row.split() == ["1.23e-05", "0.000", "-0.0005"]
+
+
+def test_a_rule_sets_off_the_mean() -> None:
+    lines = text_table(["a"], [[1], [2], [3]], rule_before_last=True).splitlines()
+    assert lines == ["a", "-", "1", "2", "-", "3"]

@@ -1,0 +1,113 @@
+"""`tso export`: half the size, the same network."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from tso_cli.cli import main
+from tso_cli.errors import InputError
+from tso_cli.io.checkpoints import load_network, read_metadata, save_network, save_tensors
+from tso_cli.network import model as networks
+from tso_cli.network.model import NetworkConfig, build_network
+
+CONFIG = NetworkConfig(points=16, training_set="two chairs", settings={"views": 4})
+
+
+@pytest.fixture(autouse=True)
+def thin_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same layers with few channels: files of kilobytes instead of 25 MB."""
+    monkeypatch.setattr(networks, "CONVOLUTIONS", tuple((2, size, stride) for _, size, stride in networks.CONVOLUTIONS))
+    monkeypatch.setattr(networks, "LATENT", 4)
+
+
+@pytest.fixture
+def base(tmp_path, thin_network, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    save_network("base.safetensors", build_network(16, seed=1), CONFIG)
+    return Path("base.safetensors")
+
+
+def tso(*arguments) -> int:
+    with pytest.raises(SystemExit) as stopped:
+        main([str(argument) for argument in arguments])
+    return stopped.value.code
+
+
+def test_the_copy_is_half_the_size_and_predicts_the_same(base, capsys):
+    assert tso("export", base, "-o", "small.safetensors") == 0
+    assert "MB" in capsys.readouterr().out
+    assert {tensor.dtype for tensor in load_file("small.safetensors").values()} == {torch.float16}
+    weights = sum(tensor.nbytes for tensor in load_file(base).values())
+    assert base.stat().st_size - Path("small.safetensors").stat().st_size > 0.45 * weights
+    (first, about), (second, kept) = load_network(base), load_network("small.safetensors")
+    assert kept == about
+    image = torch.rand(1, 3, 64, 64)
+    torch.testing.assert_close(second(image), first(image), atol=2e-3, rtol=0.0)
+    assert not torch.equal(second(image), first(image))
+
+
+def test_the_largest_change_is_that_of_the_examples_points(base, capsys):
+    from tso_cli.io.shipped import CATEGORIES, examples_folder
+    from tso_cli.scene.network import load_network_scene
+
+    assert tso("export", base, "-o", "small.safetensors", "--json") == 0
+    document = json.loads(capsys.readouterr().out)
+    changes = []
+    for folder in (examples_folder() / name for name in CATEGORIES):
+        first, second = (
+            load_network_scene(folder / "image.png", folder / "mask.png", Path(path)).points
+            for path in ("base.safetensors", "small.safetensors")
+        )
+        changes += np.linalg.norm(first - second, axis=1).tolist()
+    assert document["largest_change"] == pytest.approx(max(changes))
+    assert 0.0 < document["largest_change"] < 5e-3
+    assert document["bytes_after"] == Path("small.safetensors").stat().st_size
+
+
+def test_the_state_of_a_training_is_left_behind(base):
+    network, _ = load_network(base)
+    tensors = {**network.state_dict(), "training.moment": torch.ones(3)}
+    save_tensors("unfinished.safetensors", tensors, CONFIG, {"step": 7})
+    assert tso("export", "unfinished.safetensors", "-o", "small.safetensors") == 0
+    assert set(load_file("small.safetensors")) == set(network.state_dict())
+    assert read_metadata(Path("small.safetensors"))[1] == {}
+
+
+def test_a_weight_too_large_for_half_precision_is_named_and_nothing_is_written(base):
+    network, _ = load_network(base)
+    with torch.no_grad():
+        network.decoder.layers[0].weight[0, 0] = 1e6
+    with pytest.raises(InputError, match="decoder.layers.0.weight"):
+        save_network("small.safetensors", network, CONFIG, dtype=torch.float16)
+    assert not Path("small.safetensors").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("base.safetensors -o taken.safetensors", "taken.safetensors exists"),
+        ("base.safetensors -o base.safetensors --overwrite", "base.safetensors input"),
+        ("base.safetensors -o small.pt", "small.pt .safetensors"),
+        ("nowhere.safetensors -o small.safetensors", "nowhere.safetensors exist"),
+        ("nowhere.safetensors -o taken.safetensors --overwrite", "nowhere.safetensors exist"),
+        ("base.safetensors -o nowhere/small.safetensors", "nowhere exist"),
+        ("base.safetensors", "output"),
+    ],
+)
+def test_what_cannot_be_exported_gets_one_line_and_changes_no_file(arguments, words, base, capsys):
+    shutil.copy(base, "taken.safetensors")
+    before = {path: path.read_bytes() for path in Path().iterdir()}
+    assert tso("export", *arguments.split()) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    for word in words.split():
+        assert word in captured.err
+    assert {path: path.read_bytes() for path in Path().iterdir()} == before

@@ -1,0 +1,195 @@
+"""Recognising layouts, and the files that say what is for training."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import open3d  # noqa: F401  pictures are made by casting rays
+import pytest
+
+from tests.dataset_trees import CHAIR, write_pix3d, write_r2n2, write_shapenet
+from tso_cli.datasets.opening import open_dataset, read_split
+from tso_cli.datasets.rendered import write_object
+from tso_cli.errors import InputError
+from tso_cli.geometry.camera import Camera
+
+
+def write_rendered(root: Path) -> None:
+    image, mask = np.zeros((8, 8, 3), dtype=np.uint8), np.eye(8, dtype=np.uint8) * 255
+    points = np.random.default_rng(0).random((9, 3)).astype(np.float32)
+    write_object(root / "chair/abc", [(image, mask, Camera.canonical(8, 8))], points, points, {})
+
+
+@pytest.mark.parametrize(
+    ("make", "inside", "name"),
+    [
+        (write_shapenet, "", f"{CHAIR}/abc"),
+        (write_shapenet, "ShapeNet_rendered", f"{CHAIR}/abc"),
+        (write_r2n2, "", f"{CHAIR}/abc"),
+        (write_pix3d, "", "chair/IKEA_X/model"),
+        (write_rendered, "", "chair/abc"),
+    ],
+)
+def test_every_layout_is_recognised(tmp_path: Path, make: object, inside: str, name: str) -> None:
+    make(tmp_path / "data")  # type: ignore[operator]
+    told: list[tuple[int, int, str]] = []
+    data = open_dataset(tmp_path / "data" / inside, strict=True, progress=lambda *what: told.append(what))
+    assert [item.name for item in data.objects] == [name]
+    assert data.objects[0].category == "chair"
+    assert told and told[-1][0] == told[-1][1]
+    assert data.select([name], "split.json").objects[0].name == name
+
+
+def test_the_folder_above_the_renders_of_3d_r2n2_will_do(tmp_path: Path) -> None:
+    write_r2n2(tmp_path / "ShapeNetRendering")
+    assert len(open_dataset(tmp_path).objects) == len(open_dataset(tmp_path / "ShapeNetRendering").objects) == 1
+
+
+def test_a_relative_folder_will_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_shapenet(tmp_path)
+    monkeypatch.chdir(tmp_path / "ShapeNet_rendered")
+    item = open_dataset(".", strict=True).objects[0]
+    assert item.target is not None and item.target().shape == (1024, 3)
+
+
+def test_an_unknown_layout_is_one_line_that_names_those_known(tmp_path: Path) -> None:
+    (tmp_path / "a/b").mkdir(parents=True)
+    for path, message in ((tmp_path, "has no layout known here"), (tmp_path / "none", "does not exist")):
+        with pytest.raises(InputError, match=message) as raised:
+            open_dataset(path)
+        for known in ("ShapeNet_rendered", "ShapeNetRendering", "pix3d.json", "tso render"):
+            assert known in str(raised.value)
+        assert "\n" not in str(raised.value)
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="is a file"):
+        open_dataset(tmp_path / "file")
+
+
+def test_two_layouts_in_one_folder_are_refused(tmp_path: Path) -> None:
+    write_shapenet(tmp_path)
+    write_r2n2(tmp_path / "ShapeNetRendering")
+    with pytest.raises(InputError, match="holds ShapeNet_rendered and ShapeNetRendering, expected one"):
+        open_dataset(tmp_path)
+    assert len(open_dataset(tmp_path / "ShapeNetRendering").objects) == 1
+
+
+def test_a_json_split_is_read_in_its_order(tmp_path: Path) -> None:
+    path = tmp_path / "split.json"
+    path.write_text('{"test": ["t"], "train": ["b", "a", "b"]}')
+    assert read_split(path) == {"train": ["b", "a"], "test": ["t"]}
+
+
+@pytest.mark.parametrize("inside", ["", "splits", "ShapeNet_rendered/splits"])
+@pytest.mark.parametrize("kind", ["txt", "npy", "bytes"])
+def test_the_authors_lists_are_a_split_with_their_category_before_the_name(tmp_path: Path, inside: str, kind: str) -> None:
+    folder = tmp_path / inside
+    folder.mkdir(parents=True, exist_ok=True)
+    for category, part, names in (
+        ("03001627", "train", ["b", "a"]),
+        ("02958343", "train", ["c"]),
+        ("03001627", "val", ["v"]),
+        ("03001627", "test", ["t"]),
+    ):
+        stem = folder / f"{category}_{part}_list"
+        if kind == "txt":
+            stem.with_suffix(".txt").write_text("\n".join(names) + "\r\n\n")
+        else:
+            np.save(stem.with_suffix(".npy"), np.array(names, dtype="S" if kind == "bytes" else "U"))
+    assert read_split(tmp_path) == {
+        "train": ["02958343/c", "03001627/b", "03001627/a"],
+        "validation": ["03001627/v"],
+        "test": ["03001627/t"],
+    }
+
+
+def test_a_split_selects_objects_and_skipped_ones_are_not_missed(tmp_path: Path) -> None:
+    write_shapenet(tmp_path, ("a", "b", "c"))
+    (tmp_path / "ShapeNet_rendered" / CHAIR / "b" / "view.txt").unlink()
+    (tmp_path / "splits").mkdir()
+    path = tmp_path / "splits" / f"{CHAIR}_train_list.txt"
+    path.write_text("c\nb\n")
+    data = open_dataset(tmp_path)
+    chosen = data.select(read_split(tmp_path)["train"], str(path))
+    assert [item.name for item in chosen.objects] == [f"{CHAIR}/c"]
+    path.write_text("c\nnone\n")
+    with pytest.raises(InputError, match=f"_train_list.txt: names {CHAIR}/none, expected objects of"):
+        data.select(read_split(tmp_path)["train"], str(path))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "is empty"),
+        ("{", "is not JSON"),
+        ("[]", r"holds \[\], expected"),
+        ('{"training": []}', "has the part 'training', expected train, validation, test"),
+        ('{"train": "a"}', "train is 'a', expected a list of names"),
+        ('{"train": [1]}', r"train is \[1\], expected a list of names"),
+        ('{"train": []}', "names no object"),
+        ('{"train": ["a", "b"], "test": ["b"]}', "names 'b' for train and for test"),
+    ],
+)
+def test_a_split_of_another_form_is_one_clear_line(tmp_path: Path, content: str, message: str) -> None:
+    path = tmp_path / "split.json"
+    path.write_text(content)
+    with pytest.raises(InputError, match=message) as raised:
+        read_split(path)
+    assert str(path) in str(raised.value) and "\n" not in str(raised.value)
+
+
+class Unpickled:
+    """Leaves a mark when it is unpickled."""
+
+    mark: Path
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Path.touch, (self.mark,)
+
+
+def test_a_pickled_list_is_refused_unopened_and_the_way_out_is_named(tmp_path: Path) -> None:
+    path, mark = tmp_path / f"{CHAIR}_train_list.npy", tmp_path / "mark"
+    np.save(path, np.array([Unpickled(mark)], dtype=object), allow_pickle=True)
+    with pytest.raises(InputError, match=r"holds pickled Python objects.*numpy\.save.*astype\(str\).*\.txt") as raised:
+        read_split(tmp_path)
+    assert "\n" not in str(raised.value) and not mark.exists()
+    np.load(path, allow_pickle=True)
+    assert mark.exists()  # the file was a trap indeed
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"PK\x03\x04", r"is not a readable \.npy file"),
+        (b"\x93NUMPY\x01\x00\x10\x00{'descr': oh no}", r"is not a readable \.npy file"),
+        (None, r"holds 'float64' \[3\], expected an array of texts"),
+    ],
+)
+def test_a_damaged_list_is_one_clear_line(tmp_path: Path, content: bytes | None, message: str) -> None:
+    path = tmp_path / f"{CHAIR}_val_list.npy"
+    np.save(path, np.zeros(3)) if content is None else path.write_bytes(content)
+    with pytest.raises(InputError, match=message) as raised:
+        read_split(tmp_path)
+    assert str(path) in str(raised.value) and "\n" not in str(raised.value)
+
+
+def test_a_folder_without_lists_and_a_list_that_is_no_text_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="holds no list, expected SYNSET_train_list"):
+        read_split(tmp_path)
+    (tmp_path / f"{CHAIR}_test_list.txt").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="_test_list.txt: is not text"):
+        read_split(tmp_path)
+    with pytest.raises(InputError, match="does not exist"):
+        read_split(tmp_path / "none.json")
+
+
+def test_names_in_json_are_those_of_the_data_set(tmp_path: Path) -> None:
+    write_pix3d(tmp_path / "data")
+    path = tmp_path / "split.json"
+    path.write_text(json.dumps({"validation": ["chair/IKEA_X/model"]}))
+    data = open_dataset(tmp_path / "data")
+    assert len(data.select(read_split(path)["validation"], str(path)).objects) == 1

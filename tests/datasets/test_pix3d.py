@@ -1,0 +1,179 @@
+"""Pix3D: photos with masks, aligned models and cameras."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import open3d  # noqa: F401  pictures are made by casting rays
+import pytest
+from PIL import Image
+
+from tests.dataset_trees import PIX3D_SIZE, about, agreement, agreement_of_surface, iou, lopsided, write_entries, write_pix3d
+from tso_cli.datasets import pix3d
+from tso_cli.datasets.pix3d import open_pix3d
+from tso_cli.errors import InputError
+from tso_cli.geometry.points import bounding_box_normalisation, normalise_longest_side
+from tso_cli.io.meshes import Mesh
+
+NAME = "chair/IKEA_X/model"
+
+
+def model_vertices() -> np.ndarray:
+    return 1.7 * lopsided().vertices + np.array([0.4, -0.3, 0.2])
+
+
+@pytest.fixture
+def entries(tmp_path: Path) -> list[dict[str, Any]]:
+    return write_pix3d(tmp_path)
+
+
+def test_the_target_seen_by_the_cameras_covers_the_masks(tmp_path: Path, entries: list[dict[str, Any]]) -> None:
+    (item,) = open_pix3d(tmp_path).objects
+    assert (item.name, item.category, len(item.views)) == (NAME, "chair", 3)
+    assert agreement(item) > 0.75
+    assert agreement_of_surface(item, Mesh(normalise_longest_side(model_vertices()), lopsided().faces)) > 0.98
+
+
+def test_the_frame_of_an_object_is_centred_with_longest_side_1(tmp_path: Path, entries: list[dict[str, Any]]) -> None:
+    target = open_pix3d(tmp_path).objects[0].target
+    assert target is not None
+    points = target()
+    assert points.shape == (1024, 3) and points.dtype == np.float32
+    np.testing.assert_array_equal(points, target())
+    np.testing.assert_allclose((points.max(0) + points.min(0)) / 2, 0.0, atol=0.02)
+    assert np.ptp(points, axis=0).max() == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_point_lands_where_the_data_sets_own_formula_puts_it(tmp_path: Path, entries: list[dict[str, Any]]) -> None:
+    """u = w/2 - f X/Z and v = h/2 - f Y/Z from the corner of the picture, with X = rot_mat x + trans_mat."""
+    vertices = model_vertices()
+    normalised = normalise_longest_side(vertices)
+    for entry, view in zip(entries, open_pix3d(tmp_path).objects[0].views, strict=True):
+        x, y, z = (vertices @ np.array(entry["rot_mat"]).T + entry["trans_mat"]).T
+        width, height = entry["img_size"]
+        focal = entry["focal_length"] / 32 * width
+        expected = np.stack([width / 2 - focal * x / z, height / 2 - focal * y / z], axis=1) - 0.5
+        np.testing.assert_allclose(view.camera.project(normalised)[0], expected, atol=1e-4)
+
+
+def test_no_other_choice_of_axes_covers_the_masks(tmp_path: Path, entries: list[dict[str, Any]]) -> None:
+    (item,) = open_pix3d(tmp_path).objects
+    assert item.target is not None
+    points, (centre, scale) = item.target(), bounding_box_normalisation(model_vertices())
+    wrong: dict[str, list[float]] = {}
+    for entry, view in zip(entries, item.views, strict=True):
+        rotation, shift, mask = np.array(entry["rot_mat"]), np.array(entry["trans_mat"]), view.load()[1]
+        right = np.diag([-1.0, -1.0, 1.0])
+        for name, R, t in (
+            ("as they are", rotation, shift),
+            ("camera looking along -z", np.diag([1.0, -1.0, -1.0]) @ rotation, np.diag([1.0, -1.0, -1.0]) @ shift),
+            ("transposed", right @ rotation.T, right @ shift),
+            ("z up", right @ rotation @ about(0, 90.0), right @ shift),
+            ("x and z turned", right @ rotation @ np.diag([-1.0, 1.0, -1.0]), right @ shift),
+        ):
+            camera = replace(view.camera, R=R, t=t).for_normalised(centre, scale)
+            wrong.setdefault(name, []).append(iou(points, camera, mask))
+    for name, values in wrong.items():
+        assert np.mean(values) < 0.6, name
+
+
+def test_models_are_read_once_and_only_when_needed(
+    tmp_path: Path, entries: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reads = []
+    original = pix3d._read
+    monkeypatch.setattr(pix3d, "_read", lambda path: (reads.append(path), original(path))[1])
+    data = open_pix3d(tmp_path)
+    assert reads == []
+    for _ in range(2):
+        for view in data.objects[0].views:
+            view.load()
+    assert len(reads) == 1
+
+
+def test_views_can_go_to_another_process(tmp_path: Path, entries: list[dict[str, Any]]) -> None:
+    view = pickle.loads(pickle.dumps(open_pix3d(tmp_path).objects[0].views))[1]
+    np.testing.assert_array_equal(view.load()[0].shape, (*PIX3D_SIZE[::-1], 3))
+
+
+@pytest.mark.parametrize("flag", ["truncated", "occluded", "slightly_occluded"])
+def test_objects_partly_out_of_sight_are_left_out_even_if_strict(
+    tmp_path: Path, entries: list[dict[str, Any]], flag: str
+) -> None:
+    entries[1][flag] = True
+    write_entries(tmp_path, entries)
+    data = open_pix3d(tmp_path, strict=True)
+    assert [view.name[-8:] for view in data.objects[0].views] == ["0000.png", "0002.png"]
+    assert f"entry 1 (img/chair/0001.png): the object is {flag.replace('_', ' ')}" in data.skipped["img/chair/0001.png"]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("img", None, r"pix3d\.json: entry 1 \(entry 1\): img is None, expected a text"),
+        ("mask", "mask/chair/none.png", r"mask/chair/none\.png: does not exist, .*entry 1 \(img/chair/0001\.png\) names it"),
+        ("model", "model/none.obj", r"model/none\.obj: does not exist"),
+        ("category", 3, "category is 3, expected a text"),
+        ("rot_mat", [[1, 0], [0, 1]], "rot_mat is .*, expected 3 x 3 finite numbers"),
+        ("rot_mat", [[1, 0, 0], [0, 1, 0], [0, 0, -1]], r"entry 1 \(img/chair/0001\.png\): R is not a rotation"),
+        ("trans_mat", [0, 0, "far"], r"trans_mat is \[0, 0, 'far'\], expected 3 finite numbers"),
+        ("focal_length", None, "focal_length is None, expected a finite number"),
+        ("focal_length", -35.0, "K is singular or mirrored"),
+        ("img_size", [88.5, 60], r"img_size is \[88\.5, 60\], expected 2 whole numbers"),
+    ],
+)
+def test_a_damaged_entry_is_named_and_skipped_or_an_error(
+    tmp_path: Path, entries: list[dict[str, Any]], key: str, value: Any, message: str
+) -> None:
+    entries[1][key] = value
+    write_entries(tmp_path, entries)
+    data = open_pix3d(tmp_path)
+    assert len(data.skipped) == 1 and len(data.objects[0].views) == 2
+    with pytest.raises(InputError, match=message) as raised:
+        open_pix3d(tmp_path, strict=True)
+    assert str(raised.value) in data.skipped.values() and "\n" not in str(raised.value)
+
+
+def test_pictures_of_another_size_than_the_table_says_are_named_when_loaded(
+    tmp_path: Path, entries: list[dict[str, Any]]
+) -> None:
+    Image.new("RGB", (60, 88)).save(tmp_path / "img/chair/0000.png")
+    Image.new("L", (88, 61)).save(tmp_path / "mask/chair/0001.png")
+    (tmp_path / "mask/chair/0002.png").write_bytes(b"not a picture")
+    views = open_pix3d(tmp_path, strict=True).objects[0].views
+    for number, message in enumerate(
+        ("img/chair/0000.png: is 60x88, expected 88x60 as pix3d.json", "0001.png: is 88x61", "0002.png: is not a readable")
+    ):
+        with pytest.raises(InputError, match=message):
+            views[number].load()
+
+
+def test_a_damaged_model_is_named_when_its_views_are_loaded(tmp_path: Path, entries: list[dict[str, Any]]) -> None:
+    (tmp_path / entries[0]["model"]).write_text("v 0 0 0\n")
+    item = open_pix3d(tmp_path).objects[0]
+    assert item.target is not None
+    for load in (item.views[0].load, item.target):
+        with pytest.raises(InputError, match=r"model\.obj: "):
+            load()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "is empty"),
+        (b"[{", "is not JSON"),
+        (b"\xff\xfe", "is not JSON"),
+        (b"{}", "holds a dict, expected a list"),
+        (b"[]", "holds no object, expected entries"),
+        (b"[3]", "no object can be used, the first: .*entry 0.*: is a int"),
+    ],
+)
+def test_a_table_of_another_form_is_one_clear_line(tmp_path: Path, content: bytes, message: str) -> None:
+    (tmp_path / "pix3d.json").write_bytes(content)
+    with pytest.raises(InputError, match=message) as raised:
+        open_pix3d(tmp_path)
+    assert "\n" not in str(raised.value)

@@ -1,0 +1,169 @@
+"""Reading back the folder that render writes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tso_cli.datasets import rendered
+from tso_cli.datasets.rendered import open_rendered, stored_record, write_object
+from tso_cli.errors import InputError, TsoError
+from tso_cli.geometry.camera import Camera
+from tso_cli.io.images import write_image
+
+
+def picture(seed: int, width: int = 12, height: int = 10) -> tuple[np.ndarray, np.ndarray, Camera]:
+    rng = np.random.default_rng(seed)
+    image = rng.integers(0, 256, (height, width, 3), dtype=np.uint8)
+    mask = np.where(rng.random((height, width)) > 0.5, 255, 0).astype(np.uint8)
+    return image, mask, Camera.canonical(width, height)
+
+
+def cloud(seed: int, count: int = 20) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-0.5, 0.5, (count, 3)).astype(np.float32)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Two objects, the second below a category, of two views each."""
+    for number, name in enumerate(("b", "a/chair")):
+        views = [picture(10 * number), picture(10 * number + 1)]
+        write_object(tmp_path / "data" / name, views, cloud(number, 50), cloud(number), {"views": 2})
+    return tmp_path / "data"
+
+
+def test_one_object_is_a_data_set_of_one(folder: Path) -> None:
+    assert [item.name for item in open_rendered(folder / "a" / "chair").objects] == ["chair"]
+
+
+def test_unfinished_objects_are_left_out(folder: Path) -> None:
+    (folder / "b").rename(folder / ".b.1234.partial")
+    assert [item.name for item in open_rendered(folder).objects] == ["a/chair"]
+
+
+def test_a_missing_picture_is_named(folder: Path) -> None:
+    (folder / "b/000.png").unlink()
+    with pytest.raises(InputError, match=r"b/000\.png: does not exist"):
+        open_rendered(folder).objects[1].views[0].load()
+
+
+def test_a_folder_without_objects_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no object"):
+        open_rendered(tmp_path)
+    with pytest.raises(InputError, match="does not exist"):
+        open_rendered(tmp_path / "missing")
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="is a file"):
+        open_rendered(tmp_path / "file")
+
+
+def test_an_object_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    old = cloud(1)
+    write_object(tmp_path / "a", [picture(1)], old, old, {"n": 1})
+    monkeypatch.setattr(rendered, "write_cameras", full)
+    for name in ("a", "b"):
+        with pytest.raises(TsoError, match="No space left on device"):
+            write_object(tmp_path / name, [picture(2)], cloud(2), cloud(2), {"n": 2}, overwrite=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+    assert stored_record(tmp_path / "a") == {"n": 1}
+
+
+def test_the_old_object_comes_back_when_the_new_one_cannot_take_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_object(tmp_path / "a", [picture(1)], cloud(1), cloud(1), {"n": 1})
+    original = Path.rename
+
+    def stubborn(self: Path, target: Path) -> Path:
+        if self.name.endswith(".partial"):
+            raise OSError(5, "Input/output error")
+        return original(self, target)
+
+    monkeypatch.setattr(Path, "rename", stubborn)
+    with pytest.raises(TsoError, match="Input/output error"):
+        write_object(tmp_path / "a", [picture(2)], cloud(2), cloud(2), {"n": 2}, overwrite=True)
+    assert stored_record(tmp_path / "a") == {"n": 1}
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_an_object_is_replaced_only_when_asked(tmp_path: Path) -> None:
+    write_object(tmp_path / "a", [picture(1), picture(2)], cloud(1), cloud(1), {"n": 1})
+    with pytest.raises(InputError, match="--overwrite"):
+        write_object(tmp_path / "a", [picture(1)], cloud(1), cloud(1), {"n": 2})
+    assert stored_record(tmp_path / "a") == {"n": 1}
+    write_object(tmp_path / "a", [picture(1)], cloud(1), cloud(1), {"n": 2}, overwrite=True)
+    assert stored_record(tmp_path / "a") == {"n": 2}
+    assert not (tmp_path / "a/001.png").exists()
+    assert stored_record(tmp_path / "other") is None
+
+
+def test_as_a_data_set_an_object_has_its_views_target_and_category(folder: Path) -> None:
+    data = open_rendered(folder)
+    assert [(item.name, item.category, len(item.views)) for item in data.objects] == [("a/chair", "a", 2), ("b", "", 2)]
+    assert data.skipped == {} and data.description == "data"
+    item = data.objects[0]
+    assert item.target is not None
+    np.testing.assert_array_equal(item.target(), cloud(1))
+    for number, view in enumerate(item.views):
+        image, mask, camera = picture(10 + number)
+        loaded = view.load()
+        np.testing.assert_array_equal(loaded[0], image)
+        np.testing.assert_array_equal(loaded[1], mask / np.float32(255))
+        assert loaded[1].dtype == np.float32
+        np.testing.assert_array_equal(view.camera.K, camera.K)
+        assert view.name.endswith(f"{number:03d}.mask.png")
+
+
+def test_camera_files_are_kept_for_few_objects_at_a_time(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    reads: list[Path] = []
+    original = rendered.read_cameras
+    monkeypatch.setattr(rendered, "read_cameras", lambda path: (reads.append(path), original(path))[1])
+    views = rendered._Views(limit=1)
+    for _ in range(2):
+        for name in ("a/chair", "b"):
+            assert [views.view(str(folder / name), index).camera.width for index in (0, 1)] == [12, 12]
+    assert len(reads) == 4 and len(views._kept) == 1
+
+
+@pytest.mark.parametrize(
+    ("what", "message"),
+    [
+        ("target", r"b/target\.ply: does not exist"),
+        ("cameras", r"b/cameras\.json: is not"),
+        ("no cameras", r"b/cameras\.json: does not exist"),
+        ("mask", r"views\[1\] names no mask"),
+    ],
+)
+def test_an_unusable_object_of_a_data_set_is_skipped_or_an_error(folder: Path, what: str, message: str) -> None:
+    path = folder / "b/cameras.json"
+    if what == "target":
+        (folder / "b/target.ply").unlink()
+    elif what == "cameras":
+        path.write_text("{")
+    elif what == "no cameras":
+        path.unlink()
+    else:
+        document = json.loads(path.read_text())
+        del document["views"][1]["mask"]
+        path.write_text(json.dumps(document))
+    data = open_rendered(folder)
+    assert [item.name for item in data.objects] == ["a/chair"] and list(data.skipped) == ["b"]
+    with pytest.raises(InputError, match=message) as raised:
+        open_rendered(folder, strict=True)
+    assert str(raised.value) == data.skipped["b"]
+
+
+def test_a_damaged_picture_of_a_data_set_says_so_when_it_is_loaded(folder: Path) -> None:
+    (folder / "b/000.png").write_bytes(b"not a picture")
+    write_image(folder / "b/001.mask.png", picture(0, 13, 10)[1], overwrite=True)
+    views = open_rendered(folder, strict=True).objects[1].views
+    with pytest.raises(InputError, match=r"b/000\.png: is not a readable image"):
+        views[0].load()
+    with pytest.raises(InputError, match=r"001\.mask\.png: is 13x10.*12x10"):
+        views[1].load()

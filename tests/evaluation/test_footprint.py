@@ -1,0 +1,322 @@
+"""The silhouette follows the cloud's own spacing, so that its IoU tells clouds that fit from those that do not."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import distance_transform_cdt, distance_transform_edt
+from scipy.spatial import cKDTree
+
+from tso_cli.evaluation.footprint import RIM, _nearest, common_window, footprint, in_window, spacing, window_iou
+from tso_cli.geometry.camera import Camera
+from tso_cli.geometry.resampling import area_resize
+from tso_cli.geometry.view import View
+from tso_cli.geometry.window import window_of
+from tso_cli.io.cameras import read_cameras
+from tso_cli.io.clouds import read_cloud
+from tso_cli.io.images import read_mask
+from tso_cli.io.meshes import read_mesh
+from tso_cli.refinement.agreement import view_ious
+from tso_cli.render import RayScene, RenderSettings, fitting_distance, ground_truth, look_at, normalise, render_view
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+NAMES = ("chair", "car", "airplane")
+# One unit is 100 px; x to the right, y down.
+FLAT = Camera(np.diag([100.0, 100.0, 1.0]), np.eye(3), np.zeros(3), 100, 100, "orthographic")
+
+
+def _example(name: str, cloud: str = "target") -> tuple[np.ndarray, View]:
+    folder = EXAMPLES / name
+    view = View(read_mask(folder / "mask.png"), read_cameras(folder / "camera.json")[0].camera)
+    return read_cloud(folder / f"{cloud}.ply").points, view
+
+
+def _resized(view: View, size: int) -> View:
+    camera = view.camera.resized(size, size)
+    cover, _ = area_resize(view.mask, (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5), size, size)
+    return View(np.float32(cover > 0.5), camera)
+
+
+def _on_canvas(view: View, times: int, left: int, top: int) -> View:
+    """The picture laid into one so many times as wide and high."""
+    height, width = view.mask.shape
+    mask = np.zeros((times * height, times * width), np.float32)
+    mask[top : top + height, left : left + width] = view.mask
+    K = view.camera.K + [[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]]
+    return View(mask, replace(view.camera, K=K, width=times * width, height=times * height))
+
+
+def _plate(step: float = 0.02, last: float = 0.88) -> np.ndarray:
+    """A square lattice in the plane z = 0, from 0.1 on."""
+    steps = np.arange(0.1, last + 1e-9, step)
+    return np.stack([*np.meshgrid(steps, steps), np.zeros((len(steps), len(steps)))], -1).reshape(-1, 3)
+
+
+def _square() -> np.ndarray:
+    """The mask of that plate: it reaches half a pixel beyond the outermost points."""
+    mask = np.zeros((100, 100), np.float32)
+    mask[10:89, 10:89] = 1.0
+    return mask
+
+
+@pytest.mark.parametrize("size", [64, 256, 1024])
+@pytest.mark.parametrize("name", NAMES)
+def test_the_truth_scores_near_1_on_every_example_and_about_the_same_on_a_mask_of_another_size(name, size):
+    points, view = _example(name)
+    score = window_iou(points, view)
+    assert score > 0.93
+    # What differs is the outline's pixels: of the aeroplane at 64 px they are a fifth of the mask.
+    assert window_iou(points, _resized(view, size)) == pytest.approx(score, abs=0.011)
+
+
+@pytest.mark.parametrize("mesh", ["chair/q17_Chair", "chair/kfurn_chairDesk", "car/qreal_SUV", "airplane/qplane_Private_plane"])
+def test_more_points_bring_the_truth_nearer_to_1(mesh):
+    shape = normalise(read_mesh(EXAMPLES / "meshes" / f"{mesh}.ply"))
+    camera = look_at(35.0, 20.0, fitting_distance(shape.vertices, look_at(35.0, 20.0, 2.0, (256, 256)), 8.0), (256, 256))
+    view = View(np.float32(render_view(RayScene(shape), camera).mask > 0), camera)
+    samples, target = ground_truth(shape, RenderSettings(), np.random.default_rng(0))
+    assert (len(target), len(samples)) == (1024, 16384)
+    assert window_iou(target, view) > 0.92
+    assert window_iou(samples, view) > 0.96
+
+
+@pytest.mark.parametrize("size", [64, 256])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_cloud_scores_the_same_in_a_canvas_of_any_size(name, size):
+    points, view = _example(name)
+    view = _resized(view, size)
+    score = window_iou(points, view)
+    for times, left, top in ((2, 0, 17), (4, 611 * size // 256, 5), (8, 3 * size, 7 * size)):
+        assert window_iou(points, _on_canvas(view, times, left, top)) == pytest.approx(score, abs=0.01)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_cloud_that_is_shifted_scaled_or_of_another_shape_scores_clearly_lower(name):
+    points, view = _example(name)
+    right, down, _ = 0.05 * np.ptp(points, axis=0).max() * view.camera.R
+    score = window_iou(points, view)
+    for other in (points + right, points - right, points + down, points - down, 1.1 * points, 0.9 * points):
+        assert window_iou(other, view) < score - 0.1
+    assert window_iou(_example(name, "initial")[0], view) < score - 0.1
+
+
+def test_half_of_the_object_scores_half():
+    points, view = _plate(), View(_square(), FLAT)
+    assert window_iou(points, view) > 0.97
+    assert window_iou(points[points[:, 0] < 0.49], view) == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_hole_wider_than_two_spacings_stays_open_and_the_gaps_between_points_are_closed():
+    points = _plate()
+    # Two by two points less: from point to point three spacings, of which the outline takes a little.
+    hole = (np.abs(points[:, :2] - 0.49) < 0.02).all(1)
+    assert hole.sum() == 4
+    seen = in_window(points[~hole], View(_square(), FLAT), (-0.5, -0.5, 99.5, 99.5))
+    assert not seen.silhouette[48:51, 48:51].any()
+    around = np.zeros((100, 100), bool)
+    around[11:88, 11:88] = True
+    around[46:53, 46:53] = False
+    assert seen.silhouette[around].all()
+
+
+def test_strays_lower_the_score_and_fill_nothing():
+    rng = np.random.default_rng(0)
+    points, view = _example("chair")
+    low, high = points.min(0), points.max(0)
+    score = window_iou(points, view)
+    assert window_iou(np.concatenate([points, rng.uniform(low, high, (50, 3))]), view) < score - 0.01
+    upper = points[:, 1] > 0.0
+    half = window_iou(points[upper], view)
+    assert half < 0.82
+    assert window_iou(np.concatenate([points[upper], points[~upper][::12]]), view) < half + 0.02
+    assert window_iou(rng.uniform(low, high, (20, 3)), view) < 0.3
+
+
+def test_what_the_mask_does_not_know_says_nothing():
+    points, mask, known = _plate(), _square(), np.ones((100, 100), bool)
+    mask[:, 60:], known[:, 60:] = 0.0, False
+    assert window_iou(points, View(mask, FLAT)) < 0.7
+    assert window_iou(points, View(mask, FLAT, known)) > 0.97
+    mask[:, 60:] = 1.0
+    assert window_iou(points[points[:, 0] < 0.61], View(mask, FLAT, known)) > 0.97
+
+
+def test_what_lies_beyond_the_border_of_the_image_is_unknown():
+    points, view = _example("car")
+    width, height = 130, 150
+    left, top = 90, 70
+    mask = view.mask[top : top + height, left : left + width]
+    K = view.camera.K - [[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]]
+    cut = View(mask, replace(view.camera, K=K, width=width, height=height))
+    assert window_iou(points, cut) > 0.95
+
+
+def test_points_beyond_the_border_close_gaps_within():
+    points = _plate(0.05)
+    narrow = replace(FLAT, width=48)
+    assert points[points[:, 0] < 0.475].max(0)[0] == pytest.approx(0.45)
+    np.testing.assert_array_equal(footprint(points, narrow), footprint(points, FLAT)[:, :48])
+    assert footprint(points, narrow)[15:80, 40:].all()
+
+
+def test_points_at_the_camera_take_no_part():
+    points = _plate() + [-0.5, -0.5, 2.0]
+    camera = Camera(np.array([[200.0, 0.0, 59.5], [0.0, 200.0, 59.5], [0.0, 0.0, 1.0]]), np.eye(3), np.zeros(3), 300, 120)
+    close = np.array([[1e-3, 0.0, 1e-3]])
+    np.testing.assert_allclose(camera.project(close)[0], [[259.5, 59.5]])
+    np.testing.assert_array_equal(footprint(np.concatenate([points, close]), camera), footprint(points, camera))
+
+
+def test_before_and_after_are_judged_in_one_window_that_holds_both_clouds():
+    points, view = _example("chair")
+    moved = points + 0.3 * view.camera.R[0]
+    box = common_window([(points, view), (moved, view)])
+    assert box == common_window([(moved, view), (points, view)])
+    alone = np.array([window_of(view, cloud) for cloud in (points, moved)])
+    assert box == (*alone.min(0)[:2], *alone.max(0)[2:])
+    assert view_ious(points, moved, [view], [view]) == [(window_iou(points, view, box), window_iou(moved, view, box))]
+    assert window_iou(moved, view, box) != window_iou(moved, view, window_of(view, points))
+
+
+def test_pixels_compared_do_not_grow_with_the_photo():
+    points, view = _example("chair")
+    for size in (300, 3000):
+        large = _resized(view, size)
+        seen = in_window(points, large, window_of(large, points))
+        assert max(seen.mask.shape) <= 257
+        assert seen.silhouette.shape == seen.mask.shape
+
+
+def test_the_silhouette_is_the_cloud_dilated_by_a_disc_and_eroded_by_a_little_less():
+    # On a plate at random, seen by an orthographic camera: one radius for all points.
+    points = np.random.default_rng(0).uniform([0.2, 0.2, 0.0], [0.8, 0.6, 0.0], (400, 3))
+    camera = FLAT.resized(200, 200)
+    apart, radius = (200.0 * length for length in spacing(points))
+    everywhere = np.stack(np.meshgrid(np.arange(25.0, 175.0, 0.125), np.arange(25.0, 135.0, 0.125)), -1).reshape(-1, 2)
+    empty = everywhere[cKDTree(camera.project(points)[0]).query(everywhere)[0] > radius]
+    expected = np.zeros((200, 200), bool)
+    cells = np.stack(np.meshgrid(np.arange(35, 165), np.arange(35, 125)), -1)
+    expected[35:125, 35:165] = cKDTree(empty).query(cells)[0] > radius - RIM * apart
+    found = footprint(points, camera)
+    assert expected.sum() > 7000
+    # Empty spots smaller than a cell are missed.
+    assert (found != expected).sum() < 0.03 * expected.sum()
+
+
+@pytest.mark.parametrize("within", [3, 12, 20_000])
+def test_the_nearest_cell_is_the_nearest_and_none_where_none_is_near(within):
+    cells = np.random.default_rng(within).random((40, 70)) < 0.004
+    found = _nearest(cells, within)
+    rows, columns = np.indices(cells.shape)
+    expected = distance_transform_edt(~cells)
+    near = expected <= min(within, 70)
+    assert near.any() and (within == 20_000 or not near.all())
+    np.testing.assert_array_equal(np.hypot(found // 70 - rows, found % 70 - columns)[near], expected[near])
+    assert cells.ravel()[found[found >= 0]].all()
+    assert (found[distance_transform_cdt(~cells) > within] == -1).all()
+
+
+def test_the_disc_is_as_wide_as_the_spacing_is_seen_at_its_depth():
+    # Beside each other a plate and another three times as far, of one spacing: it is seen as 6 px and as 2 px.
+    near, far = _plate() - [0.78, 0.49, -1.0], _plate(last=1.3) + [0.4, -0.7, 3.0]
+    middle = np.array([1.1, 0.0, 3.0])
+    far = far[(np.abs(far - middle) > 0.05).any(1)]
+    camera = Camera(np.array([[300.0, 0.0, 214.5], [0.0, 300.0, 129.5], [0.0, 0.0, 1.0]]), np.eye(3), np.zeros(3), 400, 260)
+    found = footprint(np.concatenate([near, far]), camera)
+    assert found[20:240, 20:240].all()
+    row, column = 129, 324
+    assert not found[row - 2 : row + 3, column - 2 : column + 3].any()
+    assert found[row - 50 : row - 10, column - 50 : column + 50].all()
+
+
+@pytest.mark.parametrize("count", [300, 3000, 100_000])
+def test_the_spacing_is_that_of_the_points_on_their_surface(count):
+    rng = np.random.default_rng(0)
+    ball = rng.standard_normal((count, 3))
+    apart, radius = spacing(7.0 * ball / np.linalg.norm(ball, axis=1, keepdims=True))
+    assert apart == pytest.approx(7.0 * np.sqrt(4.0 * np.pi / count), rel=0.06)
+    assert 1.3 < radius / apart < 1.41
+
+
+def test_points_that_lie_evenly_need_a_smaller_disc():
+    apart, radius = spacing(_plate())
+    assert apart == pytest.approx(0.02, rel=0.15)
+    assert radius == apart
+
+
+def test_scans_far_from_the_origin_and_very_large_or_small_units_change_nothing():
+    points, view = _example("car")
+    shift = np.array([4e6, -3e6, 5e6])
+    moved = replace(view, camera=replace(view.camera, t=view.camera.t - view.camera.R @ shift))
+    assert window_iou(points + shift, moved) == pytest.approx(window_iou(points, view), abs=1e-3)
+    for unit in (1e-30, 1e30):
+        scaled = replace(view, camera=replace(view.camera, t=unit * view.camera.t))
+        assert window_iou(unit * points, scaled) == pytest.approx(window_iou(points, view), abs=1e-3)
+
+
+@pytest.mark.parametrize("model", ["perspective", "orthographic"])
+@pytest.mark.parametrize(
+    "points",
+    [
+        [[0.0, 0.0, 0.0]],
+        [[-0.2, 0.1, 0.0], [0.2, 0.1, 0.1]],
+        [[0.1, 0.1, 0.1]] * 50,
+        [[0.1, 0.1, 2.5], [0.2, 0.0, 3.0], [0.0, 0.0, 4.0]],
+        [[0.1, 0.1, 2.0], [0.0, 0.0, 0.0]],
+        [[50.0, 0.0, 0.0], [51.0, 3.0, 0.0], [0.0, -70.0, 0.0]],
+        [[0.0, 0.0, 0.0], [1e12, 0.0, 0.0], [0.0, 1e12, 0.0]],
+    ],
+    ids=["one", "two", "equal", "behind", "at the camera", "outside", "far outside"],
+)
+def test_degenerate_clouds_get_a_number_and_no_warning(points, model):
+    mask = np.zeros((40, 60), np.float32)
+    mask[5:30, 20:50] = 1.0
+    camera = replace(Camera.canonical(60, 40), model=model)
+    if model == "orthographic":
+        camera = replace(camera, K=np.array([[40.0, 0.0, 29.5], [0.0, 40.0, 19.5], [0.0, 0.0, 1.0]]))
+    view = View(mask, camera)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        score = window_iou(np.array(points), view)
+    assert 0.0 <= score < 0.1
+
+
+def test_a_window_whose_cells_miss_all_that_is_known_scores_0():
+    mask, known = np.zeros((3000, 3000), np.float32), np.zeros((3000, 3000), bool)
+    mask[1500, 1500] = 1.0
+    known[1500, 1500:1502] = True
+    view = View(mask, FLAT.resized(3000, 3000), known)
+    box = (-0.5, -0.5, 2999.5, 2999.5)
+    assert not in_window(_plate(), view, box).known.any()
+    assert window_iou(_plate(), view, box) == 0.0
+
+
+@st.composite
+def _cases(draw):
+    seed, count, size = draw(st.integers(0, 1 << 30)), draw(st.integers(1, 60)), draw(st.sampled_from([7, 40, 300]))
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(count, 3)) * 10.0 ** draw(st.integers(-3, 2)) * rng.uniform(0.0, 1.0, 3).round()
+    mask = np.zeros((size, size + draw(st.integers(0, 20))), np.float32)
+    mask[tuple(rng.integers(0, mask.shape[i], 4 * size) for i in (0, 1))] = rng.uniform(0.0, 1.0, 4 * size)
+    mask[0, 0], mask[-1, -1] = 1.0, 0.0
+    camera = Camera.canonical(mask.shape[1], mask.shape[0])
+    if draw(st.booleans()):
+        camera = replace(camera, model="orthographic", K=camera.K * [[0.5], [0.5], [1.0]])
+    known = rng.random(mask.shape) < 0.7
+    known[0, 0] = known[-1, -1] = True
+    return points, View(mask, camera, known if draw(st.booleans()) else None)
+
+
+@settings(max_examples=60, deadline=None)
+@given(_cases())
+def test_of_any_cloud_and_mask_it_is_a_number_from_0_to_1_and_the_same_every_time(case):
+    points, view = case
+    score = window_iou(points, view)
+    assert 0.0 <= score <= 1.0
+    assert window_iou(points.copy(), view) == score

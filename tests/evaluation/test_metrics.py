@@ -1,0 +1,163 @@
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.geometry.test_points import clouds
+from tso_cli.errors import InputError
+from tso_cli.evaluation import metrics
+from tso_cli.evaluation.metrics import chamfer, emd, f_score, iou
+
+
+def squared_distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """All pairs, [len(a), len(b)]."""
+    return ((a[:, None, :] - b[None, :, :]) ** 2).sum(-1)
+
+
+@settings(max_examples=80, deadline=None)
+@given(clouds(), clouds())
+def test_chamfer_is_the_mean_of_the_smallest_of_all_squared_distances(prediction: np.ndarray, target: np.ndarray) -> None:
+    table = squared_distances(prediction, target)
+    result = chamfer(prediction, target)
+    assert result.forward == pytest.approx(table.min(0).mean(), rel=1e-12)
+    assert result.backward == pytest.approx(table.min(1).mean(), rel=1e-12)
+    assert result.chamfer == result.forward + result.backward
+
+
+@settings(max_examples=40, deadline=None)
+@given(clouds(), clouds())
+def test_swapping_the_clouds_swaps_the_directions(a: np.ndarray, b: np.ndarray) -> None:
+    one, other = chamfer(a, b), chamfer(b, a)
+    assert (one.forward, one.backward) == (other.backward, other.forward)
+    scores = f_score(a, b, 0.5), f_score(b, a, 0.5)
+    assert (scores[0].precision, scores[0].recall) == (scores[1].recall, scores[1].precision)
+    assert scores[0].f_score == scores[1].f_score
+
+
+@settings(max_examples=40, deadline=None)
+@given(clouds(), st.integers(0, 1000))
+def test_a_cloud_is_at_distance_zero_of_itself_in_any_order(points: np.ndarray, seed: int) -> None:
+    shuffled = np.random.default_rng(seed).permutation(points)
+    assert chamfer(points, shuffled).chamfer == 0.0
+    assert emd(points, shuffled) == 0.0
+    assert f_score(points, shuffled, 1e-9).f_score == 1.0
+
+
+def test_forward_is_what_the_prediction_fails_to_cover() -> None:
+    target = np.array([[0.0, 0, 0], [2, 0, 0]])
+    result = chamfer(target[:1], target)
+    assert (result.forward, result.backward) == (2.0, 0.0)
+
+
+def test_chamfer_is_exact_far_from_the_origin() -> None:
+    far = np.array([4e6, -4e6, 4e6])
+    a, b = np.eye(3) / 1024 + far, np.zeros((1, 3)) + far
+    assert chamfer(a, b).chamfer == 2.0 / 1024**2
+
+
+@settings(max_examples=60, deadline=None)
+@given(clouds(), clouds(), st.floats(1e-3, 3.0))
+def test_f_score_counts_points_with_a_near_counterpart(prediction: np.ndarray, target: np.ndarray, threshold: float) -> None:
+    table = np.sqrt(squared_distances(prediction, target))
+    result = f_score(prediction, target, threshold)
+    precision, recall = (table.min(1) < threshold).mean(), (table.min(0) < threshold).mean()
+    assert (result.precision, result.recall) == (precision, recall)
+    expected = 0.0 if precision + recall == 0 else 2 / (1 / precision + 1 / recall) if precision * recall else 0.0
+    assert result.f_score == pytest.approx(expected)
+
+
+def test_f_score_leaves_the_bound_itself_out() -> None:
+    at_bound = f_score([[0.0, 0, 0]], [[0.5, 0, 0]], 0.5)
+    assert (at_bound.precision, at_bound.recall, at_bound.f_score) == (0.0, 0.0, 0.0)
+    assert f_score([[0.0, 0, 0]], [[0.5, 0, 0]], 0.500001).f_score == 1.0
+
+
+def test_the_default_threshold_is_a_hundredth_of_the_targets_longest_side() -> None:
+    target = np.array([[0.0, 0, 0], [4, 1, 2]])
+    assert f_score(10 * target, target).threshold == pytest.approx(0.04)
+
+
+def test_f_score_needs_a_threshold_where_the_target_has_no_extent() -> None:
+    with pytest.raises(InputError, match="target: holds a single point"):
+        f_score([[0.0, 0, 0]], [[0.0, 0, 0]])
+    for threshold in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(InputError, match="expected a distance > 0"):
+            f_score([[0.0, 0, 0]], [[0.0, 0, 0]], threshold)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 6), st.integers(0, 2**32 - 1), st.booleans(), st.booleans())
+def test_emd_is_the_best_of_all_permutations(count: int, seed: int, squared: bool, coarse: bool) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = rng.normal(size=(2, count, 3))
+    if coarse:
+        a, b = a.round(), b.round()
+    cost = squared_distances(a, b)
+    if not squared:
+        cost = np.sqrt(cost)
+    best = min(cost[range(count), list(p)].mean() for p in itertools.permutations(range(count)))
+    assert emd(a, b, squared) == pytest.approx(best, abs=1e-12)
+
+
+def test_emd_bounds_both_directions_of_chamfer_from_above() -> None:
+    a, b = np.random.default_rng(5).normal(size=(2, 60, 3))
+    result = chamfer(a, b)
+    assert emd(a, b, squared=True) >= max(result.forward, result.backward)
+    assert emd(a, b) == pytest.approx(emd(b, a))
+
+
+def test_emd_of_a_moved_cloud_is_the_length_of_the_move() -> None:
+    points = np.random.default_rng(6).normal(size=(40, 3))
+    assert emd(points, points + np.array([0.0, 0.3, 0.4])) == pytest.approx(0.5)
+    assert emd(points, points + np.array([0.0, 0.3, 0.4]), squared=True) == pytest.approx(0.25)
+
+
+def test_emd_refuses_clouds_of_different_or_excessive_size_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match=r"found 3 \(prediction\) and 2 \(target\).*--points 2"):
+        emd(np.eye(3), np.eye(3)[:2])
+    monkeypatch.setattr(metrics, "EMD_LIMIT", 2)
+    with pytest.raises(InputError, match=r"EMD of 3 points .*at most 2.*--points"):
+        emd(np.eye(3), np.eye(3))
+
+
+@pytest.mark.parametrize("metric", [chamfer, f_score, emd])
+def test_an_empty_or_infinite_cloud_is_refused_by_its_role(metric: object) -> None:
+    with pytest.raises(InputError, match="prediction: holds no points"):
+        metric(np.zeros((0, 3)), np.eye(3))  # type: ignore[operator]
+    with pytest.raises(InputError, match="target: point 2 has a NaN"):
+        metric(np.eye(3), np.diag([1, 1, np.nan]))  # type: ignore[operator]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.booleans())
+def test_iou_counts_pixels_over_a_half(seed: int, partly_known: bool) -> None:
+    rng = np.random.default_rng(seed)
+    silhouette, mask = rng.choice([0.0, 0.3, 0.5, 0.51, 1.0], (2, 4, 6))
+    known = rng.random((4, 6)) < 0.7 if partly_known else None
+    both = either = counted = 0
+    for row, column in itertools.product(range(4), range(6)):
+        if known is not None and not known[row, column]:
+            continue
+        counted += 1
+        ours, theirs = silhouette[row, column] > 0.5, mask[row, column] > 0.5
+        both, either = both + (ours and theirs), either + (ours or theirs)
+    result = iou(silhouette, mask, known)
+    assert math.isnan(result) if counted == 0 else result == (both / either if either else 1.0)
+
+
+def test_iou_of_nothing_with_nothing_is_agreement_and_of_no_known_pixel_undefined() -> None:
+    empty = np.zeros((3, 3))
+    assert iou(empty, empty) == 1.0
+    assert math.isnan(iou(np.ones((3, 3)), empty, np.zeros((3, 3), bool)))
+
+
+def test_iou_refuses_images_of_different_size() -> None:
+    with pytest.raises(InputError, match=r"\[3, 4\], \[4, 3\]"):
+        iou(np.zeros((3, 4)), np.zeros((4, 3)))
+    with pytest.raises(InputError, match="one size"):
+        iou(np.zeros((3, 4)), np.zeros((3, 4)), np.ones((1, 4), bool))

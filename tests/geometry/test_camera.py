@@ -1,0 +1,74 @@
+"""The camera: what it accepts, and the changes of frame that keep its picture."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tso_cli.errors import InputError
+from tso_cli.geometry.camera import Camera
+
+CANONICAL = Camera.canonical(64, 48)
+
+
+def _points(seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-0.4, 0.4, (30, 3))
+
+
+def test_the_canonical_camera_is_centred_and_two_units_away():
+    assert CANONICAL.K.tolist() == [[120.0, 0.0, 31.5], [0.0, 120.0, 23.5], [0.0, 0.0, 1.0]]
+    assert CANONICAL.t.tolist() == [0.0, 0.0, 2.0]
+
+
+def test_resizing_follows_the_rule_of_pixel_centres():
+    resized = CANONICAL.resized(128, 96)
+    assert resized.K[0, 0] == 240.0
+    assert resized.K[0, 2] == pytest.approx((31.5 + 0.5) * 2 - 0.5)
+    assert resized.K[1, 2] == pytest.approx((23.5 + 0.5) * 2 - 0.5)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(-20, 20), st.floats(-20, 20), st.floats(5, 90), st.floats(5, 90), st.integers(8, 200), st.integers(8, 200))
+def test_a_point_seen_in_a_crop_is_the_point_seen_in_the_picture(left, top, across, down, width, height):
+    box = (left, top, left + across, top + down)
+    pixels, _ = CANONICAL.project(_points())
+    cropped, _ = CANONICAL.cropped(box, width, height).project(_points())
+    expected = (pixels - [left, top]) * [width / across, height / down] - 0.5
+    np.testing.assert_allclose(cropped, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("model", ["perspective", "orthographic"])
+@settings(max_examples=25, deadline=None)
+@given(st.floats(1e-3, 1e4), st.tuples(*[st.floats(-1e6, 1e6)] * 3))
+def test_a_normalised_cloud_is_seen_where_the_cloud_is(model, scale, centre):
+    shift = np.array(centre)
+    camera = Camera(CANONICAL.K, CANONICAL.R, scale * CANONICAL.t - CANONICAL.R @ shift, 64, 48, model)
+    cloud = _points() * scale + shift
+    seen, _ = camera.project(cloud)
+    normalised, _ = camera.for_normalised(shift, scale).project((cloud - shift) / scale)
+    np.testing.assert_allclose(normalised, seen, rtol=1e-6, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (dict(K=np.eye(2)), "K has shape"),
+        (dict(K=np.diag([1.0, 0.0, 1.0])), "singular"),
+        (dict(K=np.diag([1.0, 1.0, 2.0])), "expected \\[\\[fx"),
+        (dict(K="wide"), "not an array"),
+        (dict(R=np.diag([1.0, 1.0, -1.0])), "not a rotation"),
+        (dict(R=np.eye(3) * 1e308), "not a rotation"),
+        (dict(t=[0.0, np.nan, 1.0]), "not finite"),
+        (dict(width=0), "width is 0"),
+        (dict(width="64"), "width is '64'"),
+        (dict(height=float("nan")), "height is nan"),
+        (dict(height=2.5), "height is 2.5"),
+        (dict(model="fisheye"), "perspective, orthographic"),
+    ],
+)
+def test_what_is_no_camera_is_refused(change, words):
+    good = dict(K=CANONICAL.K, R=CANONICAL.R, t=CANONICAL.t, width=64, height=48)
+    with pytest.raises(InputError, match=words):
+        Camera(**(good | change))

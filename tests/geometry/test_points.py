@@ -1,0 +1,170 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tso_cli.errors import InputError
+from tso_cli.geometry.points import (
+    as_points,
+    bounding_box_normalisation,
+    farthest_point_sample,
+    normalise_longest_side,
+    sample_surface,
+)
+
+
+def clouds(smallest: int = 1, largest: int = 30) -> st.SearchStrategy[np.ndarray]:
+    """Small clouds: spread, clustered, on a coarse grid (many ties) or with duplicated points."""
+
+    def build(seed: int, count: int, kind: str) -> np.ndarray:
+        rng = np.random.default_rng(seed)
+        if kind == "grid":
+            return rng.integers(-2, 3, (count, 3)).astype(float)
+        if kind == "duplicates":
+            return rng.normal(size=(max(count // 3, 1), 3))[rng.integers(0, max(count // 3, 1), count)]
+        if kind == "clusters":
+            return rng.normal(size=(3, 3))[rng.integers(0, 3, count)] + 1e-6 * rng.normal(size=(count, 3))
+        if kind == "far":
+            return 4e6 + rng.normal(size=(count, 3))
+        return rng.normal(size=(count, 3))
+
+    kinds = st.sampled_from(["spread", "grid", "duplicates", "clusters", "far"])
+    return st.builds(build, st.integers(0, 2**32 - 1), st.integers(smallest, largest), kinds)
+
+
+def naive_farthest(points: np.ndarray, count: int, start: int) -> list[int]:
+    chosen = [start]
+    while len(chosen) < count:
+        best, best_distance = -1, -1.0
+        for i in range(len(points)):
+            if i in chosen:
+                continue
+            steps = [points[i] - points[j] for j in chosen]
+            distance = min(d[0] * d[0] + d[1] * d[1] + d[2] * d[2] for d in steps)
+            if distance > best_distance:
+                best, best_distance = i, distance
+        chosen.append(best)
+    return chosen
+
+
+@settings(max_examples=60, deadline=None)
+@given(clouds(), st.data())
+def test_farthest_points_are_those_of_a_plain_loop(points: np.ndarray, data: st.DataObject) -> None:
+    count = data.draw(st.integers(1, len(points)))
+    start = data.draw(st.integers(0, len(points) - 1))
+    assert farthest_point_sample(points, count, start).tolist() == naive_farthest(points, count, start)
+
+
+def test_a_sample_of_all_points_is_a_permutation_even_where_points_coincide() -> None:
+    points = np.repeat(np.eye(3), 4, axis=0)
+    assert sorted(farthest_point_sample(points, 12)) == list(range(12))
+
+
+def test_a_smaller_sample_is_the_beginning_of_a_larger_one() -> None:
+    points = np.random.default_rng(0).normal(size=(200, 3))
+    np.testing.assert_array_equal(farthest_point_sample(points, 10), farthest_point_sample(points, 50)[:10])
+
+
+def test_sampling_leaves_its_input_alone() -> None:
+    points = np.random.default_rng(1).normal(size=(50, 3))
+    before = points.copy()
+    farthest_point_sample(points, 20)
+    np.testing.assert_array_equal(points, before)
+
+
+@pytest.mark.parametrize(("count", "start"), [(0, 0), (6, 0), (-1, 0), (2, 5), (2, -1)])
+def test_a_sample_that_cannot_be_is_refused(count: int, start: int) -> None:
+    with pytest.raises(InputError, match="expected"):
+        farthest_point_sample(np.zeros((5, 3)), count, start)
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (np.zeros((0, 3)), "no points"),
+        (np.zeros((3, 2)), r"\[3, 2\]"),
+        (np.zeros(3), r"\[3\]"),
+        ([["a", "b", "c"]], "not an array of numbers"),
+        ([[0, 0, 0], [0, np.nan, 0]], "point 1 has a NaN"),
+        ([[np.inf, 0, 0]], "point 0 has a NaN or infinite"),
+    ],
+)
+def test_what_is_not_a_cloud_is_refused_by_name(points: object, message: str) -> None:
+    with pytest.raises(InputError, match=f"chair.ply: .*{message}"):
+        as_points(points, "chair.ply")  # type: ignore[arg-type]
+
+
+@settings(max_examples=40, deadline=None)
+@given(clouds(smallest=2), st.floats(1e-6, 1e6), st.integers(0, 1000))
+def test_normalising_undoes_scale_and_place(points: np.ndarray, scale: float, seed: int) -> None:
+    if np.ptp(points, axis=0).max() < 1e-9:
+        return
+    points = points - points.mean(0)
+    place = np.random.default_rng(seed).normal(size=3)
+    ours = normalise_longest_side(points)
+    np.testing.assert_allclose(
+        normalise_longest_side(points * scale + place * scale), ours, atol=1e-9 / np.ptp(points, axis=0).max()
+    )
+    assert np.ptp(ours, axis=0).max() == pytest.approx(1.0, abs=1e-9)
+    np.testing.assert_allclose(ours.min(0) + ours.max(0), 0.0, atol=1e-9)
+
+
+def test_centre_and_scale_are_those_of_the_bounding_box_not_of_the_points() -> None:
+    centre, scale = bounding_box_normalisation([[0, 0, 0], [0, 0, 0], [0, 0, 0], [4, 2, 1]])
+    assert centre.tolist() == [2.0, 1.0, 0.5]
+    assert scale == 4.0
+
+
+@pytest.mark.parametrize("points", [[[1.0, 2.0, 3.0]], [[1.0, 2.0, 3.0]] * 5, [[-1.7e308, 0, 0], [1.7e308, 0, 0]]])
+def test_a_cloud_without_a_measurable_extent_cannot_be_normalised(points: list[list[float]]) -> None:
+    with pytest.raises(InputError, match=r"a\.ply: "):
+        bounding_box_normalisation(points, "a.ply")
+
+
+TWO_SQUARES = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 5], [3, 0, 5], [3, 3, 5], [0, 3, 5]], dtype=float)
+SQUARE_FACES = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7], [0, 0, 1]])
+
+
+def test_surface_samples_share_out_by_area() -> None:
+    points = sample_surface(TWO_SQUARES, SQUARE_FACES, 20000, np.random.default_rng(0))
+    upper = points[:, 2] == 5
+    assert set(np.unique(points[:, 2])) == {0.0, 5.0}
+    assert upper.mean() == pytest.approx(0.9, abs=0.01)
+    # Uniform within a square too: mean and variance of a uniform coordinate.
+    np.testing.assert_allclose(points[upper, :2].mean(0), 1.5, atol=0.03)
+    np.testing.assert_allclose(points[upper, :2].var(0), 9 / 12, atol=0.03)
+    assert points[upper, :2].min() >= 0
+    assert points[upper, :2].max() <= 3
+
+
+@pytest.mark.parametrize("scale", [1e-170, 1e-20, 1.0, 1e20, 1e150])
+def test_surface_samples_do_not_depend_on_the_unit(scale: float) -> None:
+    ours = sample_surface(TWO_SQUARES * scale, SQUARE_FACES, 50, np.random.default_rng(3))
+    np.testing.assert_allclose(ours / scale, sample_surface(TWO_SQUARES, SQUARE_FACES, 50, np.random.default_rng(3)), atol=1e-9)
+
+
+def test_the_last_face_is_not_drawn_from_if_it_has_no_area() -> None:
+    class Highest:
+        def random(self, shape: object) -> object:
+            return np.full(shape, 1.0)  # where rounding of the product below can lead  # type: ignore[call-overload]
+
+    faces = np.array([[0, 1, 2], [4, 4, 4]])
+    points = sample_surface(TWO_SQUARES, faces, 5, Highest())  # type: ignore[arg-type]
+    assert (points[:, 2] == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("faces", "count", "message"),
+    [
+        (np.zeros((0, 3), int), 5, "at least one triangle"),
+        ([[0, 1, 8]], 5, "outside 0 to 7"),
+        ([[0, 1, -1]], 5, "outside 0 to 7"),
+        ([[0, 0, 1]], 5, "no area"),
+        ([[0, 1, 2]], 0, "at least 1"),
+    ],
+)
+def test_a_surface_that_cannot_be_sampled_is_refused(faces: object, count: int, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        sample_surface(TWO_SQUARES, faces, count, np.random.default_rng(0))  # type: ignore[arg-type]

@@ -1,0 +1,238 @@
+"""The window: lengths belong to the object, whatever photo it is in."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tso_cli import Camera, RefineConfig, View, refine, refine_batch
+from tso_cli.evaluation.metrics import chamfer
+from tso_cli.geometry.view import object_box
+from tso_cli.geometry.window import window_around, window_of
+from tso_cli.io.clouds import read_cloud
+from tso_cli.lab.studies.evidence_cases import framed
+from tso_cli.refinement import PRESETS
+from tso_cli.refinement.objective import working_view
+from tso_cli.refinement.parameters import Cloud
+from tso_cli.refinement.problem import Item, finest_grid
+from tso_cli.scene.load import load_view
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def _example(name):
+    folder = EXAMPLES / name
+    initial, target = (read_cloud(folder / f"{file}.ply").points for file in ("initial", "target"))
+    return initial, target, load_view(folder / "mask.png")[0]
+
+
+def _in_canvas(view, times, across=0.5, down=0.3):
+    return framed(view, times, across, down)
+
+
+@pytest.mark.parametrize("preset", ["best", "paper"])
+@pytest.mark.parametrize("name", ["chair", "car", "airplane"])
+def test_an_object_comes_as_near_to_the_truth_in_a_large_photo_as_in_a_small_one(name, preset):
+    initial, target, view = _example(name)
+    config = RefineConfig(preset=preset)
+    before = chamfer(initial, target).chamfer
+    ratios = [
+        chamfer(refine(initial, shown, config=config).points, target).chamfer / before
+        for shown in (view, _in_canvas(view, 4), _in_canvas(view, 8, 1.0, 1.0))
+    ]
+    assert ratios[1:] == pytest.approx([ratios[0]] * 2, abs=0.02)
+    assert max(ratios) < 0.97
+
+
+def test_where_in_a_photo_the_object_is_and_how_large_that_is_changes_nothing():
+    initial, _, view = _example("airplane")
+    config = RefineConfig(steps=12)
+    expected = refine(initial, _in_canvas(view, 2), config=config)
+    for shown in (_in_canvas(view, 8), _in_canvas(view, 5, 0.2, 0.7)):
+        np.testing.assert_allclose(refine(initial, shown, config=config).points, expected.points, atol=1e-6)
+
+
+def test_the_window_is_a_square_around_mask_and_cloud():
+    mask = np.zeros((480, 640), np.float32)
+    mask[200:280, 300:400] = 1.0
+    camera = Camera.canonical(640, 480)
+    view = View(mask, camera)
+    np.testing.assert_allclose(window_of(view), (287.0, 177.0, 412.0, 302.0))
+    right = np.array([[0.3, 0.1, 0.0], [0.0, 0.0, 0.0]])
+    end = camera.project(right)[0][0, 0]
+    left, top, right_edge, bottom = window_of(view, np.repeat(right, 200, 0))
+    assert left < 300 < end < right_edge
+    assert right_edge - left == pytest.approx(bottom - top)
+
+
+def test_a_few_strays_do_not_widen_the_window():
+    initial, _, view = _example("chair")
+    photo = _in_canvas(view, 8)
+    stray = np.vstack([initial, initial.mean(0) + [1.5, 0.0, 0.0]])
+    np.testing.assert_allclose(window_of(photo, stray), window_of(photo, initial), atol=4.0)
+
+
+def test_the_window_ends_at_the_border_that_cuts_the_object():
+    mask = np.zeros((64, 64), np.float32)
+    mask[14:64, 10:50] = 1.0
+    left, top, right, bottom = window_of(View(mask, Camera.canonical(64, 64)))
+    assert bottom == pytest.approx(63.5)
+    assert (left + right) / 2.0 == pytest.approx(29.5)
+    assert top == pytest.approx(63.5 - (right - left))
+
+
+def test_an_image_that_the_object_fills_is_its_own_window():
+    mask = np.zeros((64, 64), np.float32)
+    mask[2:62, 4:60] = 1.0
+    view = View(mask, Camera.canonical(64, 64))
+    assert window_of(view) == pytest.approx((-0.5, -0.5, 63.5, 63.5))
+    working = working_view(view, 0.4, np.zeros(3), 1.0, window_of(view))
+    np.testing.assert_array_equal(working.mask, mask)
+    np.testing.assert_allclose(working.camera.K, view.camera.K)
+    assert working.known is None
+
+
+def test_only_the_borders_of_the_image_cut_an_object():
+    import torch
+
+    from tso_cli.silhouette.mask_chamfer import PullTarget
+
+    mask = np.zeros((200, 200), np.float32)
+    mask[60:100, 0:40] = 1.0
+    for shift, expected in ((0, True), (20, False), (160, True)):
+        view = View(np.roll(mask, shift, 1), Camera.canonical(200, 200))
+        seen = working_view(view, 0.4, np.zeros(3), 1.0)
+        known = None if seen.known is None else torch.from_numpy(seen.known)[None]
+        target = PullTarget.of(torch.from_numpy(seen.mask)[None], known, torch.tensor([seen.bounds], dtype=torch.float64))
+        assert (target.cut is not None) == expected
+
+
+def test_a_stray_beside_the_window_is_pulled_back_and_one_beside_the_photo_is_not():
+    import torch
+
+    from tso_cli.silhouette.mask_chamfer import PullTarget, mask_pull
+
+    mask = torch.zeros(1, 64, 64, dtype=torch.float64)
+    mask[0, 24:40, 24:40] = 1.0
+    target = PullTarget.of(mask, bounds=torch.tensor([[-100.0, -10.0, 200.0, 80.0]], dtype=torch.float64))
+    for place, pulled in (((-20.0, 32.0), True), (-150.0, False), ((80.0, -5.0), True), ((32.0, -12.0), False)):
+        points = torch.tensor([[place if isinstance(place, tuple) else (place, 32.0)]], dtype=torch.float64, requires_grad=True)
+        mask_pull(
+            points, torch.ones(1, 1, dtype=torch.bool), target._replace(inside=torch.zeros_like(target.inside)), 6.0
+        ).sum().backward()
+        assert bool(points.grad.any()) == pulled
+        if pulled:
+            toward = torch.tensor([32.0, 32.0], dtype=torch.float64) - points[0, 0].detach()
+            assert (-points.grad[0, 0] * toward).sum() > 0.0
+
+
+def test_the_window_follows_a_cloud_that_starts_far_from_its_mask():
+    _, target, view = _example("chair")
+    photo = _in_canvas(view, 4)
+    start = target + [0.0, 0.3, 0.0] @ view.camera.R
+    item = Item.of(Cloud(start, "points"), (photo,), RefineConfig(symmetry="none").settings())
+    first, last = (each.working[0].box for each in (item, item.followed(target, finest=False)))
+    assert first[2] - first[0] > 1.1 * (last[2] - last[0])
+    np.testing.assert_allclose(last, window_of(photo, target))
+
+
+def test_a_refinement_ends_in_the_window_of_its_result_on_the_grid_that_its_mask_bears():
+    _, target, view = _example("chair")
+    photo = _in_canvas(view, 4)
+    start = target + [0.0, 0.3, 0.0] @ view.camera.R
+    result = refine(start, photo, config=RefineConfig(symmetry="none"))
+    ((box, cells),) = result.view_windows
+    assert cells == 128
+    first, last = (np.subtract(*window_of(photo, points)[2::-2]) for points in (start, result.points))
+    assert first > last + 10.0
+    assert abs(box[2] - box[0] - last) < 0.3 * (first - last)
+    small = View(view.mask[::4, ::4], view.camera.resized(64, 64))
+    results = [refine(target, small, config=RefineConfig(steps=3, preset=preset)) for preset in PRESETS]
+    assert [result.view_windows[0][1] for result in results] == [96, 64]
+
+
+def test_stray_foreground_far_from_the_object_is_left_out_and_told():
+    initial, target, view = _example("car")
+    photo = _in_canvas(view, 4)
+    mask = photo.mask.copy()
+    mask[-40:-38, 30:32] = 1.0
+    strayed = View(mask, photo.camera)
+    assert (strayed.box(), strayed.specks, photo.specks) == (photo.box(), 4, 0)
+    config = RefineConfig(steps=6)
+    found, expected = (refine(initial, shown, config=config) for shown in (strayed, photo))
+    np.testing.assert_array_equal(found.points, expected.points)
+    assert found.iou_after == expected.iou_after
+    assert found.warnings == ("mask: foreground far from the object is left out (4 px)",)
+
+
+def test_parts_of_an_object_are_no_strays():
+    thin = np.zeros((200, 200), bool)
+    thin[90:110, 20:60] = True
+    thin[100, 60:180] = True  # an aerial, joined to it
+    assert object_box(thin) == (20, 90, 180, 110)
+    near = thin.copy()
+    near[100, 60:65] = False  # now in two parts, but a large one
+    assert object_box(near) == (20, 90, 180, 110)
+    dust = np.zeros((200, 200), bool)
+    dust[::20, ::20] = True
+    assert object_box(dust) == (0, 0, 181, 181)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 39), st.integers(0, 39)), min_size=1, max_size=60))
+def test_the_box_of_an_object_holds_nearly_all_of_it(pixels):
+    inside = np.zeros((40, 40), bool)
+    inside[tuple(np.array(pixels).T)] = True
+    left, top, right, bottom = object_box(inside)
+    assert inside[top:bottom, left:right].sum() >= 0.99 * inside.sum()
+    assert inside[top].any() and inside[bottom - 1].any() and inside[:, left].any() and inside[:, right - 1].any()
+
+
+def test_windows_of_one_view_lie_in_one_around_them():
+    assert window_around((0.0, 10.0, 20.0, 30.0), (10.0, 5.0, 40.0, 35.0)) == (0.0, 0.0, 40.0, 40.0)
+
+
+def test_a_fine_mask_of_a_dense_cloud_is_looked_at_finely():
+    assert [finest_grid(side, 1024) for side in (30.0, 60.0, 250.0)] == [64, 96, 128]
+    assert finest_grid(250.0, 200) == 64
+
+
+def test_objects_of_different_size_in_one_batch_come_to_what_they_come_to_alone():
+    scenes = []
+    for name in ("chair", "car"):
+        initial, _, view = _example(name)
+        scenes += [(initial, view), (initial, View(view.mask[::4, ::4], view.camera.resized(64, 64)))]
+    config = RefineConfig(steps=6)
+    for (points, view), result in zip(scenes, refine_batch(scenes, config), strict=True):
+        np.testing.assert_allclose(result.points, refine(points, view, config=config).points, atol=2e-3)
+
+
+def test_large_clouds_of_different_numbers_of_points_come_to_the_same_in_one_batch_and_alone():
+    _, target, view = _example("chair")
+    rng = np.random.default_rng(0)
+    clouds = [target[rng.integers(0, len(target), count)] + rng.normal(0.0, 0.03, (count, 3)) for count in (1500, 2900)]
+    config = RefineConfig(steps=6, symmetry="none")
+    for points, result in zip(clouds, refine_batch([(points, view) for points in clouds], config), strict=True):
+        np.testing.assert_allclose(result.points, refine(points, view, config=config).points, atol=2e-4)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(8, 90), st.integers(8, 90), st.integers(0, 80), st.integers(0, 80), st.integers(1, 60), st.integers(1, 60))
+def test_any_mask_lies_in_its_window(height, width, row, column, tall, wide):
+    mask = np.zeros((height, width), np.float32)
+    mask[min(row, height - 1) : row + tall, min(column, width - 1) : column + wide] = 1.0
+    if mask.all():
+        return
+    view = View(mask, Camera.canonical(width, height))
+    left, top, right, bottom = window_of(view)
+    box = view.box()
+    assert left <= box[0] + 1e-9
+    assert top <= box[1] + 1e-9
+    assert right >= box[2] - 1e-9
+    assert bottom >= box[3] - 1e-9
+    assert right - left == pytest.approx(bottom - top)
+    seen = working_view(view, 0.4, np.zeros(3), 1.0)
+    assert seen.inside.any()
+    assert 0.0 <= seen.mask.min() <= seen.mask.max() <= 1.0 + 1e-9

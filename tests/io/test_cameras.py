@@ -1,0 +1,216 @@
+"""Camera files read back exactly; what is wrong in one is said with the file and the key."""
+
+from __future__ import annotations
+
+import copy
+import json
+
+import numpy as np
+import pytest
+
+from tests.corruption import assert_one_line, assert_reads_or_refuses
+from tso_cli.errors import InputError
+from tso_cli.geometry.camera import Camera
+from tso_cli.io.cameras import CameraRecord, find_camera, read_camera, read_cameras, write_cameras
+
+TURN = 0.3
+GOOD = {
+    "width": 64,
+    "height": 48,
+    "K": [[120.0, 0.0, 31.5], [0.0, 118.5, 23.5], [0.0, 0.0, 1.0]],
+    "R": [[np.cos(TURN), 0.0, np.sin(TURN)], [0.0, 1.0, 0.0], [-np.sin(TURN), 0.0, np.cos(TURN)]],
+    "t": [0.1, -0.2, 2.0],
+}
+
+
+def changed(**keys):
+    document = copy.deepcopy(GOOD)
+    document.update(keys)
+    return document
+
+
+def without(key):
+    return {k: v for k, v in GOOD.items() if k != key}
+
+
+@pytest.fixture
+def save(tmp_path):
+    def write(content, name="camera.json"):
+        path = tmp_path / name
+        if not isinstance(content, (str, bytes)):
+            content = json.dumps(content)
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write
+
+
+def assert_same(a, b):
+    assert np.array_equal(a.K, b.K)
+    assert np.array_equal(a.R, b.R)
+    assert np.array_equal(a.t, b.t)
+    assert (a.width, a.height, a.model) == (b.width, b.height, b.model)
+
+
+def test_a_single_camera_is_read_as_it_stands(save):
+    (record,) = read_cameras(save(GOOD))
+    assert record.mask is None
+    assert record.image is None
+    assert_same(record.camera, Camera(GOOD["K"], GOOD["R"], GOOD["t"], 64, 48))
+    assert_same(read_camera(save(GOOD), 64, 48), record.camera)
+
+
+def test_views_name_their_files_relative_to_the_camera_file(save, tmp_path):
+    views = [changed(mask="a.png", image="photos/a.jpg", model="orthographic"), changed(mask="/b.png", width=32.0)]
+    first, second = read_cameras(save({"views": views}))
+    assert (first.mask, first.image) == (tmp_path / "a.png", tmp_path / "photos" / "a.jpg")
+    assert first.camera.model == "orthographic"
+    assert str(second.mask) == "/b.png"
+    assert second.camera.width == 32
+
+
+def test_what_is_written_reads_back_exactly(tmp_path):
+    camera = Camera.canonical(64, 48).cropped((1.3, 2.7, 50.1, 40.9), 33, 31)
+    write_cameras(tmp_path / "flat.json", [CameraRecord(camera)])
+    document = json.loads((tmp_path / "flat.json").read_text())
+    assert set(document) == {"width", "height", "model", "K", "R", "t"}
+    assert_same(read_camera(tmp_path / "flat.json", 33, 31), camera)
+
+    (tmp_path / "sub").mkdir()
+    records = [CameraRecord(camera, tmp_path / "m.png"), CameraRecord(camera.resized(7, 8), None, tmp_path / "sub" / "i.png")]
+    write_cameras(tmp_path / "sub" / "views.json", records)
+    assert json.loads((tmp_path / "sub" / "views.json").read_text())["views"][0]["mask"] == "../m.png"
+    for written, read in zip(records, read_cameras(tmp_path / "sub" / "views.json"), strict=True):
+        assert_same(written.camera, read.camera)
+        for name in ("mask", "image"):
+            a, b = getattr(written, name), getattr(read, name)
+            assert a is b is None or a.resolve() == b.resolve()
+
+
+def test_an_existing_camera_file_is_not_replaced_unasked(save):
+    path = save(GOOD)
+    record = CameraRecord(Camera.canonical(8, 8))
+    with pytest.raises(InputError, match="--overwrite"):
+        write_cameras(path, [record])
+    write_cameras(path, [record], overwrite=True)
+    assert read_cameras(path)[0].camera.width == 8
+    with pytest.raises(InputError, match="no camera to write"):
+        write_cameras(path, [], overwrite=True)
+
+
+def test_the_masks_own_camera_comes_before_the_folders(save, tmp_path):
+    mask = tmp_path / "front.mask.png"
+    assert find_camera(mask) is None
+    folder = save(GOOD)
+    assert find_camera(mask) == folder
+    own = save(GOOD, "front.mask.camera.json")
+    assert find_camera(mask) == own
+
+
+def test_a_camera_for_another_size_is_refused(save, tmp_path):
+    with pytest.raises(
+        InputError,
+        match=r"camera\.json: width x height is 64x48, the mask .*m\.png is 128x96, expected the same$",
+    ):
+        read_camera(save(GOOD), 128, 96, tmp_path / "m.png")
+
+
+def test_the_view_that_names_the_mask_is_chosen(save, tmp_path):
+    path = save({"views": [changed(mask="a.png"), changed(mask="b.png", t=[0, 0, 9])]})
+    assert read_camera(path, 64, 48, tmp_path / "b.png").t[2] == 9
+    with pytest.raises(InputError, match=r"0 of its 2 views name the mask .*c\.png, expected one"):
+        read_camera(path, 64, 48, tmp_path / "c.png")
+    with pytest.raises(InputError, match="0 of its 2 views name a mask"):
+        read_camera(path, 64, 48)
+
+
+BAD = {
+    "empty": ("", "is empty"),
+    "not JSON": ("{'width': 1}", "is not JSON .*line 1 column 2"),
+    "cut": (json.dumps(GOOD)[:-30], "is not JSON"),
+    "binary": (b"\x80\x00\xff", "is not UTF-8 text"),
+    "a list": ([GOOD], "holds list of 1, expected an object"),
+    "a number": ("5", "holds 5, expected an object"),
+    "nested deep": ("[" * 200_000, "nested too deep"),
+    "nested deep inside": ('{"a":' * 200_000, "nested too deep"),
+    "key twice": ('{"K": 1, "K": 2}', "the key 'K' appears twice"),
+    "endless digits": ('{"width": ' + "9" * 5000 + "}", "is not JSON"),
+    **{f"no {key}": (without(key), f": {key} is missing, expected") for key in GOOD},
+    "width of text": (changed(width="64"), "width is '64', expected a number"),
+    "width true": (changed(width=True), "width is True, expected a number"),
+    "width null": (changed(width=None), "width is None, expected a number"),
+    "width and a half": (changed(width=64.5), "width is 64.5, expected a whole number"),
+    "height zero": (changed(height=0), "height is 0, expected a whole number of pixels, 1 or more"),
+    "width huge": (changed(width=10**30), "width is 1000000.*expected at most"),
+    "too many pixels": (changed(width=10**6, height=10**6), "1000000x1000000, expected at most 100,000,000 pixels"),
+    "K flat": (changed(K=[1, 0, 0, 0, 1, 0, 0, 0, 1]), "K is list of 9, expected 3x3"),
+    "K ragged": (changed(K=[[1, 0, 0], [0, 1], [0, 0, 1]]), r"K\[1\] is list of 2, expected \[3\]"),
+    "K of text": (changed(K=[["1", 0, 0], [0, 1, 0], [0, 0, 1]]), r"K\[0\]\[0\] is '1', expected a number"),
+    "K NaN": (changed(K=[[np.nan, 0, 0], [0, 1, 0], [0, 0, 1]]), r"K\[0\]\[0\] is nan, expected a finite number"),
+    "K singular": (changed(K=[[0, 0, 0], [0, 1, 0], [0, 0, 1]]), "K is singular.* fx = 0"),
+    "K transposed": (changed(K=[[9, 0, 0], [0, 9, 0], [4, 4, 1]]), r"K is .* expected \[\[fx, s, cx\]"),
+    "R not a rotation": (changed(R=[[2, 0, 0], [0, 1, 0], [0, 0, 1]]), "R is not a rotation"),
+    "R mirrors": (changed(R=[[-1, 0, 0], [0, 1, 0], [0, 0, 1]]), "R is not a rotation.* det R = -1"),
+    "R too large to multiply": (changed(R=[[1e300, 1e300, 0], [-1e300, 1e300, 0], [0, 0, 1]]), r"R\[0\]\[0\] is 1e\+300"),
+    "R of angles": (changed(R=[0.1, 0.2, 0.3]), r"R\[0\] is 0.1, expected \[3\] numbers"),
+    "t a matrix": (changed(t=[[0, 0, 2]]), r"t is list of 1, expected \[3\]"),
+    "t infinite": (json.dumps(GOOD).replace("2.0]", "1e999]"), r"t\[2\] is inf, expected a finite number"),
+    "other model": (changed(model="fisheye"), "model is 'fisheye', expected one of perspective, orthographic"),
+    "model a number": (changed(model=3), "model is 3"),
+    "mask a number": (changed(mask=3), "mask is 3, expected the path"),
+    "mask empty": (changed(mask=""), "mask is '', expected the path"),
+    "mask with a NUL": (changed(mask="a\0b"), "expected the path"),
+    "small k": ({**without("K"), "k": GOOD["K"]}, "key 'k' is not one of camera files, expected K"),
+    "intrinsics": ({**without("K"), "intrinsics": GOOD["K"]}, "key 'intrinsics' is not one of camera files, expected K"),
+    "Views": ({"Views": [GOOD]}, "key 'Views' is not one of camera files, expected views"),
+    "views and K": ({"views": [GOOD], "K": GOOD["K"]}, "the key K is out of place"),
+    "views in a view": ({"views": [{"views": [GOOD]}]}, r"the key views\[0\]\.views is out of place"),
+    "no views": ({"views": []}, "views is list of 0, expected a list of at least one"),
+    "views of text": ({"views": "ab"}, "views is 'ab', expected a list"),
+    "a view of text": ({"views": [GOOD, "ab"]}, r"views\[1\] is 'ab', expected an object"),
+    "a bad view": ({"views": [GOOD, without("t")]}, r"views\[1\]\.t is missing"),
+    "a bad rotation in a view": ({"views": [changed(R=[[0] * 3] * 3)]}, r"views\[0\]\.R is not a rotation"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_is_wrong_is_said_with_file_and_key(save, case):
+    content, message = BAD[case]
+    with pytest.raises(InputError, match=rf"camera\.json: .*{message.removeprefix(': ')}") as caught:
+        read_cameras(save(content))
+    assert_one_line(str(caught.value))
+
+
+def test_files_that_cannot_be_opened_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"none\.json: does not exist"):
+        read_cameras(tmp_path / "none.json")
+    with pytest.raises(InputError, match="is a folder"):
+        read_cameras(tmp_path)
+    with (tmp_path / "huge.json").open("wb") as file:
+        file.truncate(65 << 20)
+    with pytest.raises(InputError, match=r"huge\.json: holds 68,157,440 bytes, expected .* at most 67,108,864"):
+        read_cameras(tmp_path / "huge.json")
+
+
+def test_unknown_keys_are_ignored_with_one_warning(save):
+    with pytest.warns(UserWarning, match=r"camera\.json: unknown keys are ignored: 'author, date'") as caught:
+        assert len(read_cameras(save({"views": [changed(author="me"), changed(author="you", date=1)]}))) == 2
+    assert len(caught) == 1
+
+
+def test_a_byte_order_mark_is_no_obstacle(save):
+    assert len(read_cameras(save(b"\xef\xbb\xbf" + json.dumps(GOOD).encode()))) == 1
+
+
+@pytest.mark.parametrize("form", ["flat", "views"])
+def test_any_damage_is_read_or_refused_in_one_line(save, form):
+    path = save(GOOD if form == "flat" else {"views": [changed(mask="a.png"), changed(model="orthographic")]}, "good.json")
+
+    def read(path):
+        for record in read_cameras(path):
+            assert np.isfinite(record.camera.K).all()
+            assert np.abs(record.camera.R @ record.camera.R.T - np.eye(3)).max() < 2e-3
+
+    was_read, refused = assert_reads_or_refuses(read, path, count=600)
+    assert was_read > 10
+    assert refused > 200

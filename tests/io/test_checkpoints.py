@@ -1,0 +1,254 @@
+"""Checkpoints come back as they were written; anything else is refused in one line."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from tso_cli.errors import InputError
+from tso_cli.io.checkpoints import FORMAT, load_network, save_network, save_tensors
+from tso_cli.network import model as networks
+from tso_cli.network.model import NetworkConfig, build_network
+
+CONFIG = NetworkConfig(points=4, training_set="two chairs", sigma_sq=0.1, frame="canonical", settings={"views": 4})
+
+
+@pytest.fixture(autouse=True)
+def thin_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same layers with few channels: files of kilobytes instead of 25 MB."""
+    thin = tuple((2, size, stride) for _, size, stride in networks.CONVOLUTIONS)
+    monkeypatch.setattr(networks, "CONVOLUTIONS", thin)
+    monkeypatch.setattr(networks, "LATENT", 4)
+
+
+@pytest.fixture
+def checkpoint(tmp_path: Path, thin_network: None) -> Path:
+    path = tmp_path / "base.safetensors"
+    save_network(path, build_network(4, seed=1), CONFIG)
+    return path
+
+
+def rewrite(path: Path, tensors: dict[str, Any] | None = None, **changes: Any) -> Path:
+    """The checkpoint again, with other tensors or configuration values (None leaves a key out)."""
+    config = {**dataclasses.asdict(CONFIG), **changes}
+    config = {name: value for name, value in config.items() if value is not None}
+    save_file(tensors or load_file(path), path, {"tso": json.dumps({"format": FORMAT, "config": config})})
+    return path
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        load_network(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ") and "\n" not in message and len(message) < 400 + len(str(path))
+    return message
+
+
+def test_network_and_configuration_come_back_as_they_were_saved(checkpoint: Path) -> None:
+    network, config = load_network(checkpoint)
+    original = build_network(4, seed=1)
+    assert config == CONFIG
+    assert not network.training
+    for name, tensor in original.state_dict().items():
+        assert torch.equal(tensor, network.state_dict()[name]), name
+    image = torch.rand(1, 3, 64, 64)
+    torch.testing.assert_close(network(image), original(image))
+
+
+def test_a_loaded_network_can_be_trained_on_and_does_not_change_its_file(checkpoint: Path) -> None:
+    before = checkpoint.read_bytes()
+    network, _ = load_network(checkpoint)
+    network(torch.rand(1, 3, 64, 64)).square().sum().backward()
+    with torch.no_grad():
+        for parameter in network.parameters():
+            assert parameter.grad is not None
+            parameter.sub_(0.1 * parameter.grad)
+    assert checkpoint.read_bytes() == before
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64])
+def test_weights_become_float32_whatever_the_file_stores(checkpoint: Path, dtype: torch.dtype) -> None:
+    stored = {name: tensor.to(dtype) for name, tensor in load_file(checkpoint).items()}
+    network, _ = load_network(rewrite(checkpoint, stored))
+    for name, tensor in network.state_dict().items():
+        assert tensor.dtype == torch.float32
+        assert torch.equal(tensor, stored[name].to(torch.float32))
+
+
+def test_training_state_beside_the_network_is_ignored_by_a_reader_of_networks(tmp_path: Path) -> None:
+    network = build_network(4, seed=1)
+    tensors = {**network.state_dict(), "training.moment": torch.zeros(3)}
+    save_tensors(tmp_path / "a.safetensors", tensors, CONFIG, {"step": 3})
+    assert load_network(tmp_path / "a.safetensors")[1] == CONFIG
+
+
+def test_loaded_weights_are_copies_that_lie_where_torch_puts_its_own(checkpoint: Path) -> None:
+    network, _ = load_network(checkpoint)
+    assert {parameter.data_ptr() % 64 for parameter in network.parameters()} == {0}
+
+
+def test_the_same_network_gives_the_same_bytes(tmp_path: Path) -> None:
+    written = []
+    for number in range(4):
+        path = tmp_path / f"{number}.safetensors"
+        save_tensors(path, build_network(4, seed=1).state_dict(), CONFIG, {"step": 3})
+        written.append(path.read_bytes())
+    assert len(set(written)) == 1
+
+
+def test_an_existing_file_is_kept_unless_overwriting_is_asked_for(checkpoint: Path) -> None:
+    before = checkpoint.read_bytes()
+    with pytest.raises(InputError, match="exists"):
+        save_network(checkpoint, build_network(4, seed=2), CONFIG)
+    assert checkpoint.read_bytes() == before
+    save_network(checkpoint, build_network(4, seed=2), CONFIG, overwrite=True)
+    assert checkpoint.read_bytes() != before
+    assert os.listdir(checkpoint.parent) == [checkpoint.name]
+
+
+class Dangerous:
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, ("was_run",)
+
+
+@pytest.mark.parametrize("protocol", [2, 3, 4, 5])
+def test_a_pickle_is_refused_without_being_run(tmp_path: Path, protocol: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "base.pth"
+    path.write_bytes(pickle.dumps(Dangerous(), protocol=protocol))
+    assert "is a pickled PyTorch file; loading it could run code; expected safetensors" in refusal(path)
+    assert not (tmp_path / "was_run").exists()
+
+
+@pytest.mark.parametrize("zipped", [True, False])
+def test_a_file_of_torch_save_is_refused(tmp_path: Path, zipped: bool) -> None:
+    path = tmp_path / "base.safetensors"
+    torch.save({"weight": torch.zeros(3)}, path, _use_new_zipfile_serialization=zipped)
+    assert "is a pickled PyTorch file" in refusal(path)
+
+
+def test_a_header_whose_length_begins_like_a_pickle_is_still_safetensors(checkpoint: Path) -> None:
+    raw = checkpoint.read_bytes()
+    length = int.from_bytes(raw[:8], "little")
+    wanted = next(size for size in range(length, length + 70_000, 8) if size & 0xFFFF in (0x0280, 0x0380, 0x0480, 0x0580))
+    header = raw[8 : 8 + length].ljust(wanted)
+    checkpoint.write_bytes(wanted.to_bytes(8, "little") + header + raw[8 + length :])
+    assert checkpoint.read_bytes()[0] == 0x80
+    load_network(checkpoint)
+
+
+def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
+    assert "does not exist" in refusal(tmp_path / "none.safetensors")
+    assert "is a folder" in refusal(tmp_path)
+    (tmp_path / "empty").write_bytes(b"")
+    assert "is empty" in refusal(tmp_path / "empty")
+    (tmp_path / "text").write_text("ply\nformat ascii 1.0\n")
+    assert "no safetensors file" in refusal(tmp_path / "text")
+
+
+@pytest.mark.parametrize("kept", [4, 9, 300, 0.5, -1])
+def test_a_truncated_file_is_refused(checkpoint: Path, kept: float) -> None:
+    raw = checkpoint.read_bytes()
+    checkpoint.write_bytes(raw[: int(len(raw) * kept) if 0 < kept < 1 else int(kept)])
+    refusal(checkpoint)
+
+
+def test_a_network_of_another_size_is_refused_with_both_shapes(checkpoint: Path) -> None:
+    message = refusal(rewrite(checkpoint, points=5))
+    assert "decoder.layers.4.weight has shape [12, 256], expected [15, 256]" in message
+
+
+def test_a_configuration_that_asks_for_a_huge_network_takes_no_memory(checkpoint: Path) -> None:
+    assert "has shape" in refusal(rewrite(checkpoint, points=1_000_000))
+    assert "points in the configuration is 1000000000" in refusal(rewrite(checkpoint, points=10**9))
+
+
+def test_missing_and_unknown_tensors_are_refused(checkpoint: Path) -> None:
+    tensors = load_file(checkpoint)
+    weight = tensors.pop("encoder.latent.weight")
+    assert "tensor encoder.latent.weight is missing, expected shape [4, 32]" in refusal(rewrite(checkpoint, dict(tensors)))
+    tensors["encoder.latent.weight"] = weight
+    tensors["encoder.attention"] = torch.zeros(2)
+    assert "unknown tensor 'encoder.attention' of shape [2]" in refusal(rewrite(checkpoint, tensors))
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_weights_that_are_not_finite_are_refused(checkpoint: Path, value: float) -> None:
+    tensors = load_file(checkpoint)
+    tensors["encoder.latent.bias"][2] = value
+    assert "encoder.latent.bias holds 1 numbers that are not finite" in refusal(rewrite(checkpoint, tensors))
+
+
+def test_weights_of_whole_numbers_are_refused(checkpoint: Path) -> None:
+    tensors = load_file(checkpoint)
+    tensors["encoder.latent.bias"] = torch.zeros(4, dtype=torch.int64)
+    assert "expected floating-point numbers" in refusal(rewrite(checkpoint, tensors))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("points", 0), ("points", "many"), ("points", True), ("image_size", 128), ("frame", "world"), ("frame", ["view"]),
+        ("sigma_sq", 0.0), ("sigma_sq", float("nan")), ("crop_share", 1.5), ("background", "green"), ("seed", 0.5),
+        ("steps", -1), ("supervision", {}), ("training_set", 3), ("settings", []),
+    ],
+)  # fmt: skip
+def test_impossible_configuration_values_are_refused(checkpoint: Path, name: str, value: Any) -> None:
+    assert f"{name} in the configuration is" in refusal(rewrite(checkpoint, **{name: value}))
+
+
+def test_a_missing_or_unreadable_configuration_is_refused(checkpoint: Path) -> None:
+    assert "lacks 'frame'" in refusal(rewrite(checkpoint, frame=None))
+    assert "unknown 'colour'" in refusal(rewrite(checkpoint, colour=1))
+    tensors = load_file(checkpoint)
+    broken = [
+        "{",
+        "3",
+        "[" * 9999,
+        "null",
+        '{"format": 1}',
+        json.dumps({"format": FORMAT}),
+        json.dumps({"format": FORMAT, "config": 3}),
+    ]
+    for metadata in (None, {"format": "pt"}, *({"tso": text} for text in broken)):
+        save_file(tensors, checkpoint, metadata)
+        refusal(checkpoint)
+
+
+def test_random_damage_is_either_refused_in_one_line_or_leaves_a_usable_network(checkpoint: Path) -> None:
+    raw = checkpoint.read_bytes()
+    header = 8 + int.from_bytes(raw[:8], "little")
+    rng = np.random.default_rng(0)
+    refused = 0
+    for i in range(500):
+        data = bytearray(raw)
+        end = header if i % 2 else len(data)
+        for _ in range(rng.integers(1, 6)):
+            data[rng.integers(end)] = rng.integers(256)
+        if i % 5 == 0:
+            del data[rng.integers(end) :]
+        elif i % 5 == 1:
+            at = rng.integers(end)
+            del data[at : at + rng.integers(1, 40)]
+        elif i % 5 == 2:
+            at = rng.integers(end)
+            data[at:at] = rng.bytes(int(rng.integers(1, 40)))
+        checkpoint.write_bytes(data)
+        try:
+            network, config = load_network(checkpoint)
+        except InputError as error:
+            refused += 1
+            assert str(error).startswith(str(checkpoint)) and "\n" not in str(error) and len(str(error)) < 600
+        else:
+            assert config.points == 4
+            assert all(torch.isfinite(parameter).all() for parameter in network.parameters())
+    assert refused > 250

@@ -1,0 +1,530 @@
+"""Point clouds survive reading and writing; what is not a cloud is refused in one line."""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+import warnings
+
+import numpy as np
+import pytest
+
+from tests.corruption import assert_one_line, assert_reads_or_refuses
+from tso_cli.errors import InputError, TsoError
+from tso_cli.io.clouds import PointCloud, read_cloud, write_cloud
+
+POINTS = np.array([[0.1, -2.5, 3.0], [1e-7, 4.25, -0.0], [7.0, 1 / 3, -9.875], [0.5, 0.5, 0.5]])
+FACES = [[0, 1, 2], [0, 1, 2, 3], [1, 2, 3]]
+CODES = {"float": "f", "double": "d", "uchar": "B", "int": "i", "short": "h", "char": "b", "uint": "I", "ushort": "H"}
+
+
+def a_ply(form, kind="float", eol="\n", faces=FACES, extra_first=False, lists=None, points=POINTS):
+    """A PLY file with comments, colours, an attribute between the coordinates and, if asked for, rows before them."""
+    order = {"binary_big_endian": ">", "binary_little_endian": "<"}.get(form)
+    lines = ["ply", f"format {form} 1.0", "comment element vertex 99", "obj_info by hand"]
+    body = []
+
+    def row(*columns):  # pairs (kind, value), value a list for a list with a uchar count
+        if order is None:
+            words = [str(w) for _, v in columns for w in ([len(v), *v] if isinstance(v, list) else [v])]
+            body.append(("  ".join(words) + " " + eol).encode())
+            return
+        for code, value in columns:
+            if isinstance(value, list):
+                body.append(struct.pack(f"{order}B{len(value)}{CODES[code]}", len(value), *value))
+            else:
+                body.append(struct.pack(order + CODES[code], value))
+
+    if extra_first:
+        lines += ["element camera 2", "property list uchar short ids", "property double focal"]
+        row(("short", [5, 6]), ("double", 1.5))
+        row(("short", [-7]), ("double", 2.5))
+    lines += [f"element vertex {len(points)}", f"property {kind} x", "property uchar red", f"property {kind} y"]
+    if lists:
+        lines += ["property list uchar int neighbours"]
+    lines += [f"property  {kind} z", "property float32 quality"]
+    for i, (x, y, z) in enumerate(points.tolist()):
+        x, y, z = (v if kind in ("float", "double") else int(v) for v in (x, y, z))
+        middle = [("int", lists[i])] if lists else []
+        row((kind, x), ("uchar", 200 + i), (kind, y), *middle, (kind, z), ("float", 0.25 * i))
+    lines += [f"element face {len(faces)}", "property list uchar int vertex_indices", "property uchar flag"]
+    for i, face in enumerate(faces):
+        row(("int", face), ("uchar", i))
+    return (eol.join([*lines, "end_header"]) + eol).encode() + b"".join(body)
+
+
+FORMS = ["ascii", "binary_little_endian", "binary_big_endian"]
+SHAPES = [
+    {},
+    {"eol": "\r\n"},
+    {"eol": "\r"},
+    {"extra_first": True},
+    {"faces": [[0, 1, 2], [1, 2, 3]]},
+    {"faces": []},
+    {"lists": [[1], [], [0, 3], [2]]},
+    {"lists": [[1], [0], [3], [2]], "extra_first": True},
+]
+
+
+@pytest.fixture
+def save(tmp_path):
+    def write(name, data):
+        path = tmp_path / name
+        path.write_bytes(data if isinstance(data, bytes) else data.encode())
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("kind", ["float", "double"])
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_vertices_are_read_wherever_they_stand(save, form, kind, shape):
+    cloud = read_cloud(save("a.ply", a_ply(form, kind, **shape)))
+    exact = POINTS if kind == "double" or form == "ascii" else POINTS.astype(np.float32)
+    assert np.array_equal(cloud.points, exact)
+    assert cloud.points.dtype == np.float64
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_faces_are_read_as_triangles_wherever_they_stand(save, form, shape):
+    found = read_cloud(save("a.ply", a_ply(form, **shape))).faces()
+    polygons = shape.get("faces", FACES)
+    if not polygons:
+        assert found is None
+        return
+    fans = [[face[0], *face[k : k + 2]] for face in polygons for k in range(1, len(face) - 1)]
+    assert sorted(found.tolist()) == sorted(fans)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_faces_of_less_than_three_corners_are_no_triangles(save, form):
+    assert read_cloud(save("a.ply", a_ply(form, faces=[[], [1], [0, 3]]))).faces().shape == (0, 3)
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("wrong", [4, -1])
+def test_a_face_of_a_point_that_is_not_there_is_refused(save, form, wrong):
+    cloud = read_cloud(save("a.ply", a_ply(form, faces=[[0, 1, 2], [0, 1, 2, wrong]])))
+    with pytest.raises(InputError, match=f"a.ply: a face names vertex {wrong}, expected 0 to 3"):
+        cloud.faces()
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("kind", ["float", "double", "int"])
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_writing_unmoved_points_gives_the_same_bytes(save, tmp_path, form, kind, shape):
+    source = save("a.ply", a_ply(form, kind, **shape))
+    cloud = read_cloud(source)
+    write_cloud(tmp_path / "b.ply", cloud.points.copy(), like=cloud)
+    assert (tmp_path / "b.ply").read_bytes() == source.read_bytes()
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("kind", ["float", "double"])
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_moved_points_change_their_coordinates_and_nothing_else(save, tmp_path, form, kind, shape):
+    """The file expected is the one built from scratch with the moved points; text is compared word by word."""
+    cloud = read_cloud(save("a.ply", a_ply(form, kind, **shape)))
+    moved = (POINTS * 1.5 + 0.1).astype(np.float32).astype(np.float64)
+    write_cloud(tmp_path / "b.ply", moved, like=cloud)
+    written, expected = (tmp_path / "b.ply").read_bytes(), a_ply(form, kind, points=moved, **shape)
+    if form == "ascii":
+        assert re.sub(rb"\S+", b"w", written) == re.sub(rb"\S+", b"w", expected)  # blanks and line ends stay
+        assert [w for w in written.split() if not w[-1:].isdigit()] == [w for w in expected.split() if not w[-1:].isdigit()]
+        assert np.array_equal(
+            *(read_cloud(save(f"{i}.ply", data)).points.astype(np.float32) for i, data in enumerate((written, expected)))
+        )
+    else:
+        assert written == expected
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_moving_one_point_rewrites_that_point_alone(save, tmp_path, form, shape):
+    source = a_ply(form, **shape)
+    cloud = read_cloud(save("a.ply", source))
+    moved = cloud.points.copy()
+    moved[2, 1] = 0.625
+    write_cloud(tmp_path / "b.ply", moved, like=cloud)
+    written = (tmp_path / "b.ply").read_bytes()
+    old = b"0.3333333333333333" if form == "ascii" else struct.pack("<>"[form.endswith("big_endian")] + "f", 1 / 3)
+    new = b"0.625" if form == "ascii" else struct.pack("<>"[form.endswith("big_endian")] + "f", 0.625)
+    assert source.count(old) == 1
+    assert written == source.replace(old, new)
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_integer_coordinates_become_double_when_they_move(save, tmp_path, form, shape):
+    cloud = read_cloud(save("a.ply", a_ply(form, "int", **shape)))
+    assert np.array_equal(cloud.points, np.trunc(POINTS))
+    moved = np.trunc(POINTS) + 0.1
+    write_cloud(tmp_path / "b.ply", moved, like=cloud)
+    assert np.array_equal(read_cloud(tmp_path / "b.ply").points, moved)
+    written, expected = (tmp_path / "b.ply").read_bytes(), a_ply(form, "double", points=moved, **shape)
+    assert written.split() == expected.split() if form == "ascii" else written == expected
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("kind", ["float", "int"])
+def test_coordinates_may_stand_in_any_order(save, tmp_path, form, kind):
+    """x, y, z are told by name: here z comes first and y last."""
+    letter = "<>"[form.endswith("big_endian")] + CODES[kind]
+
+    def body(points, letter):
+        rows = [[z, x, y] for x, y, z in points.tolist()]
+        if form == "ascii":
+            return "".join("{} {} {}\n".format(*row) for row in rows).encode()
+        return b"".join(struct.pack(letter, value) for row in rows for value in row)
+
+    head = f"ply\nformat {form} 1.0\nelement vertex 4\nproperty {kind} z\nproperty {kind} x\nproperty {kind} y\nend_header\n"
+    points = np.arange(12).reshape(4, 3) * (1.0 if kind == "float" else 1)
+    cloud = read_cloud(save("a.ply", head.encode() + body(points, letter)))
+    assert np.array_equal(cloud.points, points)
+    write_cloud(tmp_path / "b.ply", points + 0.5, like=cloud)
+    if kind == "int":
+        head, letter = head.replace("int", "double"), letter[0] + "d"
+    assert (tmp_path / "b.ply").read_bytes() == head.encode() + body(points + 0.5, letter)
+
+
+def test_a_body_may_begin_with_the_byte_of_a_line_break(save):
+    """After a header whose lines end in a bare carriage return, a line feed belongs to the first number."""
+    head = HEAD.format(2).replace("ascii", "binary_little_endian").replace("\n", "\r").encode()
+    body = b"\n\0\x80\x3f" + np.array([1, 2, 3, 4, 5], dtype="<f4").tobytes()
+    points = read_cloud(save("a.ply", head + body)).points
+    assert np.array_equal(points.ravel(), np.frombuffer(body, "<f4"))
+
+
+def test_numbers_that_signal_are_not_finite_like_any_other(save):
+    head = HEAD.format(2).replace("ascii", "binary_big_endian").encode()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(InputError, match="1 of 2 points have a coordinate that is not finite"):
+            read_cloud(save("a.ply", head + bytes(20) + b"\x7f\x80\0\x01"))
+
+
+def test_text_with_more_digits_than_its_type_keeps_them(save, tmp_path):
+    text = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    cloud = read_cloud(save("scan.ply", text + "4000000.123456 1 2\n4000001.123456 1 2\n"))
+    moved = cloud.points + np.array([0.000001, 0, 0])
+    write_cloud(tmp_path / "b.ply", moved, like=cloud)
+    assert np.array_equal(read_cloud(tmp_path / "b.ply").points, moved)
+
+
+def test_text_is_written_in_the_digits_of_its_type(save, tmp_path):
+    text = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty double z\nend_header\n"
+    cloud = read_cloud(save("a.ply", text + "0.5 1 2\n0.25 1.50 3"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_cloud(tmp_path / "b.ply", cloud.points + np.array([0.1, 0, 0.1]), like=cloud)
+    assert (tmp_path / "b.ply").read_text() == text + "0.6 1 2.1\n0.35 1.50 3.1"
+
+
+def test_a_scan_far_from_the_origin_keeps_its_precision(save, tmp_path):
+    far = 4e6 + np.random.default_rng(0).random((100, 3))
+    write_cloud(tmp_path / "a.ply", far)
+    cloud = read_cloud(tmp_path / "a.ply")
+    assert np.array_equal(cloud.points, far)
+    write_cloud(tmp_path / "b.ply", cloud.points + 1e-6, like=cloud)
+    assert np.array_equal(read_cloud(tmp_path / "b.ply").points, far + 1e-6)
+
+
+def test_old_normals_stay_with_a_warning(save, tmp_path):
+    names = ("x", "y", "z", "nx", "ny", "nz")
+    head = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {name}\n" for name in names)
+    cloud = read_cloud(save("n.ply", head + "end_header\n0 0 0 0 0 1\n1 1 1 0 1 0\n"))
+    with pytest.warns(UserWarning, match=r"b\.ply: the normals are those of .*n\.ply"):
+        write_cloud(tmp_path / "b.ply", cloud.points + 1.0, like=cloud)
+    assert b" 0 0 1\n" in (tmp_path / "b.ply").read_bytes()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_cloud(tmp_path / "c.ply", cloud.points, like=cloud)
+
+
+def test_a_new_cloud_round_trips_with_colours(tmp_path):
+    colours = np.arange(12, dtype=np.uint8).reshape(4, 3)
+    for dtype in ("float32", "float64"):
+        write_cloud(tmp_path / f"{dtype}.ply", POINTS, colours=colours, dtype=dtype)
+        cloud = read_cloud(tmp_path / f"{dtype}.ply")
+        assert np.array_equal(cloud.points, POINTS.astype(dtype))
+        assert cloud.precision == dtype
+    data = (tmp_path / "float32.ply").read_bytes()
+    assert data.endswith(POINTS[3].astype("<f4").tobytes() + bytes([9, 10, 11]))
+    assert b"property uchar red" in data
+
+
+def test_other_programs_agree_on_what_was_written(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    write_cloud(tmp_path / "a.ply", POINTS, colours=np.full((4, 3), 7, dtype=np.uint8))
+    theirs = trimesh.load(tmp_path / "a.ply", process=False)
+    assert np.allclose(theirs.vertices, POINTS, atol=1e-6)
+    assert (theirs.colors[:, :3] == 7).all()
+
+
+def test_arrays_and_tables_are_clouds_too(save, tmp_path):
+    for name, array in {
+        "a.npy": POINTS, "b.npy": POINTS.astype(np.float32), "c.npy": np.asfortranarray(POINTS), "d.npy": POINTS.astype(">f8"),
+    }.items():  # fmt: skip
+        np.save(tmp_path / name, array)
+        assert np.array_equal(read_cloud(tmp_path / name).points, array), name
+    assert read_cloud(tmp_path / "b.npy").precision == "float32"
+    text = "# a comment\n\n" + "\n".join(" ".join(map(repr, row)) for row in POINTS.tolist())
+    assert np.array_equal(read_cloud(save("a.xyz", text)).points, POINTS)
+    assert np.array_equal(read_cloud(save("a.TXT", text.replace("\n", "\r\n").replace(" ", "\t"))).points, POINTS)
+    with pytest.warns(UserWarning, match=r"six\.xyz: only the first three"):
+        assert np.array_equal(read_cloud(save("six.xyz", "1 2 3 255 0 0\n4 5 6 255 0 0\n")).points, [[1, 2, 3], [4, 5, 6]])
+
+
+def test_a_table_is_written_as_a_ply_of_its_precision(save, tmp_path):
+    np.save(tmp_path / "a.npy", POINTS.astype(np.float32))
+    write_cloud(tmp_path / "a.ply", POINTS, like=read_cloud(tmp_path / "a.npy"))
+    write_cloud(tmp_path / "b.ply", POINTS, like=read_cloud(save("b.xyz", "0 0 0\n1 1 1\n2 2 2\n3 3 3")))
+    assert (read_cloud(tmp_path / "a.ply").precision, read_cloud(tmp_path / "b.ply").precision) == ("float32", "float64")
+
+
+HEAD = "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+XYZ = "property float x\nproperty float y\nproperty float z\n"
+BAD_PLY = {
+    "empty": ("", "is empty"),
+    "not a ply": ("solid cube\nfacet", "not a PLY file"),
+    "no end of header": ("ply\nformat ascii 1.0\nelement vertex 2\n", "no end_header"),
+    "no format": (f"ply\nelement vertex 2\n{XYZ}end_header\n0 0 0\n1 1 1\n", "no format"),
+    "unknown format": (HEAD.format(2).replace("ascii", "morse") + "0 0 0\n1 1 1\n", "morse"),
+    "other version": (HEAD.format(2).replace("1.0", "2.0") + "0 0 0\n1 1 1\n", "version 1.0"),
+    "no vertices": (HEAD.format(2).replace("vertex", "vertices") + "0 0 0\n1 1 1\n", "no vertex element"),
+    "no z": (HEAD.format(2).replace("float z", "float depth") + "0 0 0\n1 1 1\n", r"no z \(properties: 'x, y, depth'\)"),
+    "list for x": (HEAD.format(2).replace("float x", "list uchar float x") + "1 0 0 0\n1 1 1 1\n", "x .* is a list"),
+    "x twice": (HEAD.format(2).replace("float y", "float x") + "0 0 0\n1 1 1\n", "second property"),
+    "vertex twice": (HEAD.format(2).replace("end_header", "element vertex 2\nend_header") + "0 0 0\n1 1 1\n", "second element"),
+    "unknown type": (HEAD.format(2).replace("float y", "quad y") + "0 0 0\n1 1 1\n", "types of PLY 1.0"),
+    "list with a float length": (
+        HEAD.format(2).replace("end_header", "property list float int a\nend_header") + "0 0 0 0\n", "expected an integer type",
+    ),
+    "zero points": (HEAD.format(0), "0 points, expected at least 2"),
+    "one point": (HEAD.format(1) + "0 0 0\n", "1 point, expected at least 2"),
+    "truncated": (HEAD.format(3) + "0 0 0\n1 1 1\n", "ends after 2 of 3 rows"),
+    "cut line": (HEAD.format(2) + "0 0 0\n1 1", "line 9 has 2 values, expected 3"),
+    "too many": (HEAD.format(2) + "0 0 0\n1 1 1\n2 2 2\n", "has 3 lines of data, the header accounts for 2"),
+    "huge count": (HEAD.format(10**18) + "0 0 0\n1 1 1\n", "ends after 2 of 1000000000000000000"),
+    "impossible count": (HEAD.format(10**30) + "0 0 0\n1 1 1\n", "expected a name and a count"),
+    "negative count": (HEAD.format(-2) + "0 0 0\n1 1 1\n", "expected a name and a count"),
+    "words": (HEAD.format(2) + "0 0 0\n1 one 1\n", "line 9 has 'one', expected a number"),
+    "not finite": (HEAD.format(4) + "0 0 0\n1 1 1\n1 nan 1\n2 inf 2\n", "2 of 4 points .*not finite.* point 2 "),
+    "huge number": (HEAD.format(2) + "0 0 0\n1 1e200 1\n", "coordinate of 1e\\+200"),
+    "all the same": (HEAD.format(3) + "1 2 3\n" * 3, r"all 3 points are the same \[1.0, 2.0, 3.0\]"),
+    "a wide word": (HEAD.format(2) + "0 0 0\n1 1 " + "1" * 2000, "expected a number"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD_PLY)
+def test_what_is_not_a_cloud_is_refused_in_one_line(save, case):
+    content, message = BAD_PLY[case]
+    with pytest.raises(InputError, match=rf"bad\.ply: .*{message}") as caught:
+        read_cloud(save("bad.ply", content))
+    assert_one_line(str(caught.value))
+    assert caught.value.exit_code == 2
+
+
+@pytest.mark.parametrize("form", FORMS[1:])
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_a_binary_body_of_another_length_than_the_header_says_is_refused(save, form, shape):
+    data = a_ply(form, **shape)
+    start = data.index(b"end_header") + len("end_header" + shape.get("eol", "\n"))
+    for end in range(start, len(data)):
+        with pytest.raises(InputError, match=r"a\.ply: ends after \d of \d rows of element"):
+            read_cloud(save("a.ply", data[:end]))
+    with pytest.raises(InputError, match=r"3 bytes follow the data"):
+        read_cloud(save("a.ply", data + b"abc"))
+    assert len(read_cloud(save("a.ply", data + b"\n")).points) == 4
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_count_that_lies_allocates_nothing(save, form):
+    data = a_ply(form).replace(b"element vertex 4", b"element vertex 900000000000000000")
+    with pytest.raises(InputError, match=r"of 900000000000000000 rows of element 'vertex'"):
+        read_cloud(save("a.ply", data))
+    data = a_ply(form).replace(b"element face 3", b"element face 900000000000000000")
+    with pytest.raises(InputError, match=r"of 900000000000000000 rows of element 'face'"):
+        read_cloud(save("a.ply", data))
+
+
+def test_a_header_without_end_is_given_up_on(save):
+    data = "ply\nformat ascii 1.0\n" + "comment\n" * 200_000 + HEAD.format(2)[21:] + "0 0 0\n1 1 1\n"
+    with pytest.raises(InputError, match="no end_header line within its first"):
+        read_cloud(save("a.ply", data))
+
+
+def test_files_that_cannot_be_opened_are_refused(save, tmp_path):
+    (tmp_path / "folder.ply").mkdir()
+    for path, message in {
+        tmp_path / "none.ply": r"none\.ply: does not exist",
+        tmp_path / "folder.ply": r"folder\.ply: is a folder",
+        tmp_path: "is a folder",
+        save("file", b"x") / "a.ply": "does not exist",
+        save("cloud.las", b"x"): r"'\.las' .*expected \.ply, \.npy, \.xyz, \.txt",
+        tmp_path / ("a" * 3000 + ".ply"): "cannot be read",
+        tmp_path / "nul\0.ply": "cannot be read",
+    }.items():
+        with pytest.raises(InputError, match=message):
+            read_cloud(path)
+    os.mkfifo(tmp_path / "pipe.ply")
+    with pytest.raises(InputError, match="not a regular file"):
+        read_cloud(tmp_path / "pipe.ply")
+
+
+def test_arrays_that_are_no_clouds_are_refused(save, tmp_path):
+    for array, message in [
+        (np.zeros((4, 2)), r"float64 \[4, 2\], expected numbers \[N, 3\]"),
+        (np.zeros(3), r"\[3\], expected"),
+        (np.zeros((2, 3), dtype=complex), "complex128"),
+        (np.zeros((2, 3), dtype=bool), "bool"),
+        (np.array([[{}] * 3] * 2), "object"),
+        (np.zeros((0, 3)), "0 points"),
+        (np.full((5, 3), np.nan), "5 of 5 points .* first is point 0"),
+    ]:
+        np.save(tmp_path / "a.npy", array, allow_pickle=True)
+        with pytest.raises(InputError, match=rf"a\.npy: .*{message}"):
+            read_cloud(tmp_path / "a.npy")
+    np.save(tmp_path / "a.npy", np.zeros((2, 3)))
+    lying = (tmp_path / "a.npy").read_bytes().replace(b"(2, 3), }          ", b"(2000000000000, 3)}")
+    assert b"2000000000000" in lying
+    with pytest.raises(InputError, match=r"has 48 bytes of values, expected .*2000000000000, 3"):
+        read_cloud(save("a.npy", lying))
+    np.save(tmp_path / "a.npy", POINTS)
+    with pytest.raises(InputError, match="has 104 bytes of values, expected .4, 3. of float64"):
+        read_cloud(save("a.npy", (tmp_path / "a.npy").read_bytes() + bytes(8)))
+    np.save(tmp_path / "a.npy", POINTS)
+    odd = (tmp_path / "a.npy").read_bytes().replace(b"'<f8'", b"'<\x1b['")
+    with pytest.raises(InputError, match=r"a\.npy: is not a readable") as caught:
+        read_cloud(save("a.npy", odd))
+    assert_one_line(str(caught.value))
+
+
+def test_a_pickle_is_never_opened(save):
+    import pickle
+
+    class Trap:
+        def __reduce__(self):
+            return pytest.fail, ("unpickled",)
+
+    with pytest.raises(InputError, match=r"p\.npy: is not a readable \.npy"):
+        read_cloud(save("p.npy", pickle.dumps(Trap())))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1 2 3\n4 5\n", "line 2 has 2 columns, expected at least 3"),
+        ("1,2,3\n4,5,6\n", "line 1 has 1 columns"),
+        ("x y z\n1 2 3\n", "line 1 has 'x', expected a number"),
+        ("1 2 3\n4 5 6_0\n", "line 2 has '6_0', expected a number"),
+        ("# nothing\n", "0 points"),
+        ("  \n \n", "0 points"),
+        ("1 2 3\x00\n4 5 6", "line 1 has .*expected a number"),
+    ],
+)
+def test_tables_that_are_no_clouds_are_refused(save, text, message):
+    with pytest.raises(InputError, match=rf"a\.xyz: {message}"):
+        read_cloud(save("a.xyz", text))
+
+
+def test_nothing_is_written_for_points_that_cannot_be(save, tmp_path):
+    cloud = read_cloud(save("a.ply", a_ply("binary_little_endian")))
+    bad = POINTS.copy()
+    bad[3, 0] = np.nan
+    huge = POINTS * 1e60
+    for points, error, message in [
+        (bad, TsoError, r"b\.ply: point 3 is not finite"),
+        (POINTS[:3], InputError, "3 points to write, expected 4 as in .*a.ply"),
+        (huge, TsoError, "does not fit into the float"),
+        (POINTS[:, :2], InputError, r"shape \[4, 2\]"),
+    ]:
+        with pytest.raises(error, match=message):
+            write_cloud(tmp_path / "b.ply", points, like=cloud)
+    with pytest.raises(InputError, match=r"expected \.ply"):
+        write_cloud(tmp_path / "b.xyz", POINTS)
+    with pytest.raises(InputError, match="exists already"):
+        write_cloud(tmp_path / "a.ply", POINTS, like=cloud)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.ply"]
+    write_cloud(tmp_path / "a.ply", POINTS, like=cloud, overwrite=True)
+
+
+def test_a_cloud_made_in_memory_can_be_the_model_of_another(tmp_path):
+    write_cloud(tmp_path / "a.ply", POINTS, like=PointCloud(POINTS, tmp_path / "memory"))
+    assert np.array_equal(read_cloud(tmp_path / "a.ply").points, POINTS)
+
+
+DAMAGED = {
+    "ascii.ply": a_ply("ascii", extra_first=True, lists=[[1], [], [0, 3], [2]]),
+    "little.ply": a_ply("binary_little_endian"),
+    "lists.ply": a_ply("binary_little_endian", "double", extra_first=True, lists=[[1], [], [0, 3], [2]]),
+    "big.ply": a_ply("binary_big_endian", "double", eol="\r\n", faces=FACES[:1]),
+    "integers.ply": a_ply("binary_big_endian", "short", eol="\r"),
+    "table.xyz": b"# table\n" + b"0.5 -1e-3 7\n1 2 3\n" * 4,
+}
+
+
+@pytest.mark.parametrize("name", [*DAMAGED, "array.npy", "fortran.npy"])
+def test_any_damage_is_read_or_refused_in_one_line(save, tmp_path, name):
+    if name.endswith(".npy"):
+        array = POINTS.astype(np.float32) if name == "array.npy" else np.asfortranarray(POINTS)
+        np.save(tmp_path / name, array)
+    else:
+        save(name, DAMAGED[name])
+
+    def read_and_rewrite(path):
+        cloud = read_cloud(path)
+        assert len(cloud.points) >= 2
+        assert np.isfinite(cloud.points).all()
+        write_cloud(tmp_path / "rewritten.ply", cloud.points * 0.5, like=cloud, overwrite=True)
+        again = read_cloud(tmp_path / "rewritten.ply").points
+        assert np.allclose(again, cloud.points * 0.5, rtol=1e-6, atol=1e-40)
+
+    was_read, refused = assert_reads_or_refuses(read_and_rewrite, tmp_path / name, count=600)
+    assert was_read > 20
+    assert refused > 100
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_colours_are_read_as_shares_of_what_their_type_can_hold(tmp_path, form):
+    (tmp_path / "a.ply").write_bytes(a_ply(form))
+    with pytest.raises(InputError, match="its points have no colours, expected red, green and blue"):
+        read_cloud(tmp_path / "a.ply").colours()
+    data = a_ply(form, extra_first=True).replace(b"float32 quality", b"float32 green\nproperty ushort blue")
+    values = [(0.25 * i, 65535 - i) for i in range(4)]
+    order = {"binary_big_endian": ">", "binary_little_endian": "<"}.get(form)
+    if order is None:
+        for i, (_, blue) in enumerate(values):
+            line = next(one for one in data.split(b"\n") if one.split()[1:2] == [str(200 + i).encode()])
+            data = data.replace(line, line.rstrip() + f" {blue}".encode())
+    else:
+        data = _with_blue(data, order, values)
+    (tmp_path / "b.ply").write_bytes(data)
+    cloud = read_cloud(tmp_path / "b.ply")
+    wanted = [[(200 + i) / 255.0, green, blue / 65535.0] for i, (green, blue) in enumerate(values)]
+    assert np.array_equal(cloud.points, read_cloud(tmp_path / "a.ply").points)
+    assert np.allclose(cloud.colours(), wanted, rtol=0.0, atol=1e-12)
+
+
+def _with_blue(data, order, values):
+    """The bytes of each green, followed by a blue of two bytes."""
+    # behind the rows before: their last bytes are the double 2.5
+    at = data.index(struct.pack(f"{order}d", 2.5))
+    for i, (green, blue) in enumerate(values):
+        row = struct.pack(f"{order}B", 200 + i)
+        at = data.index(row, at)
+        at = data.index(struct.pack(f"{order}f", green), at + 9) + 4
+        data = data[:at] + struct.pack(f"{order}H", blue) + data[at:]
+    return data
+
+
+def test_floating_point_colours_outside_0_to_1_are_refused(tmp_path):
+    header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(
+        f"property float {name}\n" for name in ("x", "y", "z", "red", "green", "blue")
+    )
+    (tmp_path / "a.ply").write_text(header + "end_header\n0 0 0 0.5 1 0\n1 1 1 200 0 0\n")
+    with pytest.raises(InputError, match="colours span 0 to 200 of their type's range, expected 0 to 1"):
+        read_cloud(tmp_path / "a.ply").colours()

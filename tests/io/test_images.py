@@ -1,0 +1,329 @@
+"""Masks of every kind mean the same; images come upright; what is neither is refused in one line."""
+
+from __future__ import annotations
+
+import io
+import struct
+import warnings
+import zlib
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.corruption import assert_one_line, assert_reads_or_refuses, repair_png
+from tso_cli.errors import InputError
+from tso_cli.io.images import PIXEL_LIMIT, read_depth, read_image, read_mask, write_image
+
+SHAPE = np.zeros((6, 9), dtype=bool)
+SHAPE[1:4, 2:7] = True
+SHAPE[4, 2] = True
+SOFT = np.linspace(0, 255, 54).round().astype(np.uint8).reshape(6, 9)
+
+
+def palette(colours, index=None):
+    image = Image.fromarray((SHAPE.astype(np.uint8) if index is None else index), "P")
+    image.putpalette([c for colour in colours for c in colour])
+    return image
+
+
+def with_alpha(mode):
+    image = Image.new("RGB" if mode == "RGBA" else "L", (9, 6), "white")
+    image.putalpha(Image.fromarray(SHAPE.astype(np.uint8) * 255))
+    return image
+
+
+HARD = {
+    "1-bit": lambda: Image.fromarray(SHAPE),
+    "8-bit": lambda: Image.fromarray(SHAPE.astype(np.uint8) * 255),
+    "16-bit": lambda: Image.fromarray(SHAPE.astype(np.uint16) * 65535),
+    "RGB": lambda: Image.fromarray(SHAPE.astype(np.uint8) * 255).convert("RGB"),
+    "one colour": lambda: Image.fromarray(np.stack([SHAPE * 0, SHAPE * 0, SHAPE * 255], axis=2).astype(np.uint8)),
+    "RGBA": lambda: with_alpha("RGBA"),
+    "LA": lambda: with_alpha("LA"),
+    "opaque RGBA": lambda: Image.fromarray(SHAPE.astype(np.uint8) * 255).convert("RGBA"),
+    "opaque LA": lambda: Image.fromarray(SHAPE.astype(np.uint8) * 255).convert("LA"),
+    "black and white palette": lambda: palette([(0, 0, 0), (255, 255, 255)]),
+    "white and black palette": lambda: palette([(255, 255, 255), (0, 0, 0)], 1 - SHAPE.astype(np.uint8)),
+    "label palette": lambda: palette([(0, 0, 0), (128, 0, 0), (0, 128, 0)], SHAPE * np.uint8(2)),
+    "label palette, bright outside": lambda: palette([(255, 255, 0), (0, 0, 128)]),
+    "palette that shows labels alike": lambda: palette([(0, 0, 0), (0, 0, 0)]),
+}
+
+
+def saved(tmp_path, image, name="mask.png", **options):
+    image.save(tmp_path / name, **options)
+    return tmp_path / name
+
+
+@pytest.fixture(autouse=True)
+def no_warning_passes_unseen():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+@pytest.mark.parametrize("kind", HARD)
+def test_a_mask_means_the_same_in_every_kind_of_png(tmp_path, kind):
+    mask = read_mask(saved(tmp_path, HARD[kind]()))
+    assert mask.dtype == np.float32
+    assert np.array_equal(mask, SHAPE.astype(np.float32))
+    assert np.array_equal(read_mask(tmp_path / "mask.png", invert=True), 1.0 - SHAPE)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".bmp", ".gif", ".pgm"])
+def test_a_mask_means_the_same_in_every_format(tmp_path, suffix):
+    assert np.array_equal(read_mask(saved(tmp_path, HARD["8-bit"](), "mask" + suffix)), SHAPE)
+
+
+def test_soft_values_are_kept(tmp_path):
+    wide = SOFT.astype(np.uint16) * 257 + 3
+    wide[5, 8] = 65535
+    alpha = Image.new("RGB", (9, 6), "red")
+    alpha.putalpha(Image.fromarray(SOFT))
+    for image, expected in [
+        (Image.fromarray(SOFT), SOFT / 255),
+        (Image.fromarray(SOFT).convert("RGB"), SOFT / 255),
+        (Image.fromarray(wide), wide / 65535),
+        (alpha, SOFT / 255),
+        (palette([(i, i, i) for i in range(256)], SOFT), SOFT / 255),
+    ]:
+        assert np.allclose(read_mask(saved(tmp_path, image)), expected, rtol=0, atol=1e-7)
+    unit = (SOFT / np.float32(255)).astype(np.float32)
+    assert np.array_equal(read_mask(saved(tmp_path, Image.fromarray(unit), "mask.tif")), unit)
+
+
+def test_labels_of_0_and_1_are_read_as_such_with_a_warning(tmp_path):
+    saved(tmp_path, Image.fromarray(SHAPE.astype(np.uint8)))
+    np.save(tmp_path / "mask.npy", SHAPE.astype(np.int64))
+    for name in ("mask.png", "mask.npy"):
+        with pytest.warns(UserWarning, match=rf"{name}: its largest value is 1, read as labels"):
+            assert np.array_equal(read_mask(tmp_path / name), SHAPE)
+
+
+def test_a_colour_declared_transparent_is_outside(tmp_path):
+    rgb = np.full((6, 9, 3), 90, dtype=np.uint8)
+    rgb[~SHAPE] = (255, 0, 255)
+    path = saved(tmp_path, Image.fromarray(rgb), transparency=(255, 0, 255))
+    assert np.array_equal(read_mask(path), SHAPE)
+    assert read_image(path).shape == (6, 9, 4)
+    path = saved(tmp_path, palette([(9, 9, 9), (50, 0, 0)]), transparency=0)
+    assert np.array_equal(read_mask(path), SHAPE)
+
+
+def test_a_mask_of_one_value_is_left_to_the_scene_to_refuse(tmp_path):
+    for value in (0, 255):
+        assert (read_mask(saved(tmp_path, Image.new("L", (3, 2), value))) == value / 255).all()
+    assert (read_mask(saved(tmp_path, Image.new("RGBA", (3, 2), (255, 255, 255, 0)))) == 0).all()
+
+
+def test_arrays_are_masks_too(tmp_path):
+    for array in (SHAPE, SHAPE.astype(np.float64), SHAPE.astype(np.uint8) * 255, SHAPE.astype(np.int64) * 255):
+        np.save(tmp_path / "m.npy", array)
+        assert np.array_equal(read_mask(tmp_path / "m.npy"), SHAPE), array.dtype
+
+
+@pytest.mark.parametrize(
+    ("array", "message"),
+    [
+        (np.array([[0.0, np.nan]]), "values span nan to nan, expected 0 to 1"),
+        (np.array([[0.0, 1.5]]), "values span 0 to 1.5, expected 0 to 1"),
+        (np.array([[0, -1]]), "smallest value is -1"),
+        (np.array([[0, 70000]]), "largest value is 70000"),
+        (np.zeros((2, 2, 3)), r"float64 \[2, 2, 3\], expected a mask \[H, W\]"),
+        (np.zeros((0, 2)), r"\[0, 2\]"),
+        (np.zeros((2, 2), dtype=complex), "complex128"),
+    ],
+)
+def test_arrays_that_are_no_masks_are_refused(tmp_path, array, message):
+    np.save(tmp_path / "m.npy", array)
+    with pytest.raises(InputError, match=rf"m\.npy: .*{message}"):
+        read_mask(tmp_path / "m.npy")
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_images_and_masks_are_turned_as_the_camera_noted(tmp_path, orientation):
+    """Each file stores the pixels so that, turned as noted, the same upright picture appears."""
+    upright = np.arange(54, dtype=np.uint8).reshape(6, 9) * 4
+    # The eight ways a camera may be held (EXIF tag 274), each undone.
+    stored = {
+        1: upright, 2: upright[:, ::-1], 3: upright[::-1, ::-1], 4: upright[::-1], 5: upright.T,
+        6: np.rot90(upright, 1), 7: upright[::-1, ::-1].T, 8: np.rot90(upright, -1),
+    }[orientation]  # fmt: skip
+    exif = Image.Exif()
+    exif[274] = orientation
+    for suffix in (".png", ".tif"):
+        path = saved(tmp_path, Image.fromarray(np.ascontiguousarray(stored)), "a" + suffix, exif=exif)
+        assert np.array_equal(read_image(path)[..., 0], upright), suffix
+        assert np.array_equal(np.rint(read_mask(path) * 255), upright), suffix
+
+
+def test_images_become_8_bit_colours(tmp_path):
+    rgb = np.random.default_rng(0).integers(0, 256, (6, 9, 3), dtype=np.uint8)
+    rgba = np.dstack([rgb, SOFT])
+    assert np.array_equal(read_image(saved(tmp_path, Image.fromarray(rgb))), rgb)
+    assert np.array_equal(read_image(saved(tmp_path, Image.fromarray(rgba))), rgba)
+    grey = np.repeat(SOFT[..., None], 3, axis=2)
+    assert np.array_equal(read_image(saved(tmp_path, Image.fromarray(SOFT))), grey)
+    assert np.array_equal(read_image(saved(tmp_path, Image.fromarray(SOFT.astype(np.uint16) * 257))), grey)
+    assert np.array_equal(read_image(saved(tmp_path, HARD["1-bit"]()))[..., 1], SHAPE * 255)
+    assert read_image(saved(tmp_path, Image.fromarray(rgb).convert("CMYK"), "a.jpg")).shape == (6, 9, 3)
+
+
+def test_what_is_written_reads_back(tmp_path):
+    rgba = np.random.default_rng(0).integers(0, 255, (6, 9, 4), dtype=np.uint8)
+    for array in (rgba, rgba[..., :3]):
+        write_image(tmp_path / "a.png", array, overwrite=True)
+        assert np.array_equal(read_image(tmp_path / "a.png"), array)
+    for array in (SHAPE, SOFT):
+        write_image(tmp_path / "m.png", array, overwrite=True)
+        assert np.array_equal(read_mask(tmp_path / "m.png"), (array if array is SHAPE else SOFT / np.float32(255)))
+
+
+def test_nothing_is_written_for_what_is_no_image(tmp_path):
+    for name, array, message in [
+        ("a.png", np.zeros((2, 2, 2), np.uint8), r"uint8 \[2, 2, 2\] to write"),
+        ("a.png", np.zeros((2, 2)), "float64"),
+        ("a.png", np.zeros((0, 2), np.uint8), "to write"),
+        ("a.jpg", np.zeros((2, 2, 4), np.uint8), "no alpha"),
+        ("a.gif2", np.zeros((2, 2), np.uint8), "'.gif2', expected one of .png"),
+        ("none/a.png", np.zeros((2, 2), np.uint8), "does not exist"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            write_image(tmp_path / name, array)
+    assert list(tmp_path.iterdir()) == []
+    write_image(tmp_path / "a.png", SHAPE)
+    with pytest.raises(InputError, match="--overwrite"):
+        write_image(tmp_path / "a.png", SHAPE)
+
+
+def png_of(width, height, rows=b""):
+    """A PNG header that promises ``width`` x ``height`` grey pixels, and compressed zeros."""
+
+    def chunk(name, body):
+        return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize("side", [10_001, 13_000, 32_000, 1_000_000, 2**31 - 1])
+@pytest.mark.parametrize("read", [read_mask, read_image])
+def test_a_billion_pixels_in_a_kilobyte_are_refused_without_decoding(tmp_path, monkeypatch, side, read):
+    monkeypatch.setattr(Image.Image, "load", lambda *_: pytest.fail("decoded"))
+    (tmp_path / "bomb.png").write_bytes(png_of(side, side, zlib.compress(bytes(100_000))))
+    assert (tmp_path / "bomb.png").stat().st_size < 1024
+    with pytest.raises(InputError, match=rf"bomb\.png: .*expected at most {PIXEL_LIMIT:,}") as caught:
+        read(tmp_path / "bomb.png")
+    assert_one_line(str(caught.value))
+
+
+def test_a_large_picture_within_the_limit_passes_without_warning(tmp_path):
+    path = saved(tmp_path, Image.new("1", (9990, 9990)))
+    assert read_mask(path).shape == (9990, 9990)
+
+
+@pytest.mark.parametrize("read", [read_mask, read_image])
+def test_files_that_are_no_images_are_refused(tmp_path, read):
+    whole = io.BytesIO()
+    Image.fromarray(np.random.default_rng(0).integers(0, 256, (40, 40), dtype=np.uint8)).save(whole, "PNG")
+    (tmp_path / "cut.png").write_bytes(whole.getvalue()[:800])
+    (tmp_path / "empty.png").write_bytes(b"")
+    (tmp_path / "text.png").write_bytes(b"hello")
+    (tmp_path / "none.png").write_bytes(png_of(0, 5))
+    (tmp_path / "folder.png").mkdir()
+    # A format whose reader would start another program.
+    (tmp_path / "page.eps").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n")
+    for name, message in {
+        "cut.png": "is not readable as",
+        "empty.png": "is empty",
+        "text.png": "is not a readable image",
+        "none.png": "is not",
+        "folder.png": "is a folder",
+        "missing.png": "does not exist",
+        "page.eps": "is not a readable image",
+    }.items():
+        with pytest.raises(InputError, match=rf"{name}: .*{message}") as caught:
+            read(tmp_path / name)
+        assert_one_line(str(caught.value))
+
+
+def test_numbers_that_signal_are_no_mask(tmp_path):
+    values = np.array([[0x3F800000, 0x7F800001]], dtype=np.uint32).view(np.float32)
+    np.save(tmp_path / "m.npy", values)
+    with pytest.raises(InputError, match="values span nan to nan"):
+        read_mask(tmp_path / "m.npy")
+
+
+def test_of_an_animation_the_first_frame_counts(tmp_path):
+    other = Image.new("L", (9, 6))
+    saved(tmp_path, HARD["8-bit"](), "m.gif", save_all=True, append_images=[other])
+    assert np.array_equal(read_mask(tmp_path / "m.gif"), SHAPE)
+
+
+DAMAGED = {
+    **{f"{kind}.png": HARD[kind] for kind in ("1-bit", "8-bit", "16-bit", "RGB", "RGBA", "LA", "label palette")},
+    "palette.gif": HARD["label palette"],
+    "photo.jpg": HARD["RGB"],
+    "float.tif": lambda: Image.fromarray(SHAPE.astype(np.float32)),
+    "grey.pgm": HARD["8-bit"],
+    "grey.bmp": HARD["8-bit"],
+    "grey.webp": HARD["RGB"],
+}
+
+
+@pytest.mark.parametrize("name", [*DAMAGED, "array.npy"])
+@pytest.mark.parametrize("read", [read_mask, read_image])
+def test_any_damage_is_read_or_refused_in_one_line(tmp_path, read, name):
+    exif = Image.Exif()
+    exif[274] = 6
+    if name == "array.npy":
+        np.save(tmp_path / name, SOFT)
+    elif name.endswith((".jpg", ".png", ".webp", ".tif")):
+        saved(tmp_path, DAMAGED[name](), name, exif=exif)
+    else:
+        saved(tmp_path, DAMAGED[name](), name)
+
+    def checked(path):
+        array = read(path)
+        if read is read_mask:
+            assert array.dtype == np.float32
+            assert array.ndim == 2
+            assert array.min() >= 0
+            assert array.max() <= 1
+        else:
+            assert array.dtype == np.uint8
+            assert array.shape[2:] in ((3,), (4,))
+
+    repair = repair_png if name.endswith(".png") else None
+    was_read, refused = assert_reads_or_refuses(checked, tmp_path / name, count=500, repair=repair)
+    if (name == "array.npy") is (read is read_mask) or name != "array.npy":
+        assert was_read > 10
+    assert refused > 50
+
+
+def test_a_depth_map_keeps_sixteen_bits_and_its_scale_and_what_is_unknown_becomes_nan(tmp_path):
+    values = np.array([[0, 1, 1000], [2345, 40000, 65535]], np.uint16)
+    Image.fromarray(values).save(tmp_path / "depth.png")
+    wanted = np.where(values == 0, np.nan, values / 1000.0)
+    np.testing.assert_allclose(read_depth(tmp_path / "depth.png", 0.001), wanted)
+    floats = np.array([[0.0, np.nan, np.inf], [0.5, 2.0, 3.0]], np.float32)
+    np.save(tmp_path / "depth.npy", floats)
+    Image.fromarray(floats).save(tmp_path / "depth.tiff")
+    for name in ("depth.npy", "depth.tiff"):
+        np.testing.assert_allclose(read_depth(tmp_path / name), [[np.nan] * 3, [0.5, 2.0, 3.0]])
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        (np.zeros((4, 4)), "holds no depth > 0"),
+        (np.full((4, 4), -2.0), "smallest depth is -2"),
+        (np.ones((4, 4, 3)), r"float64 \[4, 4, 3\], expected a depth map \[H, W\]"),
+        (np.ones((4, 4), bool), "expected a depth map"),
+    ],
+)
+def test_an_array_that_is_no_depth_map_is_refused(tmp_path, values, said):
+    np.save(tmp_path / "depth.npy", values)
+    with pytest.raises(InputError, match=said):
+        read_depth(tmp_path / "depth.npy")

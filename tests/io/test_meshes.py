@@ -1,0 +1,187 @@
+"""Reading and writing meshes."""
+
+from __future__ import annotations
+
+import pickle
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tso_cli.errors import InputError
+from tso_cli.io.meshes import SUFFIXES, Mesh, find_meshes, read_mesh, write_mesh
+
+VERTICES = np.array([[0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 5]], dtype=np.float64)
+FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int64)
+
+
+def ply(vertices: str = "0 0 0\n2 0 0\n0 3 0\n0 0 5\n", faces: str = "3 0 2 1\n3 0 1 3\n", counts: str = "4 2") -> str:
+    points, triangles = counts.split()
+    return (
+        f"ply\nformat ascii 1.0\nelement vertex {points}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"element face {triangles}\nproperty list uchar int vertex_indices\nend_header\n{vertices}{faces}"
+    )
+
+
+def tetrahedron(path: Path) -> Path:
+    """The tetrahedron in the format of the suffix, written by hand where the format is text."""
+    corners = "".join("{:g} {:g} {:g}\n".format(*v) for v in VERTICES)
+    if path.suffix == ".obj":
+        text = "".join(f"v {line}\n" for line in corners.splitlines())
+        path.write_text(text + "".join("f {} {} {}\n".format(*(f + 1)) for f in FACES))
+    elif path.suffix == ".off":
+        path.write_text(f"OFF\n4 4 0\n{corners}" + "".join("3 {} {} {}\n".format(*f) for f in FACES))
+    elif path.suffix == ".stl":
+        triangles = b"".join(struct.pack("<12fH", 0, 0, 0, *VERTICES[f].ravel(), 0) for f in FACES)
+        path.write_bytes(bytes(80) + struct.pack("<I", len(FACES)) + triangles)
+    elif path.suffix == ".glb":
+        import trimesh
+
+        trimesh.Trimesh(VERTICES, FACES, process=False).export(path)
+    else:
+        write_mesh(path, Mesh(VERTICES, FACES))
+    return path
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_every_format_gives_the_same_triangles(tmp_path: Path, suffix: str) -> None:
+    mesh = read_mesh(tetrahedron(tmp_path / f"a{suffix}"))
+    assert mesh.vertices.dtype == np.float64
+    assert mesh.faces.dtype == np.int64
+    np.testing.assert_allclose(mesh.vertices[mesh.faces], VERTICES[FACES])
+    assert mesh.colours is None
+
+
+def test_faces_keep_their_order_and_their_corners(tmp_path: Path) -> None:
+    path = tmp_path / "a.ply"
+    path.write_text(ply("0 0 0\n2 0 0\n0 3 0\n0 0 0\n", "3 0 2 1\n3 2 1 3\n"))
+    mesh = read_mesh(path)
+    np.testing.assert_array_equal(
+        mesh.vertices[mesh.faces], [[[0, 0, 0], [0, 3, 0], [2, 0, 0]], [[0, 3, 0], [2, 0, 0], [0, 0, 0]]]
+    )
+
+
+def test_a_quadrilateral_becomes_two_triangles(tmp_path: Path) -> None:
+    path = tmp_path / "a.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
+    mesh = read_mesh(path)
+    corners = mesh.vertices[mesh.faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
+    assert len(mesh.faces) == 2
+    assert area == pytest.approx(1.0)
+
+
+def test_materials_colour_their_own_faces_and_parts_stay_in_place(tmp_path: Path) -> None:
+    (tmp_path / "a.mtl").write_text("newmtl red\nKd 1 0 0\nnewmtl green\nKd 0 1 0\n")
+    path = tmp_path / "a.obj"
+    path.write_text("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 9 9 9\nusemtl red\nf 1 2 3\nusemtl green\nf 2 3 4\n")
+    mesh = read_mesh(path)
+    assert mesh.colours is not None
+    for corners, colour in zip(mesh.vertices[mesh.faces], mesh.colours, strict=True):
+        assert tuple(colour) == ((0, 255, 0) if corners.max() == 9 else (255, 0, 0))
+
+
+def test_vertex_colours_are_averaged_over_a_face(tmp_path: Path) -> None:
+    path = tmp_path / "a.ply"
+    header = ply(counts="3 1").split("end_header")[0]
+    colours = "".join(f"property uchar {c}\n" for c in ("red", "green", "blue"))
+    header = header.replace("property float z\n", "property float z\n" + colours)
+    path.write_text(header + "end_header\n0 0 0 90 0 0\n1 0 0 0 90 0\n0 1 0 0 0 90\n3 0 1 2\n")
+    mesh = read_mesh(path)
+    assert mesh.colours is not None
+    assert np.abs(mesh.colours.astype(int) - 30).max() <= 1
+
+
+def test_writing_and_reading_gives_the_same_mesh(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "a.ply", Mesh(VERTICES, FACES))
+    mesh = read_mesh(tmp_path / "a.ply")
+    np.testing.assert_array_equal(mesh.vertices, VERTICES)
+    np.testing.assert_array_equal(mesh.faces, FACES)
+    with pytest.raises(InputError, match="exists"):
+        write_mesh(tmp_path / "a.ply", Mesh(VERTICES, FACES))
+    with pytest.raises(InputError, match=r"\.ply"):
+        write_mesh(tmp_path / "a.stl", Mesh(VERTICES, FACES))
+
+
+BAD = {
+    "empty.ply": (b"", "empty"),
+    "pickle.ply": (pickle.dumps({"a": 1}), "not a readable .ply mesh"),
+    "pickle.glb": (pickle.dumps({"a": 1}), "not a readable .glb mesh"),
+    "noise.stl": (bytes(range(256)), "mesh"),
+    "words.obj": (b"hello\n", "mesh"),
+    "words.off": (b"hello\n", "not a readable .off mesh"),
+    "cloud.ply": (ply(faces="", counts="4 0").encode(), "no face"),
+    "cloud.obj": (b"v 0 0 0\nv 1 1 1\n", "mesh"),
+    "nan.ply": (ply("0 0 0\nnan 0 0\n0 3 0\n0 0 5\n").encode(), "1 of 4 vertices are NaN"),
+    "infinite.ply": (ply("0 0 0\ninf 0 0\n0 3 0\n0 0 5\n").encode(), "NaN or infinite"),
+    "index.ply": (ply(faces="3 0 2 4\n3 0 1 3\n").encode(), "vertex 4, expected 0 to 3"),
+    "negative.ply": (ply(faces="3 0 2 -1\n3 0 1 3\n").encode(), "vertex -1, expected 0 to 3"),
+    "flat.ply": (ply("1 1 1\n1 1 1\n1 1 1\n1 1 1\n").encode(), "area"),
+    "huge.ply": (ply("0 0 0\n1e300 0 0\n0 1e300 0\n0 0 5\n").replace("float", "double").encode(), "area"),
+    "cut.ply": (ply().encode()[:-12], "mesh"),
+    "lies.ply": (ply(counts="999999999999 2").encode(), "mesh"),
+    "lies.stl": (bytes(80) + struct.pack("<I", 2**31) + bytes(100), "mesh"),
+    "name.txt": (b"1 2 3\n", "suffix"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_mesh_is_refused_in_one_line_that_names_it(tmp_path: Path, name: str) -> None:
+    content, words = BAD[name]
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=words) as caught:
+        read_mesh(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="does not exist"):
+        read_mesh(tmp_path / "a.ply")
+    with pytest.raises(InputError, match="does not exist"):
+        read_mesh(tmp_path / "nothing")
+    with pytest.raises(InputError, match="is a folder"):
+        read_mesh(tmp_path)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.filterwarnings("error")
+def test_random_damage_gives_a_sound_mesh_or_an_input_error(tmp_path: Path, suffix: str) -> None:
+    rng = np.random.default_rng(0)
+    whole = np.frombuffer(tetrahedron(tmp_path / f"a{suffix}").read_bytes(), np.uint8)
+    path = tmp_path / f"b{suffix}"
+    refused = []
+    for _ in range(500):
+        damaged = whole.copy()
+        kind = rng.integers(4)
+        if kind == 0:
+            damaged = damaged[: rng.integers(len(whole))]
+        elif kind == 1:
+            where = rng.integers(len(whole))
+            damaged = np.concatenate([damaged[:where], rng.integers(0, 256, 7, dtype=np.uint8), damaged[where:]])
+        else:
+            where = rng.integers(len(whole), size=rng.integers(1, 6))
+            damaged[where] = rng.integers(0, 256, len(where), dtype=np.uint8)
+        path.write_bytes(damaged.tobytes())
+        try:
+            mesh = read_mesh(path)
+        except InputError as error:
+            refused.append(str(error))
+        else:
+            assert np.isfinite(mesh.vertices[mesh.faces]).all()
+    assert refused
+    assert not any("\n" in message for message in refused)
+
+
+def test_meshes_are_found_in_subfolders_sorted_and_hidden_ones_left_out(tmp_path: Path) -> None:
+    for name in ("b/z.ply", "b/a.OBJ", "a.stl", ".hidden/c.ply", "b/.d.ply", "notes.txt"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    assert [path.relative_to(tmp_path).as_posix() for path in find_meshes(tmp_path)] == ["a.stl", "b/a.OBJ", "b/z.ply"]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="no mesh"):
+        find_meshes(tmp_path / "empty")
+    with pytest.raises(InputError, match="not a folder"):
+        find_meshes(tmp_path / "missing")

@@ -1,0 +1,151 @@
+"""Output files are written whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+
+import pytest
+
+from tso_cli.errors import InputError
+from tso_cli.io.output import atomic_output, check_output, reason
+
+
+def test_a_new_file_in_an_existing_folder_is_accepted(tmp_path):
+    check_output(tmp_path / "new.ply", overwrite=False)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_folder_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"nowhere.new\.ply: the folder .*nowhere does not exist"):
+        check_output(tmp_path / "nowhere" / "new.ply", overwrite=True)
+
+
+def test_a_folder_is_not_an_output_file(tmp_path):
+    with pytest.raises(InputError, match="is a folder"):
+        check_output(tmp_path, overwrite=True)
+
+
+def test_a_file_is_not_an_output_folder(tmp_path):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(InputError):
+        check_output(tmp_path / "file" / "new.ply", overwrite=True)
+
+
+def test_an_existing_file_needs_overwrite(tmp_path):
+    path = tmp_path / "old.ply"
+    path.write_text("old")
+    with pytest.raises(InputError, match=r"old\.ply: exists already.*--overwrite"):
+        check_output(path, overwrite=False)
+    check_output(path, overwrite=True)
+
+
+def test_a_device_is_never_replaced():
+    with pytest.raises(InputError, match="not a regular file"):
+        check_output("/dev/null", overwrite=True)
+
+
+def test_a_name_that_cannot_be_is_refused_in_one_line(tmp_path):
+    for name in ("a" * 5000, "nul\0byte"):
+        with pytest.raises(InputError, match="cannot be written"):
+            check_output(tmp_path / name, overwrite=False)
+        with pytest.raises(InputError, match="cannot be written"), atomic_output(tmp_path / name):
+            pass
+
+
+def test_the_file_appears_only_when_it_is_complete(tmp_path):
+    path = tmp_path / "out.npy"
+    with atomic_output(path) as temporary:
+        assert temporary.suffix == ".npy"
+        assert temporary.parent == tmp_path
+        temporary.write_bytes(b"half")
+        assert not path.exists()
+    assert path.read_bytes() == b"half"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("error", [RuntimeError("bug"), KeyboardInterrupt()])
+def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path, error):
+    path = tmp_path / "out.txt"
+    path.write_text("old")
+
+    def write():
+        with atomic_output(path) as temporary:
+            temporary.write_text("new")
+            raise error
+
+    with pytest.raises(type(error)):
+        write()
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_full_disk_is_one_line_that_names_the_output(tmp_path):
+    path = tmp_path / "out.txt"
+
+    def write():
+        with atomic_output(path) as temporary:
+            temporary.write_text("half")
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(temporary))
+
+    with pytest.raises(
+        InputError, match=r"out\.txt: cannot be written \(No space left on device\), nothing was kept$"
+    ) as caught:
+        write()
+    assert caught.value.exit_code == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_real_limit_on_file_size_leaves_nothing_behind(tmp_path):
+    program = (
+        "import resource, sys, numpy as np\n"
+        "from tso_cli.io.clouds import write_cloud\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (10000, 10000))\n"
+        "try:\n"
+        "    write_cloud(sys.argv[1], np.random.default_rng(0).random((5000, 3)))\n"
+        "except Exception as error:\n"
+        "    print(type(error).__name__, error)\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path / "big.ply")], capture_output=True, text=True, check=False
+    )
+    assert run.stdout.startswith("InputError"), run.stderr
+    assert "big.ply: cannot be written (File too large)" in run.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_symbolic_link_keeps_pointing_at_the_file_that_is_replaced(tmp_path):
+    (tmp_path / "store").mkdir()
+    real, link = tmp_path / "store" / "real.txt", tmp_path / "link.txt"
+    real.write_text("old")
+    link.symlink_to(real)
+    with atomic_output(link) as temporary:
+        temporary.write_text("new")
+    assert link.is_symlink()
+    assert real.read_text() == "new"
+
+
+def test_a_reader_of_the_old_file_keeps_the_old_file(tmp_path):
+    """The new file takes the name; nothing is written into the old one."""
+    path = tmp_path / "out.txt"
+    path.write_text("old")
+    with path.open() as reader:
+        with atomic_output(path) as temporary:
+            temporary.write_text("new")
+        assert reader.read() == "old"
+    assert path.read_text() == "new"
+
+
+def test_the_file_gets_the_permissions_of_any_new_file(tmp_path):
+    (tmp_path / "plain").write_text("x")
+    with atomic_output(tmp_path / "out") as temporary:
+        temporary.write_text("x")
+    assert (tmp_path / "out").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_what_a_library_says_becomes_one_printable_line():
+    assert reason(ValueError('format of "\x1b[2J,\x07" is\n  unknown')) == 'format of "\\x1b[2J,\\x07" is unknown'
+    assert reason(KeyError()) == "KeyError"
+    assert len(reason(ValueError("x" * 1000))) == 200

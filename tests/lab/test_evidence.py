@@ -1,0 +1,330 @@
+"""The study of evidence: what is done to its cases is what the rows say, and a stopped one goes on."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.readme_evidence import evidence_tables
+from tso_cli.cli import main
+from tso_cli.errors import InputError
+from tso_cli.evaluation.metrics import chamfer
+from tso_cli.geometry.rotations import angle_between
+from tso_cli.lab.charts.evidence_chart import TITLES
+from tso_cli.lab.commands.evidence import QUESTIONS as asked_by_name
+from tso_cli.lab.studies import evidence, evidence_questions
+from tso_cli.lab.studies.accuracy_cases import CaseBuilder
+from tso_cli.lab.studies.accuracy_variants import Variant
+from tso_cli.lab.studies.evidence import EvidenceConfig, study_evidence, summarise
+from tso_cli.lab.studies.evidence_cases import (
+    Truth,
+    anothers_mask,
+    bunched,
+    cameras_off,
+    in_photo,
+    placed_by,
+    turned_away,
+    with_depth,
+    without,
+)
+from tso_cli.lab.studies.evidence_colours import paint_of, painted, photo
+from tso_cli.lab.studies.evidence_meshes import FACES, SAMPLES, VERTICES, from_mesh
+from tso_cli.lab.studies.evidence_questions import QUESTIONS, Question, Row
+from tso_cli.lab.studies.parts import shapes_of_part
+from tso_cli.refinement import RefineConfig, refine
+from tso_cli.refinement.symmetry import find_mirror_plane
+
+from ..training import make_known
+
+MESHES = Path(__file__).parents[2] / "examples" / "meshes"
+TRAIN = ["car/qreal_SUV", "car/qbasic_BasicCar", "chair/q19_Chair", "chair/q17_Chair"]
+VALIDATION = ["car/qreal_Cop", "car/qreal_NormalCar1", "chair/kfurn_chair"]
+
+
+@pytest.fixture(scope="module")
+def split(tmp_path_factory):
+    path = tmp_path_factory.mktemp("split") / "split.json"
+    path.write_text(json.dumps({"train": TRAIN, "validation": VALIDATION}))
+    return path
+
+
+@pytest.fixture(scope="module")
+def truths(split):
+    shapes = {shape.name: shape for shape in shapes_of_part(MESHES, split, "validation")}
+    cop, other, chair = (shapes[name] for name in VALIDATION)
+    return {"car": Truth(cop, other), "chair": Truth(chair, None)}
+
+
+@pytest.fixture(scope="module")
+def cases(split, truths):
+    builder = CaseBuilder(MESHES, split, views=1, size=64, points=1024)
+    return {name: builder.cases(truth.shape, "other")[0] for name, truth in truths.items()}
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+def lifted(view) -> np.ndarray:
+    """The points of a depth map, [M, 3] in the world."""
+    rows, columns = np.nonzero(np.isfinite(view.depth) & (view.mask > 0.5))
+    at = np.stack([columns, rows, np.ones_like(rows)], 1) @ np.linalg.inv(view.camera.K).T
+    return (at * view.depth[rows, columns][:, None] - view.camera.t) @ view.camera.R
+
+
+def test_depth_maps_lie_on_the_true_surface_and_noise_is_as_large_as_the_row_says(cases, truths):
+    from scipy.spatial import cKDTree
+
+    surface = cKDTree(cases["chair"].dense)
+    exact, noisy = (with_depth(noise)(cases["chair"], truths["chair"], rng()) for noise in (0.0, 0.03))
+    assert np.median(surface.query(lifted(exact.views[1]))[0]) < 0.006
+    off = noisy.views[1].depth - exact.views[1].depth
+    assert np.nanstd(off) == pytest.approx(0.03, rel=0.1)
+    assert cases["chair"].views[0].depth is None
+
+
+@pytest.mark.parametrize("part", ["side", "high", "low"])
+def test_an_object_that_lacks_a_part_lacks_it_in_truth_and_masks_and_keeps_its_start(part, cases, truths):
+    whole = cases["chair"]
+    lacking = without(part)(whole, truths["chair"], rng())
+    np.testing.assert_array_equal(lacking.initial, whole.initial)
+    assert sum((b.mask < a.mask).any() for a, b in zip(whole.views, lacking.views, strict=True)) >= 3
+    assert all((b.mask <= a.mask).all() for a, b in zip(whole.views, lacking.views, strict=True))
+    assert find_mirror_plane(whole.target).symmetric
+    assert not find_mirror_plane(lacking.target).symmetric
+    axis = int(np.abs(find_mirror_plane(whole.initial).normal).argmax())
+    if part == "side":
+        # A face that reaches across the limit goes or stays as a whole.
+        assert (lacking.dense[:, axis] > 0.12).mean() < 0.4 * (whole.dense[:, axis] > 0.12).mean()
+    else:
+        assert (lacking.dense[:, axis] > 0.12).mean() < (whole.dense[:, axis] > 0.12).mean()
+    assert len(lacking.target) == len(whole.target)
+
+
+def test_a_photo_around_a_picture_shows_the_same_object_where_its_camera_says(cases, truths):
+    right = cases["car"]
+    photo = in_photo(4, across=1.0, down=0.25)(right, truths["car"], rng()).views[0]
+    assert photo.mask.shape == (256, 256)
+    assert photo.mask.sum() == right.views[0].mask.sum()
+    shift = photo.camera.project(right.target)[0] - right.views[0].camera.project(right.target)[0]
+    np.testing.assert_allclose(shift, np.tile([192.0, 48.0], (len(right.target), 1)), atol=1e-9)
+    np.testing.assert_array_equal(photo.mask[48:112, 192:], right.views[0].mask)
+
+
+def test_a_start_that_is_a_mesh_is_the_one_its_cloud_is_from_and_judged_by_its_surface(cases, truths):
+    right = cases["chair"]
+    vertices, samples, mesh = (from_mesh(form)(right, truths["chair"], rng()) for form in (VERTICES, SAMPLES, FACES))
+    assert (vertices.faces, samples.surface) == (None, None)
+    np.testing.assert_array_equal(vertices.initial, mesh.initial)
+    assert len(samples.initial) == 1024
+    assert mesh.faces.max() == len(mesh.initial) - 1
+    # another sampling of the same surface, to twice its noise
+    assert chamfer(samples.initial, right.initial).chamfer < 2.0 * right.floor
+    assert samples.chamfer_of(samples.initial) == pytest.approx(right.chamfer_of(right.initial), rel=0.15)
+    assert mesh.chamfer_of(mesh.initial) == vertices.chamfer_of(vertices.initial)
+    assert mesh.chamfer_of(mesh.initial) < chamfer(mesh.initial, right.target).chamfer
+    fewer = from_mesh(FACES, 60)(right, truths["chair"], rng())
+    assert 40 < len(fewer.faces) <= 60
+    assert from_mesh(FACES, 10**6)(right, truths["chair"], rng()) is None
+
+
+def test_wrong_views_are_the_last_alone(cases, truths):
+    right = cases["car"]
+    masked, turned = (alter(right, truths["car"], rng()) for alter in (anothers_mask, turned_away))
+    for wrong in (masked, turned):
+        assert all(a is b for a, b in zip(wrong.views[:3], right.views[:3], strict=True))
+    assert (masked.views[3].mask != right.views[3].mask).any()
+    assert masked.views[3].camera is right.views[3].camera
+    assert turned.views[3].mask is right.views[3].mask
+    assert angle_between(turned.views[3].camera.R, right.views[3].camera.R) == pytest.approx(30.0)
+    # The object stays in the middle of the picture.
+    np.testing.assert_array_equal(turned.views[3].camera.t, right.views[3].camera.t)
+    assert anothers_mask(cases["chair"], truths["chair"], rng()) is None
+
+
+def test_three_cameras_stand_together_and_one_to_the_side(cases, truths):
+    found = [view.camera.R for view in bunched(cases["car"], truths["car"], rng()).views]
+    near = [angle_between(found[0], turn) for turn in found[1:3]]
+    assert max(near) <= 20.0 + 1e-6
+    assert angle_between(found[0], found[3]) > 60.0
+
+
+def test_cameras_are_off_by_the_angle_that_the_row_says(cases, truths):
+    right = cases["car"]
+    off = cameras_off(5)(right, truths["car"], rng())
+    for a, b in zip(off.views, right.views, strict=True):
+        assert angle_between(a.camera.R, b.camera.R) == pytest.approx(5.0)
+        assert np.linalg.norm(a.camera.t - b.camera.t) == pytest.approx(0.025 * b.camera.t[2])
+    same = cameras_off(0)(right, truths["car"], rng())
+    np.testing.assert_allclose(same.views[0].camera.R, right.views[0].camera.R)
+
+
+def test_a_prediction_is_placed_by_mask_alone(cases):
+    view = cases["car"].views[0]
+    turned = cases["car"].initial @ view.camera.R.T * [1, -1, -1]
+    case = replace(cases["car"], initial=turned)
+    for placing in ("box", "silhouette"):
+        found = placed_by(placing)(case, None, rng()).views[0]
+        assert found.mask is view.mask
+        assert abs(found.camera.t[2] / view.camera.t[2] - 1.0) < 0.3
+
+
+def test_a_bent_cloud_is_as_far_off_as_the_row_says_and_keeps_its_paint(cases, truths):
+    for level in (2, 6):
+        case = painted(f"bent {level}", 1.0)(cases["chair"], truths["chair"], rng())
+        assert 1e3 * chamfer(case.initial, case.target).chamfer == pytest.approx(level, rel=0.02)
+        assert case.colours.shape == case.initial.shape
+    mask_alone = painted("bent 6", None)(cases["chair"], truths["chair"], rng())
+    np.testing.assert_array_equal(mask_alone.initial, case.initial)
+    assert all(view.image is None for view in mask_alone.views)
+
+
+def test_a_photo_shows_the_paint_of_what_is_seen_shaded_on_white(cases, truths):
+    view, paint = cases["chair"].views[0], paint_of(rng())
+    light = view.camera.R.T @ [0.0, 0.0, -1.0]
+    image = photo(truths["chair"].scene, view, paint, light)
+    seen = with_depth()(cases["chair"], truths["chair"], rng()).views[0]
+    inside = np.isfinite(seen.depth) & (seen.mask > 0.5)
+    tones = paint(lifted(seen))
+    # One colour alone: the same shade for all three, but at edges of the paint.
+    shades = image[inside] / tones
+    assert np.median(np.ptp(shades, axis=1)) < 0.05
+    assert 0.3 <= np.quantile(shades, 0.1) < np.quantile(shades, 0.9) <= 1.05
+    far = np.ones_like(view.mask, dtype=bool)
+    for rows, columns in zip(*np.nonzero(view.mask > 0.0), strict=True):
+        far[max(rows - 1, 0) : rows + 2, max(columns - 1, 0) : columns + 2] = False
+    assert np.median(image[far]) == 1.0
+
+
+QUICK = RefineConfig(steps=3)
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Two small questions in place of all."""
+    # Of some rows there is nothing to tell.
+    told = {"one": lambda case, altered, result: 1.0 if len(result.cameras) > 1 else None}
+    rows = {"other": Row(anothers_mask, Variant(QUICK, 4)), "as it is": Row(evidence_questions.as_it_is, Variant(QUICK))}
+    by_case = {"its own": Row(without("side"), lambda case: Variant(replace(QUICK, symmetry="none")))}
+    asked = {"wrong": Question(("other",), rows, told=told), "missing": Question(("other", "near"), by_case, ("car",))}
+    for module in (evidence, evidence_questions):
+        monkeypatch.setattr(module, "QUESTIONS", asked)
+    monkeypatch.setattr(evidence, "CATEGORIES", ("car", "chair"))
+
+
+CONFIG = EvidenceConfig(("wrong", "missing"), views=1)
+
+
+def test_every_question_is_asked_of_the_kinds_and_categories_that_it_is_about(split, quick):
+    record = study_evidence(MESHES, CONFIG, split)
+    assert record["complete"]
+    asked = [(case["question"], case["kind"], case["shape"]) for case in record["cases"]]
+    cars = VALIDATION[:2]
+    assert asked == [
+        *(("wrong", "other", name) for name in VALIDATION),
+        *(("missing", kind, name) for kind in ("other", "near") for name in cars),
+    ]
+    found = record["summary"]["wrong"]["other"]
+    assert found["all"]["as it is"]["cases"] == 3
+    # Of one chair there is no other.
+    assert found["all"]["other"]["cases"] == found["car"]["other"]["cases"] == 2
+    assert "other" not in found["chair"]
+    assert found["all"]["other"]["one"] == 1.0
+    json.dumps(record, allow_nan=False)
+
+
+def test_a_stopped_study_goes_on_with_the_next_group(split, quick):
+    whole = study_evidence(MESHES, CONFIG, split)
+    kept = []
+
+    def keep_one(record):
+        kept.append(json.loads(json.dumps(record)))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        study_evidence(MESHES, CONFIG, split, keep=keep_one)
+    assert (kept[0]["complete"], len(kept[0]["cases"])) == (False, 2)
+    assert study_evidence(MESHES, CONFIG, split, earlier=kept[0]) == whole
+    with pytest.raises(InputError, match="views 1, now it is 2"):
+        study_evidence(MESHES, replace(CONFIG, views=2), split, earlier=kept[0])
+
+
+def test_a_question_that_is_not_asked_here_is_refused():
+    with pytest.raises(InputError, match="'weather', expected one of framing, depth"):
+        EvidenceConfig(("weather",))
+
+
+def test_the_command_and_the_chart_know_every_question():
+    assert tuple(QUESTIONS) == asked_by_name
+    assert set(QUESTIONS) == set(TITLES)
+
+
+def test_rows_that_say_so_let_the_picture_judge_the_plane():
+    rows = QUESTIONS["missing"].rows
+    assert len(rows) == 12
+    assert sum(callable(row.variant) for row in rows.values()) == 4
+
+
+def a_case(category: str, rows: dict[str, tuple[float, float]]) -> dict:
+    names = {"question": "depth", "kind": "other", "category": category, "shape": f"{category}/a", "view": 0}
+    return {**names, "rows": {row: {"before": before, "chamfer": after} for row, (before, after) in rows.items()}}
+
+
+def test_the_summary_is_of_the_cases_own_ratios():
+    cases = [a_case("car", {"mask": (1.0, 0.5)}), a_case("car", {"mask": (4.0, 4.4)}), a_case("chair", {"mask": (1.0, 1.0)})]
+    found = summarise(cases)["depth"]["other"]
+    assert list(found) == ["car", "chair", "all"]
+    assert found["car"]["mask"] == {"cases": 2, "worse": 1, "mean_ratio": 0.8, "worst_ratio": 1.1}
+    assert found["all"]["mask"]["mean_ratio"] == pytest.approx(2.6 / 3.0, abs=1e-5)
+
+
+def test_the_tables_of_the_page_can_be_made_of_a_record():
+    record = {"summary": summarise([a_case("car", {"mask": (1.0, 0.5)}), a_case("chair", {"mask": (1.0, 1.1)})])}
+    table = evidence_tables(record)["depth"].splitlines()
+    assert table[0] == "| | car | chair |"
+    assert table[2] == "| mask | 0.500, 0.50 | 1.100, 1.10 |"
+
+
+def tso(*arguments) -> int:
+    with pytest.raises(SystemExit) as stopped:
+        main([str(argument) for argument in arguments])
+    return stopped.value.code
+
+
+def test_the_command_writes_record_and_chart_and_goes_on_from_the_record(split, quick, tmp_path, capsys, monkeypatch):
+    make_known(monkeypatch)
+    output = tmp_path / "evidence.json"
+    arguments = ["lab", "evidence", "--meshes", MESHES, "--split", split, "--question", "wrong", "--views", 1]
+    assert tso(*arguments, "-o", output) == 0
+    assert "as it is" in capsys.readouterr().out
+    record = json.loads(output.read_text())
+    assert record["complete"]
+    with Image.open(output.with_suffix(".png")) as picture:
+        assert min(picture.size) > 100
+    assert tso(*arguments, "-o", output) == 2
+    assert "exists" in capsys.readouterr().err
+    assert tso(*arguments, "-o", output, "--resume", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["cases"] == record["cases"]
+
+
+def test_what_else_is_told_of_a_result_is_of_that_result(cases, truths):
+    right = cases["car"]
+    off = cameras_off(5)(right, truths["car"], rng())
+    told = QUESTIONS["cameras"].told
+    as_given = refine(off.initial, off.views[0], config=replace(QUICK, symmetry="none"))
+    assert told["corrected"](right, off, as_given) == 0.0
+    assert told["degrees left"](right, off, as_given) == pytest.approx(5.0)
+    mended = replace(as_given, cameras=(right.views[0].camera,))
+    assert told["corrected"](right, off, mended) == 1.0
+    assert told["degrees left"](right, off, mended) == pytest.approx(0.0, abs=1e-5)
+    trust = QUESTIONS["wrong"].told["trust in the fourth"]
+    assert trust(right, right, replace(as_given, view_trust=[1.0, 1.0, 1.0, 0.2])) == 0.2
+    assert trust(right, right, as_given) is None
+    without_a_plane = QUESTIONS["missing"].told["without a plane"]
+    assert without_a_plane(right, right, as_given) == 1.0
+    assert without_a_plane(right, right, replace(as_given, symmetry=(1.0, 0.0, 0.0, 0.0))) == 0.0

@@ -1,0 +1,361 @@
+"""The study of the three variants: what it judges, what it says of it, and that a stopped one goes on."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tso_cli.cli import main
+from tso_cli.errors import InputError
+from tso_cli.geometry.points import normalise_longest_side, sample_surface
+from tso_cli.io.checkpoints import save_network
+from tso_cli.io.meshes import Mesh
+from tso_cli.lab.studies import variants
+from tso_cli.lab.studies.parts import see, shapes_of_part
+from tso_cli.lab.studies.variants import VariantsConfig, distances, study_variants
+from tso_cli.lab.studies.variants_summary import VARIANTS, claims, summarise
+from tso_cli.lab.studies.visibility import visible_points
+from tso_cli.network import model as networks
+from tso_cli.network.model import NetworkConfig, build_network
+from tso_cli.refinement.objective import MaskObjective
+from tso_cli.render import RayScene, RenderSettings, look_at
+
+from ..training import make_thin
+
+MESHES = Path(__file__).parents[2] / "examples" / "meshes"
+NAMES = ["car/qreal_Cop", "car/qreal_SUV", "car/qbasic_RaceCar", "chair/q19_Chair", "chair/q17_Chair"]
+QUICK = VariantsConfig(categories=("car",), limit=2, views=1, size=64, steps=2)
+
+
+@pytest.fixture
+def split(tmp_path):
+    path = tmp_path / "split.json"
+    path.write_text(json.dumps({"test": NAMES, "validation": ["chair/kfurn_chair"]}))
+    return path
+
+
+@pytest.fixture
+def checkpoint(tmp_path, monkeypatch):
+    """A network of the paper's layers with few channels, untrained."""
+    make_thin(monkeypatch)
+    monkeypatch.setattr(networks, "LATENT", 8)
+    path = tmp_path / "thin.safetensors"
+    save_network(path, build_network(64, seed=0), NetworkConfig(points=64))
+    return path
+
+
+def without_times(record: dict) -> dict:
+    """The record again, with nothing that differs from run to run."""
+    record = json.loads(json.dumps(record))
+    for part in (*record["summary"].values(), *record["cases"]):
+        part.pop("median_seconds", None)
+        part.pop("seconds", None)
+    return record
+
+
+def test_only_shapes_of_the_part_are_studied_spread_over_each_category(split):
+    def names(*arguments, **options):
+        return [shape.name for shape in shapes_of_part(MESHES, split, *arguments, **options)]
+
+    assert sorted(names()) == sorted(NAMES)
+    assert names("validation") == ["chair/kfurn_chair"]
+    assert names(limit=2) == ["car/qreal_Cop", "car/qbasic_RaceCar", "chair/q19_Chair", "chair/q17_Chair"]
+    assert names(categories=["chair"], limit=1) == ["chair/q19_Chair"]
+
+
+def test_a_shape_or_category_that_is_not_there_is_named(split, tmp_path):
+    with pytest.raises(InputError, match="aeroplane"):
+        shapes_of_part(MESHES, split, categories=["aeroplane"])
+    with pytest.raises(InputError, match="train"):
+        shapes_of_part(MESHES, split, "train")
+    split.write_text(json.dumps({"test": [*NAMES, "car/Batmobile"]}))
+    with pytest.raises(InputError, match=r"car/Batmobile \(1 of 6 are missing\)"):
+        shapes_of_part(MESHES, split)
+
+
+def test_a_shape_is_seen_alike_whatever_else_is_studied(split):
+    settings = RenderSettings(views=2)
+    alone = see(shapes_of_part(MESHES, split, limit=1)[0], settings, 0)
+    again, other_seed = (see(shapes_of_part(MESHES, split)[0], settings, seed) for seed in (0, 1))
+    np.testing.assert_array_equal(alone.target, again.target)
+    np.testing.assert_array_equal(alone.views[1].image, again.views[1].image)
+    assert not np.array_equal(alone.views[1].image, other_seed.views[1].image)
+
+
+def square(z: float, half: float) -> tuple[np.ndarray, np.ndarray]:
+    corners = np.array([[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]])
+    return corners, np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def test_a_plate_hides_what_lies_behind_it_and_nothing_beside_it():
+    (near, faces), (far, _) = square(0.2, 0.25), square(-0.2, 0.5)
+    scene = RayScene(Mesh(np.concatenate([near, far]), np.concatenate([faces, faces + 4]), None))
+    camera = look_at(0.0, 0.0, 2.0, (64, 64))
+    x, y = np.meshgrid(np.linspace(-0.49, 0.49, 15), np.linspace(-0.49, 0.49, 15))
+    behind = np.stack([x.ravel(), y.ravel(), np.full(x.size, -0.2)], axis=1)
+    # the camera stands at z = 2: the near plate's shadow on the far one is larger by 2.2 / 1.8
+    shadow = np.abs(behind[:, :2]).max(1) < 0.25 * 2.2 / 1.8
+    assert 20 < shadow.sum() < 200
+    np.testing.assert_array_equal(visible_points(scene, behind, camera), ~shadow)
+    assert visible_points(scene, near * 0.99 + [0.0, 0.0, 0.002], camera).all()
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 33.0, 200.0])
+def test_on_a_convex_body_a_point_is_seen_exactly_where_its_surface_faces_the_camera(azimuth):
+    import trimesh
+
+    body = trimesh.creation.box(extents=(1.0, 0.6, 0.8))
+    scene = RayScene(Mesh(np.asarray(body.vertices), np.asarray(body.faces, dtype=np.int64), None))
+    points = sample_surface(body.vertices, body.faces, 500, np.random.default_rng(0))
+    camera = look_at(azimuth, 25.0, 2.2, (64, 64))
+    centre = -camera.R.T @ camera.t
+    axis = np.abs(np.abs(points) / [0.5, 0.3, 0.4] - 1.0).argmin(1)
+    normals = np.sign(points) * np.eye(3)[axis]
+    towards = centre - points
+    cosine = (normals * towards).sum(1) / np.linalg.norm(towards, axis=1)
+    clear = np.abs(cosine) > 0.02
+    # within the tolerance of an edge the far side still counts as seen
+    inner = np.sort(np.abs(np.abs(points) - [0.5, 0.3, 0.4]), axis=1)[:, 1] > 0.01
+    keep = clear & inner
+    np.testing.assert_array_equal(visible_points(scene, points, camera)[keep], cosine[keep] > 0.0)
+
+
+def test_visible_and_occluded_points_make_up_the_forward_distance():
+    rng = np.random.default_rng(0)
+    prediction, target = rng.normal(size=(20, 3)), rng.normal(size=(30, 3))
+    sees = np.arange(30) < 12
+    found = distances(prediction, target, sees)
+    assert found["forward"] == pytest.approx((12 * found["visible"] + 18 * found["occluded"]) / 30)
+    nearest = np.square(target[:, None] - prediction[None]).sum(2).min(1)
+    assert found["visible"] == pytest.approx(nearest[:12].mean())
+    assert distances(prediction, target, np.ones(30, dtype=bool))["occluded"] is None
+
+
+def test_the_truth_in_the_cameras_axes_is_at_distance_zero_whatever_its_scale(split, checkpoint, monkeypatch):
+    """A network that predicted the true shape, twice as large and elsewhere, is faultless by the paper's protocol only."""
+    shape = shapes_of_part(MESHES, split, limit=1)[0]
+    seen = see(shape, RenderSettings(views=1), 0)
+    camera = seen.views[0].camera
+    in_view = (seen.target @ camera.R.T) * [1.0, -1.0, -1.0]
+    ours = variants.network_scene
+
+    def perfect(image, view, network, about, placing):
+        from dataclasses import replace
+
+        scene = ours(image, view, network, about, placing=placing)
+        return replace(scene, points=2.0 * in_view + 0.1)
+
+    def untouched(points, view, config, network, image):
+        from types import SimpleNamespace
+
+        return SimpleNamespace(points=2.0 * in_view + 0.1, iou_before=0.5, iou_after=0.5, best_step=0, stop_reason="max_steps")
+
+    monkeypatch.setattr(variants, "network_scene", perfect)
+    monkeypatch.setattr(variants, "refine", untouched)
+    network, about = variants.load_network(checkpoint)
+    case = variants.judge_view(shape, seen, 0, network, about, QUICK)
+    for name in ("before", *VARIANTS):
+        assert case["capnet"][name]["forward"] == pytest.approx(0.0, abs=1e-20)
+        assert case["plain"][name]["forward"] > 1e-3
+
+
+def test_every_variant_starts_from_the_networks_prediction_and_moves_it(split, checkpoint):
+    record = study_variants(MESHES, checkpoint, QUICK, split)
+    assert record["complete"]
+    assert record["settings"]["categories"] == ["car"]
+    assert [case["shape"] for case in record["cases"]] == ["car/qreal_Cop", "car/qbasic_RaceCar"]
+    for case in record["cases"]:
+        assert 0.1 < case["visible_share"] < 0.6
+        for protocol in ("capnet", "plain"):
+            before = case[protocol]["before"]
+            after = [case[protocol][name]["forward"] for name in VARIANTS]
+            assert all(forward != before["forward"] for forward in after)
+            assert len(set(after)) == 3
+    assert set(record["summary"]) == {"car", "all"}
+    assert len(record["claims"]) == 5
+    json.dumps(record, allow_nan=False)
+
+
+def test_the_judged_distance_is_that_of_eval_under_the_papers_protocol(split, checkpoint):
+    from tso_cli.evaluation.metrics import chamfer
+    from tso_cli.geometry.view import View
+    from tso_cli.scene.network import network_scene
+
+    record = study_variants(MESHES, checkpoint, QUICK, split)
+    seen = see(shapes_of_part(MESHES, split, categories=["car"])[0], RenderSettings(views=1, size=(64, 64)), 0)
+    network, about = variants.load_network(checkpoint)
+    picture = seen.views[0]
+    scene = network_scene(picture.image, View(picture.mask / np.float32(255.0), picture.camera), network, about)
+    target = (seen.target @ picture.camera.R.T) * [1.0, -1.0, -1.0]
+    expected = chamfer(normalise_longest_side(scene.points), normalise_longest_side(target))
+    found = record["cases"][0]["capnet"]["before"]
+    assert (found["forward"], found["backward"]) == pytest.approx((expected.forward, expected.backward), rel=1e-5)
+
+
+def test_a_stopped_study_goes_on_with_the_next_shape_and_ends_alike(split, checkpoint, monkeypatch):
+    whole = study_variants(MESHES, checkpoint, QUICK, split)
+    kept = []
+
+    def keep_one(record):
+        kept.append(json.loads(json.dumps(record)))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        study_variants(MESHES, checkpoint, QUICK, split, keep=keep_one)
+    assert not kept[0]["complete"]
+    assert len(kept[0]["cases"]) == 1
+    judged = []
+    true_judge = variants.judge_view
+    monkeypatch.setattr(variants, "judge_view", lambda *arguments: judged.append(arguments[0].name) or true_judge(*arguments))
+    resumed = study_variants(MESHES, checkpoint, QUICK, split, earlier=kept[0])
+    assert judged == ["car/qbasic_RaceCar"]
+    assert without_times(resumed) == without_times(whole)
+
+
+def test_a_record_of_other_settings_or_another_network_is_not_gone_on_from(split, checkpoint):
+    record = study_variants(MESHES, checkpoint, QUICK, split)
+    with pytest.raises(InputError, match="views 1, now it is 2"):
+        study_variants(MESHES, checkpoint, VariantsConfig("test", ("car",), 2, 2, 64, 2), split, earlier=record)
+    save_network(checkpoint, build_network(64, seed=1), NetworkConfig(points=64), overwrite=True)
+    with pytest.raises(InputError, match="network"):
+        study_variants(MESHES, checkpoint, QUICK, split, earlier=record)
+    with pytest.raises(InputError, match="'points'"):
+        study_variants(MESHES, checkpoint, QUICK, split, earlier={"study": "points"})
+
+
+def test_a_network_of_another_frame_is_refused(split, checkpoint):
+    save_network(checkpoint, build_network(64), NetworkConfig(points=64, frame="canonical"), overwrite=True)
+    with pytest.raises(InputError, match="view-aligned"):
+        study_variants(MESHES, checkpoint, QUICK, split)
+
+
+def case_of(category: str, before: float, after: dict[str, float], occluded: float = 1.0) -> dict:
+    """A case with all distances in one figure."""
+
+    def cloud(value: float, hidden: float) -> dict:
+        return {"forward": value / 2, "backward": value / 2, "visible": value, "occluded": hidden}
+
+    found = {"before": cloud(before, 1.0), **{name: cloud(value, occluded) for name, value in after.items()}}
+    return {
+        "category": category,
+        "shape": f"{category}/{before}",
+        "visible_share": 0.4,
+        "capnet": found,
+        "plain": found,
+        "iou": {"before": 0.5, "encoder": 0.51, "encoder-decoder": 0.6, "points": 0.7},
+        "seconds": dict.fromkeys(VARIANTS, 1.0),
+    }
+
+
+def test_the_summary_tells_the_ratio_of_means_from_the_cases_own():
+    cases = [
+        case_of("car", 1.0, {"encoder": 0.5, "encoder-decoder": 1.0, "points": 1.0}),
+        case_of("car", 9.0, {"encoder": 9.9, "encoder-decoder": 9.0, "points": 9.0}),
+        case_of("car", 2.0, {"encoder": 1.6, "encoder-decoder": 2.0, "points": 2.0}),
+    ]
+    found = summarise(cases)["car"]["capnet"]["encoder"]
+    assert found["ratio_of_means"] == pytest.approx(1.0)
+    assert [found["mean_ratio"], found["median_ratio"]] == pytest.approx([0.8, 0.8])
+    assert (found["worst_ratio"], found["worse"]) == (pytest.approx(1.1), 1)
+    assert summarise(cases)["all"] == summarise(cases)["car"]
+
+
+def test_a_claim_holds_only_where_the_figures_say_so():
+    gains = {"encoder": 0.95, "encoder-decoder": 0.94, "points": 0.97}
+    as_in_the_paper = claims(summarise([case_of("car", 1.0, gains)]))
+    assert [claim["holds"] for claim in as_in_the_paper] == [True, True, True, True, False]
+    hidden_lost = claims(summarise([case_of("car", 1.0, gains, occluded=1.2)]))
+    assert [claim["holds"] for claim in hidden_lost][2] is False
+    assert hidden_lost[2]["found"].endswith("; not on car, all")
+    # A mean over categories hides one that fails.
+    one_fails = [case_of("car", 9.0 + i, gains | {"encoder": 8.0 + i}) for i in range(9)]
+    one_fails.append(case_of("chair", 1.0, gains | {"encoder": 1.1}))
+    found = claims(summarise(one_fails))[0]
+    assert not found["holds"]
+    assert found["found"].endswith("; not on chair")
+
+
+def test_a_gain_that_hangs_on_which_shapes_there_were_does_not_count():
+    gains = {"encoder-decoder": 0.94, "points": 0.97}
+    # On average a gain of 1 %, but of shapes that gain or lose 20 %.
+    cases = [case_of("car", 1.0 + 0.001 * i, gains | {"encoder": 0.79 if i % 2 else 1.19}) for i in range(12)]
+    summary = summarise(cases)
+    low, high = summary["all"]["capnet"]["encoder"]["interval"]
+    assert low < summary["all"]["capnet"]["encoder"]["ratio_of_means"] < 1.0 < high
+    assert not claims(summary)[0]["holds"]
+    assert 0.93 < summary["all"]["capnet"]["encoder-decoder"]["interval"][1] < 0.95
+
+
+def test_the_interval_is_over_shapes_and_not_over_their_views():
+    cases = [case_of("car", 1.0 + 0.001 * i, dict.fromkeys(VARIANTS, 0.8 if i % 2 else 1.1)) for i in range(8)]
+    once, often = (summarise(cases * times)["all"]["capnet"]["points"]["interval"] for times in (1, 5))
+    assert often == pytest.approx(once)
+
+
+def tso(*arguments) -> int:
+    with pytest.raises(SystemExit) as stopped:
+        main([str(argument) for argument in arguments])
+    return stopped.value.code
+
+
+@pytest.fixture
+def command(split, checkpoint, tmp_path):
+    """The arguments of a quick study, and its output."""
+    output = tmp_path / "out" / "tso.json"
+    output.parent.mkdir()
+    arguments = ["lab", "tso", "--meshes", MESHES, "--split", split, "--checkpoint", checkpoint]
+    return [*arguments, "--limit", "1", "--views", "1", "--steps", "1", "-o", output], output
+
+
+def test_the_command_sets_its_table_beside_the_papers_and_draws_a_chart(command, capsys):
+    arguments, output = command
+    assert tso(*arguments) == 0
+    out = capsys.readouterr().out
+    for word in ("4.64", "-5.82", "E and D", "occluded", "chair", "hold"):
+        assert word in out
+    record = json.loads(output.read_text())
+    assert record["complete"]
+    assert record["summary"]["all"]["cases"] == len(record["cases"]) == 2
+    with Image.open(output.with_suffix(".png")) as chart:
+        assert chart.size[0] > 600
+    assert tso(*arguments) == 2
+    assert "exists" in capsys.readouterr().err
+
+
+def test_ctrl_c_keeps_the_shapes_done_and_the_command_goes_on_from_them(command, capsys, monkeypatch):
+    arguments, output = command
+    calls = iter(range(1000))
+    true_call = MaskObjective.__call__
+
+    def interrupted(self, moved):
+        if next(calls) == 7:  # the first shape takes two for each variant
+            raise KeyboardInterrupt
+        return true_call(self, moved)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(MaskObjective, "__call__", interrupted)
+        assert tso(*arguments) == 130
+    record = json.loads(output.read_text())
+    assert not record["complete"]
+    assert [case["shape"] for case in record["cases"]] == ["car/qreal_Cop"]
+    assert not output.with_suffix(".png").exists()
+    assert tso(*arguments, "--resume") == 0
+    assert json.loads(output.read_text())["complete"]
+    assert output.with_suffix(".png").exists()
+    assert sorted(path.name for path in output.parent.iterdir()) == ["tso.json", "tso.png"]
+
+
+def test_resume_never_replaces_a_file_that_is_no_such_record(command, capsys):
+    arguments, output = command
+    for content, words in (("precious", "is not JSON"), ("[1]", "no JSON object"), ('{"study": "points"}', "'points'")):
+        output.write_text(content)
+        assert tso(*arguments, "--resume") == 2
+        captured = capsys.readouterr()
+        assert words in captured.err
+        assert output.read_text() == content
+    assert tso(*arguments[:-2], "--resume") == 2
+    assert "-o" in capsys.readouterr().err

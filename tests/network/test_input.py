@@ -1,0 +1,238 @@
+"""A photo, its mask and its camera get the same crop, and the crop is an exact average."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tso_cli.errors import InputError
+from tso_cli.geometry.camera import Camera
+from tso_cli.geometry.resampling import Box, area_resize
+from tso_cli.geometry.view import View
+from tso_cli.io.cameras import read_camera
+from tso_cli.io.images import read_image, read_mask
+from tso_cli.network.input import crop_box, network_input
+from tso_cli.network.model import NetworkConfig, build_network
+from tso_cli.scene.network import network_scene
+
+
+def rectangle(height: int, width: int, rows: slice, columns: slice) -> View:
+    mask = np.zeros((height, width), np.float32)
+    mask[rows, columns] = 1.0
+    return View(mask, Camera.canonical(width, height))
+
+
+def brute_force(array: np.ndarray, box: Box, width: int, height: int) -> np.ndarray:
+    """Area averages by summing every overlap one by one."""
+    left, top, right, bottom = box
+    result = np.zeros((height, width))
+    for j in range(height):
+        y0, y1 = top + (bottom - top) * j / height, top + (bottom - top) * (j + 1) / height
+        for i in range(width):
+            x0, x1 = left + (right - left) * i / width, left + (right - left) * (i + 1) / width
+            total = area = 0.0
+            for v in range(array.shape[0]):
+                for u in range(array.shape[1]):
+                    overlap = max(0.0, min(x1, u + 0.5) - max(x0, u - 0.5)) * max(0.0, min(y1, v + 0.5) - max(y0, v - 0.5))
+                    total, area = total + overlap * array[v, u], area + overlap
+            result[j, i] = total / area if area else 0.0
+    return result
+
+
+@pytest.mark.parametrize("box", [(0.2, 1.1, 6.7, 5.4), (-3.0, -2.0, 4.0, 9.0), (2.1, 2.2, 2.9, 3.7)])
+def test_area_resize_is_the_exact_average_when_shrinking_enlarging_and_reaching_outside(box: Box) -> None:
+    array = np.random.default_rng(0).random((7, 8))
+    values, _ = area_resize(array, box, 4, 3)
+    np.testing.assert_allclose(values, brute_force(array, box, 4, 3), atol=1e-12)
+
+
+def test_area_resize_of_the_whole_image_to_its_own_size_changes_nothing() -> None:
+    array = np.random.default_rng(0).random((5, 7, 3))
+    values, coverage = area_resize(array, (-0.5, -0.5, 6.5, 4.5), 7, 5)
+    np.testing.assert_allclose(values, array, atol=1e-12)
+    np.testing.assert_allclose(coverage, 1.0)
+
+
+def test_coverage_is_the_share_of_the_cell_inside_the_image() -> None:
+    _, coverage = area_resize(np.ones((4, 4)), (-2.5, -0.5, 1.5, 3.5), 4, 1)
+    np.testing.assert_allclose(coverage, [[0.0, 0.0, 1.0, 1.0]])
+    _, coverage = area_resize(np.ones((4, 4)), (-1.25, -0.5, 0.25, 3.5), 1, 1)
+    np.testing.assert_allclose(coverage, [[0.5]])
+
+
+def test_weighted_pixels_do_not_leak_into_the_average() -> None:
+    array = np.array([[1.0, 100.0], [3.0, 100.0]])
+    known = np.array([[True, False], [True, False]])
+    values, coverage = area_resize(array, (-0.5, -0.5, 1.5, 1.5), 1, 1, known)
+    np.testing.assert_allclose(values, [[2.0]])
+    np.testing.assert_allclose(coverage, [[0.5]])
+
+
+def test_the_longer_side_of_the_mask_takes_up_the_stated_share_of_a_square_crop() -> None:
+    view = rectangle(100, 200, slice(10, 40), slice(50, 140))
+    for share in (0.5, 0.9, 1.0):
+        left, top, right, bottom = network_input(np.zeros((100, 200, 3), np.uint8), view, crop_share=share).box
+        assert right - left == pytest.approx(90 / share) == pytest.approx(bottom - top)
+        assert ((left + right) / 2, (top + bottom) / 2) == pytest.approx((94.5, 24.5))
+
+
+def test_points_seen_by_the_cropped_camera_land_where_the_crops_pixels_are() -> None:
+    """Each of a few lone spots in a photo is found again in the crop at the place the cropped camera says."""
+    camera = replace(Camera.canonical(640, 480), t=np.array([0.1, -0.05, 2.5]))
+    points = np.random.default_rng(3).uniform(-0.3, 0.3, (8, 3))
+    pixels, _ = camera.project(points)
+    mask = np.zeros((480, 640), np.float32)
+    low, high = np.floor(pixels.min(0)).astype(int) - 40, np.ceil(pixels.max(0)).astype(int) + 40
+    mask[low[1] : high[1], low[0] : high[0]] = 1.0
+    v, u = np.mgrid[:480, :640]
+    rows, columns = np.mgrid[:64, :64]
+    for point, pixel in zip(points, pixels, strict=True):
+        spot = np.exp(-((u - pixel[0]) ** 2 + (v - pixel[1]) ** 2) / (2 * 8.0**2))
+        crop = network_input(spot, View(mask, camera), background="keep")
+        light = crop.image[0].astype(float)
+        centre = np.array([(light * columns).sum(), (light * rows).sum()]) / light.sum()
+        expected, _ = crop.camera.project(point[None])
+        np.testing.assert_allclose(centre, expected[0], atol=1e-2)
+
+
+def test_the_cropped_camera_keeps_rotation_and_translation() -> None:
+    view = rectangle(60, 80, slice(10, 50), slice(20, 60))
+    crop = network_input(np.zeros((60, 80, 3), np.uint8), view)
+    np.testing.assert_array_equal(crop.camera.R, view.camera.R)
+    np.testing.assert_array_equal(crop.camera.t, view.camera.t)
+    assert (crop.camera.width, crop.camera.height) == (64, 64)
+
+
+@pytest.mark.parametrize(("background", "value"), [("black", 0.0), ("white", 1.0), ("keep", 0.6)])
+def test_the_background_follows_the_mask(background: str, value: float) -> None:
+    view = rectangle(90, 90, slice(30, 60), slice(40, 50))
+    image = np.full((90, 90, 3), 153, np.uint8)
+    crop = network_input(image, view, background=background)
+    assert crop.image.dtype == np.float32 and crop.image.shape == (3, 64, 64)
+    inside = crop.mask == 1.0
+    np.testing.assert_allclose(crop.image[:, inside], 0.6, atol=1e-6)
+    np.testing.assert_allclose(crop.image[:, crop.mask == 0.0], value, atol=1e-6)
+
+
+def test_soft_mask_values_survive_the_crop() -> None:
+    view = rectangle(64, 64, slice(20, 44), slice(20, 44))
+    soft = view.mask.copy()
+    soft[20:44, 30:34] = 0.7
+    crop = network_input(np.zeros((64, 64, 3), np.uint8), View(soft, view.camera))
+    assert np.isclose(crop.mask, 0.7).any()
+
+
+def test_what_lies_outside_the_photo_is_unknown_and_has_the_background_colour() -> None:
+    view = rectangle(40, 40, slice(0, 40), slice(0, 20))
+    crop = network_input(np.full((40, 40, 3), 255, np.uint8), view, crop_share=0.8, background="white")
+    assert not crop.known[0].any() and not crop.known[:, 0].any()
+    assert crop.known[32, 32]
+    np.testing.assert_array_equal(crop.mask[~crop.known], 0.0)
+    np.testing.assert_allclose(crop.image, 1.0, atol=1e-6)
+    assert crop.view().known is crop.known
+
+
+def test_ignored_pixels_stay_unknown_in_the_crop() -> None:
+    view = rectangle(64, 64, slice(16, 48), slice(16, 48))
+    known = np.ones((64, 64), bool)
+    known[:, 40:44] = False
+    crop = network_input(np.zeros((64, 64, 3), np.uint8), View(view.mask, view.camera, known))
+    columns = np.flatnonzero(~crop.known.all(0))
+    left, _, right, _ = crop.box
+    centres = left + (columns + 0.5) * (right - left) / 64
+    assert len(columns) > 0 and centres.min() > 39.0 and centres.max() < 44.0
+
+
+def test_an_alpha_channel_is_left_to_the_mask_unless_the_photo_is_kept() -> None:
+    view = rectangle(64, 64, slice(16, 48), slice(16, 48))
+    image = np.full((64, 64, 4), 255, np.uint8)
+    image[:, :, 3] = 0
+    assert network_input(image, view, background="black").image.max() == pytest.approx(1.0)
+    assert network_input(image, view, background="keep").image.max() == 0.0
+
+
+def test_large_and_small_photos_of_the_same_thing_give_the_same_input() -> None:
+    small = rectangle(32, 32, slice(8, 24), slice(8, 24))
+    image = np.random.default_rng(0).integers(0, 256, (32, 32, 3)).astype(np.uint8)
+    mask = np.kron(small.mask, np.ones((5, 5), np.float32))
+    big = network_input(image.repeat(5, 0).repeat(5, 1), View(mask, small.camera.resized(160, 160)))
+    one = network_input(image, small)
+    np.testing.assert_allclose(one.image, big.image, atol=1e-6)
+    np.testing.assert_allclose(one.camera.K, big.camera.K, atol=1e-9)
+
+
+def test_wrong_sizes_and_settings_are_refused() -> None:
+    view = rectangle(40, 40, slice(10, 30), slice(10, 30))
+    image = np.zeros((40, 40, 3), np.uint8)
+    with pytest.raises(InputError, match="the image is 30x40, the mask 40x40"):
+        network_input(image[:, :30], view)
+    with pytest.raises(InputError, match="background is 'blue'"):
+        network_input(image, view, background="blue")
+    with pytest.raises(InputError, match="crop share"):
+        crop_box(view.box(), 0.0)
+    with pytest.raises(InputError, match="outside 0 to 1"):
+        network_input(image.astype(float) + 3.0, view)
+    with pytest.raises(InputError, match="box is"):
+        area_resize(image, (3.0, 0.0, 3.0, 5.0), 4, 4)
+
+
+@pytest.mark.parametrize("size", [0.3, 0.9])
+def test_a_crop_of_share_0_keeps_the_size_of_the_object(size: float) -> None:
+    """Of two objects at one distance the larger one fills more of the input; the canonical picture is taken whole."""
+    camera = Camera.canonical(128, 128)
+    edge = 120.0 * 2.0 * size / 2.0 / 2.0  # half of its side, in pixels of 128
+    axis = np.abs(np.arange(128) - 63.5)
+    mask = ((axis[:, None] <= edge) & (axis[None] <= edge)).astype(np.float32)
+    crop = network_input(np.zeros((128, 128, 3), np.uint8), View(mask, camera), crop_share=0.0)
+    np.testing.assert_allclose(crop.box, (-0.5, -0.5, 127.5, 127.5))
+    assert crop.mask.sum() == pytest.approx((60.0 * size) ** 2, rel=0.06)
+
+
+def test_a_crop_of_share_0_shows_the_same_of_an_object_in_a_larger_photo_and_from_farther_away() -> None:
+    near = Camera.canonical(64, 64)
+    K = near.K.copy()
+    K[:2, :2] *= 3.0
+    K[:2, 2] = [200.0, 90.0]
+    far = Camera(K, near.R, 1.5 * near.t, 320, 240)
+    point = np.array([[0.2, -0.1, 0.0]])
+    pixels = []
+    for camera in (near, far):
+        mask = np.zeros((camera.height, camera.width), np.float32)
+        u, v = np.rint(camera.project(np.zeros((1, 3)))[0][0]).astype(int)
+        mask[v - 3 : v + 4, u - 3 : u + 4] = 1.0
+        crop = network_input(np.zeros((camera.height, camera.width, 3), np.uint8), View(mask, camera), crop_share=0.0)
+        pixels.append(crop.camera.project(point)[0][0])
+    np.testing.assert_allclose(pixels[0], pixels[1], atol=1e-9)
+
+
+def test_a_crop_of_share_0_needs_the_object_before_the_camera_and_near_the_origin() -> None:
+    def rectangle_at(camera: Camera) -> View:
+        return replace(rectangle(64, 64, slice(20, 30), slice(20, 30)), camera=camera)
+
+    camera = replace(Camera.canonical(64, 64), t=np.array([0.0, 0.0, -2.0]))
+    with pytest.raises(InputError, match="at depth -2, expected it in front"):
+        network_input(np.zeros((64, 64, 3), np.uint8), rectangle_at(camera), crop_share=0.0)
+    aside = replace(camera, t=np.array([5.0, 0.0, 2.0]))
+    with pytest.raises(InputError, match=r"nothing of the object lies in the 1\.07 units around the world's origin"):
+        network_input(np.zeros((64, 64, 3), np.uint8), rectangle_at(aside), crop_share=0.0)
+
+
+def test_a_network_that_tells_sizes_sees_the_place_the_camera_gives_and_without_one_says_what_it_takes_for_it() -> None:
+    example = Path(__file__).parents[2] / "examples" / "chair"
+    image, mask = read_image(example / "image.png"), read_mask(example / "mask.png")
+    camera = read_camera(example / "camera.json", mask.shape[1], mask.shape[0])
+    network, config = build_network(seed=0).eval(), NetworkConfig(crop_share=0.0)
+
+    def crop_of(distance: float) -> np.ndarray:
+        view = View(mask, replace(camera, t=distance * camera.t))
+        scene = network_scene(image, view, network, config)
+        assert "(only its K and t)" in scene.camera_in_short
+        return scene.views[0].mask
+
+    # The same object, said to be nearer and so smaller, fills less of what the network sees.
+    assert crop_of(0.75).sum() < 0.7 * crop_of(1.0).sum()
+    with pytest.warns(UserWarning, match="tells sizes by the whole picture"):
+        network_scene(image, View(mask, camera), network, config, known_camera=False)

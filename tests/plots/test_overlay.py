@@ -1,0 +1,100 @@
+"""The picture of a refinement shows what is near, and shows it where it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tso_cli.evaluation.footprint import Seen
+from tso_cli.geometry.camera import Camera
+from tso_cli.geometry.view import View
+from tso_cli.plots.overlay import (
+    AGREED,
+    GAP,
+    MISSING,
+    NEAR_TO_FAR,
+    PANEL,
+    STRAY,
+    TITLE,
+    UNKNOWN,
+    _dots,
+    _fitted,
+    compare,
+    draw_overlay,
+    evenly_chosen,
+)  # fmt: skip
+from tso_cli.refinement import RefineConfig, refine
+from tso_cli.silhouette.projection import silhouette_of
+
+
+def _panel(*points: tuple[float, float, float]) -> np.ndarray:
+    return np.asarray(_dots(*np.array(points, float).T))
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_nearer_point_hides_a_farther_one(order):
+    points = [(0.0, 0.0, -0.5), (0.0, 0.0, 0.5), (0.9, 0.9, 0.2)][::order]
+    np.testing.assert_array_equal(_panel(*points)[PANEL // 2, PANEL // 2], NEAR_TO_FAR[0])
+
+
+def test_a_point_is_drawn_to_the_right_and_down_of_the_middle_as_far_as_it_lies():
+    panel = _panel((0.5, -0.8, 1.0), (0.5, -0.8, 1.0))
+    rows, columns = np.nonzero((panel < 255).any(2))
+    assert rows.mean() == pytest.approx(0.1 * PANEL, abs=1.0)
+    assert columns.mean() == pytest.approx(0.75 * PANEL, abs=1.0)
+
+
+def test_the_dots_of_a_large_cloud_are_small_but_there():
+    many = np.random.default_rng(0).uniform(-0.9, 0.9, (100_000, 3))
+    assert (np.asarray(_dots(*many.T)) < 255).any(2).mean() > 0.5
+
+
+@pytest.mark.parametrize(("height", "width"), [(10, 20), (1000, 2000)])
+def test_an_image_fills_its_panel_and_keeps_its_shape(height, width):
+    colours = np.zeros((height, width, 3))
+    colours[:, width // 2 :] = (1.0, 0.5, 0.0)
+    image = _fitted(colours)
+    assert image.size == (PANEL, PANEL // 2)
+    assert image.getpixel((PANEL - 1, 3)) == (255, 128, 0)
+    assert image.getpixel((0, 3)) == (0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("count", "shown"), [(1, [0]), (6, [0, 1, 2, 3, 4, 5]), (9, [0, 2, 3, 5, 6, 8]), (500, [0, 100, 200, 299, 399, 499])]
+)
+def test_of_many_views_six_are_shown_from_first_to_last(count, shown):
+    assert evenly_chosen(count, 6) == shown
+
+
+@pytest.mark.parametrize(("count", "rows"), [(1, 2), (3, 3), (8, 6)])
+def test_one_view_gets_a_row_before_and_one_after_and_several_a_row_each(count, rows, tmp_path):
+    points = np.random.default_rng(0).uniform(-0.3, 0.3, (60, 3))
+    views = []
+    for size in range(20, 20 + count):
+        camera = Camera.canonical(size, 20)
+        views.append(View(silhouette_of(1.1 * points, camera), camera))
+    draw_overlay(tmp_path / "picture.png", refine(points, views, config=RefineConfig(steps=0)), views)
+    with Image.open(tmp_path / "picture.png") as picture:
+        assert picture.size[1] // PANEL == rows
+
+
+def test_mask_and_silhouette_are_told_apart_by_colour():
+    silhouette, mask, known = (np.array([row], bool) for row in ([1, 0, 1, 0, 1], [1, 1, 0, 0, 1], [1, 1, 1, 1, 0]))
+    expected = [[AGREED, MISSING, STRAY, (1.0, 1.0, 1.0), UNKNOWN]]
+    np.testing.assert_array_equal(compare(Seen(silhouette, mask, known)), expected)
+
+
+@pytest.mark.parametrize("times", [1, 8])
+def test_the_object_fills_its_panel_in_a_photo_of_any_size(times, tmp_path):
+    points = np.random.default_rng(0).uniform(-0.3, 0.3, (400, 3))
+    small = Camera.canonical(64, 64)
+    mask = np.zeros((64 * times, 64 * times), np.float32)
+    mask[20:46, 20:46] = 1.0
+    camera = Camera(small.K, small.R, small.t, 64 * times, 64 * times)
+    view = View(mask, camera)
+    draw_overlay(tmp_path / "picture.png", refine(points, view, config=RefineConfig(steps=0)), [view])
+    with Image.open(tmp_path / "picture.png") as picture:
+        panel = np.asarray(picture)[TITLE : TITLE + PANEL, GAP : GAP + PANEL]
+    agreed = (panel == np.rint(255.0 * np.array(AGREED))).all(2).mean()
+    assert 0.25 < agreed < 0.8

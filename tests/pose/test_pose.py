@@ -1,0 +1,234 @@
+"""The camera found from a mask and a cloud, and cameras that are moved with the points."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tso_cli.cli import main
+from tso_cli.errors import InputError
+from tso_cli.geometry.rotations import angle_between, from_vectors, spread
+from tso_cli.io.cameras import read_camera
+from tso_cli.io.clouds import read_cloud
+from tso_cli.io.images import read_mask
+from tso_cli.pose import alignment, fit_camera
+from tso_cli.pose.alignment import Poses, Target
+from tso_cli.refinement.camera_moves import CameraMoves, moved_camera
+from tso_cli.silhouette.projection import CameraBatch, project
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def example(name, cloud="target"):
+    mask = read_mask(EXAMPLES / name / "mask.png")
+    camera = read_camera(EXAMPLES / name / "camera.json", mask.shape[1], mask.shape[0])
+    return read_cloud(EXAMPLES / name / f"{cloud}.ply").points, mask, camera
+
+
+@pytest.fixture(scope="module")
+def fitted_chair():
+    points, mask, camera = example("chair")
+    return fit_camera(points, mask), points, mask, camera
+
+
+def test_the_camera_of_the_true_cloud_is_found_and_said_to_be_sure(fitted_chair):
+    found, _, _, camera = fitted_chair
+    assert angle_between(found.camera.R, camera.R) < 6.0
+    assert found.sure and found.iou > 0.8
+    assert found.camera.t == pytest.approx(camera.t, abs=0.2 * camera.t[2])
+    assert found.focal_range[0] <= found.camera.K[0, 0] <= found.focal_range[1]
+
+
+def test_alternatives_are_turned_away_and_fit_less(fitted_chair):
+    found = fitted_chair[0]
+    ious = [other.iou for other in found.alternatives]
+    assert ious == sorted(ious, reverse=True)
+    assert found.confidence == pytest.approx(found.iou - ious[0])
+    for other in found.alternatives:
+        assert other.degrees == pytest.approx(angle_between(other.camera.R, found.camera.R))
+        assert other.degrees > 20.0
+
+
+def test_a_cloud_in_other_units_and_turned_gets_the_same_picture(fitted_chair):
+    found, points, mask, _ = fitted_chair
+    turn = from_vectors(np.array([0.0, 0.0, np.pi]))
+    moved = fit_camera(1000.0 * points @ turn.T + 5000.0, mask)
+    before, _ = found.camera.project(points)
+    after, _ = moved.camera.project(1000.0 * points @ turn.T + 5000.0)
+    # Another turn of the cloud meets other starting poses: the same basin, not the same bits.
+    assert np.abs(after - before).mean() < 4.0
+
+
+def test_two_answers_that_fit_alike_are_unsure():
+    # A bar seen from the side: its two ends cannot be told apart by the mask, and only one of them is thick.
+    rng = np.random.default_rng(0)
+    bar = rng.uniform(-1.0, 1.0, (600, 3)) * [0.5, 0.08, 0.08]
+    bar[:, 2] += 0.05 * (bar[:, 0] > 0.2)
+    mask = np.zeros((64, 64), np.float32)
+    mask[28:36, 10:54] = 1.0
+    assert not fit_camera(bar, mask).sure
+
+
+def test_a_symmetry_of_the_cloud_is_no_alternative():
+    rng = np.random.default_rng(0)
+    quarter = rng.uniform(0.0, 1.0, (150, 3)) * [0.5, 0.05, 0.2]
+    turns = [from_vectors(np.array([0.0, angle, 0.0])) for angle in np.pi / 2 * np.arange(4)]
+    cross = np.concatenate([quarter @ turn.T for turn in turns])
+    from tso_cli.pose.fit import _same_by_symmetry, _spacing
+
+    spacing = _spacing(cross)
+    assert _same_by_symmetry(cross, np.eye(3), turns[1], spacing)
+    assert not _same_by_symmetry(cross, np.eye(3), from_vectors(np.array([0.0, np.pi / 4, 0.0])), spacing)
+
+
+def test_gauss_newton_brings_a_turned_pose_back():
+    points, mask, camera = example("airplane")
+    side = 64
+    small = camera.resized(side, side)
+    target = Target(
+        mask.reshape(side, mask.shape[0] // side, side, -1).mean((1, 3)), np.ones((side, side)), small.K[:2, 2], False
+    )
+    focal, t = small.K[0, 0], small.t
+    centre = small.K[:2, 2] + focal * t[:2] / t[2]
+    turned = from_vectors(np.radians([[8.0, -6.0, 5.0]])) @ camera.R
+    start = Poses(turned, centre[None] + 2.0, np.array([0.9 * focal / t[2]]), np.array([focal]))
+    found = alignment.improve(points, start, target, 20, (focal, 0.0), 4.0)
+    assert angle_between(start.R[0], camera.R) > 10.0
+    assert angle_between(found.R[0], camera.R) < 4.0
+    assert found.focal == pytest.approx([focal], rel=1e-3)
+
+
+def test_the_jacobian_is_that_of_finite_differences():
+    rng = np.random.default_rng(1)
+    points, principal = rng.uniform(-0.5, 0.5, (5, 3)), np.array([31.0, 33.0])
+    pose = Poses(from_vectors(rng.normal(size=(1, 3))), np.array([[20.0, 40.0]]), np.array([50.0]), np.array([120.0]))
+    px, rotated, inverse = alignment.project(points, pose, principal)
+    J = alignment._jacobian(px - principal, rotated, inverse, pose)
+    for column in range(7):
+        step = np.zeros(7)
+        step[column] = 1e-6
+        moved = Poses(
+            from_vectors(step[None, :3]) @ pose.R,
+            pose.centre + step[3:5],
+            pose.scale * np.exp(step[5]),
+            pose.focal * np.exp(step[6]),
+        )
+        difference = (alignment.project(points, moved, principal)[0] - px) / 1e-6
+        np.testing.assert_allclose(J[..., column], difference, atol=1e-3)
+
+
+def test_starting_rotations_are_rotations_and_leave_no_hole():
+    rotations = spread(150, 18)
+    np.testing.assert_allclose(
+        rotations @ rotations.transpose(0, 2, 1), np.broadcast_to(np.eye(3), rotations.shape), atol=1e-12
+    )
+    assert np.linalg.det(rotations) == pytest.approx(np.ones(len(rotations)))
+    anywhere = from_vectors(np.random.default_rng(0).normal(size=(50, 3)) * 2.0)
+    assert max(angle_between(rotations, R).min() for R in anywhere) < 17.0
+
+
+@pytest.mark.parametrize(
+    ("points", "mask", "said"),
+    [
+        (np.eye(3), np.eye(8), "holds 3 points, expected at least 16"),
+        (np.zeros((20, 3)), np.eye(8), "all 20 points are equal"),
+        (np.random.default_rng(0).normal(size=(20, 3)), np.zeros((8, 8)), "no pixel is foreground"),
+        (np.random.default_rng(0).normal(size=(20, 3)), np.zeros(8), r"shape \[8\], expected \[H, W\]"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused_in_one_line(points, mask, said):
+    with pytest.raises(InputError, match=said) as caught:
+        fit_camera(points, mask)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("line", [np.s_[:, 30], np.s_[5, 3:60]])
+def test_a_mask_one_pixel_wide_gets_some_camera(line):
+    mask = np.zeros((64, 64), np.float32)
+    mask[line] = 1.0
+    found = fit_camera(np.random.default_rng(0).normal(size=(40, 3)), mask)
+    assert np.isfinite(found.camera.R).all() and 0.0 <= found.iou <= 1.0
+
+
+def test_a_moved_camera_in_file_units_sees_what_the_loop_saw():
+    points, _, camera = example("car")
+    big = replace(camera, t=10.0 * camera.t - camera.R @ np.array([3.0, 4.0, 5.0]))
+    centre, scale = np.array([3.0, 4.0, 5.0]), 10.0
+    local = big.for_normalised(centre, scale)
+    moves = CameraMoves([[local]], torch.zeros(1, dtype=torch.float64))
+    values = np.array([0.02, -0.03, 0.01, 0.01, 0.02, -0.01])
+    with torch.no_grad():
+        moves.parameter += torch.as_tensor(values.reshape(1, 2, 3))
+    seen = project(torch.as_tensor(points)[None], moves.apply(CameraBatch.of([local], moves.parameter).one_each(), 0))
+    expected, _ = moved_camera(big, values, centre, scale).project(10.0 * points + centre)
+    np.testing.assert_allclose(seen.points_px[0, 0].detach(), expected, atol=1e-8)
+
+
+@pytest.fixture
+def tso(capfd):
+    def run(*arguments):
+        try:
+            main(["refine", *map(str, arguments)])
+        except SystemExit as end:
+            return end.code or 0, *capfd.readouterr()
+        return 0, *capfd.readouterr()
+
+    return run
+
+
+def test_the_command_fits_refines_and_writes_a_camera_that_reads_back(tmp_path, tso):
+    chair, out, written = EXAMPLES / "chair", tmp_path / "out.ply", tmp_path / "found.json"
+    cloud, mask = chair / "target.ply", chair / "mask.png"
+    code, stdout, stderr = tso(
+        cloud, mask, "--camera", "fit", "--refine-camera", "--steps", "5", "-o", out, "--write-camera", written, "-v"
+    )
+    assert code == 0, stderr
+    assert "tso: camera: fitted, IoU 0." in stderr and "next best" in stderr
+    assert "used   camera fitted to cloud and mask (sure), kept: " in stdout
+    assert "camera kept" in stdout and f"{written}: camera" in stdout
+    assert angle_between(read_camera(written, 256, 256, mask).R, example("chair")[2].R) < 8.0
+    assert tso(cloud, mask, "--camera", written, "--check")[0] == 0
+
+
+def test_the_cameras_of_several_masks_are_written_with_their_masks(tmp_path, tso):
+    first, second = EXAMPLES / "chair" / "mask.png", tmp_path / "mask.png"
+    second.write_bytes(first.read_bytes())
+    (tmp_path / "camera.json").write_bytes((EXAMPLES / "chair" / "camera.json").read_bytes())
+    written, cloud = tmp_path / "used.json", EXAMPLES / "chair" / "target.ply"
+    files = "--refine-camera", "--steps", "2", "-v", "-o", tmp_path / "out.ply", "--write-camera", written
+    code, stdout, stderr = tso(cloud, first, second, *files)
+    assert code == 0, stderr
+    assert stdout.count("camera kept") == 2
+    code, stdout, stderr = tso(cloud, "--camera", written, "--check")
+    assert code == 0 and f"view        2 of 2, {second}" in stdout, stderr
+
+
+def test_a_camera_file_called_fit_is_read_when_written_with_its_folder(tmp_path, monkeypatch, tso):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fit").write_text("no camera")
+    code, _, stderr = tso(EXAMPLES / "chair" / "target.ply", EXAMPLES / "chair" / "mask.png", "--camera", "./fit")
+    assert code == 2 and "fit: is not JSON" in stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--mode", "encoder", "--camera", "fit"), "--camera fit is for --mode points"),
+        (("--mode", "encoder", "--refine-camera"), "--refine-camera is for --mode points"),
+        ((EXAMPLES / "car" / "mask.png", "--camera", "fit"), "finds the camera of one mask, found 2 masks"),
+        (("--write-camera", "camera.txt"), "expected .json"),
+        (("--write-camera", EXAMPLES / "chair" / "camera.json"), "exists already"),
+        (("--write-camera", EXAMPLES / "chair" / "camera.json", "--overwrite"), "is another file of this command"),
+    ],
+)
+def test_wrong_use_of_the_camera_options_is_refused_in_one_line(tmp_path, options, said, tso):
+    chair = EXAMPLES / "chair"
+    files = chair / "initial.ply", chair / "mask.png", "--camera", chair / "camera.json"
+    code, stdout, stderr = tso(*files, "-o", tmp_path / "x.ply", *options)
+    assert code == 2 and not stdout
+    assert said in stderr and len(stderr.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []

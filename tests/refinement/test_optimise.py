@@ -1,0 +1,136 @@
+"""The loop by itself: what may be the best iterate, and when."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from tests import oracles
+from tso_cli.errors import TsoError
+from tso_cli.geometry.camera import Camera
+from tso_cli.geometry.view import View
+from tso_cli.network.model import build_network
+from tso_cli.refinement import RefineConfig, refine
+from tso_cli.refinement.objective import MaskObjective, working_view
+from tso_cli.refinement.optimise import descend
+
+
+def _clouds(count: int = 2) -> torch.Tensor:
+    return torch.rand(count, 5, 3, generator=torch.Generator().manual_seed(0)).requires_grad_()
+
+
+def _square(side: int = 64) -> np.ndarray:
+    mask = np.zeros((side, side), np.float32)
+    mask[22:42, 25:40] = 1.0
+    return mask
+
+
+@pytest.mark.parametrize("bad", [torch.nan, torch.inf])
+def test_a_cloud_that_is_not_finite_is_never_the_best_whatever_its_loss(bad):
+    start = torch.ones(2, 5, 3)
+    iterates = iter([start, start, 0.5 * start, torch.full_like(start, 0.25)])
+    leaf = torch.zeros(1, requires_grad=True)
+
+    def produce():
+        moved = next(iterates).clone()
+        if moved[0, 0, 0] == 0.25:
+            moved[1, 2, 1] = bad
+        return moved + 0.0 * leaf
+
+    def objective(moved):
+        return torch.where(torch.isfinite(moved), moved, 0.0).sum((1, 2))
+
+    found = descend(produce, [leaf], objective, 2, 0.1)
+    assert found.best_step.tolist() == [2, 1]
+    assert torch.isfinite(found.best).all()
+    assert np.isnan(found.losses[2]).tolist() == [False, True]
+
+
+def test_a_cloud_whose_loss_was_once_no_number_does_not_come_back():
+    leaf, values = _clouds(), iter([[3.0, 3.0], [2.0, torch.nan], [1.0, 1.0]])
+    found = descend(lambda: leaf, [leaf], lambda moved: moved.sum((1, 2)) * 0.0 + torch.tensor(next(values)), 2, 0.1)
+    assert found.best_step.tolist() == [2, 0]
+    assert np.isnan(found.losses[:, 1]).tolist() == [False, True, True]
+
+
+def test_wherever_an_interrupt_falls_the_best_cloud_is_that_of_the_best_step(monkeypatch):
+    start, true_where = _clouds().detach(), torch.where
+    kept = []
+    for stop in range(1, 16):
+        leaf, calls = start.clone().requires_grad_(), iter(range(1, 100))
+
+        def interrupted(*arguments, calls=calls, stop=stop, **more):
+            if next(calls) == stop:
+                raise KeyboardInterrupt
+            return true_where(*arguments, **more)
+
+        with monkeypatch.context() as patched:
+            patched.setattr(torch, "where", interrupted)
+            iterates = []
+
+            def produce(leaf=leaf, iterates=iterates):
+                iterates.append(leaf.detach().clone())
+                return leaf
+
+            try:
+                found = descend(produce, [leaf], lambda moved: moved.square().sum((1, 2)), 5, 0.01)
+            except KeyboardInterrupt:
+                continue
+        assert found.interrupted
+        kept.append(int(found.best_step[0]))
+        # the first iterate is produced twice
+        torch.testing.assert_close(found.best, iterates[kept[-1] + 1], rtol=0.0, atol=0.0)
+    assert len(set(kept)) > 1
+
+
+def test_a_network_that_breaks_at_once_says_so_and_gives_no_cloud():
+    network = build_network(points=64)
+    image = torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0))
+    config = RefineConfig("encoder", steps=5, learning_rate=1e4)
+    with pytest.raises(TsoError, match="a smaller learning rate"):
+        refine(None, _square(), config=config, network=network, image=image)
+
+
+@pytest.mark.parametrize("where", ["behind the camera", "nowhere"])
+def test_a_view_that_shows_no_point_at_all_has_an_infinite_loss(where):
+    view = working_view(View(_square(), Camera.canonical(64, 64)), 0.4, np.zeros(3), 1.0)
+    points = _clouds(3).detach() - 0.5
+    points[1] = points[1] + torch.tensor([0.0, 0.0, 9.0]) if where == "behind the camera" else torch.nan
+    # of the third cloud only a point is left
+    points[2, 1:] += torch.tensor([0.0, 0.0, 9.0])
+    leaf = points.requires_grad_()
+    loss = MaskObjective([[view]] * 3, torch.tensor([5, 5, 5]), leaf)(leaf)
+    assert torch.isfinite(loss).tolist() == [True, False, True]
+    (slope,) = torch.autograd.grad(loss.sum(), leaf)
+    assert torch.isfinite(slope[[0, 2]]).all()
+    assert slope[0].abs().max() > 0.0
+
+
+def test_the_papers_preset_is_adam_on_its_equation():
+    """Eq. 7 by all pairs and in float64: cross-entropy of the silhouette and 1e6 times the Chamfer distance to the start."""
+    points = np.random.default_rng(0).uniform(-0.3, 0.3, (90, 3))
+    # Longest side 1 and centred: what the settings are stated for.
+    points = (points - (points.min(0) + points.max(0)) / 2.0) / np.ptp(points, axis=0).max()
+    mask, camera = _square(), Camera.canonical(64, 64)
+    first = torch.tensor(points)
+    moved = first.clone().requires_grad_()
+    optimiser = torch.optim.Adam([moved], lr=5e-4)
+    K, R, t = (torch.tensor(part) for part in (camera.K, camera.R, camera.t))
+    losses = []
+    for step in range(51):
+        plane = (moved @ R.T + t) @ K.T
+        loss = oracles.bce(plane[:, :2] / plane[:, 2:], torch.tensor(mask).double(), 0.4)
+        loss = loss + 1e6 * sum(oracles.chamfer(moved, first))
+        losses.append(loss.item())
+        if step < 50:
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+    result = refine(points, mask, camera, RefineConfig(preset="paper"))
+    # The kernel ends where it is 1e-8: far pixels ask by their nearest point alone, half a thousandth of the loss here.
+    np.testing.assert_allclose(result.losses, losses, rtol=2e-3)
+    assert (result.steps, result.best_step) == (50, int(np.argmin(losses))) == (50, 50)
+    # Where a gradient is nearly 0 the sign of its last digit is a step of Adam's: of all points, not of each.
+    apart, way = result.points - moved.detach().numpy(), moved.detach().numpy() - points
+    assert np.square(apart).mean() < 1e-3 * np.square(way).mean()

@@ -1,0 +1,362 @@
+"""Textures: what is read of them, and what a picture shows of them."""
+
+from __future__ import annotations
+
+import json
+import socket
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import EpsImagePlugin, Image
+from trimesh.visual.material import PBRMaterial, SimpleMaterial
+
+from tso_cli import render
+from tso_cli.commands.evaluate import command as eval_command
+from tso_cli.commands.render import command
+from tso_cli.io.images import read_image
+from tso_cli.io.meshes import Mesh, read_mesh
+from tso_cli.io.textures import Texture
+from tso_cli.render import RayScene, RenderSettings, render_folder, render_view
+from tso_cli.render.variation import paint, warp
+
+CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
+RED, GREEN, BLUE, WHITE = (200, 0, 0), (0, 200, 0), (0, 0, 200), (255, 255, 255)
+CHECKS = np.random.default_rng(0).integers(0, 256, (6, 4, 3), dtype=np.uint8)
+
+
+def filled(colour: tuple[int, int, int]) -> np.ndarray:
+    return np.full((2, 2, 3), colour, np.uint8)
+
+
+def square(material: Any, uv: np.ndarray = CORNERS, z: float = 0.0) -> trimesh.Trimesh:
+    """A unit square across the z axis, the texture upright on it."""
+    vertices = np.column_stack([CORNERS - 0.5, np.full(4, z)])
+    visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    return trimesh.Trimesh(vertices, [[0, 1, 2], [2, 3, 0]], process=False, visual=visual)
+
+
+def saved(path: Path, pixels: np.ndarray = CHECKS, uv: np.ndarray = CORNERS) -> Path:
+    """The square with a texture, in the format of the suffix."""
+    image = Image.fromarray(pixels)
+    if path.suffix == ".glb":
+        square(PBRMaterial(baseColorTexture=image), uv).export(path)
+    else:
+        square(SimpleMaterial(image=image, diffuse=[90, 60, 30]), uv).export(path)
+    return path
+
+
+def edited(path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
+    """A .glb file with another header."""
+    content = path.read_bytes()
+    end = 20 + int.from_bytes(content[12:16], "little")
+    header = json.loads(content[20:end])
+    change(header)
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 4)
+    total = (20 + len(text) + len(content) - end).to_bytes(4, "little")
+    path.write_bytes(content[:8] + total + len(text).to_bytes(4, "little") + b"JSON" + text + content[end:])
+    return path
+
+
+def seen(mesh: Mesh, size: int = 60) -> tuple[np.ndarray, np.ndarray]:
+    """The front of a mesh whose texture fills it: colours without the light [size, size, 3], and where the light is."""
+    camera = render.look_at(0.0, 0.0, 2.0, (size, size), 1.6 * size)
+    image = render_view(RayScene(mesh), camera).image.astype(float)
+    white = Mesh(mesh.vertices, mesh.faces, np.full((len(mesh.faces), 3), 255, np.uint8))
+    light = render_view(RayScene(white), camera).image[..., :1] / 255.0
+    return image / light, light
+
+
+def place_of_pixels(size: int = 60) -> np.ndarray:
+    """x, y [size, size, 2] in the plane z = 0 of the pixels of `seen`."""
+    along = (np.arange(size) - (size - 1) / 2) / (1.6 * size) * 2.0
+    return np.stack(np.meshgrid(along, -along), axis=-1)
+
+
+def texels(pixels: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The colour of places ``uv`` [..., 2], v up, and whether they are well inside their texel."""
+    height, width = pixels.shape[:2]
+    across, down = (uv[..., 0] % 1) * width, ((1 - uv[..., 1]) % 1) * height
+    inner = (np.abs(across % 1 - 0.5) < 0.4) & (np.abs(down % 1 - 0.5) < 0.4)
+    return pixels[down.astype(int) % height, across.astype(int) % width], inner
+
+
+@pytest.mark.parametrize("name", ["a.glb", "a.obj"])
+def test_every_pixel_shows_the_texel_that_it_meets(tmp_path: Path, name: str) -> None:
+    mesh = read_mesh(saved(tmp_path / name))
+    colours, _ = seen(mesh)
+    xy = place_of_pixels()
+    expected, inner = texels(CHECKS, xy + 0.5)
+    inner &= (np.abs(xy) < 0.48).all(axis=-1)
+    assert inner.sum() > 800
+    np.testing.assert_allclose(colours[inner], expected[inner], atol=2.0)
+
+
+def test_the_texture_repeats_beyond_its_border(tmp_path: Path) -> None:
+    uv = 3.0 * CORNERS - 1.2
+    colours, _ = seen(read_mesh(saved(tmp_path / "a.glb", uv=uv)), 120)
+    xy = place_of_pixels(120)
+    expected, inner = texels(CHECKS, 3.0 * (xy + 0.5) - 1.2)
+    inner &= (np.abs(xy) < 0.48).all(axis=-1)
+    np.testing.assert_allclose(colours[inner], expected[inner], atol=2.0)
+    assert inner.sum() > 1000
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 5), st.integers(1, 5), st.integers(0, 2**32 - 1))
+def test_any_place_has_the_colour_of_the_pixel_it_falls_into(height: int, width: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pixels = rng.integers(0, 256, (height, width, 3), dtype=np.uint8)
+    texture = Texture(pixels, np.array([7]), rng.uniform(-4, 4, (1, 3, 2)))
+    shares = rng.dirichlet(np.ones(3), 50)
+    uv = shares @ texture.corners[0]
+    colour = texture.at(np.zeros(50, dtype=np.int64), shares[:, 1:])
+    expected, _ = texels(pixels, uv)
+    np.testing.assert_array_equal(colour, expected)
+
+
+def test_a_place_a_hair_below_the_border_stays_in_the_picture() -> None:
+    texture = Texture(CHECKS, np.array([0]), np.full((1, 3, 2), -1e-20))
+    np.testing.assert_array_equal(texture.at(np.array([0]), np.zeros((1, 2))), CHECKS[:1, -1])
+
+
+def test_a_texture_of_one_colour_looks_as_faces_of_that_colour(tmp_path: Path) -> None:
+    mesh = read_mesh(saved(tmp_path / "a.glb", filled(RED)))
+    camera = render.look_at(30.0, 20.0, 2.0, (40, 40))
+    plain = Mesh(mesh.vertices, mesh.faces, np.full((len(mesh.faces), 3), RED, np.uint8))
+    images = [render_view(RayScene(each), camera).image for each in (mesh, plain)]
+    np.testing.assert_array_equal(*images)
+
+
+def test_the_factor_of_a_glb_multiplies_its_texture_and_kd_of_an_obj_does_not(tmp_path: Path) -> None:
+    material = PBRMaterial(baseColorTexture=Image.fromarray(filled((200, 200, 200))), baseColorFactor=[0.5, 1.0, 0.2, 1.0])
+    square(material).export(tmp_path / "a.glb")
+    assert read_mesh(tmp_path / "a.glb").textures[0].pixels[0, 0] == pytest.approx([100, 200, 40], abs=1)
+    # Writers put anything there: trimesh a grey.
+    np.testing.assert_array_equal(read_mesh(saved(tmp_path / "a.obj")).textures[0].pixels, CHECKS)
+
+
+def test_every_part_of_a_scene_wears_its_own_texture_wherever_it_stands(tmp_path: Path) -> None:
+    scene = trimesh.Scene()
+    red, green = (PBRMaterial(baseColorTexture=Image.fromarray(filled(c)), name=str(c)) for c in (RED, GREEN))
+    plain = trimesh.Trimesh(square(red).vertices, square(red).faces, process=False)
+    plain.visual.face_colors = [*BLUE, 255]
+
+    def moved(x: float, mirrored: bool = False) -> np.ndarray:
+        transform = np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0, 1.0])
+        transform[0, 3] = x
+        return transform
+
+    scene.add_geometry(square(red), geom_name="red", transform=moved(-3))
+    scene.add_geometry(square(green), transform=moved(-1))
+    scene.add_geometry(plain, transform=moved(1))
+    scene.graph.update(frame_to="again", matrix=moved(3, mirrored=True), geometry="red")
+    scene.export(tmp_path / "a.glb")
+    mesh = read_mesh(tmp_path / "a.glb")
+    camera = render.look_at(0.0, 0.0, 8.0, (80, 40), 80.0)
+    image = render_view(RayScene(mesh), camera).image
+    pixels, _ = camera.project(np.array([[-3.0, 0.1, 0], [-1, 0.1, 0], [1, 0.1, 0], [3, 0.1, 0]]))
+    shown = [image[int(v), int(u)] for u, v in np.rint(pixels)]
+    for colour, expected in zip(shown, (RED, GREEN, BLUE, RED), strict=True):
+        assert colour.argmax() == np.argmax(expected)
+        assert np.sort(colour)[:2].max() == 0
+
+
+def test_materials_of_an_obj_wear_their_own_textures_or_their_plain_colour(tmp_path: Path) -> None:
+    (tmp_path / "maps").mkdir()
+    Image.fromarray(filled(RED)).save(tmp_path / "maps" / "red.png")
+    (tmp_path / "a.mtl").write_text("newmtl one\nmap_Kd maps\\red.png\nnewmtl two\nKd 0 1 0\n")
+    text = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 9 9 9\nvt 0 0\nvt 1 0\nvt 0 1\n"
+    (tmp_path / "a.obj").write_text(text + "usemtl two\nf 2/1 3/2 4/3\nusemtl one\nf 1/1 2/2 3/3\n")
+    mesh = read_mesh(tmp_path / "a.obj")
+    (texture,) = mesh.textures
+    assert texture.pixels[0, 0].tolist() == list(RED)
+    assert mesh.vertices[mesh.faces[texture.faces]].max() == 1
+    assert mesh.colours is not None
+    (other,) = set(range(2)) - set(texture.faces.tolist())
+    assert mesh.colours[other].tolist() == [0, 255, 0]
+
+
+def test_grey_palette_and_transparent_textures_are_read_as_colours(tmp_path: Path) -> None:
+    saved(tmp_path / "a.obj")
+    grey = np.array([[0, 90], [180, 255]], np.uint8)
+    for image in (
+        Image.fromarray(grey),
+        Image.fromarray(grey).convert("P"),
+        Image.fromarray(np.dstack([grey] * 3 + [grey])),
+        Image.fromarray(grey.astype(np.uint16) * 257),
+    ):
+        image.save(tmp_path / "material_0.png")
+        np.testing.assert_array_equal(read_mesh(tmp_path / "a.obj").textures[0].pixels, np.dstack([grey] * 3))
+
+
+def test_a_normalised_or_warped_mesh_keeps_its_texture_and_a_painted_one_does_not(tmp_path: Path) -> None:
+    mesh = read_mesh(saved(tmp_path / "a.glb"))
+    mesh = Mesh(np.vstack([[9, 9, 9], mesh.vertices]), mesh.faces + 1, mesh.colours, mesh.textures)
+    expected = seen(render.normalise(replace(mesh, textures=())))[0]
+    shown = seen(render.normalise(mesh))[0]
+    assert np.abs(shown - expected).max() > 50
+    np.testing.assert_array_equal(warp(render.normalise(mesh), np.random.default_rng(0)).textures, mesh.textures)
+    assert paint(mesh, np.random.default_rng(0)).textures == ()
+
+
+# What cannot be used
+
+
+def warned(path: Path) -> tuple[Mesh, str]:
+    """The mesh, and the one line that reading it gives."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        mesh = read_mesh(path)
+    (message,) = [str(warning.message) for warning in caught]
+    assert "\n" not in message
+    assert message.startswith(f"{path}: ")
+    assert "the material's colour stands in" in message
+    return mesh, message
+
+
+def broken(kind: str, folder: Path) -> tuple[Path, str]:
+    """A mesh whose texture cannot be used, and what the warning says of it."""
+    path = saved(folder / ("a.obj" if kind.startswith("obj") else "a.glb"))
+    picture = folder / "material_0.png"
+    if kind == "obj, missing":
+        picture.unlink()
+        return path, "the texture 'material_0.png' is not in this folder or below"
+    if kind == "obj, no picture":
+        picture.write_text("hello")
+        return path, "the texture 'material_0.png' cannot be decoded"
+    if kind == "obj, cut off":
+        Image.fromarray(np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)).save(picture)
+        picture.write_bytes(picture.read_bytes()[:2000])
+        return path, "cannot be decoded"
+    if kind == "obj, a program":
+        picture.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n(x) run\n")
+        return path, "the texture 'material_0.png' cannot be decoded"
+    if kind == "obj, elsewhere":
+        (folder / "inner").mkdir()
+        for name in ("a.obj", "material.mtl"):
+            (folder / name).rename(folder / "inner" / name)
+        (folder / "inner" / "material.mtl").write_text(
+            (folder / "inner" / "material.mtl").read_text().replace("map_Kd ", "map_Kd ../")
+        )
+        return folder / "inner" / "a.obj", "the texture '../material_0.png' is not in this folder or below"
+    if kind == "obj, without coordinates":
+        lines = path.read_text().splitlines()
+        lines = [line for line in lines if not line.startswith("vt")]
+        path.write_text("\n".join(" ".join(w.split("/")[0] for w in x.split()) if x[:1] == "f" else x for x in lines))
+        return path, "has no coordinates on the mesh"
+    if kind == "glb, no picture":
+        # The first view holds indices.
+        return edited(path, lambda h: h["images"][0].update(bufferView=0, name="wood")), "the texture 'wood' cannot be decoded"
+    uri = {"glb, missing": "wood.png", "glb, on the web": "http://localhost/wood.png", "glb, inline": "data:;base64,aGVsbG8="}[
+        kind
+    ]
+
+    def change(header: dict[str, Any]) -> None:
+        header["images"][0] = {"uri": uri, "name": "wood"}
+
+    return edited(path, change), "cannot be decoded" if "inline" in kind else f"the texture '{uri}' is not in this folder"
+
+
+BROKEN = [
+    *("obj, missing", "obj, no picture", "obj, cut off", "obj, a program", "obj, elsewhere", "obj, without coordinates"),
+    *("glb, no picture", "glb, missing", "glb, on the web", "glb, inline"),
+]
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_a_texture_that_cannot_be_used_gives_one_line_and_the_colour_of_the_material(
+    tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("a connection was opened")
+
+    path, words = broken(kind, tmp_path)
+    programs: list[str] = []
+    monkeypatch.setattr(EpsImagePlugin, "Ghostscript", lambda *_, **__: programs.append("a program was run"))
+    monkeypatch.setattr(socket, "socket", refuse)
+    monkeypatch.setattr(socket, "create_connection", refuse)
+    mesh, message = warned(path)
+    assert words in message
+    assert programs == []
+    assert mesh.textures == ()
+    assert mesh.colours is not None
+    if kind.startswith("obj"):
+        assert np.abs(mesh.colours.astype(int) - [90, 60, 30]).max() <= 1
+
+
+def test_a_texture_beside_the_folder_of_the_mesh_is_read_where_the_folder_above_is_rendered(tmp_path: Path) -> None:
+    """As ShapeNetCore v2 has them: ID/models/model_normalized.obj, ID/images/texture0.png."""
+    path, message = broken("obj, elsewhere", tmp_path)
+    assert read_mesh(path, within=tmp_path).textures
+    mesh, told = warned(path)
+    assert not mesh.textures
+    assert message in told
+    summary = render_folder(tmp_path, tmp_path.parent / f"{tmp_path.name}-out", RenderSettings(views=1, size=(32, 32)))
+    assert summary.written == ["inner/a"]
+    colours = read_image(tmp_path.parent / f"{tmp_path.name}-out" / "inner" / "a" / "000.png")[..., :3]
+    assert len(np.unique(colours.reshape(-1, 3), axis=0)) > 2
+    assert np.ptp(colours.astype(int), axis=2).max() > 50
+
+
+def test_options_of_a_texture_are_passed_over(tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.obj")
+    material = tmp_path / "material.mtl"
+    material.write_text(material.read_text().replace("map_Kd ", "map_Kd -s 2 2 1 "))
+    assert read_mesh(path).textures
+
+
+def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path) -> None:
+    path, _ = broken("obj, elsewhere", tmp_path)
+    (path.parent / "material_0.png").symlink_to(tmp_path / "material_0.png")
+    assert "is not in this folder" in warned(path)[1]
+
+
+def test_a_texture_beside_a_glb_is_read(tmp_path: Path) -> None:
+    path, _ = broken("glb, missing", tmp_path)
+    Image.fromarray(CHECKS).save(tmp_path / "wood.png")
+    np.testing.assert_array_equal(read_mesh(path).textures[0].pixels, CHECKS)
+
+
+def test_several_textures_that_are_missing_are_counted_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "a.mtl").write_text("newmtl one\nmap_Kd 1.png\nnewmtl two\nmap_Kd 2.png\n")
+    text = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 9 9 9\nvt 0 0\nusemtl one\nf 1/1 2/1 3/1\nusemtl two\nf 2/1 3/1 4/1\n"
+    (tmp_path / "a.obj").write_text(text)
+    assert "'1.png' is not in this folder or below (2 in all)" in warned(tmp_path / "a.obj")[1]
+
+
+@pytest.mark.filterwarnings("error")
+def test_whoever_wants_no_textures_is_told_nothing_of_them(tmp_path: Path) -> None:
+    path, _ = broken("obj, missing", tmp_path)
+    mesh = read_mesh(path, textures=False)
+    assert mesh.textures == ()
+    assert CliRunner().invoke(eval_command, [str(path), str(path)]).exit_code == 0
+
+
+def test_rendering_goes_on_without_a_texture_and_names_it_once(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    broken("obj, missing", tmp_path / "in")
+    settings = RenderSettings(views=1, size=(16, 16), samples=60, points=20, copies=2)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        summary = render_folder(tmp_path / "in", tmp_path / "out", settings)
+    assert summary.written == ["a", "a~0001", "a~0002"]
+    assert [str(warning.message).count("material_0.png") for warning in caught] == [1]
+
+
+def test_the_command_renders_a_texture(tmp_path: Path) -> None:
+    saved(tmp_path / "a.glb", filled(GREEN))
+    arguments = f"{tmp_path / 'a.glb'} -o {tmp_path / 'out'} --views 1 --size 32 --samples 60 --points 20 --azimuth 0 0"
+    assert CliRunner().invoke(command, arguments.split()).exit_code == 0
+    image = np.asarray(Image.open(tmp_path / "out" / "a" / "000.png"))
+    assert image[16, 16, 1] > 50
+    assert image[16, 16, [0, 2]].max() == 0

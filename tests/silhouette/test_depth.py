@@ -1,0 +1,193 @@
+"""The pull of depth maps: what it asks, what it leaves alone, and its gradient."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from tso_cli import Camera, RefineConfig, refine
+from tso_cli.errors import InputError
+from tso_cli.evaluation.metrics import chamfer
+from tso_cli.geometry.points import normalise_longest_side
+from tso_cli.geometry.view import View
+from tso_cli.refinement import refine_batch
+from tso_cli.refinement.objective import PullObjective, working_view
+from tso_cli.refinement.symmetry import MirrorPlane
+from tso_cli.silhouette.depth import DepthTarget, depth_pull
+from tso_cli.silhouette.projection import CameraBatch, Projected, project
+
+SIZE = 64
+CAMERA = Camera.canonical(SIZE, SIZE)
+
+
+def wall(depth: float = 2.0) -> np.ndarray:
+    """A depth map of a wall, square to the camera, known in its middle."""
+    found = np.full((SIZE, SIZE), np.nan)
+    found[24:40, 24:40] = depth
+    return found
+
+
+def on(column: float, row: float, depth: float) -> list[float]:
+    """The world point that the canonical camera sees at that pixel and depth."""
+    return [(column - 31.5) / 120.0 * depth, -(row - 31.5) / 120.0 * depth, 2.0 - depth]
+
+
+def pull(points: np.ndarray, depth: np.ndarray, reach: float = 3.0) -> torch.Tensor:
+    moved = torch.tensor(points, dtype=torch.float64).reshape(1, -1, 3)
+    return loss(moved, depth, reach)
+
+
+def loss(points: torch.Tensor, depth: np.ndarray, reach: float = 3.0) -> torch.Tensor:
+    cameras = CameraBatch.of([CAMERA], points).one_each()
+    inside = torch.ones(1, SIZE, SIZE, dtype=torch.bool)
+    target = DepthTarget.of(torch.tensor(depth, dtype=points.dtype)[None], inside, cameras)
+    projected = Projected(*(found[:, 0] for found in project(points, cameras)))
+    return depth_pull(points, projected, target, reach, torch.tensor([points.shape[1]]))
+
+
+def grid(depth: float, step: float = 1.0) -> np.ndarray:
+    return np.array([on(c, r, depth) for c in np.arange(24, 40, step) for r in np.arange(24, 40, step)])
+
+
+def test_points_on_every_pixels_surface_cost_nothing():
+    assert float(pull(grid(2.0), wall())) == 0.0
+
+
+def test_a_surface_that_no_point_reaches_costs_the_robust_square_of_its_distance_in_pixels():
+    """One pixel, one point 4 px behind its surface: 120 px to 2 units, so 60 px to one."""
+    depth = np.full((SIZE, SIZE), np.nan)
+    depth[30, 30] = 2.0
+    behind = np.array([on(30, 30, 2.0 + 4.0 / 60.0)])
+    apart = np.linalg.norm(behind[0] - on(30, 30, 2.0)) * 60.0
+    assert float(pull(behind, depth, 3.0)) == pytest.approx(apart**2 * 9.0 / (9.0 + apart**2), rel=1e-9)
+
+
+def test_what_is_hidden_behind_a_surface_that_is_reached_costs_nothing():
+    assert float(pull(np.concatenate([grid(2.0), grid(2.3)]), wall())) == 0.0
+
+
+def test_a_point_before_the_surface_is_pushed_back_and_counted_as_one_of_1024():
+    points = np.concatenate([grid(2.0), [on(32, 32, 2.0 - 3.0 / 60.0)]])
+    expected = 9.0 * 4.0 / (4.0 + 9.0) * 1024.0 / len(points)
+    assert float(pull(points, wall(), 2.0)) == pytest.approx(expected, rel=1e-9)
+    moved = torch.tensor(points)[None].requires_grad_()
+    loss(moved, wall(), 2.0).sum().backward()
+    slope = moved.grad[0]
+    assert slope[:-1].abs().max() == 0.0
+    # the camera looks along -z of the world: downhill is away from it
+    assert slope[-1, 2] > 0.0
+
+
+def test_a_point_on_the_nearer_side_of_an_edge_is_not_taken_to_be_in_front_of_the_farther():
+    depth = wall()
+    depth[:, 32:] += 0.5
+    near = np.array([on(31.6, 30, 2.0)])
+    far = np.array([on(34.0, 30, 2.0)])
+    free = wall()
+    free[:] = np.nan
+    free[30, 30:36] = depth[30, 30:36]
+    reached = np.array([on(c, 30, free[30, c]) for c in range(30, 36)])
+    assert float(pull(np.concatenate([reached, near]), free)) == 0.0
+    assert float(pull(np.concatenate([reached, far]), free)) > 0.0
+
+
+def test_the_gradient_is_that_of_finite_differences():
+    rng = np.random.default_rng(3)
+    depth = wall() + 0.05 * rng.standard_normal((SIZE, SIZE))
+    points = torch.tensor(rng.uniform(-0.2, 0.2, (1, 40, 3)), dtype=torch.float64, requires_grad=True)
+    assert float(loss(points, depth)) > 1.0
+    assert torch.autograd.gradcheck(lambda moved: loss(moved, depth), points, eps=1e-7, atol=1e-4, rtol=1e-4)
+
+
+def test_a_map_without_a_known_pixel_and_points_behind_the_camera_cost_nothing():
+    assert float(pull(grid(2.2), np.full((SIZE, SIZE), np.nan))) == 0.0
+    assert float(pull(np.array([[0.0, 0.0, 5.0]]), wall())) == 0.0
+
+
+def test_the_loop_samples_a_depth_map_and_never_averages_across_its_edges():
+    camera = Camera.canonical(256, 256)
+    depth = np.where(np.arange(256) < 130, 2.0, 3.0)[None].repeat(256, 0)
+    mask = np.zeros((256, 256), np.float32)
+    mask[64:192, 64:192] = 1.0
+    found = working_view(View(mask, camera, depth=depth), 0.4, np.zeros(3), 2.0)
+    assert found.depth.shape == (64, 64)
+    assert set(np.unique(found.depth)) == {1.0, 1.5}
+
+
+def test_the_mirrored_view_has_the_mirrored_depth_map():
+    mask = np.zeros((SIZE, SIZE), np.float32)
+    mask[20:40, 20:30] = 1.0
+    depth = np.full((SIZE, SIZE), 2.0) + np.arange(SIZE) / 100.0
+    plane = MirrorPlane(np.array([1.0, 0.0, 0.0]), 0.0)
+    mirrored = plane.view(View(mask, CAMERA, depth=depth))
+    point = np.array([on(22, 30, 2.22)])
+    assert np.allclose(mirrored.camera.project(plane.reflect(point))[0], [[SIZE - 1 - 22, 30]])
+    assert mirrored.camera.project(plane.reflect(point))[1] == pytest.approx(mirrored.depth[30, SIZE - 1 - 22])
+
+
+def sheet(slope: float) -> np.ndarray:
+    """A square sheet, nearer to the camera on its right."""
+    x, y = np.random.default_rng(0).uniform(-0.45, 0.45, (2, 600))
+    return np.stack([x, y, slope * x], 1)
+
+
+def seen_sheet() -> tuple[np.ndarray, View]:
+    """A sheet square to the camera as the start of a tilted one, whose mask hardly tells."""
+    mask = np.zeros((SIZE, SIZE), np.float32)
+    mask[5:59, 5:59] = 1.0
+    across = (np.arange(SIZE) - 31.5) / 120.0
+    depth = np.where(mask > 0.5, 2.0 / (1.0 + 0.4 * across), np.nan)
+    return sheet(0.0), View(mask, CAMERA, depth=depth)
+
+
+def test_a_depth_map_brings_a_cloud_nearer_than_its_mask_alone():
+    start, view = seen_sheet()
+    wanted = sheet(0.4)
+    alone = View(view.mask, CAMERA)
+    config = RefineConfig(steps=45, symmetry="none")
+    with_depth, without = (chamfer(refine(start, v, config=config).points, wanted).chamfer for v in (view, alone))
+    assert with_depth < 0.3 * without
+
+
+def test_the_result_does_not_depend_on_the_unit_and_scenes_with_and_without_depth_share_a_batch():
+    start, view = seen_sheet()
+    config = RefineConfig(steps=9, symmetry="none")
+    found = refine(start, view, config=config).points
+    camera = Camera(CAMERA.K, CAMERA.R, 1000.0 * CAMERA.t, SIZE, SIZE)
+    large = refine(1000.0 * start, View(view.mask, camera, depth=1000.0 * view.depth), config=config).points
+    assert np.abs(large / 1000.0 - found).max() < 1e-4
+    alone = View(view.mask, CAMERA)
+    both = refine_batch([(start, view), (start, alone)], config)
+    assert np.abs(both[0].points - found).max() < 1e-5
+    # Pixels as near to one point as to another go by the last bit, and that by how many clouds there are.
+    assert np.abs(both[1].points - refine_batch([(start, alone)] * 2, config)[1].points).max() < 1e-5
+
+
+def test_views_with_and_without_a_depth_map_add_up():
+    start, view = seen_sheet()
+    other = View(view.mask.T.copy(), Camera(CAMERA.K, np.diag([1.0, 1.0, 1.0]), CAMERA.t, SIZE, SIZE))
+    points = torch.tensor(start)[None]
+
+    def total(*views: View) -> float:
+        working = [working_view(one, 0.4, np.zeros(3), 1.0) for one in views]
+        return float(PullObjective([working], torch.tensor([len(start)]), points)(points, 3.0))
+
+    assert total(view, other) == pytest.approx(total(view) + total(other), rel=1e-6)
+    assert total(view) > total(View(view.mask, CAMERA)) + 10.0
+
+
+def test_a_depth_map_that_cannot_be_used_is_refused_in_one_line():
+    start, view = seen_sheet()
+    mask = view.mask
+    with pytest.raises(InputError, match=r"depth map has shape \[3, 3\], the mask is 64x64"):
+        View(mask, CAMERA, depth=np.ones((3, 3)))
+    with pytest.raises(InputError, match="smallest depth is -1, expected 0"):
+        View(mask, CAMERA, depth=-np.ones((SIZE, SIZE)))
+    with pytest.raises(InputError, match="no foreground pixel has a depth"):
+        View(mask, CAMERA, depth=np.where(mask > 0.5, 0.0, 2.0))
+    flat = Camera(CAMERA.K, CAMERA.R, CAMERA.t, SIZE, SIZE, "orthographic")
+    with pytest.raises(InputError, match="orthographic, expected perspective"):
+        View(mask, flat, depth=np.ones((SIZE, SIZE)))
+    with pytest.raises(InputError, match="preset best, found points with paper"):
+        refine(normalise_longest_side(start), view, config=RefineConfig(preset="paper"))

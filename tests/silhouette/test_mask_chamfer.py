@@ -1,0 +1,156 @@
+"""The pull of a mask: what it asks for, and that the compiled loop says the same as plain torch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from tso_cli.silhouette import mask_chamfer as pull
+from tso_cli.silhouette.mask_chamfer import COVERED_WITHIN, PullTarget, mask_pull, resolved
+
+
+def _mask(seed: int = 0, height: int = 24, width: int = 32) -> torch.Tensor:
+    rng = np.random.default_rng(seed)
+    row, column = np.mgrid[:height, :width]
+    disc = (row - 12) ** 2 / 40 + (column - 15) ** 2 / 90 < 1
+    return torch.tensor(np.stack([disc, disc & (rng.random(disc.shape) < 0.9)]).astype(np.float64))
+
+
+def _points(count: int = 60, seed: int = 1) -> torch.Tensor:
+    return torch.tensor(np.random.default_rng(seed).uniform([-3, -3], [35, 27], (2, count, 2)))
+
+
+def _loss(points, mask, reach=3.0, valid=None, known=None, counts=None):
+    valid = torch.ones(points.shape[:2], dtype=torch.bool) if valid is None else valid
+    return mask_pull(points, valid, PullTarget.of(mask, known), reach, counts)
+
+
+def test_a_lone_point_moves_toward_an_uncovered_pixel():
+    mask = torch.zeros(1, 16, 16, dtype=torch.float64)
+    mask[0, 4, 10] = 1.0
+    point = torch.tensor([[[7.0, 4.0]]], dtype=torch.float64, requires_grad=True)
+    (grad,) = torch.autograd.grad(_loss(point, mask).sum(), point)
+    assert grad[0, 0, 0] < 0.0 and grad[0, 0, 1] == 0.0
+
+
+def test_a_covered_mask_asks_for_nothing():
+    mask = torch.zeros(1, 64, 64, dtype=torch.float64)
+    mask[0, 20:30, 20:30] = 1.0
+    rows, columns = torch.nonzero(mask[0], as_tuple=True)
+    points = torch.stack([columns, rows], -1)[None].double() + 0.5 * COVERED_WITHIN
+    assert _loss(points, mask).item() == 0.0
+
+
+@pytest.mark.parametrize("grain", [1.0, 2.5, 6.0])
+def test_cells_that_a_point_covers_are_the_same_marked_or_measured(grain, monkeypatch):
+    mask, points = _mask(), _points().requires_grad_()
+    target = PullTarget.of(mask, grain=torch.tensor([grain, 0.5 * grain]))
+    valid = torch.arange(60).expand(2, 60) % 5 > 0
+    found = []
+    for most in (100.0, 0.0):
+        monkeypatch.setattr(pull, "MARKED_WITHIN", most)
+        loss = mask_pull(points, valid, target, 3.0)
+        found.append((loss.detach(), *torch.autograd.grad(loss.sum(), points)))
+    for marked, measured in zip(*found, strict=True):
+        torch.testing.assert_close(measured, marked, rtol=1e-12, atol=1e-12)
+
+
+def test_what_lies_outside_the_image_or_on_unknown_pixels_is_not_asked():
+    mask = torch.zeros(1, 16, 16, dtype=torch.float64)
+    mask[0, 4, 10] = 1.0
+    known = torch.ones_like(mask)
+    known[0, :, :3] = 0.0
+    there = torch.tensor([[[10.0, 4.0], [-5.0, 4.0], [1.0, 8.0]]], dtype=torch.float64)
+    assert _loss(there, mask, known=known).item() == 0.0
+    assert _loss(there, mask).item() > 0.0
+
+
+def test_pixels_many_times_the_reach_away_hardly_pull():
+    mask = torch.zeros(1, 64, 64, dtype=torch.float64)
+    mask[0, 4, 60] = 1.0
+    point = torch.tensor([[[10.0, 4.0]]], dtype=torch.float64, requires_grad=True)
+    far, near = (torch.autograd.grad(_loss(point, mask, reach).sum(), point)[0].abs().max() for reach in (2.0, 200.0))
+    assert far < 1e-3 * near
+
+
+def test_the_gradient_is_that_of_finite_differences():
+    points, mask = _points(12).requires_grad_(), _mask()
+    assert torch.autograd.gradcheck(lambda points: _loss(points, mask), points)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("cut", [False, True])
+def test_compiled_and_plain_agree(monkeypatch, dtype, cut):
+    points, mask = _points().to(dtype).requires_grad_(), _mask()
+    if cut:
+        mask[1, 8:16, 20:] = 1.0
+    valid = torch.rand(points.shape[:2], generator=torch.Generator().manual_seed(0)) < 0.8
+    known = (torch.rand(mask.shape, generator=torch.Generator().manual_seed(1)) < 0.9).double()
+    found = {}
+    for compiled in (False, True):
+        monkeypatch.setattr(pull, "compiled_pays", lambda points, compiled=compiled: compiled)
+        loss = _loss(points, mask, valid=valid, known=known, counts=torch.tensor([60, 50]))
+        found[compiled] = loss.detach(), torch.autograd.grad(loss.sum(), points)[0]
+    for plain, other in zip(found[False], found[True], strict=True):
+        torch.testing.assert_close(other, plain, rtol=1e-5 if dtype == torch.float32 else 1e-12, atol=1e-6)
+
+
+def test_no_point_in_sight_costs_nothing_here():
+    points = _points(5)
+    assert _loss(points, _mask(), valid=torch.zeros(2, 5, dtype=torch.bool)).tolist() == [0.0, 0.0]
+
+
+def test_an_image_of_twice_the_size_says_the_same():
+    mask = torch.zeros(1, 64, 64, dtype=torch.float64)
+    mask[0, 10:40, 20:50] = 1.0
+    points = torch.tensor(np.random.default_rng(2).uniform(5, 55, (1, 40, 2)))
+    finer = mask.repeat_interleave(2, 1).repeat_interleave(2, 2)
+    assert _loss((points + 0.5) * 2 - 0.5, finer).item() == pytest.approx(_loss(points, mask).item(), rel=0.05)
+
+
+def test_a_strip_thinner_than_a_pixel_tells_little_and_a_wider_one_all():
+    along = torch.linspace(0, 6, 12, dtype=torch.float64)
+    across = torch.tensor([-0.5, 0.5] * 6, dtype=torch.float64)
+    strips = torch.stack([torch.stack([along, width * across], -1) for width in (0.2, 1.0, 2.0)])
+    # half as far from the middle as it is wide, which is its standard deviation
+    expected = torch.tensor([0.0, (0.5 - 0.2) / 0.6, 1.0], dtype=torch.float64)
+    enlarged = resolved(2.0 * strips, torch.full((3,), 2.0, dtype=torch.float64))
+    for found in (resolved(strips), enlarged):
+        torch.testing.assert_close(found, expected, rtol=0.0, atol=0.02)
+
+
+def test_parts_are_pulled_back_as_far_as_pixels_resolve_them():
+    points, mask = _points(), _mask()
+    valid, target = torch.ones(points.shape[:2], dtype=torch.bool), PullTarget.of(mask)
+    every, half, none = (
+        mask_pull(points, valid, target, 3.0, shown=torch.full_like(points[..., 0], x)) for x in (0.0, 0.5, 1.0)
+    )
+    torch.testing.assert_close(none, mask_pull(points, valid, target, 3.0))
+    torch.testing.assert_close(half, (every + none) / 2.0)
+    assert (every < none).all()
+    assert (every > 0.0).all()
+
+
+def test_of_an_object_that_the_border_cuts_what_is_nearest_to_points_beyond_the_border_asks_for_nothing():
+    mask = torch.zeros(1, 64, 64)
+    mask[0, 20:40, :30] = 1.0  # it goes on to the left
+    points = torch.tensor([[[10.0, 30.0], [-6.0, 22.0]]], requires_grad=True)
+    there = torch.ones(1, 2, dtype=torch.bool)
+    loss = mask_pull(points, there, PullTarget.of(mask), 6.0)
+    (grad,) = torch.autograd.grad(loss.sum(), points)
+    assert (grad[0, 1] == 0.0).all()
+    # The same as a mask in which those pixels are unknown: the point inside is not drawn to where the other one may belong.
+    rows, columns = torch.meshgrid(torch.arange(64.0), torch.arange(64.0), indexing="ij")
+    to_each = [(columns - x).square() + (rows - y).square() for x, y in points.detach()[0].tolist()]
+    known = (to_each[0] <= to_each[1]).float()[None]
+    alone = mask_pull(points[:, :1], there[:, :1], PullTarget.of(mask, known), 6.0, torch.tensor([2.0]))
+    assert loss.item() == pytest.approx(alone.item(), rel=1e-6)
+
+
+def test_of_an_object_that_is_seen_whole_a_point_beyond_the_border_is_drawn_in():
+    mask = torch.zeros(1, 64, 64)
+    mask[0, 20:40, 2:30] = 1.0
+    point = torch.tensor([[[-6.0, 22.0]]], requires_grad=True)
+    mask_pull(point, torch.ones(1, 1, dtype=torch.bool), PullTarget.of(mask), 6.0).sum().backward()
+    assert point.grad[0, 0, 0] < 0.0

@@ -1,0 +1,1 @@
+"""How good a cloud is: against a target cloud, or against a mask."""

@@ -1,0 +1,1 @@
+"""Cameras, views, points and rotations: arrays in, arrays out. torch is not needed."""

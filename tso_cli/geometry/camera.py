@@ -1,0 +1,136 @@
+"""The camera model and the frame changes that keep its pictures the same.
+
+Conventions (OpenCV): x right, y down, z forward; ``X_camera = R X_world + t``; ``u`` is the column and ``v`` the row of a
+pixel, whose centre lies at integer coordinates. ``K`` is in pixels of the image it belongs to.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+
+Array = NDArray[np.float64]
+
+CANONICAL_ROTATION = np.diag([1.0, -1.0, -1.0])
+CANONICAL_DISTANCE = 2.0
+CANONICAL_FOCAL_AT_64 = 120.0
+MODELS = ("perspective", "orthographic")
+# Points nearer than this to the plane of the camera are culled, in units of the cloud's longest side.
+NEAR = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """One calibrated view. All arrays are float64.
+
+    Parameters
+    ----------
+    K : [3, 3] intrinsics in pixels of the image; last row (0, 0, 1).
+    R : [3, 3] rotation, world to camera.
+    t : [3] translation, world units.
+    width, height : size of the image in pixels.
+    model : "perspective" (u = fx X/Z + cx) or "orthographic" (u = fx X + cx).
+
+    Raises
+    ------
+    InputError
+        A shape is wrong, a number is not finite, K is singular or R is not a rotation.
+    """
+
+    K: Array
+    R: Array
+    t: Array
+    width: int
+    height: int
+    model: str = "perspective"
+
+    def __post_init__(self) -> None:
+        for name, shape in (("K", (3, 3)), ("R", (3, 3)), ("t", (3,))):
+            try:
+                value = np.asarray(getattr(self, name), dtype=np.float64)
+            except (TypeError, ValueError):
+                raise InputError(f"{name} is not an array of numbers, expected shape {list(shape)}") from None
+            if value.shape != shape:
+                raise InputError(f"{name} has shape {list(value.shape)}, expected {list(shape)}")
+            if not np.isfinite(value).all():
+                raise InputError(f"{name} holds a number that is not finite")
+            object.__setattr__(self, name, value)
+        for name in ("width", "height"):
+            size = getattr(self, name)
+            if isinstance(size, bool) or not isinstance(size, (int, float, np.integer)) or not size >= 1 or size % 1:
+                raise InputError(f"{name} is {size!r}, expected a whole number of pixels, 1 or more")
+            object.__setattr__(self, name, int(size))
+        if self.model not in MODELS:
+            raise InputError(f"model is {self.model!r}, expected one of {', '.join(MODELS)}")
+        if (np.abs(self.K[2] - [0.0, 0.0, 1.0]) > [1e-8, 1e-8, 1e-5]).any() or self.K[1, 0] != 0.0:
+            raise InputError(f"K is {self.K.tolist()}, expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]]")
+        if min(self.K[0, 0], self.K[1, 1]) <= 0.0:
+            raise InputError(f"K is singular or mirrored: fx = {self.K[0, 0]:g}, fy = {self.K[1, 1]:g}, expected both > 0")
+        with np.errstate(over="ignore", invalid="ignore"):
+            error, handedness = np.abs(self.R @ self.R.T - np.eye(3)).max(), np.linalg.det(self.R)
+        if not (error <= 1e-3 and handedness > 0.0):
+            raise InputError(f"R is not a rotation: |R R^T - I| = {error:.2g}, det R = {handedness:.3g}, expected 0 and 1")
+
+    @classmethod
+    def canonical(cls, width: int, height: int) -> Camera:
+        """The camera assumed when none is given: that of the CAPNet authors' code.
+
+        The cloud is aligned with the view (x right, y up, z toward the viewer) and centred 2 units away; the focal length is
+        120 px for each 64 px of the longer side.
+        """
+        focal = CANONICAL_FOCAL_AT_64 * max(width, height) / 64.0
+        K = np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
+        return cls(K, CANONICAL_ROTATION, np.array([0.0, 0.0, CANONICAL_DISTANCE]), width, height)
+
+    @property
+    def position(self) -> Array:
+        """[3] where a perspective camera stands, world units: -R^T t."""
+        return -self.R.T @ self.t
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same camera for its image resized to ``width`` x ``height`` (pixel centres at integers)."""
+        sx, sy = width / self.width, height / self.height
+        return self.cropped((-0.5, -0.5, self.width - 0.5, self.height - 0.5), width, height, (sx, sy))
+
+    def cropped(
+        self,
+        box: tuple[float, float, float, float],
+        width: int,
+        height: int,
+        scale: tuple[float, float] | None = None,
+    ) -> Camera:
+        """The camera of the image region ``box`` (left, top, right, bottom edges) resampled to ``width`` x ``height``.
+
+        Edges are in pixel coordinates, where the whole image spans -0.5 to width - 0.5.
+        """
+        left, top, right, bottom = box
+        sx, sy = scale or (width / (right - left), height / (bottom - top))
+        change = np.array([[sx, 0.0, -left * sx - 0.5], [0.0, sy, -top * sy - 0.5], [0.0, 0.0, 1.0]])
+        return replace(self, K=change @ self.K, width=width, height=height)
+
+    def for_normalised(self, centre: Array, scale: float) -> Camera:
+        """The camera that sees ``(X - centre) / scale`` exactly where this one sees ``X``.
+
+        Done in float64, so that a scan with coordinates in the millions keeps its precision.
+        """
+        K = self.K
+        if self.model == "orthographic":
+            K = K @ np.diag([scale, scale, 1.0])
+        return replace(self, K=K, t=(self.R @ centre + self.t) / scale)
+
+    def project(self, points: Array) -> tuple[Array, Array]:
+        """Pixel coordinates [N, 2] and depth [N] of ``points`` [N, 3], in float64 (Eq. 1 of the paper).
+
+        Points at or behind the camera get NaN pixel coordinates under the perspective model.
+        """
+        camera = points @ self.R.T + self.t
+        depth = camera[:, 2]
+        plane = camera[:, :2]
+        if self.model == "perspective":
+            with np.errstate(divide="ignore", invalid="ignore"):
+                plane = np.where(depth[:, None] > 0.0, plane / depth[:, None], np.nan)
+        return plane @ self.K[:2, :2].T + self.K[:2, 2], depth

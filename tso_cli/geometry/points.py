@@ -1,0 +1,207 @@
+"""Measures and samples of points and surfaces that need numpy alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import InputError
+
+Array = NDArray[np.float64]
+
+# Enough that a thousand of them lie evenly.
+CANDIDATES = 16_384
+
+
+def as_points(points: ArrayLike, name: str = "cloud") -> Array:
+    """``points`` as a float64 array [N, 3] with N >= 1 and finite coordinates; InputError naming ``name`` otherwise."""
+    try:
+        array = np.asarray(points, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: not an array of numbers, expected points [N, 3]") from None
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InputError(f"{name}: shape is {list(array.shape)}, expected points [N, 3]")
+    if len(array) == 0:
+        raise InputError(f"{name}: holds no points, expected at least one")
+    finite = np.isfinite(array).all(1)
+    if not finite.all():
+        raise InputError(f"{name}: point {int(np.argmin(finite))} has a NaN or infinite coordinate")
+    return array
+
+
+def farthest_point_sample(points: ArrayLike, count: int, start: int = 0) -> NDArray[np.int64]:
+    """Indices of a subset spread out as evenly as a greedy choice can make it.
+
+    Each new point is the one farthest from all chosen so far; among equals the first in file order. Exact and deterministic:
+    O(N count) time, O(N) memory.
+
+    Parameters
+    ----------
+    points : [N, 3], any unit. Points may coincide; an index is never chosen twice.
+    count : how many to choose, 1 to N.
+    start : index of the first point.
+
+    Returns
+    -------
+    [count] int64, in the order of choice: the first k are the sample of size k.
+
+    Raises
+    ------
+    InputError
+        ``points`` is not a finite [N, 3], or ``count`` or ``start`` is out of range.
+    """
+    array = as_points(points)
+    total = len(array)
+    if not 1 <= count <= total:
+        raise InputError(f"asked for {count} of {total} points, expected 1 to {total}")
+    if not 0 <= start < total:
+        raise InputError(f"the first point is number {start} of {total}, expected 0 to {total - 1}")
+    # One contiguous column per axis, and no allocation inside the loop: it runs `count` times over all points.
+    x, y, z = (np.ascontiguousarray(column) for column in array.T)
+    squared, step = np.empty(total), np.empty(total)
+    nearest = np.full(total, np.inf)  # squared distance to the chosen set
+    chosen = np.empty(count, dtype=np.int64)
+    index = start
+    for i in range(count):
+        chosen[i] = index
+        np.subtract(x, x[index], out=squared)
+        np.multiply(squared, squared, out=squared)
+        for column in (y, z):
+            np.subtract(column, column[index], out=step)
+            np.multiply(step, step, out=step)
+            np.add(squared, step, out=squared)
+        np.minimum(nearest, squared, out=nearest)
+        # Below every distance, so that coinciding points do not bring the same index back.
+        nearest[index] = -1.0
+        index = int(nearest.argmax())
+    return chosen
+
+
+def spread_subset(points: ArrayLike, count: int) -> NDArray[np.int64]:
+    """Indices of at most ``count`` points [N, 3] that lie evenly; all of them where there are no more.
+
+    Of a large cloud every so many-th point is a candidate of `farthest_point_sample`, 16,384 at most: the time does
+    not grow with the cloud.
+    """
+    array = as_points(points)
+    every = np.arange(len(array))
+    if len(array) <= count:
+        return every
+    candidates = every[:: -(-len(array) // CANDIDATES)]
+    return candidates[farthest_point_sample(array[candidates], min(count, len(candidates)))]
+
+
+def bounding_box_normalisation(points: ArrayLike, name: str = "cloud") -> tuple[Array, float]:
+    """What centres a cloud on its bounding box and makes the longest side 1: ``(points - centre) / scale``.
+
+    Parameters
+    ----------
+    points : [N, 3], any unit.
+    name : what messages call the cloud.
+
+    Returns
+    -------
+    centre : [3] of the bounding box.
+    scale : its longest side, > 0, in the unit of the points.
+
+    Raises
+    ------
+    InputError
+        All points are equal (one point included), or coordinates are so large that the box has no finite size.
+    """
+    array = as_points(points, name)
+    low, high = array.min(0), array.max(0)
+    with np.errstate(over="ignore"):
+        scale = float((high - low).max())
+    if scale == 0.0:
+        found = "holds a single point" if len(array) == 1 else f"all {len(array)} points are equal"
+        raise InputError(f"{name}: {found}, expected a cloud of some extent")
+    if not np.isfinite(scale):
+        raise InputError(f"{name}: coordinates reach {np.abs(array).max():.3g}, too large to measure")
+    return low / 2.0 + high / 2.0, scale
+
+
+def normalise_longest_side(points: ArrayLike, name: str = "cloud") -> Array:
+    """``points`` [N, 3] centred on their bounding box and scaled uniformly to longest side 1; raises as the above."""
+    centre, scale = bounding_box_normalisation(points, name)
+    return (as_points(points, name) - centre) / scale
+
+
+def sample_surface(vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.random.Generator) -> Array:
+    """Points drawn uniformly by area from a triangle mesh.
+
+    Parameters
+    ----------
+    vertices : [V, 3], any unit.
+    faces : [F, 3] whole numbers, indices into ``vertices``. Triangles without area are never drawn from.
+    count : how many points, >= 1.
+    rng : where the randomness comes from: the same state gives the same points.
+
+    Returns
+    -------
+    [count, 3] float64, in the unit of the vertices.
+
+    Raises
+    ------
+    InputError
+        There are no faces, a face names a vertex that does not exist, or the whole surface has no area.
+    """
+    corners = as_points(vertices, "mesh")
+    triangles = as_triangles(faces, len(corners), "mesh")
+    drawn, shares = draw_surface(corners, triangles, count, rng)
+    origin, first, second = (corners[triangles[drawn, k]] for k in range(3))
+    return origin + shares[:, :1] * (first - origin) + shares[:, 1:] * (second - origin)
+
+
+def as_triangles(faces: ArrayLike, count: int, name: str) -> NDArray[np.int64]:
+    """``faces`` as int64 [F, 3] that index ``count`` vertices; InputError naming ``name`` otherwise."""
+    try:
+        triangles = np.asarray(faces)
+    except ValueError:
+        raise InputError(f"{name}: the faces are no array of whole numbers, expected triangles [F, 3]") from None
+    if triangles.ndim != 2 or triangles.shape[1] != 3:
+        raise InputError(f"{name}: faces have shape {list(triangles.shape)}, expected triangles [F, 3]")
+    if triangles.dtype.kind not in "iu":
+        raise InputError(f"{name}: the faces are {triangles.dtype}, expected whole numbers")
+    outside = (triangles < 0) | (triangles >= count)
+    if outside.any():
+        raise InputError(f"{name}: a face names vertex {triangles[outside][0]}, outside 0 to {count - 1}")
+    return triangles.astype(np.int64)
+
+
+def draw_surface(
+    corners: Array, triangles: NDArray[np.int64], count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.int64], Array]:
+    """Where ``count`` points lie that are drawn uniformly by area, arguments as of `sample_surface`.
+
+    Returns
+    -------
+    drawn : [count] int64, the triangle of each.
+    shares : [count, 2], how far it lies from the triangle's first corner toward the second and the third; the first's own
+        share is what is left of 1.
+
+    Raises
+    ------
+    InputError
+        ``count`` is under 1, there are no triangles, or they have no area.
+    """
+    if count < 1:
+        raise InputError(f"asked for {count} surface points, expected at least 1")
+    if len(triangles) == 0:
+        raise InputError("mesh: there are no faces, expected at least one triangle")
+    origin = corners[triangles[:, 0]]
+    first, second = corners[triangles[:, 1]] - origin, corners[triangles[:, 2]] - origin
+    # In units of the longest edge: areas of very small or very large meshes neither vanish nor overflow.
+    unit = max(float(np.abs(first).max()), float(np.abs(second).max()))
+    total = 0.0
+    if 0.0 < unit < np.inf:
+        area = np.linalg.norm(np.cross(first / unit, second / unit), axis=1)
+        total = float(area.sum())
+    if total == 0.0:
+        raise InputError(f"mesh: the {len(triangles)} triangles have no area, expected a surface")
+    cumulative = np.cumsum(area)
+    # Searching right of equal sums passes over triangles without area.
+    drawn = np.searchsorted(cumulative, rng.random(count) * cumulative[-1], side="right")
+    drawn = np.minimum(drawn, np.flatnonzero(area)[-1])
+    along, across = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
+    return drawn, np.concatenate([along * (1.0 - across), along * across], axis=1)

@@ -1,0 +1,109 @@
+"""Exact area resampling of a box of an image, and how much of each new pixel the image covers.
+
+Pixel coordinates as in `camera`: centres at integers, the whole image spans -0.5 to width - 0.5.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+
+Array = NDArray[np.float64]
+Box = tuple[float, float, float, float]
+
+
+def _overlaps(start: float, stop: float, cells: int, first: int, pixels: int, smallest: float = 0.0) -> Array:
+    """Share [cells, pixels] of each of the equal cells of [start, stop] that lies in pixel ``first``, ``first + 1``, ...
+
+    Cells narrower than ``smallest`` are widened to it about their centres: with 1 that is linear interpolation.
+    """
+    edges = np.linspace(start, stop, cells + 1)
+    wider = max(0.0, smallest - (stop - start) / cells) / 2.0
+    centres = first + np.arange(pixels, dtype=np.float64)
+    low = np.maximum(edges[:-1, None] - wider, centres - 0.5)
+    high = np.minimum(edges[1:, None] + wider, centres + 0.5)
+    return np.maximum(high - low, 0.0) / ((stop - start) / cells + 2.0 * wider)
+
+
+def _touched(start: float, stop: float, pixels: int) -> slice:
+    """The pixels that [start, stop] meets."""
+    first = int(np.clip(np.floor(start + 0.5), 0, pixels))
+    last = int(np.clip(np.ceil(stop + 0.5), first, pixels))
+    return slice(first, last)
+
+
+def area_resize(
+    array: NDArray[np.generic],
+    box: Box,
+    width: int,
+    height: int,
+    weights: NDArray[np.generic] | None = None,
+    interpolate: bool = False,
+) -> tuple[Array, Array]:
+    """Resample the region ``box`` of ``array`` to ``width`` x ``height`` pixels by exact area averaging.
+
+    Every new pixel is a cell of the box; its value is the mean of the old pixels, each weighted by the area of it that
+    lies in the cell. The same holds when a cell is smaller than a pixel. Because the overlaps factor into rows and
+    columns this is two small matrix products, ``Ry @ array @ Rx^T``.
+
+    Parameters
+    ----------
+    array : [H, W] or [H, W, C], any real type.
+    box : left, top, right, bottom edges in pixel coordinates; it may reach outside the array.
+    width, height : size of the result in pixels.
+    weights : [H, W] in [0, 1], how much each old pixel counts (a bool map of known pixels will do); all 1 if None.
+    interpolate : average over at least one old pixel: cells smaller than that are interpolated linearly between pixels.
+
+    Returns
+    -------
+    values : float64 [height, width] or [height, width, C], the mean over the covered part of the cell; 0 where none is.
+    coverage : float64 [height, width] in [0, 1], the share of the cell's area that the array (times weights) covers.
+
+    Raises
+    ------
+    InputError
+        The box is empty or not finite, or the sizes do not fit.
+    """
+    array = np.asarray(array)
+    left, top, right, bottom = (float(edge) for edge in box)
+    if not (np.isfinite([left, top, right, bottom]).all() and right > left and bottom > top):
+        raise InputError(f"box is {tuple(box)}, expected finite left < right and top < bottom")
+    if width < 1 or height < 1 or array.ndim not in (2, 3):
+        raise InputError(f"cannot resize an array of shape {list(array.shape)} to {width}x{height}")
+    if weights is not None and np.shape(weights) != array.shape[:2]:
+        raise InputError(f"weights have shape {list(np.shape(weights))}, expected {list(array.shape[:2])}")
+
+    # Only the touched part is converted to float64: a photo may have a hundred million pixels.
+    smallest = 1.0 if interpolate else 0.0
+    rows, columns = _touched(top, bottom, array.shape[0]), _touched(left, right, array.shape[1])
+    part = array[rows, columns].astype(np.float64)
+    by_row = _overlaps(top, bottom, height, rows.start, part.shape[0], smallest)  # [height, H]
+    by_column = _overlaps(left, right, width, columns.start, part.shape[1], smallest)  # [width, W]
+    kept = None if weights is None else np.asarray(weights)[rows, columns].astype(np.float64)
+    if kept is not None:
+        part *= kept if part.ndim == 2 else kept[:, :, None]
+    counted = _covered(by_row, by_column, kept)
+    coverage = counted
+    if interpolate:
+        # What a cell covers is a matter of the cell itself, however wide the mean.
+        exact = (
+            _overlaps(top, bottom, height, rows.start, len(part)),
+            _overlaps(left, right, width, columns.start, part.shape[1]),
+        )
+        coverage = _covered(*exact, kept)
+    flat = by_row @ part.reshape(part.shape[0], -1)
+    if part.ndim == 2:
+        total = flat @ by_column.T
+    else:
+        total = by_column @ flat.reshape(height, *part.shape[1:])
+        counted = counted[:, :, None]
+    values = np.divide(total, counted, out=np.zeros_like(total), where=counted > 1e-12)
+    return values, np.minimum(coverage, 1.0)
+
+
+def _covered(by_row: Array, by_column: Array, kept: Array | None) -> Array:
+    if kept is None:
+        return np.outer(by_row.sum(1), by_column.sum(1))
+    return by_row @ kept @ by_column.T

@@ -1,0 +1,155 @@
+"""A view: what one picture says of an object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .camera import Camera
+
+# The most that is a speck of a mask, as a share of its foreground; and how far beside the object it lies, in its sizes.
+SPECK, BESIDE = 0.01, 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A mask and the camera that saw it.
+
+    Parameters
+    ----------
+    mask : [H, W] float in [0, 1], inside 1; foreground is > 0.5. Soft values are kept.
+    camera : its width and height are the mask's.
+    known : [H, W] bool, False where the mask says nothing, or None when every pixel counts.
+    depth : [H, W] how far the surface lies along the camera's z, in the units of its t; 0 and what is not finite are
+        unknown. It says something of foreground pixels alone. None: there is no depth map.
+    name : what messages call it, usually the file.
+    image : [H, W, 3] red, green, blue in [0, 1], the photo that the mask is of. It says something to clouds that have colours.
+    """
+
+    mask: NDArray[np.float32]
+    camera: Camera
+    known: NDArray[np.bool_] | None = None
+    name: str = "mask"
+    depth: NDArray[np.float64] | None = None
+    image: NDArray[np.float32] | None = None
+
+    def __post_init__(self) -> None:
+        mask = np.asarray(self.mask, dtype=np.float32)
+        if mask.ndim != 2:
+            raise InputError(f"{self.name}: mask has shape {list(mask.shape)}, expected [H, W]")
+        if not np.isfinite(mask).all() or mask.min() < 0.0 or mask.max() > 1.0:
+            raise InputError(f"{self.name}: mask values span {mask.min():g} to {mask.max():g}, expected 0 to 1")
+        object.__setattr__(self, "mask", mask)
+        height, width = mask.shape
+        if (width, height) != (self.camera.width, self.camera.height):
+            raise InputError(
+                f"{self.name}: the mask is {width}x{height}, its camera is for "
+                f"{self.camera.width}x{self.camera.height} (width x height), expected the same"
+            )
+        if self.depth is not None:
+            object.__setattr__(self, "depth", self._checked_depth(self.depth))
+        if self.image is not None:
+            object.__setattr__(self, "image", self._checked_image(self.image))
+        counted = mask
+        if self.known is not None:
+            known = np.asarray(self.known, dtype=bool)
+            if known.shape != mask.shape:
+                raise InputError(f"{self.name}: the ignore map is {known.shape[1]}x{known.shape[0]}, the mask {width}x{height}")
+            object.__setattr__(self, "known", known)
+            counted = mask[known]
+        inside = int((counted > 0.5).sum())
+        if inside == 0:
+            ignored = ", but for those that the ignore map leaves out" if (mask > 0.5).any() else ""
+            raise InputError(f"{self.name}: no pixel is foreground (> 0.5){ignored}; expected an object")
+        if inside == counted.size:
+            raise InputError(f"{self.name}: every pixel is foreground, expected some background (try --invert-mask?)")
+
+    def _checked_depth(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The depth map, NaN where nothing is known."""
+        depth: NDArray[np.float64] = np.array(given, dtype=np.float64)
+        if depth.shape != self.mask.shape:
+            height, width = self.mask.shape
+            raise InputError(
+                f"{self.name}: the depth map has shape {list(depth.shape)}, the mask is {width}x{height}, "
+                f"expected [{height}, {width}]"
+            )
+        if self.camera.model != "perspective":
+            raise InputError(f"{self.name}: its camera is {self.camera.model}, expected perspective for a depth map")
+        depth[~np.isfinite(depth) | (depth == 0.0)] = np.nan
+        if np.nanmin(depth, initial=np.inf) < 0.0:
+            raise InputError(f"{self.name}: the smallest depth is {np.nanmin(depth):g}, expected 0 (unknown) or more")
+        known = np.isfinite(depth) & (self.mask > 0.5)
+        if not (known if self.known is None else known & self.known).any():
+            raise InputError(f"{self.name}: no foreground pixel has a depth, expected some > 0")
+        return depth
+
+    def _checked_image(self, given: NDArray[np.float32]) -> NDArray[np.float32]:
+        image: NDArray[np.float32] = np.asarray(given, dtype=np.float32)
+        if image.shape != (*self.mask.shape, 3):
+            height, width = self.mask.shape
+            raise InputError(
+                f"{self.name}: the image has shape {list(image.shape)}, the mask is {width}x{height}, "
+                f"expected [{height}, {width}, 3]"
+            )
+        # NaN is not between 0 and 1 either.
+        if not (image.min() >= 0.0 and image.max() <= 1.0):
+            raise InputError(f"{self.name}: the image's values span {image.min():g} to {image.max():g}, expected 0 to 1")
+        return image
+
+    @cached_property
+    def inside(self) -> NDArray[np.bool_]:
+        """[H, W], pixels known to be foreground."""
+        inside: NDArray[np.bool_] = self.mask > 0.5
+        return inside if self.known is None else inside & self.known
+
+    @cached_property
+    def _edges(self) -> tuple[float, float, float, float]:
+        left, top, right, bottom = object_box(self.inside)
+        return left - 0.5, top - 0.5, right - 0.5, bottom - 0.5
+
+    def box(self) -> tuple[float, float, float, float]:
+        """Left, top, right, bottom edges of the object in pixel coordinates: of the foreground, but for specks far off."""
+        return self._edges
+
+    @property
+    def specks(self) -> int:
+        """How many foreground pixels lie outside the object's box."""
+        left, top, right, bottom = (round(edge + 0.5) for edge in self._edges)
+        return int(self.inside.sum()) - int(self.inside[top:bottom, left:right].sum())
+
+
+def object_box(inside: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+    """First column and row of the object in [H, W], and those behind its last.
+
+    A speck is a part, joined to no other, of at most 1 % of the foreground; those that lie more than a quarter of the object's
+    size beside it are left out, if together they are no more than that either. A stray pixel of a segmentation would
+    otherwise stretch the object's window over half the photo.
+    """
+    counts = inside.sum(0), inside.sum(1)
+    whole = [(int(np.flatnonzero(count)[0]), int(np.flatnonzero(count)[-1]) + 1) for count in counts]
+    few = SPECK * int(counts[0].sum())
+    # Edges of a box that leaves out no more than that at each of its sides.
+    ends = [[int(np.searchsorted(np.cumsum(count), few, "right")) for count in (own, own[::-1])] for own in counts]
+    bulk = [(first, len(own) - last) for (first, last), own in zip(ends, counts, strict=True)]
+    beside = BESIDE * max(last - first for first, last in bulk)
+    if all(first - beside <= a and b <= last + beside for (first, last), (a, b) in zip(bulk, whole, strict=True)):
+        return whole[0][0], whole[1][0], whole[0][1], whole[1][1]
+    from scipy.ndimage import find_objects, label
+
+    parts, _ = label(inside, np.ones((3, 3)))
+    sizes = np.bincount(parts.ravel())[1:]
+    boxes = np.array([[across.start, down.start, across.stop, down.stop] for down, across in find_objects(parts)])
+    large = sizes > few
+    if not large.any():
+        return whole[0][0], whole[1][0], whole[0][1], whole[1][1]
+    low, high = boxes[large, :2].min(0), boxes[large, 2:].max(0)
+    beside = BESIDE * (high - low).max()
+    far = ~large & ((boxes[:, :2] < low - beside) | (boxes[:, 2:] > high + beside)).any(1)
+    if sizes[far].sum() > few:
+        far[:] = False
+    (left, top), (right, bottom) = boxes[~far, :2].min(0).tolist(), boxes[~far, 2:].max(0).tolist()
+    return left, top, right, bottom

@@ -1,0 +1,270 @@
+"""Camera files (JSON).
+
+One camera is ``{"width": W, "height": H, "K": 3x3, "R": 3x3, "t": [3]}``, several views are ``{"views": [...]}``, each
+with these keys. Optional: ``"model"`` ("perspective" or "orthographic"), ``"mask"`` and ``"image"``, paths relative to the
+file.
+The frame conventions are those of `tso_cli.geometry.camera`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..geometry.camera import MODELS, Camera
+from .images import PIXEL_LIMIT
+from .output import atomic_output, check_output, reason
+from .reading import read_bytes, shown
+
+FILE_LIMIT = 64 << 20
+_REQUIRED = ("width", "height", "K", "R", "t")
+_OPTIONAL = ("model", "mask", "image")
+_LARGEST = 1e15  # beyond it products of the entries say nothing any more
+# In small letters, the names above and those that others give to the same: to ignore one would silently use another camera.
+_MEANT = {key.casefold(): key for key in (*_REQUIRED, *_OPTIONAL, "views")} | {
+    "intrinsics": "K", "intrinsic": "K", "intrinsic_matrix": "K", "camera_matrix": "K", "rotation": "R",
+    "rotation_matrix": "R", "translation": "t", "tvec": "t", "w": "width", "h": "height", "camera_model": "model",
+    "projection": "model", "masks": "mask", "mask_path": "mask", "images": "image",
+    "image_path": "image", "file_path": "image", "view": "views", "cameras": "views", "frames": "views",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class CameraRecord:
+    """A camera and the files it belongs to, where the camera file names them."""
+
+    camera: Camera
+    mask: Path | None = None
+    image: Path | None = None
+
+
+def find_camera(mask_path: str | Path) -> Path | None:
+    """The camera file beside a mask: ``MASKSTEM.camera.json``, else ``camera.json``, else ``cameras.json``, else None.
+
+    The last is what ``tso render`` writes: all views of an object, each naming its mask.
+    """
+    mask_path = Path(mask_path)
+    for name in (f"{mask_path.stem}.camera.json", "camera.json", "cameras.json"):
+        path = mask_path.with_name(name)
+        if path.is_file():
+            return path
+    return None
+
+
+def read_cameras(path: str | Path) -> list[CameraRecord]:
+    """Read all views of a camera file; at least one.
+
+    Raises
+    ------
+    InputError
+        The file is not JSON of this form, or a camera in it is impossible; the message names file and key.
+    """
+    path = Path(path)
+    document = _load(path)
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: holds {_kind(document)}, expected an object with width, height, K, R, t or views")
+    ignored: set[str] = set()
+    if "views" in document:
+        views = document["views"]
+        if not isinstance(views, list) or not views:
+            raise InputError(f"{path}: views is {_kind(views)}, expected a list of at least one camera")
+        _check_keys(path, "", document, ("views",), ignored)
+        records = []
+        for i, view in enumerate(views):
+            if not isinstance(view, dict):
+                raise InputError(f"{path}: views[{i}] is {_kind(view)}, expected an object with width, height, K, R, t")
+            records.append(_record(path, f"views[{i}].", view, ignored))
+    else:
+        records = [_record(path, "", document, ignored)]
+    if ignored:
+        names = ", ".join(sorted(ignored))
+        warnings.warn(f"{path}: unknown keys are ignored: {shown(names)}", stacklevel=2)
+    return records
+
+
+def read_camera(path: str | Path, width: int, height: int, mask: str | Path | None = None) -> Camera:
+    """Read the one camera of a mask.
+
+    Parameters
+    ----------
+    width, height : size of the mask in pixels; the camera's must be the same.
+    mask : the mask's file, for the message, and to choose from a file with several views.
+
+    Raises
+    ------
+    InputError
+        As `read_cameras`; or the size differs; or there are several views and none, or more than one, names ``mask``.
+    """
+    path = Path(path)
+    records = read_cameras(path)
+    if len(records) > 1:
+        fitting = [r for r in records if r.mask is not None and mask is not None and same_file(r.mask, mask)]
+        if len(fitting) != 1:
+            named = f"the mask {mask}" if mask is not None else "a mask"
+            raise InputError(f"{path}: {len(fitting)} of its {len(records)} views name {named}, expected one")
+        records = fitting
+    elif mask is not None and records[0].mask is not None and not same_file(records[0].mask, mask):
+        warnings.warn(f"{path}: its one view names the mask {records[0].mask}, used for {mask}", stacklevel=2)
+    camera = records[0].camera
+    check_size(path, camera, width, height, mask)
+    return camera
+
+
+def same_file(a: str | Path, b: str | Path) -> bool:
+    """Whether two paths lead to one file."""
+    return os.path.realpath(a) == os.path.realpath(b)
+
+
+def check_size(path: str | Path, camera: Camera, width: int, height: int, mask: str | Path | None = None) -> None:
+    """Raise InputError unless ``camera``, read from ``path``, is for images of ``width`` x ``height``."""
+    if (camera.width, camera.height) != (width, height):
+        named = f"the mask {mask}" if mask is not None else "the mask"
+        raise InputError(
+            f"{path}: width x height is {camera.width}x{camera.height}, {named} is {width}x{height}, expected the same"
+        )
+
+
+def write_cameras(path: str | Path, records: Sequence[CameraRecord], overwrite: bool = False) -> None:
+    """Write a camera file that reads back exactly; one record without files in the flat form, others as views.
+
+    Raises
+    ------
+    InputError
+        ``path`` cannot be written.
+    """
+    path = Path(path)
+    check_output(path, overwrite)
+    if not records:
+        raise InputError(f"{path}: no camera to write, expected at least one")
+    views = [_as_json(record, path) for record in records]
+    if len(records) == 1 and records[0].mask is None and records[0].image is None:
+        text = _lines(views[0], "")
+    else:
+        text = '{\n  "views": [\n    ' + ",\n    ".join(_lines(view, "    ") for view in views) + "\n  ]\n}"
+    with atomic_output(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def _lines(view: dict[str, Any], indent: str) -> str:
+    """One key a line, matrices on one line."""
+    entries = [f"{indent}  {json.dumps(key)}: {json.dumps(value)}" for key, value in view.items()]
+    return "{\n" + ",\n".join(entries) + f"\n{indent}}}"
+
+
+def _as_json(record: CameraRecord, path: Path) -> dict[str, Any]:
+    view: dict[str, Any] = {}
+    folder = os.path.realpath(path.parent)
+    for key, file in (("mask", record.mask), ("image", record.image)):
+        if file is not None:
+            view[key] = Path(os.path.relpath(os.path.realpath(file), folder)).as_posix()
+    camera = record.camera
+    view.update(width=camera.width, height=camera.height, model=camera.model)
+    view.update(K=camera.K.tolist(), R=camera.R.tolist(), t=camera.t.tolist())
+    return view
+
+
+def _load(path: Path) -> Any:
+    data = read_bytes(path, "a camera file (JSON)", FILE_LIMIT)
+    try:
+        return json.loads(data.decode("utf-8-sig"), object_pairs_hook=lambda pairs: _unique(pairs, path))
+    except RecursionError:
+        raise InputError(f"{path}: is nested too deep for a camera file") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not UTF-8 text ({reason(error)}), expected a camera file (JSON)") from None
+    except ValueError as error:
+        raise InputError(f"{path}: is not JSON ({reason(error)})") from None
+
+
+def _unique(pairs: list[tuple[str, Any]], path: Path) -> dict[str, Any]:
+    values = dict(pairs)
+    if len(values) < len(pairs):
+        twice = next(key for i, (key, _) in enumerate(pairs) if key in dict(pairs[:i]))
+        raise InputError(f"{path}: the key {shown(twice)} appears twice in one object, expected once")
+    return values
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, (list, dict)):
+        return ("list" if isinstance(value, list) else "object") + f" of {len(value)}"
+    return shown(value)
+
+
+def _check_keys(path: Path, where: str, view: dict[str, Any], known: Sequence[str], ignored: set[str]) -> None:
+    for key in view:
+        if key in known:
+            continue
+        meant = _MEANT.get(key.casefold())
+        if meant == key:
+            raise InputError(f"{path}: the key {where}{key} is out of place, expected views or a single camera")
+        if meant is not None:
+            raise InputError(f"{path}: the key {where}{shown(key)} is not one of camera files, expected {meant}")
+        ignored.add(key)
+
+
+def _record(path: Path, where: str, view: dict[str, Any], ignored: set[str]) -> CameraRecord:
+    _check_keys(path, where, view, _REQUIRED + _OPTIONAL, ignored)
+    for key in _REQUIRED:
+        if key not in view:
+            raise InputError(f"{path}: {where}{key} is missing, expected width, height, K, R and t")
+    sizes = [_size(path, where + key, view[key]) for key in ("width", "height")]
+    if sizes[0] * sizes[1] > PIXEL_LIMIT:
+        size = f"{sizes[0]}x{sizes[1]}"
+        raise InputError(f"{path}: {where}width x height is {size}, expected at most {PIXEL_LIMIT:,} pixels")
+    K, R = (_matrix(path, where + key, view[key]) for key in ("K", "R"))
+    t = _vector(path, where + "t", view["t"], "[3]")
+    model = view.get("model", "perspective")
+    if not isinstance(model, str) or model not in MODELS:
+        raise InputError(f"{path}: {where}model is {shown(model)}, expected one of {', '.join(MODELS)}")
+    try:
+        with np.errstate(all="ignore"):
+            camera = Camera(np.array(K), np.array(R), np.array(t), sizes[0], sizes[1], model)
+    except InputError as error:
+        raise InputError(f"{path}: {where}{error}") from None
+    return CameraRecord(camera, _file(path, where, view, "mask"), _file(path, where, view, "image"))
+
+
+def _number(path: Path, where: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise InputError(f"{path}: {where} is {_kind(value)}, expected a number")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InputError(f"{path}: {where} is {value}, expected a finite number")
+    if abs(value) > _LARGEST:
+        raise InputError(f"{path}: {where} is {shown(value)}, expected at most {_LARGEST:g}")
+    return float(value)
+
+
+def _size(path: Path, where: str, value: Any) -> int:
+    number = _number(path, where, value)
+    if number != int(number) or number < 1:
+        raise InputError(f"{path}: {where} is {shown(value)}, expected a whole number of pixels, 1 or more")
+    return int(number)
+
+
+def _vector(path: Path, where: str, value: Any, shape: str) -> list[float]:
+    if not isinstance(value, list) or len(value) != 3:
+        raise InputError(f"{path}: {where} is {_kind(value)}, expected {shape} numbers")
+    return [_number(path, f"{where}[{i}]", entry) for i, entry in enumerate(value)]
+
+
+def _matrix(path: Path, where: str, value: Any) -> list[list[float]]:
+    if not isinstance(value, list) or len(value) != 3:
+        raise InputError(f"{path}: {where} is {_kind(value)}, expected 3x3 numbers")
+    return [_vector(path, f"{where}[{i}]", row, "[3]") for i, row in enumerate(value)]
+
+
+def _file(path: Path, where: str, view: dict[str, Any], key: str) -> Path | None:
+    value = view.get(key)
+    if value is None:
+        return None
+    if not isinstance(value, str) or not value or any(ord(letter) < 32 for letter in value):
+        raise InputError(f"{path}: {where}{key} is {_kind(value)}, expected the path of a file")
+    return path.parent / value

@@ -1,0 +1,233 @@
+"""Networks on disk: safetensors with the configuration as JSON in the metadata. No pickle is read or written.
+
+A checkpoint holds the network's tensors under their own names. The state of an unfinished training may lie beside them
+under names that start with ``training.``; a reader of networks ignores those.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import InputError
+from .output import atomic_output, check_output, reason
+from .reading import shown
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
+
+    from ..network.model import BaseNetwork, NetworkConfig
+
+FORMAT = "tso-network-1"
+# One key: with several, safetensors writes them in an order that differs from run to run.
+METADATA_KEY = "tso"
+STATE_PREFIX = "training."
+MOST_POINTS = 1_000_000
+
+
+def save_network(
+    path: Path | str,
+    network: BaseNetwork,
+    config: NetworkConfig,
+    overwrite: bool = False,
+    dtype: torch.dtype | None = None,
+) -> None:
+    """Write ``network`` and ``config`` as one safetensors file, whole or not at all.
+
+    ``dtype`` is the type to store the weights in, such as torch.float16; None keeps the network's own.
+
+    Raises InputError when the folder is missing, the file exists and ``overwrite`` is False, or a weight is too large for
+    ``dtype``.
+    """
+    tensors = network.state_dict()
+    if dtype is not None:
+        tensors = {name: tensor.to(dtype) for name, tensor in tensors.items()}
+        too_large = next((name for name, tensor in tensors.items() if not tensor.isfinite().all()), None)
+        if too_large:
+            raise InputError(f"{path}: tensor {too_large} holds a number too large for {dtype}, nothing was written")
+    save_tensors(path, tensors, config, {}, overwrite)
+
+
+def save_tensors(
+    path: Path | str, tensors: dict[str, Tensor], config: NetworkConfig, state: dict[str, Any], overwrite: bool = False
+) -> None:
+    """Write network tensors, ``training.*`` tensors and the JSON-able training ``state`` to one file."""
+    from safetensors.torch import save
+
+    path = Path(path)
+    check_output(path, overwrite)
+    about = {"format": FORMAT, "config": dataclasses.asdict(config), **({"training": state} if state else {})}
+    metadata = {METADATA_KEY: json.dumps(about, sort_keys=True, allow_nan=False)}
+    with atomic_output(path) as temporary:
+        # Not save_file: it would make the file readable for its owner alone.
+        temporary.write_bytes(save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, metadata))
+
+
+def load_network(path: Path | str) -> tuple[BaseNetwork, NetworkConfig]:
+    """Read a network, as float32 on the CPU in evaluation mode whatever type the file stores.
+
+    Raises
+    ------
+    InputError
+        The file is missing, empty, truncated, a pickle, not a checkpoint, or its tensors are not those of the network
+        that its configuration describes (missing, unknown, other shape or type, NaN or infinite).
+    """
+    import torch
+
+    from ..network.model import BaseNetwork, Decoder, Encoder
+
+    path = Path(path)
+    config, _ = read_metadata(path)
+    with torch.device("meta"):  # no memory is taken before the file has been found to fit
+        network = BaseNetwork(Encoder(), Decoder(config.points))
+    expected = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
+    tensors = _read_tensors(path, expected, lambda name: not name.startswith(STATE_PREFIX))
+    network.load_state_dict({name: tensors[name].to(torch.float32) for name in expected}, assign=True)
+    for parameter in network.parameters():
+        parameter.requires_grad_(True)
+    return network.eval(), config
+
+
+def load_state(path: Path | str, expected: dict[str, tuple[int, ...]]) -> dict[str, Tensor]:
+    """Read the ``training.*`` tensors of ``path``, names without that prefix; refused unless they are as expected."""
+    path = Path(path)
+    wanted = {STATE_PREFIX + name: shape for name, shape in expected.items()}
+    tensors = _read_tensors(path, wanted, lambda name: name.startswith(STATE_PREFIX))
+    return {name[len(STATE_PREFIX) :]: tensor for name, tensor in tensors.items()}
+
+
+def read_metadata(path: Path | str) -> tuple[NetworkConfig, dict[str, Any]]:
+    """The configuration in a checkpoint, and the training state in it (empty if there is none)."""
+    from safetensors import SafetensorError, safe_open
+
+    path = Path(path)
+    _refuse_other_files(path)
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+    except (SafetensorError, OSError, ValueError) as error:
+        raise InputError(f"{path}: {_damage(error)}, expected a whole safetensors file") from None
+    if METADATA_KEY not in metadata:
+        raise InputError(f"{path}: a safetensors file without {METADATA_KEY!r} in its metadata, expected one of tso train")
+    try:
+        about = json.loads(metadata[METADATA_KEY])
+    except (ValueError, RecursionError):
+        raise InputError(f"{path}: the metadata is {shown(metadata[METADATA_KEY])}, expected JSON") from None
+    if not isinstance(about, dict) or about.get("format") != FORMAT:
+        found = shown(about.get("format")) if isinstance(about, dict) else shown(about)
+        raise InputError(f"{path}: the format in the metadata is {found}, expected {FORMAT!r} (as tso train writes it)")
+    for key in ("config", "training"):
+        if not isinstance(about.get(key, {}), dict):
+            raise InputError(f"{path}: {key!r} in the metadata is {shown(about[key])}, expected a JSON object")
+    if "config" not in about:
+        raise InputError(f"{path}: the metadata has no 'config', expected the network's configuration")
+    return _config(path, about["config"]), about.get("training", {})
+
+
+def _refuse_other_files(path: Path) -> None:
+    """Name what the file is when it is plainly no safetensors file."""
+    expected = "expected a checkpoint (.safetensors)"
+    try:
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder, {expected}")
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: is not a regular file, {expected}")
+        with path.open("rb") as stream:
+            start = stream.read(16)
+            size = path.stat().st_size
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError(f"{path}: does not exist, {expected}") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({reason(error)}), {expected}") from None
+    if size == 0:
+        raise InputError(f"{path}: is empty, {expected}")
+    # The header's length comes first and may begin like a pickle; the brace behind it tells the two apart.
+    if start[8:9] == b"{":
+        return
+    is_zip = start[:4] == b"PK\x03\x04"
+    is_pickle = start[:1] == b"\x80" and start[1:2] in (b"\x02", b"\x03", b"\x04", b"\x05")
+    if is_zip or is_pickle:
+        raise InputError(f"{path}: is a pickled PyTorch file; loading it could run code; expected safetensors")
+    raise InputError(f"{path}: is no safetensors file ({size:,} bytes, starts with {start[:8]!r}), {expected}")
+
+
+def _damage(error: Exception) -> str:
+    """A short reason for a file that safetensors cannot open."""
+    text = reason(error).removeprefix("Error while deserializing header: ")
+    cut = "incomplete metadata" in text or "invalid header length" in text
+    return f"{'truncated or ' if cut else ''}damaged ({shown(text)})"
+
+
+def _config(path: Path, values: dict[str, Any]) -> NetworkConfig:
+    """The configuration, every value checked."""
+    from ..network.input import BACKGROUNDS
+    from ..network.model import FRAMES, IMAGE_SIZE, SUPERVISIONS, NetworkConfig
+
+    names = [field.name for field in dataclasses.fields(NetworkConfig)]
+    missing = [name for name in names if name not in values]
+    unknown = [name for name in values if name not in names]
+    if missing or unknown:
+        found = f"lacks {missing[0]!r}" if missing else f"holds the unknown {shown(unknown[0])}"
+        raise InputError(f"{path}: the configuration {found}, expected {', '.join(names)}")
+
+    def check(name: str, fits: bool, expected: str) -> None:
+        if not fits:
+            raise InputError(f"{path}: {name} in the configuration is {shown(values[name])}, expected {expected}")
+
+    def whole(name: str) -> bool:
+        return isinstance(values[name], int) and not isinstance(values[name], bool)
+
+    def number(name: str, low: float, high: float) -> bool:
+        return isinstance(values[name], (int, float)) and not isinstance(values[name], bool) and low < values[name] <= high
+
+    check("points", whole("points") and 1 <= values["points"] <= MOST_POINTS, f"1 to {MOST_POINTS:,}")
+    check("image_size", whole("image_size") and values["image_size"] == IMAGE_SIZE, str(IMAGE_SIZE))
+    check("frame", values["frame"] in FRAMES, " or ".join(FRAMES))
+    check("sigma_sq", number("sigma_sq", 0.0, 1e6), "a number above 0")
+    check("crop_share", values["crop_share"] == 0 or number("crop_share", 0.0, 1.0), "a number from 0 to 1")
+    check("background", values["background"] in BACKGROUNDS, " or ".join(BACKGROUNDS))
+    check("supervision", values["supervision"] in SUPERVISIONS, " or ".join(SUPERVISIONS))
+    check("seed", whole("seed"), "a whole number")
+    check("steps", whole("steps") and values["steps"] >= 0, "a whole number, 0 or more")
+    for name in ("training_set", "version"):
+        check(name, isinstance(values[name], str), "text")
+    check("settings", isinstance(values["settings"], dict), "a JSON object")
+    return NetworkConfig(**values)
+
+
+def _read_tensors(path: Path, expected: dict[str, tuple[int, ...]], belongs: Any) -> dict[str, Tensor]:
+    """The tensors of ``path`` whose names belong, after a check of names, shapes, types and values."""
+    import torch
+    from safetensors import SafetensorError, safe_open
+
+    tensors = {}
+    try:
+        with safe_open(path, framework="pt") as file:
+            found = {name: tuple(file.get_slice(name).get_shape()) for name in file.keys() if belongs(name)}  # noqa: SIM118
+            for name, shape in expected.items():
+                if name not in found:
+                    raise InputError(f"{path}: tensor {name} is missing, expected shape {list(shape)}")
+                if found[name] != shape:
+                    raise InputError(
+                        f"{path}: tensor {name} has shape {list(found[name])}, expected {list(shape)} "
+                        "(a network of another size?)"
+                    )
+            unknown = sorted(set(found) - set(expected))
+            if unknown:
+                raise InputError(f"{path}: unknown tensor {shown(unknown[0])} of shape {list(found[unknown[0]])}")
+            for name in expected:
+                # A copy: the tensor itself is a view of the file, which may be changed while it is in use; and where it
+                # lies in the file, off the boundaries torch aligns to, would change the last bits of what is computed.
+                tensors[name] = file.get_tensor(name).clone()
+    except (SafetensorError, OSError, ValueError, TypeError, KeyError, RuntimeError, AttributeError) as error:
+        raise InputError(f"{path}: {_damage(error)}, expected a whole safetensors file") from None
+    for name, tensor in tensors.items():
+        if not tensor.is_floating_point():
+            raise InputError(f"{path}: tensor {name} holds {tensor.dtype}, expected floating-point numbers")
+        bad = int((~torch.isfinite(tensor.float())).sum())
+        if bad:
+            raise InputError(f"{path}: tensor {name} holds {bad} numbers that are not finite (NaN or infinite)")
+    return tensors

@@ -1,0 +1,250 @@
+"""Masks and pictures: files in, arrays out, upright whatever the camera noted about its orientation."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .arrays import read_array
+from .output import atomic_output, check_output, reason
+from .reading import read_bytes
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+PIXEL_LIMIT = 100_000_000
+FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "GIF", "BMP", "PPM")
+WRITABLE = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF", ".bmp": "BMP"}
+_FILE_LIMIT = 1 << 31
+_WITH_ALPHA = ("RGBA", "LA", "PA", "RGBa", "La")
+
+
+def read_mask(path: str | Path, invert: bool = False) -> NDArray[np.float32]:
+    """Read a mask as [H, W] in [0, 1], inside 1; soft values are kept.
+
+    - An alpha channel that is not opaque everywhere is the mask; else the brightness is (the largest channel of a
+      colour).
+    - A palette whose used colours are all grey counts by its greys; of any other, index 0 is outside, the rest inside.
+    - Integers are divided by the largest value of their type. If the largest value there is 1, they are labels 0 and 1,
+      and a warning says so. Floating-point numbers must lie in [0, 1].
+    - Of several frames the first counts. A .npy file holds [H, W]: bool, integers or floating-point numbers.
+
+    That there is both inside and outside is for `scene.View` to check.
+
+    Parameters
+    ----------
+    invert : the object is what is dark.
+
+    Raises
+    ------
+    InputError
+        The file is not a readable image, has over 100 megapixels, or values outside [0, 1].
+    """
+    path = Path(path)
+    what = "a mask image"
+    data = read_bytes(path, what, _FILE_LIMIT)
+    if path.suffix.lower() == ".npy":
+        array = read_array(data, path)
+        if array.ndim != 2 or array.dtype.kind not in "bfiu" or 0 in array.shape:
+            raise InputError(f"{path}: holds {array.dtype} {list(array.shape)}, expected a mask [H, W]")
+        _check_size(array.shape[1], array.shape[0], path)
+    else:
+        array = _decode(data, path, what, _mask_values)
+    mask = _to_unit(array, path)
+    return np.float32(1.0) - mask if invert else mask
+
+
+def read_depth(path: str | Path, scale: float = 1.0) -> NDArray[np.float64]:
+    """Read a depth map as [H, W], in the units of the camera, NaN where it is unknown.
+
+    A picture has one grey channel, best of 16 bits (PNG, TIFF; floating-point TIFF too); a .npy file holds [H, W], integers
+    or floating-point numbers. 0, NaN and infinity are unknown.
+
+    Parameters
+    ----------
+    scale : units of the camera to a step of the file: 0.001 for a file in millimetres and a camera in metres.
+
+    Raises
+    ------
+    InputError
+        The file is not such a map, or a depth is negative.
+    """
+    path = Path(path)
+    what = "a depth map"
+    data = read_bytes(path, what, _FILE_LIMIT)
+    if path.suffix.lower() == ".npy":
+        values = read_array(data, path)
+        if values.ndim != 2 or values.dtype.kind not in "fiu" or 0 in values.shape:
+            raise InputError(f"{path}: holds {values.dtype} {list(values.shape)}, expected a depth map [H, W]")
+        _check_size(values.shape[1], values.shape[0], path)
+    else:
+        values = _decode(data, path, what, _depth_values)
+    with np.errstate(invalid="ignore"):  # NaN of the kind that signals
+        depth = np.array(values, dtype=np.float64)
+    depth[~np.isfinite(depth) | (depth == 0.0)] = np.nan
+    least = np.nanmin(depth, initial=np.inf)
+    if least < 0.0:
+        raise InputError(f"{path}: its smallest depth is {least:g}, expected 0 (unknown) or more")
+    if least == np.inf:
+        raise InputError(f"{path}: holds no depth > 0, expected some (0 means unknown)")
+    return depth * scale
+
+
+def read_image(path: str | Path) -> NDArray[np.uint8]:
+    """Read a picture as [H, W, 3], or [H, W, 4] where it has an alpha channel.
+
+    Raises
+    ------
+    InputError
+        The file is not a readable image or has over 100 megapixels.
+    """
+    path = Path(path)
+    what = "an image"
+    return _decode(read_bytes(path, what, _FILE_LIMIT), path, what, _colours)
+
+
+def as_colours(image: Image.Image, path: Path) -> NDArray[np.uint8]:
+    """A picture that Pillow has opened, as `read_image` gives it; InputError naming ``path`` where it is too large.
+
+    What else Pillow raises while it decodes goes through.
+    """
+    _check_size(image.width, image.height, path)
+    return _colours(image, path)
+
+
+def write_image(path: str | Path, array: NDArray[np.uint8], overwrite: bool = False) -> None:
+    """Write ``array`` ([H, W], [H, W, 3] or [H, W, 4], uint8 or bool) in the format of the suffix, .png for instance.
+
+    Raises
+    ------
+    InputError
+        ``path`` cannot be written, or its suffix is not that of an image format that can hold ``array``.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in WRITABLE:
+        raise InputError(f"{path}: the suffix is {path.suffix!a}, expected one of {', '.join(WRITABLE)}")
+    check_output(path, overwrite)
+    array = np.asarray(array)
+    if array.dtype == bool:
+        array = array.astype(np.uint8) * np.uint8(255)
+    if array.dtype != np.uint8 or array.ndim < 2 or array.shape[2:] not in ((), (3,), (4,)) or array.size == 0:
+        found = f"{array.dtype} {list(array.shape)}"
+        raise InputError(f"{path}: {found} to write, expected uint8 [H, W], [H, W, 3] or [H, W, 4]")
+    if array.shape[2:] == (4,) and WRITABLE[suffix] in ("JPEG", "BMP"):
+        raise InputError(f"{path}: {WRITABLE[suffix]} holds no alpha channel, expected .png")
+    from PIL import Image
+
+    with atomic_output(path) as temporary:
+        Image.fromarray(np.ascontiguousarray(array)).save(temporary, format=WRITABLE[suffix])
+
+
+def _check_size(width: int, height: int, path: Path) -> None:
+    if width * height > PIXEL_LIMIT:
+        raise InputError(f"{path}: is {width}x{height}, {width * height:,} pixels, expected at most {PIXEL_LIMIT:,}")
+
+
+def _decode(data: bytes, path: Path, what: str, convert: Any) -> NDArray[Any]:
+    """Open, turn upright and ``convert``; whatever Pillow raises or warns of becomes one line that names the file."""
+    from PIL import Image, ImageOps
+
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            with Image.open(io.BytesIO(data), formats=FORMATS) as image:
+                # The header gives the size; nothing has been decoded yet.
+                _check_size(image.width, image.height, path)
+                if image.width * image.height == 0:
+                    raise InputError(f"{path}: is {image.width}x{image.height}, expected {what}")
+                image.load()
+                array: NDArray[Any] = convert(ImageOps.exif_transpose(image), path)
+    except InputError:
+        raise
+    except Image.UnidentifiedImageError:
+        raise InputError(f"{path}: is not a readable image, expected {what} ({', '.join(FORMATS)})") from None
+    except Image.DecompressionBombError as error:
+        raise InputError(f"{path}: {reason(error)}; expected at most {PIXEL_LIMIT:,} pixels") from None
+    # Decoders fail on damaged files in many ways (struct.error, SyntaxError, KeyError, ...): all mean the same here.
+    except Exception as error:
+        raise InputError(f"{path}: is not readable as {what} ({reason(error)})") from None
+    for warning in caught:
+        if not issubclass(warning.category, (Image.DecompressionBombWarning, DeprecationWarning)):
+            text = reason(RuntimeError(warning.message))
+            warnings.warn(f"{path}: {text}", stacklevel=4)
+    return array
+
+
+def _mask_values(image: Image.Image, path: Path) -> NDArray[Any]:
+    """[H, W]: bool, uint8, uint16 or float."""
+    if image.mode in _WITH_ALPHA or ("transparency" in image.info and image.mode in ("P", "L", "RGB")):
+        pixels = np.asarray(image.convert("RGBA"))
+        if (pixels[..., 3] < 255).any():
+            return pixels[..., 3]
+    if image.mode == "P":
+        return _palette_values(image)
+    if image.mode == "1" or image.mode == "L" or image.mode == "F":
+        return np.asarray(image)
+    if image.mode.startswith("I;16"):
+        return np.asarray(image).astype(np.uint16)
+    if image.mode == "I":
+        values = np.asarray(image)
+        if values.min() < 0 or values.max() > 65535:
+            raise InputError(f"{path}: its values span {values.min()} to {values.max()}, expected 0 to 65535")
+        return values.astype(np.uint16)
+    return np.asarray(image.convert("RGB")).max(axis=2)
+
+
+def _depth_values(image: Image.Image, path: Path) -> NDArray[Any]:
+    if image.mode not in ("L", "I", "F") and not image.mode.startswith("I;16"):
+        raise InputError(f"{path}: is a picture of mode {image.mode}, expected a depth map of one grey channel, 16 bits")
+    return np.asarray(image)
+
+
+def _palette_values(image: Image.Image) -> NDArray[Any]:
+    index = np.asarray(image)
+    used = np.unique(index)
+    colours = np.asarray(image.convert("RGB"))
+    grey = (colours == colours[..., :1]).all()
+    # A palette that shows different indices alike says nothing: then the indices are the labels.
+    if grey and (used.size == 1 or colours.min() != colours.max()):
+        return colours[..., 0]
+    return index != 0
+
+
+def _to_unit(array: NDArray[Any], path: Path) -> NDArray[np.float32]:
+    if array.dtype.kind == "f":
+        with np.errstate(invalid="ignore"):  # NaN of the kind that signals
+            values = np.asarray(array, dtype=np.float64)
+        low, high = float(values.min()), float(values.max())
+        if not (low >= 0.0 and high <= 1.0):
+            raise InputError(f"{path}: its values span {low:g} to {high:g}, expected 0 to 1")
+        return values.astype(np.float32)
+    if array.dtype == bool:
+        return array.astype(np.float32)
+    if int(array.min()) < 0:
+        raise InputError(f"{path}: its smallest value is {array.min()}, expected 0 or more")
+    largest = int(array.max())
+    if largest == 1:
+        warnings.warn(f"{path}: its largest value is 1, read as labels 0 (outside) and 1 (inside)", stacklevel=3)
+        return array.astype(np.float32)
+    full = 255 if array.dtype.itemsize == 1 else 65535
+    if array.dtype.itemsize > 2 and largest <= 255:
+        full = 255  # numpy makes wide integers by itself; they say nothing about the scale
+    if largest > full:
+        raise InputError(f"{path}: its largest value is {largest}, expected at most {full}")
+    return (array / np.float64(full)).astype(np.float32)
+
+
+def _colours(image: Image.Image, path: Path) -> NDArray[np.uint8]:
+    if image.mode.startswith("I;16") or image.mode in ("I", "F"):
+        # Pillow would cut these off at 255.
+        grey = np.rint(_to_unit(_mask_values(image, path), path) * 255.0).astype(np.uint8)
+        return np.repeat(grey[..., None], 3, axis=2)
+    alpha = image.mode in _WITH_ALPHA or "transparency" in image.info
+    return np.array(image.convert("RGBA" if alpha else "RGB"), dtype=np.uint8)

@@ -1,0 +1,196 @@
+"""Any file that describes a shape -> points to judge it by.
+
+- a point cloud gives its points, be it a single one;
+- a mesh (.obj, .off, .stl, .glb, and a .ply with faces) gives points drawn uniformly from its surface;
+- a voxel grid (.npy of 3 dimensions, .binvox) gives points of its boundary: marching cubes at occupancy 0.5, then the same.
+
+Frames: clouds and meshes are taken in their own units and place. A .npy grid has neither: its longest side spans 1, it is
+centred at the origin, and its axes are x, y, z in the order of the array. A .binvox file has units but, in effect, no place:
+its `translate` is the corner of the object or of the grid, by the options it was made with, and does not say which. So the box
+of its occupied part is centred at the origin, where the models of ShapeNet are.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..geometry.points import Array, sample_surface
+from .arrays import read_array
+from .clouds import SUFFIXES as CLOUD_SUFFIXES
+from .clouds import read_cloud
+from .meshes import read_mesh
+from .ply_header import HEADER_LIMIT
+from .reading import read_bytes, shown
+
+MESH_SUFFIXES = (".obj", ".off", ".stl", ".glb")
+SUFFIXES = (*CLOUD_SUFFIXES, *MESH_SUFFIXES, ".binvox")
+KINDS = ("cloud", "mesh", "voxels")
+
+# A grid of 512 a side already takes gigabytes on its way to a surface.
+MAX_VOXELS = 512**3
+_FACES = re.compile(rb"[\r\n]element[ \t]+face[ \t]+0*[1-9]")
+_THREE_SIDES = re.compile(rb"\A\x93NUMPY[^\n]{0,200}'shape': *\([0-9]+, *[0-9]+, *[0-9]+,?\)", re.DOTALL)
+
+
+def shape_kind(path: Path | str) -> str:
+    """What the file at ``path`` will be read as: "cloud", "mesh" or "voxels".
+
+    The name decides, and the header where the name leaves it open: a .ply with faces is a mesh, a .npy with 3 dimensions a
+    grid. What cannot be read counts as a cloud. Raises InputError if the name has no known suffix.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES and not path.is_dir():
+        raise InputError(f"{path}: ends in {suffix or 'nothing'!r}, expected a cloud, mesh or grid: {', '.join(SUFFIXES)}")
+    if suffix in MESH_SUFFIXES:
+        return "mesh"
+    if suffix == ".binvox":
+        return "voxels"
+    if suffix in (".ply", ".npy"):
+        head = _head(path)
+        if suffix == ".ply":
+            return "mesh" if _FACES.search(head.partition(b"end_header")[0]) else "cloud"
+        return "voxels" if _THREE_SIDES.search(head) else "cloud"
+    return "cloud"
+
+
+def read_shape(path: Path | str, samples: int = 16384, seed: int | Sequence[int] = 0, as_vertices: bool = False) -> Array:
+    """The points by which the shape in a file is judged.
+
+    Parameters
+    ----------
+    path : point cloud, mesh or voxel grid; `shape_kind` says which.
+    samples : how many points to draw from a surface; a cloud keeps all of its own.
+    seed : of the drawing, as `numpy.random.default_rng` takes it.
+    as_vertices : of a mesh, take the vertices instead of its surface.
+
+    Returns
+    -------
+    [N, 3] float64, finite.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is damaged, or describes no points and no surface.
+    """
+    path = Path(path)
+    kind = shape_kind(path)
+    if kind == "cloud" or (as_vertices and path.suffix.lower() == ".ply"):
+        return read_cloud(path, extended=False).points
+    if kind == "mesh":
+        mesh = read_mesh(path, textures=False)
+        if as_vertices:
+            return mesh.vertices
+        vertices, faces = mesh.vertices, mesh.faces
+    else:
+        vertices, faces = grid_surface(path)
+    try:
+        return sample_surface(vertices, faces, samples, np.random.default_rng(seed))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def grid_surface(path: Path | str) -> tuple[Array, NDArray[np.int64]]:
+    """Vertices [V, 3] and faces [F, 3] of the boundary of the voxel grid in a .npy or .binvox file.
+
+    The grid is padded by one empty voxel on every side, so that the surface is closed. Where it stands and how large it is, the
+    module says. Raises InputError.
+    """
+    path = Path(path)
+    placed = path.suffix.lower() != ".binvox"
+    grid, side = (_read_npy_grid(path), 1.0) if placed else read_binvox(path)
+    occupied = grid > 0.5
+    if not occupied.any():
+        raise InputError(f"{path}: no voxel of the {_sides(grid.shape)} grid is occupied (> 0.5), expected a shape")
+    from skimage.measure import marching_cubes
+
+    # Only the part around the shape: large grids are mostly empty.
+    spans = [np.flatnonzero(occupied.any(axis)) for axis in ((1, 2), (0, 2), (0, 1))]
+    corner = np.array([max(int(span[0]) - 1, 0) for span in spans])
+    part = grid[tuple(slice(c, int(span[-1]) + 2) for c, span in zip(corner, spans, strict=True))]
+    padded = np.pad(np.clip(part, 0.0, 1.0).astype(np.float32), 1)
+    vertices, faces, _, _ = marching_cubes(padded, 0.5)
+    # Voxel i spans i to i + 1 steps from the corner of the grid, its value stands at the middle.
+    centres = np.asarray(vertices, dtype=np.float64) - 1.0 + corner + 0.5
+    middle = np.array(grid.shape) / 2.0 if placed else (centres.min(axis=0) + centres.max(axis=0)) / 2.0
+    return side / max(grid.shape) * (centres - middle), np.asarray(faces, dtype=np.int64)
+
+
+def read_binvox(path: Path | str) -> tuple[NDArray[np.bool_], float]:
+    """A .binvox file: occupancy [X, Y, Z] and the longest side of the whole grid, in model units.
+
+    Raises InputError if the header is not one of version 1, the sizes are out of bounds or the runs do not fill the grid.
+    """
+    path = Path(path)
+    # Two bytes hold at least one voxel, so a longer file would be wrong anyway.
+    content = read_bytes(path, "a .binvox grid", limit=2 * MAX_VOXELS + 4096)
+    head, mark, data = content[:4096].partition(b"\ndata")
+    if not content.startswith(b"#binvox 1") or not mark:
+        raise InputError(f"{path}: starts with {shown(content[:12])}, expected a .binvox header (#binvox 1 ... data)")
+    data = content[len(head) + len(mark) :].lstrip(b"\r")
+    if data[:1] != b"\n":
+        raise InputError(f"{path}: the data line is not ended, expected a .binvox header")
+    fields = {line.split()[0]: line.split()[1:] for line in head.splitlines()[1:] if line.strip()}
+    depth, height, width = (int(side) for side in _numbers(path, fields, b"dim", 3))
+    scale = _numbers(path, fields, b"scale", 1)[0] if b"scale" in fields else 1.0
+    total = depth * height * width
+    if min(depth, height, width) < 1 or total > MAX_VOXELS:
+        raise InputError(f"{path}: dim is {shown(f'{depth} {height} {width}')}, expected 1 to {MAX_VOXELS:,} voxels")
+    if not 1e-30 < scale < 1e30:
+        raise InputError(f"{path}: scale is {scale:g}, expected a size > 0")
+    runs = np.frombuffer(data[1:], dtype=np.uint8)
+    if len(runs) % 2:
+        raise InputError(f"{path}: the data end in the middle of a run, the file is cut off")
+    values, counts = runs[0::2], runs[1::2].astype(np.int64)
+    if (values > 1).any():
+        raise InputError(f"{path}: a run has the value {int(values.max())}, expected 0 or 1")
+    if int(counts.sum()) != total:
+        raise InputError(f"{path}: the runs hold {int(counts.sum()):,} voxels, dim promises {total:,}")
+    # The file runs fastest along y, then z, then x.
+    grid = np.repeat(values.astype(bool), counts).reshape(depth, height, width).transpose(0, 2, 1)
+    return grid, scale
+
+
+def _read_npy_grid(path: Path) -> NDArray[Any]:
+    grid = read_array(read_bytes(path, "a voxel grid", limit=8 * MAX_VOXELS + 65536), path)
+    if grid.ndim != 3 or grid.dtype.kind not in "biuf":
+        raise InputError(f"{path}: holds {grid.dtype} {list(grid.shape)}, expected a grid of numbers [X, Y, Z]")
+    if not 1 <= grid.size <= MAX_VOXELS:
+        raise InputError(f"{path}: the grid is {_sides(grid.shape)}, expected 1 to {MAX_VOXELS:,} voxels")
+    if not np.isfinite(grid).all():
+        raise InputError(f"{path}: a voxel is NaN or infinite, expected occupancy from 0 to 1")
+    return grid
+
+
+def _head(path: Path) -> bytes:
+    """The start of a file, as long as any header."""
+    try:
+        with path.open("rb") as stream:
+            return stream.read(HEADER_LIMIT)
+    except (OSError, ValueError):
+        return b""  # whoever reads it in full says why it cannot be read
+
+
+def _numbers(path: Path, fields: dict[bytes, list[bytes]], key: bytes, count: int) -> list[float]:
+    try:
+        values = [float(word) for word in fields[key]]
+        if len(values) != count or not all(map(math.isfinite, values)):
+            raise ValueError
+        if key == b"dim" and any(value != int(value) for value in values):
+            raise ValueError
+    except (KeyError, ValueError):
+        what = shown(b" ".join(fields[key]).decode("latin-1")) if key in fields else "missing"
+        raise InputError(f"{path}: {key.decode()} is {what}, expected {count} finite number{'s' * (count > 1)}") from None
+    return values
+
+
+def _sides(shape: tuple[int, ...]) -> str:
+    return " x ".join(str(side) for side in shape)

@@ -1,0 +1,225 @@
+"""Vector instructions for the compiled loops: what the compiler does not make of plain loops by itself.
+
+Sixteen numbers are worked on at once. The compiler splits them into whatever registers the machine has.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from llvmlite import ir
+from numba import extending, types
+from numba.core import cgutils
+from numba.np.arrayobj import make_array
+
+f32 = types.float32
+LANES = 16
+# what compiled code calls is not what Python calls
+intrinsic: Any = extending.intrinsic
+overload: Any = extending.overload
+# exp() of float32 is right down to here, and 0 is not far.
+LOWEST = -80.0
+
+
+@intrinsic
+def add_rows(context, out, at, stride, rows, down, start, across, begin):  # type: ignore[no-untyped-def]
+    """Add to ``rows`` rows r of 16 numbers each, ``out[at + r stride]`` and on, the product of two vectors of weights.
+
+    ``down[start + r]`` is the weight of the row, ``across[begin]`` and on those of its numbers. Nothing checks that it lies
+    inside the arrays.
+    """
+
+    def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        lanes = _Lanes(context, builder, out.dtype)
+
+        def at_place(argument: int, index: Any, one: bool = False) -> Any:
+            return lanes.place(signature.args[argument], arguments[argument], index, one)
+
+        weights = lanes.load(at_place(6, arguments[7]))
+        with cgutils.for_range(builder, arguments[3]) as loop:
+            goal = at_place(0, builder.add(arguments[1], builder.mul(loop.index, arguments[2])))
+            weight = builder.load(at_place(4, builder.add(arguments[5], loop.index), one=True))
+            total = lanes.multiply_add(lanes.spread(weight), weights, lanes.load(goal))
+            builder.store(total, goal, align=lanes.alignment)
+        return context.get_dummy_value()
+
+    number = types.intp
+    return types.void(out, number, number, number, down, number, across, number), build
+
+
+@intrinsic
+def project_rows(context, source, at, stride, rows, down, left, start, across, right, begin):  # type: ignore[no-untyped-def]
+    """Two weighted sums over ``rows`` rows r of 16 numbers each, ``source[at + r stride]`` and on.
+
+    The first weighs the rows by ``down[start]`` and on, their numbers by ``right[begin]`` and on; the second by ``left`` and
+    ``across``. Nothing checks that it lies inside the arrays.
+    """
+
+    def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        lanes = _Lanes(context, builder, source.dtype)
+
+        def at_place(argument: int, index: Any, one: bool = False) -> Any:
+            return lanes.place(signature.args[argument], arguments[argument], index, one)
+
+        by_down, by_left = (cgutils.alloca_once_value(builder, lanes.zeros) for _ in range(2))
+        for total in (by_down, by_left):
+            builder.store(lanes.zeros, total)
+        with cgutils.for_range(builder, arguments[3]) as loop:
+            row = lanes.load(at_place(0, builder.add(arguments[1], builder.mul(loop.index, arguments[2]))))
+            place = builder.add(arguments[6], loop.index)
+            for argument, total in ((4, by_down), (5, by_left)):
+                weight = lanes.spread(builder.load(at_place(argument, place, one=True)))
+                builder.store(lanes.multiply_add(weight, row, builder.load(total)), total)
+        sums = [
+            lanes.add_up(builder.fmul(builder.load(total), lanes.load(at_place(argument, arguments[9]))))
+            for argument, total in ((8, by_down), (7, by_left))
+        ]
+        return context.make_tuple(builder, signature.return_type, sums)
+
+    number = types.intp
+    result = types.UniTuple(source.dtype, 2)
+    return result(source, number, number, number, down, left, number, across, right, number), build
+
+
+@intrinsic
+def keep_nearest(context, queries, at, data, place, best, chosen):  # type: ignore[no-untyped-def]
+    """Hold the points ``data`` [3, D], ``place`` and the seven after it, against eight ``queries`` [3, Q] from ``at`` on.
+
+    Where one is nearer than ``best`` [8], squared, that becomes its distance and ``chosen`` [8] its place. Nothing checks that
+    it lies inside the arrays.
+    """
+
+    def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        own = _Lanes(context, builder, queries.dtype, 8)
+        arrays = dict(zip("qdbc", (0, 2, 4, 5), strict=True))
+
+        def pointer(name: str, index: Any, axis: int = 0, one: bool = False) -> Any:
+            array = make_array(signature.args[arrays[name]])(context, builder, arguments[arrays[name]])
+            if axis:
+                row = cgutils.unpack_tuple(builder, array.shape)[-1]
+                index = builder.add(index, builder.mul(row, ir.Constant(row.type, axis)))
+            data = builder.gep(array.data, [index])
+            return data if one else builder.bitcast(data, ir.VectorType(data.type.pointee, 8).as_pointer())
+
+        zero = ir.Constant(ir.IntType(64), 0)
+        squares = [own.load(pointer("q", arguments[1], axis)) for axis in range(3)]
+        least, number = own.load(pointer("b", zero)), builder.load(pointer("c", zero), align=8)
+        for k in range(8):
+            index = builder.add(arguments[3], ir.Constant(ir.IntType(64), k))
+            total = own.zeros
+            for axis in range(3):
+                there = own.spread(builder.load(pointer("d", index, axis, one=True)))
+                away = builder.fsub(squares[axis], there)
+                total = own.multiply_add(away, away, total) if axis else builder.fmul(away, away)
+            nearer = builder.fcmp_ordered("<", total, least)
+            least = builder.select(nearer, total, least)
+            number = builder.select(nearer, own.spread(index, number.type), number)
+        builder.store(least, pointer("b", zero), align=8)
+        builder.store(number, pointer("c", zero), align=8)
+        return context.get_dummy_value()
+
+    number = types.intp
+    return types.void(queries, number, data, number, best, chosen), build
+
+
+class _Lanes:
+    """Vectors of 16 numbers of one type, and what is done with them."""
+
+    def __init__(self, context: Any, builder: Any, number: Any, lanes: int = LANES) -> None:
+        self._builder = builder
+        self._context = context
+        self._number = context.get_value_type(number)
+        self._lanes = lanes
+        self._vector = ir.VectorType(self._number, lanes)
+        self._suffix = f"v{lanes}f{number.bitwidth}"
+        self.alignment = number.bitwidth // 8
+        self.zeros = ir.Constant(self._vector, [0.0] * lanes)
+
+    def place(self, array: Any, value: Any, index: Any, one: bool = False) -> Any:
+        data = make_array(array)(self._context, self._builder, value).data
+        pointer = self._builder.gep(data, [index])
+        return pointer if one else self._builder.bitcast(pointer, self._vector.as_pointer())
+
+    def load(self, pointer: Any) -> Any:
+        return self._builder.load(pointer, align=self.alignment)
+
+    def spread(self, value: Any, vector: Any = None) -> Any:
+        integer, vector = ir.IntType(32), vector or self._vector
+        unknown = ir.Constant(vector, ir.Undefined)
+        first = self._builder.insert_element(unknown, value, ir.Constant(integer, 0))
+        places = ir.Constant(ir.VectorType(integer, self._lanes), [0] * self._lanes)
+        return self._builder.shuffle_vector(first, unknown, places)
+
+    def multiply_add(self, weight: Any, value: Any, total: Any) -> Any:
+        product = self._builder.fmul(weight, value, flags=["contract"])
+        return self._builder.fadd(product, total, flags=["contract"])
+
+    def add_up(self, vector: Any) -> Any:
+        kind = ir.FunctionType(self._number, [self._number, self._vector])
+        function = cgutils.get_or_insert_function(self._builder.module, kind, f"llvm.vector.reduce.fadd.{self._suffix}")
+        return self._builder.call(function, [ir.Constant(self._number, 0.0), vector], fastmath=["reassoc"])
+
+
+@intrinsic
+def _as_float(context, bits):  # type: ignore[no-untyped-def]
+    return types.float32(types.int32), lambda context, builder, signature, arguments: builder.bitcast(
+        arguments[0], ir.FloatType()
+    )
+
+
+@intrinsic
+def _as_bits(context, number):  # type: ignore[no-untyped-def]
+    return types.int32(types.float32), lambda context, builder, signature, arguments: builder.bitcast(
+        arguments[0], ir.IntType(32)
+    )
+
+
+def exp(x: float) -> float:
+    """e^x for -80 <= x <= 0, in compiled code.
+
+    In float32 it is a polynomial with a relative error of 3e-7 near 0 to 4e-6 at -80, which a loop computes for many x at once;
+    math.exp cannot be. In float64 it is math.exp.
+    """
+    return math.exp(x)
+
+
+def log(x: float) -> float:
+    """log(x) for normal x > 0, in compiled code; in float32 as `exp`, with an error of 2e-7."""
+    return math.log(x)
+
+
+# Products and sums in one rounding, as in the loops that call these.
+FAST = {"fastmath": {"contract"}, "error_model": "numpy"}
+
+
+@overload(exp, jit_options=FAST)
+def _exp(x):  # type: ignore[no-untyped-def]
+    return _exp32 if x == f32 else lambda x: math.exp(x)
+
+
+@overload(log, jit_options=FAST)
+def _log(x):  # type: ignore[no-untyped-def]
+    return _log32 if x == f32 else lambda x: math.log(x)
+
+
+def _exp32(x):  # type: ignore[no-untyped-def]
+    # 2^whole 2^part, |part| <= 1/2; the series of the latter up to the sixth power
+    power = x * f32(1.4426950408889634)
+    whole = types.int32(power - f32(0.5))
+    part = power - f32(whole)
+    series = f32(0.0013333558146428443) + part * f32(0.00015403530393381608)
+    series = f32(0.05550410866482158) + part * (f32(0.009618129107628477) + part * series)
+    series = f32(1.0) + part * (f32(0.6931471805599453) + part * (f32(0.2402265069591007) + part * series))
+    return series * _as_float(types.int32((whole + types.int32(127)) << types.int32(23)))
+
+
+def _log32(x):  # type: ignore[no-untyped-def]
+    # x = 2^whole part, part from 0.7 to 1.4: log part = 2 artanh((part - 1) / (part + 1))
+    bits = _as_bits(x)
+    whole = types.int32((bits - types.int32(0x3F333333)) >> types.int32(23))
+    part = _as_float(types.int32(bits - types.int32(whole << types.int32(23))))
+    z = (part - f32(1.0)) / (part + f32(1.0))
+    squared = z * z
+    series = f32(1.0 / 3.0) + squared * (f32(1.0 / 5.0) + squared * (f32(1.0 / 7.0) + squared * f32(1.0 / 9.0)))
+    return f32(whole) * f32(0.6931471805599453) + f32(2.0) * z * (f32(1.0) + squared * series)

@@ -1,0 +1,81 @@
+"""`tso bench`: how fast it is, on this machine."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ...commands import options
+from .records import answer, check_outputs, keep
+
+PARTS = ("limit", "silhouette", "chamfer", "terms", "step", "batch", "threads", "training", "start-up")
+
+
+@click.group("bench")
+def command() -> None:
+    """Measure this machine, and keep the answer as JSON beside a chart."""
+
+
+@command.command("speed")
+@click.option("--only", multiple=True, type=click.Choice(PARTS), help="May be repeated.  [default: all]")
+@click.option("--full", is_flag=True, help="Large sizes too: up to 1,000,000 points at 1,024x1,024.")
+@click.option("--threads", type=click.IntRange(1, os.cpu_count() or 1), default=1, show_default=True, help="CPU threads.")
+@click.option(
+    "--seconds",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=0.5,
+    show_default=True,
+    help="Measure each contestant about so long.",
+)
+@answer
+@options.device
+@options.seed
+@options.overwrite
+@options.as_json
+def speed(
+    only: tuple[str, ...],
+    full: bool,
+    threads: int,
+    seconds: float,
+    output: Path | None,
+    device: str,
+    seed: int,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Kernels, terms, steps, batches, training and start-up, beside other ways of doing the same and the machine's limit.
+
+    All of it takes some five minutes, a quarter of an hour with --full; a part about one. limit: the machine's rates;
+    silhouette, chamfer: the kernels at growing sizes; terms: each term of the loss beside the projector; step: one step of
+    every mode, taken apart; batch: many clouds in one call; threads: the same on one thread and on all cores; training: images
+    a second beside the network's roofline; start-up: whole processes.
+
+    Contestants for the same work take turns in one process, on cpu or cuda. Other packages (chamferdist, pykeops,
+    point_cloud_utils, pytorch3d, gsplat) are measured where they are installed.
+    """
+    if not math.isfinite(seconds):
+        raise click.BadParameter(f"{seconds} is no finite number.", param_hint="'--seconds'")
+    check_outputs(output, overwrite)
+    from ...device import resolve
+    from ..bench.speed import speed as measure
+    from ..bench.timing import Setting
+    from ..charts.speed_chart import draw_speed
+    from ..charts.speed_table import speed_table
+
+    setting = Setting(resolve(device), threads, seconds, full, seed, _report())
+    record = measure(setting, only)
+    keep(record, output, draw_speed, overwrite)
+    if as_json:
+        options.echo_json(record)
+        return
+    click.echo(speed_table(record))
+
+
+def _report() -> Any:
+    begun = time.monotonic()
+    return lambda what: options.log(f"tso: {time.monotonic() - begun:4.0f} s  {what}")

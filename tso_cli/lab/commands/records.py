@@ -1,0 +1,108 @@
+"""What commands that answer with a record share: where the answer goes, and how progress is shown."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ...commands import options
+from ...errors import InputError
+from ...io.output import atomic_output, check_output
+from ...io.reading import read_bytes
+
+answer = click.option(
+    "-o", "--output", type=options.FilePath(), help="Write the record here (.json) and a chart beside it (.png)."
+)
+
+
+def resume(kept: str) -> Callable[..., Any]:
+    """--resume, for a study whose record is ``kept`` then."""
+    return click.option("--resume", is_flag=True, help=f"Go on from the record at -o, kept {kept}, if there is one.")
+
+
+def check_outputs(output: Path | None, overwrite: bool, resume: bool = False) -> None:
+    """Refuse outputs that cannot be written before the long work starts; with ``resume`` they may be there."""
+    if resume and output is None:
+        raise InputError("--resume goes on from a record, expected its name after -o")
+    if output is not None:
+        if output.suffix.lower() != ".json":
+            raise InputError(f"{output}: the suffix is {output.suffix!r}, expected .json (the chart goes beside it as .png)")
+        for path in (output, output.with_suffix(".png")):
+            check_output(path, overwrite or resume)
+
+
+def earlier_record(study: str, output: Path | None, resume: bool) -> dict[str, Any] | None:
+    """The record to go on from, None where there is none or it is not wanted.
+
+    Raises InputError if the file is no record, or one of ``study`` that another method made: cases of two methods are not one
+    record's. A record of another study is for the study to refuse.
+    """
+    if output is None or not resume or not output.exists():
+        return None
+    from ..studies.fingerprint import differences, study_of
+
+    record = read_record(output)
+    if study_of(record) == study and (found := differences(record)):
+        raise InputError(
+            f"{output}: was made by another method ({found[0]}), expected one made by the method as it is (with --overwrite in "
+            "place of --resume it is made anew)"
+        )
+    return record
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """The record of a study; InputError if the file is none."""
+    try:
+        record = json.loads(read_bytes(path, "the record of a study"))
+    except (ValueError, RecursionError):
+        raise InputError(f"{path}: is not JSON, expected the record of a study") from None
+    if not isinstance(record, dict):
+        raise InputError(f"{path}: holds no JSON object, expected the record of a study")
+    return record
+
+
+def write_record(record: dict[str, Any], output: Path) -> None:
+    """Write the record, with the fingerprint of the method as it is, over the one before: a case a line."""
+    from ..studies.fingerprint import stamped
+
+    record = stamped(record)
+    cases = record.pop("cases", None)
+    text = json.dumps(record, indent=1)
+    if cases is not None:
+        lines = ",\n".join(json.dumps(case, separators=(",", ":")) for case in cases)
+        text = f'{text[:-2]},\n "cases": [\n{lines}\n]}}'
+    with atomic_output(output) as temporary:
+        temporary.write_text(text + "\n")
+
+
+def keep(record: dict[str, Any], output: Path | None, draw: Callable[..., None], overwrite: bool) -> None:
+    """Write the record and its chart, if they are wanted."""
+    if output is not None:
+        write_record(record, output)
+        draw(output.with_suffix(".png"), record, overwrite)
+
+
+def so_far(output: Path | None) -> Callable[[dict[str, Any]], None]:
+    """What keeps a record that is not complete, if it is wanted."""
+
+    def kept(record: dict[str, Any]) -> None:
+        if output is not None:
+            write_record(record, output)
+
+    return kept
+
+
+class Reporter:
+    """A progress bar for each part of the work."""
+
+    def __init__(self) -> None:
+        self._bar: options.ProgressBar | None = None
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        if self._bar is None or self._bar.label != f"tso: {what}":
+            self._bar = options.ProgressBar(f"tso: {what}", delay=0.5)
+        self._bar(done, total)

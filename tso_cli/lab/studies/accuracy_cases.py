@@ -1,0 +1,247 @@
+"""Cases to measure the accuracy of a refinement on: unseen shapes, masks of them, and clouds that are wrong in a known way."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import InputError
+from ...evaluation.metrics import chamfer
+from ...geometry.camera import CANONICAL_ROTATION, Camera
+from ...geometry.points import Array, farthest_point_sample, sample_surface
+from ...geometry.view import View
+from ...io.meshes import read_mesh
+from ...io.shipped import CATEGORIES
+from ...network.model import BaseNetwork, NetworkConfig
+from ...refinement.surface import Surface
+from ...render import RayScene, RenderSettings, fitting_distance, look_at, normalise, render_view, sample_cameras
+from ...scene.network import network_scene
+from .parts import Shape, shapes_of_part
+from .protocol import shape_type
+
+KINDS = ("other", "near", "cut", "right", "network")
+"""Where the start is from; "cut" is "other" with an object that the border cuts, "right" another sampling of the truth."""
+# The Chamfer distance (longest side 1) that another shape's cloud should have from the truth; a category without one starts
+# from its most similar training shape.
+LEVELS = {"other": {"airplane": 2.0e-3, "car": 1.6e-3}, "near": {"airplane": 0.4e-3, "car": 0.8e-3}}
+LEVELS["cut"] = LEVELS["other"]
+SAMPLES, JUDGED = 16_384, 1024
+"""Points of a surface, and how many of them say which start is how far off."""
+MASKS = 4
+"""Of every case. The network sees one picture: of its cases the others are further masks from cameras that are known."""
+CUT_SHARE = 0.75
+"""Distance of the camera of kind "cut", of that from which the whole object is seen."""
+PICTURE = 128
+"""Pixels each way of the picture that the network's crop is cut from."""
+
+
+@dataclass(frozen=True, eq=False)
+class AccuracyCase:
+    """One thing to refine.
+
+    Attributes
+    ----------
+    kind : of `KINDS`. category, shape : of the truth. view : its number. start : the shape the initial cloud is from.
+    initial, target : [N, 3]; dense : [16384, 3], more points of the target. Longest side 1, centred; of kind "network" turned
+        into the axes of the camera.
+    views : the first is the case's own, the others are further evidence.
+    floor, floor_dense : Chamfer distance of another sampling of the truth, N points, to ``target`` and to ``dense``.
+    image : [3, 64, 64], what the network saw; None where there is none.
+    colours : [N, 3] in [0, 1] of ``initial``, for views that have photos.
+    start_file : the mesh that ``initial`` was sampled from.
+    faces : [F, 3] where ``initial`` are the vertices of a mesh; surface : what stands for such vertices when they are judged.
+    """
+
+    kind: str
+    category: str
+    shape: str
+    view: int
+    start: str
+    initial: Array
+    target: Array
+    dense: Array
+    views: tuple[View, ...]
+    floor: float
+    floor_dense: float
+    image: NDArray[np.float32] | None = None
+    colours: Array | None = None
+    start_file: Path | None = None
+    faces: NDArray[np.int64] | None = None
+    surface: Surface | None = None
+
+    def chamfer_of(self, points: Array) -> float:
+        """Chamfer distance to the truth: of a cloud, or of the surface that has ``points`` for vertices."""
+        if self.surface is None:
+            return chamfer(points, self.target).chamfer
+        return chamfer(self.surface.drawn(points), self.dense).chamfer
+
+
+class CaseBuilder:
+    """Makes the cases of any shape; everything random depends on the seed and the shape's name alone.
+
+    Parameters
+    ----------
+    folder, split_file : as in `shapes_of_part`; starts are shapes of its list "train".
+    views : random views of each shape. size : pixels of a mask each way. points : of initial and target clouds.
+    network, about : for kind "network": a view-aligned network.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        split_file: Path,
+        views: int,
+        size: int,
+        points: int,
+        seed: int = 0,
+        network: BaseNetwork | None = None,
+        about: NetworkConfig | None = None,
+    ) -> None:
+        self._folder, self._split_file = folder, split_file
+        self._views, self._size, self._points, self._seed = views, size, points, seed
+        self._network, self._about = network, about
+        self._starts: dict[str, list[tuple[Shape, Array, Array]]] = {}
+
+    def cases(self, shape: Shape, kind: str) -> list[AccuracyCase]:
+        """The cases of one shape, one for each of the views."""
+        mesh = normalise(read_mesh(shape.path))
+        rng = self._rng(shape, "truth")
+        dense, again = (sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng) for _ in range(2))
+        target, other = _subset(dense, self._points), _subset(again, self._points)
+        floors = chamfer(other, target).chamfer, chamfer(other, dense).chamfer
+        scene = RayScene(mesh)
+        rng = self._rng(shape, kind)
+        if kind == "network":
+            return [
+                self._predicted(shape, number, mesh.vertices, scene, target, dense, floors, rng)
+                for number in range(self._views)
+            ]
+        if kind == "right":
+            start, file, initial = "the truth", None, other
+        else:
+            found, initial = self._start(shape, _subset(dense, JUDGED), LEVELS[kind].get(shape.category, 0.0))
+            start, file = found.name, found.path
+        # Each view has the next three beside it.
+        count = self._views + MASKS - 1
+        views = [self._seen(shape, number, mesh.vertices, scene, kind == "cut", rng) for number in range(count)]
+        return [
+            AccuracyCase(
+                kind,
+                shape.category,
+                shape.name,
+                number,
+                start,
+                initial,
+                target,
+                dense,
+                tuple(views[number : number + MASKS]),
+                *floors,
+                start_file=file,
+            )
+            for number in range(self._views)
+        ]
+
+    def _rng(self, shape: Shape, what: str) -> np.random.Generator:
+        return np.random.default_rng([self._seed, zlib.crc32(shape.name.encode()), zlib.crc32(what.encode())])
+
+    def _start(self, shape: Shape, target: Array, level: float) -> tuple[Shape, Array]:
+        """The training shape and its cloud, of those of another type whose distance from the truth is nearest to ``level``."""
+        if shape.category not in self._starts:
+            found = []
+            for own in shapes_of_part(self._folder, self._split_file, "train", [shape.category]):
+                mesh = normalise(read_mesh(own.path))
+                samples = sample_surface(mesh.vertices, mesh.faces, SAMPLES, self._rng(own, "truth"))
+                found.append((own, samples, _subset(samples, JUDGED)))
+            self._starts[shape.category] = found
+        starts = [
+            (own, samples, few)
+            for own, samples, few in self._starts[shape.category]
+            if shape_type(own.path.stem) != shape_type(shape.path.stem)
+        ]
+        if not starts:
+            raise InputError(
+                f"{shape.name}: no {shape.category} of another type is in the list train, expected one to start from"
+            )
+        away = [abs(chamfer(few, target).chamfer - level) for _, _, few in starts]
+        nearest, samples, _ = starts[int(np.argmin(away))]
+        return nearest, _subset(samples, self._points)
+
+    def _seen(self, shape: Shape, number: int, vertices: Array, scene: RayScene, cut: bool, rng: np.random.Generator) -> View:
+        settings = RenderSettings(views=1, size=(self._size, self._size))
+        while True:
+            camera = _nearer(settings, vertices, rng) if cut else sample_cameras(settings, vertices, rng)[0]
+            mask = render_view(scene, camera, rng).mask
+            # From its narrow side a long object fits the picture from nearer too: then another direction is drawn.
+            if not cut or _touches_border(mask):
+                return View(mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, mask {number}")
+
+    def _predicted(
+        self,
+        shape: Shape,
+        number: int,
+        vertices: Array,
+        scene: RayScene,
+        target: Array,
+        dense: Array,
+        floors: tuple[float, float],
+        rng: np.random.Generator,
+    ) -> AccuracyCase:
+        """What the network makes of a picture, before a camera whose distance from the object is known."""
+        assert self._network is not None and self._about is not None
+        camera = sample_cameras(RenderSettings(views=1, size=(PICTURE, PICTURE)), vertices, rng)[0]
+        picture = render_view(scene, camera, rng)
+        view = View(picture.mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, view {number}")
+        seen = network_scene(picture.image, view, self._network, self._about, placing="camera")
+        turn = (CANONICAL_ROTATION @ camera.R).T
+        # Random numbers of their own: how many views there are of a shape changes none of them.
+        further = np.random.default_rng([self._seed, zlib.crc32(shape.name.encode()), number])
+        others = [self._seen(shape, other, vertices, scene, False, further) for other in range(1, MASKS)]
+        turned = [replace(other, camera=replace(other.camera, R=other.camera.R @ turn)) for other in others]
+        return AccuracyCase(
+            "network",
+            shape.category,
+            shape.name,
+            number,
+            "prediction",
+            seen.points,
+            target @ turn,
+            dense @ turn,
+            (seen.view, *turned),
+            *floors,
+            image=seen.image,
+        )
+
+
+def kinds_of(category: str, kinds: Sequence[str]) -> list[str]:
+    """Those of ``kinds`` that there are for a category."""
+    near, known = category in LEVELS["near"], category in CATEGORIES
+    return [kind for kind in kinds if (kind != "near" or near) and (kind != "network" or known)]
+
+
+def check_points(points: int, kinds: Sequence[str], about: NetworkConfig | None) -> None:
+    """InputError where clouds of so many points cannot be had."""
+    if not JUDGED <= points <= SAMPLES:
+        raise InputError(f"points is {points}, expected {JUDGED} to {SAMPLES}")
+    if "network" in kinds and about is not None and about.points != points:
+        raise InputError(f"points is {points}, expected {about.points}, as many as the network predicts, for kind network")
+
+
+def _subset(samples: Array, count: int) -> Array:
+    """So many of ``samples`` [S, 3], spread evenly."""
+    return samples if count == len(samples) else samples[farthest_point_sample(samples, count)]
+
+
+def _nearer(settings: RenderSettings, vertices: Array, rng: np.random.Generator) -> Camera:
+    azimuth, elevation = rng.uniform(*settings.azimuth), rng.uniform(*settings.elevation)
+    camera = look_at(azimuth, elevation, 1.0, settings.size)
+    return look_at(azimuth, elevation, CUT_SHARE * fitting_distance(vertices, camera), settings.size)
+
+
+def _touches_border(mask: NDArray[np.uint8]) -> bool:
+    inside = mask > 127
+    return bool(inside[[0, -1]].any() or inside[:, [0, -1]].any())

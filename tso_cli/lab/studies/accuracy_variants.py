@@ -1,0 +1,132 @@
+"""The ways of refining that the study of accuracy compares."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+
+from ...errors import TsoError
+from ...network.model import BaseNetwork
+from ...refinement import RefineConfig, RefineResult, refine, refine_batch
+from ...refinement.adam import Adam
+from ...refinement.coarse_to_fine import BEST, Stage
+from ...refinement.smooth_field import NODES
+from .accuracy_cases import AccuracyCase
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way of refining a case.
+
+    Parameters
+    ----------
+    config : its settings. masks : how many of the case's views it sees.
+    then : settings of points mode, to go on from what ``config`` gave; None to stop there.
+    """
+
+    config: RefineConfig = field(default_factory=RefineConfig)
+    masks: int = 1
+    then: RefineConfig | None = None
+
+
+def _made(**changes: object) -> Variant:
+    return Variant(RefineConfig(recipe=replace(BEST, **changes)))  # type: ignore[arg-type]
+
+
+PAPER, DEFAULT = "paper", "best"
+NO_SYMMETRY, TWO_MASKS, FOUR_MASKS = "best, no symmetry", "best, two masks", "best, four masks"
+COMBINED = "latent, then points"
+BOTH_COMBINED = "encoder-decoder, then points"
+POINTS = {
+    PAPER: Variant(RefineConfig(preset="paper")),
+    DEFAULT: Variant(),
+    NO_SYMMETRY: Variant(RefineConfig(symmetry="none")),
+    TWO_MASKS: Variant(masks=2),
+    FOUR_MASKS: Variant(masks=4),
+}
+STEPS = {f"best, {steps} steps": Variant(RefineConfig(steps=steps)) for steps in (12, 144)}
+NETWORK_MODES = ("encoder", "encoder-decoder", "latent")
+NETWORK = {
+    **POINTS,
+    **{
+        f"{mode}, {preset}": Variant(RefineConfig(mode, preset=preset)) for mode in NETWORK_MODES for preset in (PAPER, DEFAULT)
+    },
+    COMBINED: Variant(RefineConfig("latent"), then=RefineConfig()),
+    BOTH_COMBINED: Variant(RefineConfig("encoder-decoder"), then=RefineConfig()),
+}
+# Adam's steps are as long for every number, however small its gradient: at the same rate the cloud falls apart.
+ADAM_RATE = 2e-3
+ABLATION = {
+    PAPER: POINTS[PAPER],
+    DEFAULT: POINTS[DEFAULT],
+    "no mirror plane": POINTS[NO_SYMMETRY],
+    "no smoothing": _made(stages=tuple(replace(stage, smoothness=0.0, nodes=NODES) for stage in BEST.stages)),
+    "one stage": _made(stages=(Stage(10.0, 3.0, 1.0, finest=True),)),
+    "64 cells in the last stage too": _made(stages=tuple(replace(stage, finest=False) for stage in BEST.stages)),
+    "anchor by the whole cloud alone": _made(local=False),
+    "no anchor": _made(anchor=0.0, least_anchor=0.0, most_anchor=0.0),
+    "points that hold all alike": _made(by_area=False),
+    "a cut object held like a whole one": _made(cut=1.0, unseen=1.0),
+    "what no picture shows moves like the rest": _made(unseen=1.0),
+    "anchor alike for all": _made(decay=0.0),
+    "anchor down to 30 where the start is far off": _made(least_anchor=30.0),
+    "no bounded reach": _made(stages=tuple(replace(stage, reach=1000.0) for stage in BEST.stages)),
+    "what pixels do not show pulled back too": _made(looks=False),
+    "Adam for each number": Variant(RefineConfig(learning_rate=ADAM_RATE, recipe=replace(BEST, optimiser=Adam))),
+    "Chamfer to the start added": Variant(RefineConfig(gamma=1e6)),
+}
+"""The default preset with one ingredient changed in each row, between the paper's and itself."""
+
+
+def variants_of(kind: str, ablation: bool) -> dict[str, Variant]:
+    """The variants that cases of that kind are refined with."""
+    if ablation:
+        return ABLATION
+    return {"network": NETWORK, "other": {**POINTS, **STEPS}}.get(kind, POINTS)
+
+
+def refined(
+    cases: list[AccuracyCase], variant: Variant, device: str, network: BaseNetwork | None
+) -> tuple[list[RefineResult], float | None]:
+    """The result of every case, and the seconds a case of a batch; None where there is none, as with networks, colours, meshes.
+
+    Raises TsoError where a case cannot be refined.
+    """
+    single = any(case.colours is not None or case.faces is not None for case in cases)
+    if single or (network is not None and variant.config.mode != "points"):
+        return [alone(case, variant, device, network)[0] for case in cases], None
+    start = time.perf_counter()
+    found = refine_batch(
+        [(case.initial, case.views[: variant.masks]) for case in cases], replace(variant.config, device=device)
+    )
+    seconds = (time.perf_counter() - start) / len(cases)
+    results = []
+    for result in found:
+        if isinstance(result, TsoError):
+            raise result
+        results.append(_whole(result))
+    return results, seconds
+
+
+def alone(case: AccuracyCase, variant: Variant, device: str, network: BaseNetwork | None) -> tuple[RefineResult, float]:
+    """The result of one case, refined by itself, and the seconds it took."""
+    config, views = replace(variant.config, device=device), case.views[: variant.masks]
+    start = time.perf_counter()
+    if config.mode == "points":
+        result = _whole(refine(case.initial, views, config=config, colours=case.colours, faces=case.faces))
+    else:
+        result = _whole(refine(None, views, config=config, network=network, image=case.image))
+    if variant.then is not None:
+        first = result
+        result = _whole(refine(first.points, views, config=replace(variant.then, device=device)))
+        before = [pair[0] for pair in first.view_ious]
+        result = replace(
+            result, iou_before=first.iou_before, view_ious=list(zip(before, (b for _, b in result.view_ious), strict=True))
+        )
+    return result, time.perf_counter() - start
+
+
+def _whole(result: RefineResult) -> RefineResult:
+    if result.stop_reason == "interrupted":  # the loop has swallowed Ctrl-C and kept its best
+        raise KeyboardInterrupt
+    return result

@@ -1,0 +1,112 @@
+"""Painted objects: clouds with colours, and photos that show them under a light."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...evaluation.metrics import chamfer
+from ...geometry.points import Array
+from ...geometry.view import View
+from ...render import RayScene
+from ...render.rays import AMBIENT, RAYS_ACROSS
+from .accuracy_cases import AccuracyCase
+from .evidence_cases import Alter, Truth
+
+# Waves of a paint, and their lengths (longest side 1): stripes and patches of the size of a window or a cheat line, up to whole
+# parts in one colour.
+WAVES, SHORTEST, LONGEST = 12, 0.1, 1.0
+# How sharp the edges between two colours are.
+SHARPNESS = 4.0
+# Waves by which a cloud is bent, and their lengths.
+BENDS, BEND_LENGTHS = 6, (0.8, 2.0)
+HALVINGS = 25
+
+Paint = Callable[[Array], Array]
+
+
+def paint_of(rng: np.random.Generator) -> Paint:
+    """Colours [..., 3] in [0, 1] of places [..., 3]: two of each channel's tones in patches with clear edges."""
+    lengths = np.exp(rng.uniform(np.log(SHORTEST), np.log(LONGEST), (3, WAVES, 1)))
+    directions = _directions(rng, (3, WAVES)) * (2.0 * np.pi / lengths)
+    phases, dark, light = rng.uniform(0.0, 2.0 * np.pi, (3, WAVES)), rng.uniform(0.1, 0.45, 3), rng.uniform(0.55, 0.9, 3)
+
+    def paint(places: Array) -> Array:
+        waves = np.cos(np.einsum("...k,cwk->...cw", places, directions) + phases).sum(-1) / np.sqrt(WAVES)
+        colours: Array = dark + (light - dark) * (0.5 + 0.5 * np.tanh(SHARPNESS * waves))
+        return colours
+
+    return paint
+
+
+def photo(scene: RayScene, view: View, paint: Paint, light: Array, exposure: float = 1.0) -> NDArray[np.float32]:
+    """[H, W, 3] in [0, 1]: the painted mesh under one far ``light`` (unit vector, world axes), on white; 25 rays a pixel."""
+    camera = view.camera
+    offsets = (np.arange(RAYS_ACROSS) + 0.5) / RAYS_ACROSS - 0.5
+    columns, rows = ((np.arange(size)[:, None] + offsets).ravel() for size in (camera.width, camera.height))
+    found = scene.cast(camera, columns, rows)
+    x, y = np.meshgrid((columns - camera.K[0, 2]) / camera.K[0, 0], (rows - camera.K[1, 2]) / camera.K[1, 1])
+    hit = found["hit"]
+    depth = found["depth"][hit][:, None]
+    places = (np.stack([x[hit], y[hit], np.ones(hit.sum())], 1) * depth - camera.t) @ camera.R
+    shade = AMBIENT + (1.0 - AMBIENT) * np.abs(found["normal"][hit] @ light)
+    image = np.ones((*hit.shape, 3))
+    image[hit] = np.minimum(exposure * shade[:, None] * paint(places), 1.0)
+    means: Array = image.reshape(camera.height, RAYS_ACROSS, camera.width, RAYS_ACROSS, 3).mean((1, 3))
+    return means.astype(np.float32)
+
+
+def painted(start: str, exposure: float | None) -> Alter:
+    """The object is painted, its photos are taken under a random light, and the cloud has colours of its own.
+
+    Parameters
+    ----------
+    start : "bent 2" or "bent 6", the true cloud in the object's own paint, bent by a smooth random field until it is that far
+        off (Chamfer x1000), or "other", the case's own start in another paint.
+    exposure : how many times as long as needed; None: no photo is taken.
+    """
+
+    def altered(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> AccuracyCase:
+        own, others, bend = paint_of(rng), paint_of(rng), _bend_of(rng)
+        lights = _directions(rng, (len(case.views),))
+        if start == "other":
+            initial, colours = case.initial, others(case.initial)
+        else:
+            again = case.dense[rng.choice(len(case.dense), len(case.target), replace=False)]
+            initial, colours = _bent(again, bend, case.target, 1e-3 * float(start.split()[1])), own(again)
+        if exposure is None:
+            return replace(case, initial=initial, colours=colours)
+        views = tuple(
+            replace(view, image=photo(truth.scene, view, own, light, exposure))
+            for view, light in zip(case.views, lights, strict=True)
+        )
+        return replace(case, initial=initial, colours=colours, views=views)
+
+    return altered
+
+
+def _bend_of(rng: np.random.Generator) -> Callable[[Array], Array]:
+    waves = _directions(rng, (BENDS,)) * (2.0 * np.pi / rng.uniform(*BEND_LENGTHS, (BENDS, 1)))
+    sizes, phases = rng.normal(size=(BENDS, 3)), rng.uniform(0.0, 2.0 * np.pi, BENDS)
+    return lambda points: np.cos(points @ waves.T + phases) @ sizes / np.sqrt(BENDS)
+
+
+def _bent(points: Array, bend: Callable[[Array], Array], target: Array, level: float) -> Array:
+    """``points`` moved along ``bend`` until they are ``level`` from ``target``; at once where they are that far already."""
+    field, low, high = bend(points), 0.0, 0.5
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2.0
+        near = chamfer(points + middle * field, target).chamfer < level
+        low, high = (middle, high) if near else (low, middle)
+    moved: Array = points + low * field
+    return moved
+
+
+def _directions(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
+    """Unit vectors [*shape, 3]."""
+    vectors = rng.normal(size=(*shape, 3))
+    directions: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return directions

@@ -1,0 +1,102 @@
+"""The shapes of one part of a split, as a study goes through them."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...datasets.splits import read_part
+from ...errors import InputError
+from ...geometry.points import Array
+from ...io.meshes import Mesh, find_meshes, read_mesh
+from ...render import RayScene, RenderedView, RenderSettings, ground_truth, normalise, render_view, sample_cameras
+
+SPLIT = Path(__file__).with_name("split.json")
+"""Training, validation and test types of the shapes that the shipped network is from."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A mesh file and its name in the split, CATEGORY/NAME."""
+
+    name: str
+    path: Path
+
+    @property
+    def category(self) -> str:
+        return self.name.split("/")[0]
+
+
+@dataclass(frozen=True, eq=False)
+class SeenShape:
+    """A shape and pictures of it.
+
+    Attributes
+    ----------
+    mesh : longest side 1, centred; scene : ready for casting rays at it.
+    target : [1024, 3] float64, the farthest-point subset of 16,384 samples of its surface.
+    views : pictures, masks and cameras.
+    """
+
+    mesh: Mesh
+    scene: RayScene
+    target: Array
+    views: list[RenderedView]
+
+
+def shapes_of_part(
+    folder: Path,
+    split_file: Path = SPLIT,
+    part: str = "test",
+    categories: Sequence[str] = (),
+    limit: int | None = None,
+) -> list[Shape]:
+    """The shapes of one part of a split, sorted by category, in the order of the split.
+
+    Parameters
+    ----------
+    folder : holds CATEGORY/NAME with a mesh's suffix for every name of the part.
+    part : "train", "validation" or "test".
+    categories : only these; empty for all.
+    limit : at most so many of each category, spread evenly over the list.
+
+    Raises
+    ------
+    InputError
+        The part or a category has no shape in the split, or a mesh is missing.
+    """
+    names = read_part(split_file, part)
+    if not names:
+        raise InputError(f"{split_file}: names no shape for {part}, expected some")
+    found = sorted({name.split("/")[0] for name in names})
+    for category in categories:
+        if category not in found:
+            raise InputError(f"{split_file}: names no {category} for {part}, expected some of {', '.join(found)}")
+    meshes = {path.relative_to(folder).with_suffix("").as_posix(): path for path in find_meshes(folder)}
+    chosen = []
+    for category in [name for name in found if not categories or name in categories]:
+        own = [name for name in names if name.split("/")[0] == category]
+        if limit is not None and limit < len(own):
+            own = [own[i] for i in np.linspace(0, len(own) - 1, limit).round().astype(int)]
+        chosen += own
+    missing = [name for name in chosen if name not in meshes]
+    if missing:
+        raise InputError(
+            f"{folder}: has no mesh {missing[0]} ({len(missing)} of {len(chosen)} are missing), expected those that "
+            f"{split_file} names for {part}"
+        )
+    return [Shape(name, meshes[name]) for name in chosen]
+
+
+def see(shape: Shape, settings: RenderSettings, seed: int) -> SeenShape:
+    """Render a shape; everything random depends on ``seed`` and its name alone, not on what else is studied."""
+    rng = np.random.default_rng([seed, zlib.crc32(shape.name.encode())])
+    mesh = normalise(read_mesh(shape.path))
+    target = ground_truth(mesh, settings, rng)[1].astype(np.float64)
+    scene = RayScene(mesh)
+    views = [render_view(scene, camera, rng) for camera in sample_cameras(settings, mesh.vertices, rng)]
+    return SeenShape(mesh, scene, target, views)

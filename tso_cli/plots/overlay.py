@@ -1,0 +1,186 @@
+"""The picture of one refinement: mask and silhouette, and the cloud from two sides, before and after.
+
+It is drawn with Pillow: importing matplotlib and laying out one figure takes five times as long as a small refinement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..evaluation.footprint import Seen, common_window, in_window
+from ..geometry.view import View
+from ..refinement import RefineResult
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+    Row = list[tuple[str, Image.Image]]
+
+Colour = tuple[float, float, float]
+
+# Safe for colour-blind readers: blue is missing, orange is too much.
+AGREED, MISSING, STRAY = (0.62, 0.65, 0.68), (0.0, 0.45, 0.70), (0.90, 0.45, 0.0)
+UNKNOWN = (0.93, 0.90, 0.80)
+LEGEND_ENTRIES = (
+    (AGREED, "agree"),
+    (MISSING, "mask without silhouette"),
+    (STRAY, "silhouette without mask"),
+    (UNKNOWN, "says nothing"),
+)
+# From near to far: yellow, green, blue, violet, each darker than the one before.
+NEAR_TO_FAR = np.array([(253, 231, 37), (94, 201, 98), (33, 145, 140), (59, 82, 139), (68, 1, 84)], np.float64)
+
+# Pixels: the side of a panel, the space around it and that above it for its title. Dots are drawn FINE times as large.
+PANEL, GAP, TITLE, LEGEND = 340, 24, 32, 44
+FINE = 3
+# Views that one picture shows.
+MOST_ROWS = 6
+# Of the usual 6 it takes 60 % of the time and 108 % of the size.
+COMPRESSION = 1
+
+
+def compare(seen: Seen) -> NDArray[np.float64]:
+    """[H, W, 3] picture: grey where mask and silhouette agree, blue where the silhouette is missing, orange where it strays."""
+    picture = np.ones((*seen.mask.shape, 3))
+    for where, colour in (
+        (seen.mask & seen.silhouette, AGREED),
+        (seen.mask & ~seen.silhouette, MISSING),
+        (~seen.mask & seen.silhouette, STRAY),
+    ):
+        picture[where] = colour
+    if seen.known is not None:
+        picture[~seen.known] = UNKNOWN
+    return picture
+
+
+def draw_overlay(path: Path, result: RefineResult, views: Sequence[View]) -> None:
+    """Write a picture of a result and of the views it was made from.
+
+    One view: a row before and a row after; mask against silhouette, the cloud from the camera, and from its right. Several: a
+    row for each, at most six, evenly chosen; mask against silhouette before and after, and the refined cloud from that camera.
+    Masks and silhouettes are shown in the square around the object in which their IoU is taken.
+
+    It is written straight to ``path``, for the caller to move where it belongs once all outputs are there.
+    """
+    heading = None
+    if len(views) == 1:
+        rows = _before_and_after(result, views[0])
+    else:
+        chosen = evenly_chosen(len(views), MOST_ROWS)
+        rows = [_row_of_view(result, views, number) for number in chosen]
+        every = f"{len(views)} views" if len(chosen) == len(views) else f"{len(chosen)} of {len(views)} views, evenly chosen"
+        heading = f"{every}: mask against silhouette before and after, and the refined cloud from each camera"
+    known = all(view.known is None for view in views)
+    _draw(rows, heading, LEGEND_ENTRIES[:3] if known else LEGEND_ENTRIES).save(path, format="PNG", compress_level=COMPRESSION)
+
+
+def evenly_chosen(count: int, most: int) -> list[int]:
+    """At most ``most`` of the numbers 0 to count - 1, first and last among them."""
+    numbers: list[int] = np.linspace(0, count - 1, min(count, most)).round().astype(int).tolist()
+    return numbers
+
+
+def _before_and_after(result: RefineResult, view: View) -> list[Row]:
+    seen = _from_camera(result, view)
+    silhouettes = _silhouettes(result, view, 0)
+    rows = []
+    for name, silhouette, (x, y, z), iou in zip(("before", "after"), silhouettes, seen, result.view_ious[0], strict=True):
+        # OpenCV axes: x right, y down, z away. From the right of the camera, what is far lies to the right.
+        rows.append(
+            [
+                (f"{name}: IoU {iou:.3f}", silhouette),
+                (f"{name}: from the camera", _dots(x, y, z)),
+                (f"{name}: from the camera's right", _dots(z, y, -x)),
+            ]
+        )
+    return rows
+
+
+def _row_of_view(result: RefineResult, views: Sequence[View], number: int) -> Row:
+    view, (before, after), weight = views[number], result.view_ious[number], result.view_weights[number]
+    shown_before, shown_after = _silhouettes(result, view, number)
+    return [
+        (f"view {number + 1} before: IoU {before:.3f}", shown_before),
+        (f"after: IoU {after:.3f}, weight {weight:.2f}", shown_after),
+        (f"after: from camera {number + 1}", _dots(*_from_camera(result, view)[1])),
+    ]
+
+
+def _from_camera(result: RefineResult, view: View) -> list[NDArray[np.float64]]:
+    """[3, N] the clouds before and after in the camera's axes, both shifted and scaled alike to fit a panel."""
+    rotated = [points @ view.camera.R.T for points in result.shown]
+    low = np.min([points.min(0) for points in rotated], axis=0)
+    high = np.max([points.max(0) for points in rotated], axis=0)
+    middle, half = (low + high) / 2.0, float((high - low).max()) * 0.53
+    return [((points - middle) / half).T for points in rotated]
+
+
+def _silhouettes(result: RefineResult, view: View, number: int) -> list[Image.Image]:
+    """Mask against silhouette before, seen by the camera as it was given, and after, seen by the one that was used."""
+    before, after = result.shown
+    stages = (before, view), (after, replace(view, camera=result.cameras[number]))
+    box = common_window(stages)
+    return [_fitted(compare(in_window(points, seen, box))) for points, seen in stages]
+
+
+def _draw(rows: list[Row], heading: str | None, entries: Sequence[tuple[Colour, str]]) -> Image.Image:
+    """Rows of three titled panels, the heading over and the legend under them."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    font = ImageFont.load_default(16)
+    over = TITLE if heading else 0
+    picture = Image.new("RGB", (3 * (PANEL + GAP) + GAP, over + len(rows) * (PANEL + TITLE) + LEGEND), "white")
+    draw = ImageDraw.Draw(picture)
+    if heading:
+        draw.text((picture.width / 2, over - 8), heading, "black", font, anchor="ms")
+    for i, row in enumerate(rows):
+        for j, (title, panel) in enumerate(row):
+            left = GAP + j * (PANEL + GAP) + (PANEL - panel.width) // 2
+            top = over + TITLE + i * (PANEL + TITLE) + (PANEL - panel.height) // 2
+            picture.paste(panel, (left, top))
+            draw.rectangle((left - 1, top - 1, left + panel.width, top + panel.height), outline="black")
+            draw.text((left + panel.width / 2, top - 8), title, "black", font, anchor="ms")
+    left, middle_y = GAP, picture.height - LEGEND // 2
+    for colour, label in entries:
+        draw.rectangle((left, middle_y - 6, left + 30, middle_y + 6), tuple(round(255 * c) for c in colour))
+        draw.text((left + 40, middle_y), label, "black", font, anchor="lm")
+        left += 40 + round(font.getlength(label)) + GAP
+    return picture
+
+
+def _fitted(colours: NDArray[np.float64]) -> Image.Image:
+    """[H, W, 3] in [0, 1] as a panel; larger pixels stay square."""
+    from PIL import Image
+
+    image = Image.fromarray(np.rint(colours * 255.0).astype(np.uint8))
+    scale = PANEL / max(image.size)
+    width, height = (max(1, round(side * scale)) for side in image.size)
+    return image.resize((width, height), Image.Resampling.NEAREST if scale >= 1.0 else Image.Resampling.BOX)
+
+
+def _dots(across: NDArray[np.float64], down: NDArray[np.float64], depth: NDArray[np.float64]) -> Image.Image:
+    """A panel of points with coordinates in [-1, 1] to the right and down, the nearer ones over the farther."""
+    from PIL import Image
+
+    side = PANEL * FINE
+    radius = FINE * float(np.clip(48.0 / np.sqrt(len(depth)), 0.4, 1.9))
+    around = np.arange(-int(radius), int(radius) + 1)
+    disc = (around[:, None] * side + around)[np.hypot(around[:, None], around) <= radius]
+    order = np.argsort(-depth)
+    place = np.rint((np.stack([across, down]) + 1.0) * (side / 2)).astype(np.int64)
+    shade = np.rint(np.interp(depth, (depth.min(), depth.max()), (0.0, 254.0))).astype(np.uint8)
+    canvas = np.full(side * side, 255, np.uint8)
+    # Of what is assigned to one place the last stays.
+    canvas[((place[1] * side + place[0])[order, None] + disc).ravel()] = shade[order].repeat(len(disc))
+    at = np.linspace(0.0, len(NEAR_TO_FAR) - 1.0, 255)
+    palette = np.stack([np.interp(at, np.arange(len(NEAR_TO_FAR)), channel) for channel in NEAR_TO_FAR.T], 1)
+    colours = np.vstack([np.rint(palette), [255, 255, 255]]).astype(np.uint8)
+    image = Image.fromarray(canvas.reshape(side, side))
+    image.putpalette(colours.tobytes())
+    return image.convert("RGB").resize((PANEL, PANEL), Image.Resampling.BOX)

@@ -1,0 +1,1 @@
+"""What pictures ask of points: projection, silhouette losses, mask and depth distances."""

@@ -1,0 +1,104 @@
+"""What a depth map asks of a cloud: reach the surface that it shows, and leave the space before it empty."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ..kernels.dispatch import whole_batches
+from ..kernels.nearest import nearest, nearest_in_rows
+from .mask_chamfer import REFERENCE_POINTS, REFERENCE_SIDE, robust
+from .projection import CameraBatch, Projected, pixels_under
+
+# A pixel's surface is reached once a point is this near to it, and a point is in front of a surface that is further than
+# this behind it: pixels of an image whose longer side has 64, at the surface's depth.
+REACHED_WITHIN = 0.7
+
+
+class DepthTarget(NamedTuple):
+    """What M depth maps ask of clouds.
+
+    Attributes
+    ----------
+    known : [M, H, W] bool, foreground pixels that have a depth.
+    surface : [M, H, W, 3] where their surface lies, in the frame of the cloud.
+    front : [M, H, W] the least depth of the pixel and its eight neighbours; minus infinity where the pixel has none.
+    per_unit : [M, H, W] pixels, of an image of 64, to a unit of length at that depth.
+    cameras : [M, 1].
+    """
+
+    known: Tensor
+    surface: Tensor
+    front: Tensor
+    per_unit: Tensor
+    cameras: CameraBatch
+
+    @classmethod
+    def of(cls, depth: Tensor, inside: Tensor, cameras: CameraBatch) -> DepthTarget:
+        """``depth`` [M, H, W], NaN where unknown; ``inside`` [M, H, W] bool, the foreground; M perspective cameras [M, 1]."""
+        known = inside & torch.isfinite(depth)
+        safe = torch.where(known, depth, 1.0)
+        height, width = depth.shape[1:]
+        rows, columns = (torch.arange(size, dtype=depth.dtype, device=depth.device) for size in (height, width))
+        u, v = torch.meshgrid(columns, rows, indexing="xy")
+        K, R, t = cameras.K, cameras.R, cameras.t  # [M, 1, 3, 3], [M, 1, 3]
+        rays = torch.stack([u, v, torch.ones_like(u)], -1) @ torch.linalg.inv(K).transpose(-1, -2)  # [M, H, W, 3]
+        surface = (rays * safe.unsqueeze(-1) - t.unsqueeze(-2)) @ R
+        # A point between two pixels may lie before one of them and on the surface all the same.
+        least = -torch.nn.functional.max_pool2d(-torch.where(known, depth, torch.inf).unsqueeze(1), 3, 1, 1).squeeze(1)
+        focal = (K[..., 0, 0] * K[..., 1, 1]).sqrt().unsqueeze(-1) * (REFERENCE_SIDE / max(height, width))
+        return cls(known, surface, torch.where(known, least, -torch.inf), focal / safe, cameras)
+
+    def pixels(self) -> Tensor:
+        """[M] pixels that have a depth, of an image of 64."""
+        return self.known.flatten(1).sum(1) * (REFERENCE_SIDE / max(self.known.shape[1:])) ** 2
+
+
+def depth_pull(points: Tensor, projected: Projected, target: DepthTarget, reach: float, counts: Tensor) -> Tensor:
+    """Pull points to surfaces that none has reached, and push back what lies in front of a surface.
+
+    A pixel whose surface is further than 0.7 px from the nearest point, in space, pulls that point; a point that lies more
+    than that before the least depth around its pixel is pushed back to it. Lengths are counted in pixels at the surface's
+    depth, and each pair costs what it does in `mask_pull`. What lies behind a surface is hidden: the map
+    says nothing of it.
+
+    Parameters
+    ----------
+    points : [M, N, 3]; projected : where they fall. counts : [M] points of each cloud.
+    reach : pixels of an image of 64.
+
+    Returns
+    -------
+    [M], differentiable in ``points``: sum over pixels of an image of 64, and over points as if a cloud had 1,024.
+    """
+    pixel_area = (REFERENCE_SIDE / max(target.known.shape[1:])) ** 2
+    index = _nearest(target, points, projected.valid)
+    image, row, column = torch.nonzero(index >= 0, as_tuple=True)
+    apart = points[image, index[image, row, column]] - target.surface[image, row, column]
+    squared = apart.square().sum(1) * target.per_unit[image, row, column] ** 2
+    asked = torch.where(squared.detach() > REACHED_WITHIN**2, robust(squared, reach), 0.0) * pixel_area
+    missed = points.new_zeros(len(points)).index_add(0, image, asked)
+
+    place, seen = pixels_under(*projected, *target.known.shape[1:])
+    front, per_unit = (image.flatten(1).gather(1, place) for image in (target.front, target.per_unit))
+    R, t = target.cameras.R[:, 0], target.cameras.t[:, 0]
+    depth = (points * R[:, 2].unsqueeze(1)).sum(-1) + t[:, 2].unsqueeze(1)
+    ahead = (front - depth) * per_unit
+    before = seen & (ahead.detach() > REACHED_WITHIN)
+    pushed = robust(torch.where(before, ahead, 0.0).square(), reach).sum(1)
+    return missed + pushed * (REFERENCE_POINTS / counts).to(points)
+
+
+def _nearest(target: DepthTarget, points: Tensor, valid: Tensor) -> Tensor:
+    """[M, H, W] index of the point nearest to each surface; -1 where there is none."""
+    shape = target.known.shape
+    if whole_batches(points):
+        return nearest_in_rows(target.surface.flatten(1, 2), points, valid, target.known.flatten(1)).view(shape)
+    index = torch.full(shape, -1, dtype=torch.int64)
+    for i, (known, surface) in enumerate(zip(target.known, target.surface, strict=True)):
+        alive = torch.nonzero(valid[i]).squeeze(1)
+        if len(alive) and known.any() and bool(torch.isfinite(points[i, alive].detach()).all()):
+            index[i, known] = alive[nearest(surface[known], points[i, alive])]
+    return index
