@@ -495,17 +495,17 @@ def test_a_photo_turned_by_its_exif_note_says_the_same_as_one_stored_upright(fol
 
 
 def test_an_interrupt_writes_the_best_so_far(folder, capsys, monkeypatch):
-    from tso_cli.refinement.objective import PullObjective
+    from tso_cli.refinement.objective import MaskChamferObjective
 
     calls = iter(range(100))
-    true_call = PullObjective.__call__
+    true_call = MaskChamferObjective.__call__
 
     def interrupted(self, moved, reach):
         if next(calls) == 8:  # one for the anchor, one for the start
             raise KeyboardInterrupt
         return true_call(self, moved, reach)
 
-    monkeypatch.setattr(PullObjective, "__call__", interrupted)
+    monkeypatch.setattr(MaskChamferObjective, "__call__", interrupted)
     assert tso("refine", "initial.ply", "mask.png", "--symmetry", "none") == 130
     assert "interrupted at step 6 of 48" in capsys.readouterr().err
     assert Path("initial.refined.ply").exists()

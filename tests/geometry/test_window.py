@@ -14,7 +14,7 @@ from tso_cli.geometry.window import window_around, window_of
 from tso_cli.io.clouds import read_cloud
 from tso_cli.lab.studies.evidence_cases import framed
 from tso_cli.refinement import PRESETS
-from tso_cli.refinement.objective import working_view
+from tso_cli.refinement.objective import resample_view
 from tso_cli.refinement.parameters import Cloud
 from tso_cli.refinement.problem import Item, finest_grid
 from tso_cli.scene.load import load_view
@@ -88,7 +88,7 @@ def test_an_image_that_the_object_fills_is_its_own_window():
     mask[2:62, 4:60] = 1.0
     view = View(mask, Camera.canonical(64, 64))
     assert window_of(view) == pytest.approx((-0.5, -0.5, 63.5, 63.5))
-    working = working_view(view, 0.4, np.zeros(3), 1.0, window_of(view))
+    working = resample_view(view, 0.4, np.zeros(3), 1.0, window_of(view))
     np.testing.assert_array_equal(working.mask, mask)
     np.testing.assert_allclose(working.camera.K, view.camera.K)
     assert working.known is None
@@ -97,29 +97,29 @@ def test_an_image_that_the_object_fills_is_its_own_window():
 def test_only_the_borders_of_the_image_cut_an_object():
     import torch
 
-    from tso_cli.silhouette.mask_chamfer import PullTarget
+    from tso_cli.silhouette.mask_chamfer import MaskTarget
 
     mask = np.zeros((200, 200), np.float32)
     mask[60:100, 0:40] = 1.0
     for shift, expected in ((0, True), (20, False), (160, True)):
         view = View(np.roll(mask, shift, 1), Camera.canonical(200, 200))
-        seen = working_view(view, 0.4, np.zeros(3), 1.0)
+        seen = resample_view(view, 0.4, np.zeros(3), 1.0)
         known = None if seen.known is None else torch.from_numpy(seen.known)[None]
-        target = PullTarget.of(torch.from_numpy(seen.mask)[None], known, torch.tensor([seen.bounds], dtype=torch.float64))
+        target = MaskTarget.of(torch.from_numpy(seen.mask)[None], known, torch.tensor([seen.bounds], dtype=torch.float64))
         assert (target.cut is not None) == expected
 
 
 def test_a_stray_beside_the_window_is_pulled_back_and_one_beside_the_photo_is_not():
     import torch
 
-    from tso_cli.silhouette.mask_chamfer import PullTarget, mask_pull
+    from tso_cli.silhouette.mask_chamfer import MaskTarget, mask_chamfer_loss
 
     mask = torch.zeros(1, 64, 64, dtype=torch.float64)
     mask[0, 24:40, 24:40] = 1.0
-    target = PullTarget.of(mask, bounds=torch.tensor([[-100.0, -10.0, 200.0, 80.0]], dtype=torch.float64))
+    target = MaskTarget.of(mask, bounds=torch.tensor([[-100.0, -10.0, 200.0, 80.0]], dtype=torch.float64))
     for place, pulled in (((-20.0, 32.0), True), (-150.0, False), ((80.0, -5.0), True), ((32.0, -12.0), False)):
         points = torch.tensor([[place if isinstance(place, tuple) else (place, 32.0)]], dtype=torch.float64, requires_grad=True)
-        mask_pull(
+        mask_chamfer_loss(
             points, torch.ones(1, 1, dtype=torch.bool), target._replace(inside=torch.zeros_like(target.inside)), 6.0
         ).sum().backward()
         assert bool(points.grad.any()) == pulled
@@ -233,6 +233,6 @@ def test_any_mask_lies_in_its_window(height, width, row, column, tall, wide):
     assert right >= box[2] - 1e-9
     assert bottom >= box[3] - 1e-9
     assert right - left == pytest.approx(bottom - top)
-    seen = working_view(view, 0.4, np.zeros(3), 1.0)
+    seen = resample_view(view, 0.4, np.zeros(3), 1.0)
     assert seen.inside.any()
     assert 0.0 <= seen.mask.min() <= seen.mask.max() <= 1.0 + 1e-9

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from tso_cli.kernels import dispatch as choice
-from tso_cli.kernels.dispatch import compiled_pays, planned
+from tso_cli.kernels.dispatch import planned, use_numba
 
 SMALL, LARGE = torch.zeros(1, 100, 2), torch.zeros(1, 8192, 2)
 
@@ -20,14 +20,14 @@ SMALL, LARGE = torch.zeros(1, 100, 2), torch.zeros(1, 8192, 2)
 def test_all_work_that_is_planned_counts_and_not_its_parts(monkeypatch, kept):
     monkeypatch.setattr(choice, "_on_disk", lambda: kept)
     with planned(1, 1):
-        assert not compiled_pays(LARGE)
+        assert not use_numba(LARGE)
     with planned(1_000_000, 100_000_000):
-        assert compiled_pays(SMALL)
-        assert not compiled_pays(SMALL.bfloat16())
+        assert use_numba(SMALL)
+        assert not use_numba(SMALL.bfloat16())
         with planned(1, 1):
-            assert compiled_pays(SMALL)
-    assert compiled_pays(LARGE)
-    assert not compiled_pays(SMALL)
+            assert use_numba(SMALL)
+    assert use_numba(LARGE)
+    assert not use_numba(SMALL)
 
 
 def test_work_that_pays_for_loading_but_not_for_compiling_waits_for_what_is_on_disk(monkeypatch):
@@ -35,15 +35,15 @@ def test_work_that_pays_for_loading_but_not_for_compiling_waits_for_what_is_on_d
     monkeypatch.setattr(choice, "_on_disk", lambda: True)
     with warnings.catch_warnings(), planned(*fifty_steps):
         warnings.simplefilter("error")
-        assert compiled_pays(SMALL)
+        assert use_numba(SMALL)
     monkeypatch.setattr(choice, "_on_disk", lambda: False)
     with planned(*fifty_steps):
         with pytest.warns(UserWarning, match="`tso compile` makes them once"):
-            assert not compiled_pays(SMALL)
+            assert not use_numba(SMALL)
         with warnings.catch_warnings():
             # said once, and the choice stays
             warnings.simplefilter("error")
-            assert not compiled_pays(SMALL)
+            assert not use_numba(SMALL)
 
 
 def test_what_tso_compile_keeps_is_all_that_a_refinement_asks_for(tmp_path):

@@ -19,7 +19,7 @@ from tso_cli.kernels.nearest import nearest_both_ways, nearest_in_rows, nearest_
 from tso_cli.kernels.splat import cheapest, splat
 from tso_cli.kernels.splat_reference import splat_exact
 from tso_cli.refinement.adam import Adam
-from tso_cli.refinement.objective import MaskObjective, working_view
+from tso_cli.refinement.objective import SilhouetteObjective, resample_view
 from tso_cli.silhouette import losses
 from tso_cli.silhouette.losses import ChamferToInitial, silhouette_bce
 
@@ -196,9 +196,9 @@ def test_a_step_of_many_clouds_never_waits_for_the_gpu(triton_kernels):
     for size in (9, 12, 14):
         mask = np.zeros((32, 32), np.float32)
         mask[8 : 8 + size, 8:24] = 1.0
-        views.append([working_view(View(mask, Camera.canonical(32, 32)), 0.4, np.zeros(3), 1.0)])
+        views.append([resample_view(View(mask, Camera.canonical(32, 32)), 0.4, np.zeros(3), 1.0)])
     counts, moved = torch.tensor([60, 60, 45]), (_random(17, 3, 60, 3) - 0.5).requires_grad_()
-    term, held, optimiser = MaskObjective(views, counts, moved), ChamferToInitial(moved, counts), Adam([moved], 1e-3)
+    term, held, optimiser = SilhouetteObjective(views, counts, moved), ChamferToInitial(moved, counts), Adam([moved], 1e-3)
     with _Operations() as operations:
         optimiser.step((term(moved) + held(moved)).sum())
     assert "mul" in operations.names

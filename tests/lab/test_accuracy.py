@@ -296,11 +296,11 @@ def test_a_study_changes_one_ingredient_of_the_preset_at_a_time(cars):
         return refine(case.initial, case.views[0], config=replace(config, steps=6)).points
 
     plain = moved(RefineConfig())
-    np.testing.assert_array_equal(moved(RefineConfig(recipe=BEST)), plain)
-    changed = {name: variant for name, variant in ABLATION.items() if variant.config.recipe is not None}
+    np.testing.assert_array_equal(moved(RefineConfig(coarse_to_fine=BEST)), plain)
+    changed = {name: variant for name, variant in ABLATION.items() if variant.config.coarse_to_fine is not None}
     assert len(changed) == 13
     for name, variant in changed.items():
-        recipe = variant.config.recipe
+        recipe = variant.config.coarse_to_fine
         differing = {key for key, value in vars(recipe).items() if value != getattr(BEST, key)}
         assert (
             differing == {"least_anchor", "most_anchor", "anchor"} or differing == {"cut", "unseen"} or len(differing) == 1

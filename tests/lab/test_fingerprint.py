@@ -86,7 +86,7 @@ def test_the_same_method_has_the_same_fingerprint_in_plain_and_in_compiled_loops
     record = stamped({"study": "points"})
     prints._known.clear()
     for module in (splat, nearest, projection, the_losses, pull):
-        monkeypatch.setattr(module, "compiled_pays", lambda points: compiled)
+        monkeypatch.setattr(module, "use_numba", lambda points: compiled)
     assert differences(record) == []
 
 

@@ -21,7 +21,7 @@ from tso_cli.lab.studies.variants_summary import VARIANTS, claims, summarise
 from tso_cli.lab.studies.visibility import visible_points
 from tso_cli.network import model as networks
 from tso_cli.network.model import NetworkConfig, build_network
-from tso_cli.refinement.objective import MaskObjective
+from tso_cli.refinement.objective import SilhouetteObjective
 from tso_cli.render import RayScene, RenderSettings, look_at
 
 from ..training import make_thin
@@ -329,7 +329,7 @@ def test_the_command_sets_its_table_beside_the_papers_and_draws_a_chart(command,
 def test_ctrl_c_keeps_the_shapes_done_and_the_command_goes_on_from_them(command, capsys, monkeypatch):
     arguments, output = command
     calls = iter(range(1000))
-    true_call = MaskObjective.__call__
+    true_call = SilhouetteObjective.__call__
 
     def interrupted(self, moved):
         if next(calls) == 7:  # the first shape takes two for each variant
@@ -337,7 +337,7 @@ def test_ctrl_c_keeps_the_shapes_done_and_the_command_goes_on_from_them(command,
         return true_call(self, moved)
 
     with monkeypatch.context() as patch:
-        patch.setattr(MaskObjective, "__call__", interrupted)
+        patch.setattr(SilhouetteObjective, "__call__", interrupted)
         assert tso(*arguments) == 130
     record = json.loads(output.read_text())
     assert not record["complete"]

@@ -21,10 +21,10 @@ from tso_cli.network.model import Encoder, build_network
 from tso_cli.refinement import PRESETS, RefineConfig, objective, refine, refine_batch
 from tso_cli.refinement import api as run
 from tso_cli.refinement import optimise as loop
-from tso_cli.refinement.coarse_to_fine import BEST, anchors_of
-from tso_cli.refinement.objective import MaskObjective, PullObjective
-from tso_cli.refinement.parameters import Cloud, NetworkStart
-from tso_cli.refinement.problem import Item
+from tso_cli.refinement.coarse_to_fine import BEST, prior_weights
+from tso_cli.refinement.objective import MaskChamferObjective, SilhouetteObjective
+from tso_cli.refinement.parameters import Cloud, NetworkParameters
+from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.smooth_field import SmoothField
 from tso_cli.render import look_at
 from tso_cli.silhouette.losses import chamfer
@@ -120,9 +120,9 @@ def test_a_grid_of_64_cells_loses_nothing_against_one_of_256(chair, monkeypatch)
     coarse = refine(points, mask, camera, PAPER)
 
     def fine(view, sigma_sq, centre, scale, box):
-        return objective.working_view(view, 0.4 * 4**2, centre, scale, box, 256)
+        return objective.resample_view(view, 0.4 * 4**2, centre, scale, box, 256)
 
-    monkeypatch.setattr("tso_cli.refinement.problem.working_view", fine)
+    monkeypatch.setattr("tso_cli.refinement.problem.resample_view", fine)
     full = refine(points, mask, camera, PAPER)
     assert not np.array_equal(coarse.points, full.points)
     assert _error(coarse.points) < 1.01 * _error(full.points)
@@ -167,12 +167,12 @@ def test_an_interrupt_keeps_the_best_so_far(chair):
 def test_a_loss_that_stops_being_a_number_keeps_the_best_before_it(chair, monkeypatch):
     points, mask, camera = chair
     calls = iter(range(1000))
-    true_call = MaskObjective.__call__
+    true_call = SilhouetteObjective.__call__
 
     def failing(self, moved):
         return true_call(self, moved) * (torch.nan if next(calls) >= 3 else 1.0)
 
-    monkeypatch.setattr(MaskObjective, "__call__", failing)
+    monkeypatch.setattr(SilhouetteObjective, "__call__", failing)
     result = refine(points, mask, camera, PAPER)
     assert (result.stop_reason, result.steps, result.best_step) == ("non_finite", 2, 2)
     assert np.isfinite(result.points).all()
@@ -190,13 +190,13 @@ def test_reading_the_losses_rarely_as_on_a_gpu_changes_no_result(chair, monkeypa
     rarely = refine(points, mask, camera)
     np.testing.assert_array_equal(rarely.points, expected.points)
     assert rarely.losses == expected.losses
-    true_call, calls = MaskObjective.__call__, []
+    true_call, calls = SilhouetteObjective.__call__, []
 
     def failing(self, moved):
         calls.append(1)
         return true_call(self, moved) * (torch.nan if len(calls) > 3 else 1.0)
 
-    monkeypatch.setattr(MaskObjective, "__call__", failing)
+    monkeypatch.setattr(SilhouetteObjective, "__call__", failing)
     result = refine(points, mask, camera, PAPER)
     assert (result.stop_reason, result.steps, result.best_step) == ("non_finite", 2, 2)
     assert len(calls) == loop.STEPS_UNREAD + 1
@@ -265,14 +265,14 @@ def test_a_network_mode_moves_only_its_own_numbers_and_leaves_the_network_as_it_
 
 def test_the_latent_vector_starts_at_the_prediction_and_its_cloud_is_always_the_decoders(photo):
     network, image, _ = photo
-    start = NetworkStart(network, image, "latent", torch.device("cpu"))
+    start = NetworkParameters(network, image, "latent", torch.device("cpu"))
     (latent,) = start.parameters
     assert latent.shape == (1, 128)
     with torch.no_grad():
         torch.testing.assert_close(torch.tensor(start.cloud.initial).float(), network(image[None])[0], rtol=0, atol=1e-6)
         latent += 0.1
         expected = (network.decoder(latent)[0].double().numpy() - start.cloud.centre) / start.cloud.scale
-        np.testing.assert_allclose(start.produce()[0].numpy(), expected, atol=1e-6)
+        np.testing.assert_allclose(start.forward()[0].numpy(), expected, atol=1e-6)
 
 
 def test_a_step_of_the_latent_variant_does_not_look_at_the_picture_again(photo, monkeypatch):
@@ -286,15 +286,15 @@ def test_a_step_of_the_latent_variant_does_not_look_at_the_picture_again(photo, 
 
 def test_the_gradient_by_the_latent_vector_is_that_of_finite_differences(photo):
     network, image, mask = photo
-    start = NetworkStart(network, image, "latent", torch.device("cpu"))
+    start = NetworkParameters(network, image, "latent", torch.device("cpu"))
     start._predict.double()
     latent = start.parameters[0].detach().double()
-    view = objective.working_view(View(mask, Camera.canonical(64, 64)), 0.4, start.cloud.centre, start.cloud.scale)
-    term = MaskObjective([[view]], start.counts, latent.new_zeros(1, 64, 3))
+    view = objective.resample_view(View(mask, Camera.canonical(64, 64)), 0.4, start.cloud.centre, start.cloud.scale)
+    term = SilhouetteObjective([[view]], start.counts, latent.new_zeros(1, 64, 3))
 
     def loss(values):
         start._given = values
-        return term(start.produce())
+        return term(start.forward())
 
     assert torch.autograd.gradcheck(loss, latent.requires_grad_(), eps=1e-6, atol=1e-3, rtol=1e-5)
 
@@ -379,12 +379,12 @@ def test_in_a_batch_one_that_cannot_be_refined_stops_no_other(chair, monkeypatch
     assert "behind the camera" in str(unseen)
     assert "points of scene 2" in str(nothing)
     calls = iter(range(1000))
-    true_call = MaskObjective.__call__
+    true_call = SilhouetteObjective.__call__
 
     def failing(self, moved):
         return true_call(self, moved) * torch.tensor([1.0, torch.nan if next(calls) >= 3 else 1.0])
 
-    monkeypatch.setattr(MaskObjective, "__call__", failing)
+    monkeypatch.setattr(SilhouetteObjective, "__call__", failing)
     whole, broken = refine_batch([scenes[0], scenes[0]], PAPER)
     assert (whole.stop_reason, whole.steps) == ("max_steps", 50)
     assert (broken.stop_reason, broken.steps, broken.best_step) == ("non_finite", 2, 2)
@@ -445,7 +445,7 @@ def test_what_no_picture_shows_stays_nearly_where_it_was():
     seen = camera.project(bar)[0][:, 0] > -0.5
     assert 0.3 < seen.mean() < 0.7
     mask = (silhouette_of(bar + [0.0, 0.06, 0.0], camera) > 0.5).astype(np.float32)
-    config = RefineConfig(symmetry="none", recipe=replace(BEST, least_anchor=0.0, most_anchor=0.0))
+    config = RefineConfig(symmetry="none", coarse_to_fine=replace(BEST, least_anchor=0.0, most_anchor=0.0))
     moved = refine(bar, mask, camera, config).points[:, 1] - bar[:, 1]
     assert moved[seen].mean() > 0.02
     assert np.abs(moved[~seen]).mean() < 0.15 * moved[seen].mean()
@@ -460,7 +460,7 @@ def test_the_result_is_a_mean_over_the_stages_and_the_last_counts_for_more_where
     def refined(*shares):
         stages = tuple(replace(stage, share=share) for stage, share in zip(BEST.stages, shares, strict=True))
         recipe = replace(BEST, stages=stages, least_anchor=0.0)
-        return refine(points, views, config=RefineConfig(symmetry="none", recipe=recipe))
+        return refine(points, views, config=RefineConfig(symmetry="none", coarse_to_fine=recipe))
 
     alone = [refined(*(1.0 if one == stage else 1e-12 for one in range(3))).points for stage in range(3)]
     found = refined(1.0, 2.0, 3.0)
@@ -476,7 +476,7 @@ def test_a_flipped_mask_counts_for_a_quarter_and_a_depth_map_as_a_mask(chair):
     depth = np.where(mask > 0.5, camera.t[2], 0.0)
 
     def pictures(views, symmetry="none", weights=(1.0, 1.0)):
-        item = Item.of(Cloud(points, "points"), tuple(views), RefineConfig(symmetry=symmetry).settings())
+        item = Problem.of(Cloud(points, "points"), tuple(views), RefineConfig(symmetry=symmetry).settings())
         return item.pictures(list(weights[: len(views)]))
 
     one, deep = View(mask, camera), View(mask, camera, depth=depth)
@@ -498,12 +498,12 @@ def test_what_takes_no_step_keeps_every_bit(chair, seed):
 def test_the_more_pictures_there_are_the_less_a_start_that_is_far_off_is_held(chair):
     points, mask, camera = chair
     cloud = Cloud(points, "points")
-    working = [Item.of(cloud, (View(mask, camera),), RefineConfig(symmetry="none").settings()).working]
+    working = [Problem.of(cloud, (View(mask, camera),), RefineConfig(symmetry="none").settings()).working]
     first, counts = torch.tensor(cloud.normalised(), dtype=torch.float32)[None], torch.tensor([len(points)])
-    pull, field = PullObjective(working, counts, first), SmoothField(first, counts)
+    pull, field = MaskChamferObjective(working, counts, first), SmoothField(first, counts)
     recipe = replace(BEST, anchor=1e-6, by_area=False)
     for pictures in (1.0, 1.25, 2.0):
-        found = anchors_of(first, counts, pull, field, recipe, torch.tensor([pictures]))
+        found = prior_weights(first, counts, pull, field, recipe, torch.tensor([pictures]))
         expected = torch.full_like(found, BEST.least_anchor / pictures**2 * 1024 / len(points))
         torch.testing.assert_close(found, expected)
 
@@ -522,8 +522,8 @@ def test_an_object_that_the_border_cuts_is_held_three_times_as_tightly(chair):
     field, recipe = SmoothField(first, counts), replace(BEST, anchor=1e-6, by_area=False)
     held = []
     for view in (View(mask, camera), _cut_off(View(mask, camera))):
-        working = [Item.of(cloud, (view,), RefineConfig(symmetry="none").settings()).working]
-        held.append(anchors_of(first, counts, PullObjective(working, counts, first), field, recipe))
+        working = [Problem.of(cloud, (view,), RefineConfig(symmetry="none").settings()).working]
+        held.append(prior_weights(first, counts, MaskChamferObjective(working, counts, first), field, recipe))
     torch.testing.assert_close(held[1], 3.0 * held[0])
 
 
@@ -536,9 +536,9 @@ def test_what_is_cut_off_in_all_pictures_is_as_unknown_with_two_as_with_one(chai
 
     def spied(*arguments):
         told.append(float(arguments[-1][0]))
-        return anchors_of(*arguments)
+        return prior_weights(*arguments)
 
-    monkeypatch.setattr("tso_cli.refinement.coarse_to_fine.anchors_of", spied)
+    monkeypatch.setattr("tso_cli.refinement.coarse_to_fine.prior_weights", spied)
     shown = [_cut_off(view) if gone else view for view, gone in zip(views, cut, strict=True)]
     refine(points, shown, config=RefineConfig(steps=3, symmetry="none"))
     assert told == [pytest.approx(expected, rel=0.05)] * len(told)

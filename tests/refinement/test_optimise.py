@@ -12,7 +12,7 @@ from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
 from tso_cli.network.model import build_network
 from tso_cli.refinement import RefineConfig, refine
-from tso_cli.refinement.objective import MaskObjective, working_view
+from tso_cli.refinement.objective import SilhouetteObjective, resample_view
 from tso_cli.refinement.optimise import descend
 
 
@@ -94,13 +94,13 @@ def test_a_network_that_breaks_at_once_says_so_and_gives_no_cloud():
 
 @pytest.mark.parametrize("where", ["behind the camera", "nowhere"])
 def test_a_view_that_shows_no_point_at_all_has_an_infinite_loss(where):
-    view = working_view(View(_square(), Camera.canonical(64, 64)), 0.4, np.zeros(3), 1.0)
+    view = resample_view(View(_square(), Camera.canonical(64, 64)), 0.4, np.zeros(3), 1.0)
     points = _clouds(3).detach() - 0.5
     points[1] = points[1] + torch.tensor([0.0, 0.0, 9.0]) if where == "behind the camera" else torch.nan
     # of the third cloud only a point is left
     points[2, 1:] += torch.tensor([0.0, 0.0, 9.0])
     leaf = points.requires_grad_()
-    loss = MaskObjective([[view]] * 3, torch.tensor([5, 5, 5]), leaf)(leaf)
+    loss = SilhouetteObjective([[view]] * 3, torch.tensor([5, 5, 5]), leaf)(leaf)
     assert torch.isfinite(loss).tolist() == [True, False, True]
     (slope,) = torch.autograd.grad(loss.sum(), leaf)
     assert torch.isfinite(slope[[0, 2]]).all()

@@ -11,14 +11,14 @@ from tso_cli import Camera, RefineConfig, refine
 from tso_cli.errors import InputError
 from tso_cli.geometry.view import View
 from tso_cli.refinement import refine_batch
-from tso_cli.refinement.objective import working_view
-from tso_cli.refinement.photometric import ColourPull, blurred, sampled
+from tso_cli.refinement.objective import resample_view
+from tso_cli.refinement.photometric import PhotometricLoss, blurred, sampled
 
 
-def pull(colours: np.ndarray, image: np.ndarray, start: np.ndarray, blur: float = 1.0) -> ColourPull:
+def pull(colours: np.ndarray, image: np.ndarray, start: np.ndarray, blur: float = 1.0) -> PhotometricLoss:
     like = torch.tensor(start, dtype=torch.float64)[None]
-    view = working_view(View(MASK, CAMERA, image=image), 0.4, np.zeros(3), 1.0)
-    made = ColourPull([view], [1.0], torch.tensor(colours), like)
+    view = resample_view(View(MASK, CAMERA, image=image), 0.4, np.zeros(3), 1.0)
+    made = PhotometricLoss([view], [1.0], torch.tensor(colours), like)
     made.look(like, blur)
     return made
 
@@ -169,7 +169,7 @@ def test_the_loop_averages_the_foreground_of_a_photo_and_nothing_else():
     image = np.where(mask[..., None] > 0.5, [0.2, 0.4, 0.6], 1.0)
     known = np.ones((256, 256), bool)
     image[100:110, 100:110], known[100:110, 100:110] = 0.0, False
-    found = working_view(View(mask, Camera.canonical(256, 256), known, image=image), 0.4, np.zeros(3), 1.0)
+    found = resample_view(View(mask, Camera.canonical(256, 256), known, image=image), 0.4, np.zeros(3), 1.0)
     assert found.image.shape == (64, 64, 3)
     assert np.allclose(found.image[found.inside], [0.2, 0.4, 0.6])
     assert not found.image[found.mask == 0.0].any()

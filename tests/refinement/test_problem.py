@@ -22,10 +22,10 @@ def _view(left: int = 25, side: int = 64) -> View:
     return View(mask, Camera.canonical(side, side))
 
 
-def _items(*sizes: int, views: int = 1) -> dict[int, batching.Item]:
+def _items(*sizes: int, views: int = 1) -> dict[int, batching.Problem]:
     config = RefineConfig(symmetry="none").settings()
     return {
-        number: batching.Item.of(run.Cloud(RANDOM.uniform(-0.3, 0.3, (size, 3)), "points"), (_view(),) * views, config)
+        number: batching.Problem.of(run.Cloud(RANDOM.uniform(-0.3, 0.3, (size, 3)), "points"), (_view(),) * views, config)
         for number, size in enumerate(sizes)
     }
 

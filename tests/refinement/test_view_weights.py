@@ -15,9 +15,9 @@ from tso_cli.geometry.view import View
 from tso_cli.io.cameras import read_camera
 from tso_cli.io.clouds import read_cloud
 from tso_cli.refinement import RefineConfig, refine, refine_batch
-from tso_cli.refinement.objective import working_view
+from tso_cli.refinement.objective import resample_view
 from tso_cli.refinement.parameters import Cloud
-from tso_cli.refinement.problem import Item
+from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.view_weights import Weights, told_once, view_weights
 from tso_cli.silhouette.projection import silhouette_of
 
@@ -55,7 +55,7 @@ def _seen(cloud: np.ndarray, camera: Camera) -> View:
 def weighed(points: np.ndarray, views: list[View]) -> Weights:
     """At the start, of one cloud."""
     cloud = Cloud(points, "points", colours=np.full_like(points, 0.5))
-    working = Item.of(cloud, tuple(views), RefineConfig(symmetry="none").settings()).working
+    working = Problem.of(cloud, tuple(views), RefineConfig(symmetry="none").settings()).working
     first = torch.tensor(cloud.normalised(), dtype=torch.float32)[None]
     return Weights.of([working], torch.tensor([len(points)]), first)
 
@@ -166,7 +166,7 @@ def test_the_size_of_an_object_in_the_picture_knows_no_resolution(chair):
     _, _, (view, *_) = chair
     finer = View(view.mask.repeat(2, 0).repeat(2, 1), view.camera.resized(128, 128))
     far = View(view.mask, replace(view.camera, t=view.camera.t * [1.0, 1.0, 2.0]))
-    size, same, half = (working_view(v, 0.4, np.zeros(3), 1.0).size for v in (view, finer, far))
+    size, same, half = (resample_view(v, 0.4, np.zeros(3), 1.0).size for v in (view, finer, far))
     assert same == pytest.approx(size)
     assert half == pytest.approx(size / 2)
     assert size == pytest.approx(120.0 / view.camera.t[2])

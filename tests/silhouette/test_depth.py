@@ -12,9 +12,9 @@ from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.points import normalise_longest_side
 from tso_cli.geometry.view import View
 from tso_cli.refinement import refine_batch
-from tso_cli.refinement.objective import PullObjective, working_view
+from tso_cli.refinement.objective import MaskChamferObjective, resample_view
 from tso_cli.refinement.symmetry import MirrorPlane
-from tso_cli.silhouette.depth import DepthTarget, depth_pull
+from tso_cli.silhouette.depth import DepthTarget, depth_loss
 from tso_cli.silhouette.projection import CameraBatch, Projected, project
 
 SIZE = 64
@@ -43,7 +43,7 @@ def loss(points: torch.Tensor, depth: np.ndarray, reach: float = 3.0) -> torch.T
     inside = torch.ones(1, SIZE, SIZE, dtype=torch.bool)
     target = DepthTarget.of(torch.tensor(depth, dtype=points.dtype)[None], inside, cameras)
     projected = Projected(*(found[:, 0] for found in project(points, cameras)))
-    return depth_pull(points, projected, target, reach, torch.tensor([points.shape[1]]))
+    return depth_loss(points, projected, target, reach, torch.tensor([points.shape[1]]))
 
 
 def grid(depth: float, step: float = 1.0) -> np.ndarray:
@@ -110,7 +110,7 @@ def test_the_loop_samples_a_depth_map_and_never_averages_across_its_edges():
     depth = np.where(np.arange(256) < 130, 2.0, 3.0)[None].repeat(256, 0)
     mask = np.zeros((256, 256), np.float32)
     mask[64:192, 64:192] = 1.0
-    found = working_view(View(mask, camera, depth=depth), 0.4, np.zeros(3), 2.0)
+    found = resample_view(View(mask, camera, depth=depth), 0.4, np.zeros(3), 2.0)
     assert found.depth.shape == (64, 64)
     assert set(np.unique(found.depth)) == {1.0, 1.5}
 
@@ -170,8 +170,8 @@ def test_views_with_and_without_a_depth_map_add_up():
     points = torch.tensor(start)[None]
 
     def total(*views: View) -> float:
-        working = [working_view(one, 0.4, np.zeros(3), 1.0) for one in views]
-        return float(PullObjective([working], torch.tensor([len(start)]), points)(points, 3.0))
+        working = [resample_view(one, 0.4, np.zeros(3), 1.0) for one in views]
+        return float(MaskChamferObjective([working], torch.tensor([len(start)]), points)(points, 3.0))
 
     assert total(view, other) == pytest.approx(total(view) + total(other), rel=1e-6)
     assert total(view) > total(View(view.mask, CAMERA)) + 10.0

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tso_cli.silhouette import mask_chamfer as pull
-from tso_cli.silhouette.mask_chamfer import COVERED_WITHIN, PullTarget, mask_pull, resolved
+from tso_cli.silhouette.mask_chamfer import COVERED_WITHIN, MaskTarget, mask_chamfer_loss, resolved
 
 
 def _mask(seed: int = 0, height: int = 24, width: int = 32) -> torch.Tensor:
@@ -23,7 +23,7 @@ def _points(count: int = 60, seed: int = 1) -> torch.Tensor:
 
 def _loss(points, mask, reach=3.0, valid=None, known=None, counts=None):
     valid = torch.ones(points.shape[:2], dtype=torch.bool) if valid is None else valid
-    return mask_pull(points, valid, PullTarget.of(mask, known), reach, counts)
+    return mask_chamfer_loss(points, valid, MaskTarget.of(mask, known), reach, counts)
 
 
 def test_a_lone_point_moves_toward_an_uncovered_pixel():
@@ -45,12 +45,12 @@ def test_a_covered_mask_asks_for_nothing():
 @pytest.mark.parametrize("grain", [1.0, 2.5, 6.0])
 def test_cells_that_a_point_covers_are_the_same_marked_or_measured(grain, monkeypatch):
     mask, points = _mask(), _points().requires_grad_()
-    target = PullTarget.of(mask, grain=torch.tensor([grain, 0.5 * grain]))
+    target = MaskTarget.of(mask, grain=torch.tensor([grain, 0.5 * grain]))
     valid = torch.arange(60).expand(2, 60) % 5 > 0
     found = []
     for most in (100.0, 0.0):
         monkeypatch.setattr(pull, "MARKED_WITHIN", most)
-        loss = mask_pull(points, valid, target, 3.0)
+        loss = mask_chamfer_loss(points, valid, target, 3.0)
         found.append((loss.detach(), *torch.autograd.grad(loss.sum(), points)))
     for marked, measured in zip(*found, strict=True):
         torch.testing.assert_close(measured, marked, rtol=1e-12, atol=1e-12)
@@ -89,7 +89,7 @@ def test_compiled_and_plain_agree(monkeypatch, dtype, cut):
     known = (torch.rand(mask.shape, generator=torch.Generator().manual_seed(1)) < 0.9).double()
     found = {}
     for compiled in (False, True):
-        monkeypatch.setattr(pull, "compiled_pays", lambda points, compiled=compiled: compiled)
+        monkeypatch.setattr(pull, "use_numba", lambda points, compiled=compiled: compiled)
         loss = _loss(points, mask, valid=valid, known=known, counts=torch.tensor([60, 50]))
         found[compiled] = loss.detach(), torch.autograd.grad(loss.sum(), points)[0]
     for plain, other in zip(found[False], found[True], strict=True):
@@ -122,11 +122,11 @@ def test_a_strip_thinner_than_a_pixel_tells_little_and_a_wider_one_all():
 
 def test_parts_are_pulled_back_as_far_as_pixels_resolve_them():
     points, mask = _points(), _mask()
-    valid, target = torch.ones(points.shape[:2], dtype=torch.bool), PullTarget.of(mask)
+    valid, target = torch.ones(points.shape[:2], dtype=torch.bool), MaskTarget.of(mask)
     every, half, none = (
-        mask_pull(points, valid, target, 3.0, shown=torch.full_like(points[..., 0], x)) for x in (0.0, 0.5, 1.0)
+        mask_chamfer_loss(points, valid, target, 3.0, shown=torch.full_like(points[..., 0], x)) for x in (0.0, 0.5, 1.0)
     )
-    torch.testing.assert_close(none, mask_pull(points, valid, target, 3.0))
+    torch.testing.assert_close(none, mask_chamfer_loss(points, valid, target, 3.0))
     torch.testing.assert_close(half, (every + none) / 2.0)
     assert (every < none).all()
     assert (every > 0.0).all()
@@ -137,14 +137,14 @@ def test_of_an_object_that_the_border_cuts_what_is_nearest_to_points_beyond_the_
     mask[0, 20:40, :30] = 1.0  # it goes on to the left
     points = torch.tensor([[[10.0, 30.0], [-6.0, 22.0]]], requires_grad=True)
     there = torch.ones(1, 2, dtype=torch.bool)
-    loss = mask_pull(points, there, PullTarget.of(mask), 6.0)
+    loss = mask_chamfer_loss(points, there, MaskTarget.of(mask), 6.0)
     (grad,) = torch.autograd.grad(loss.sum(), points)
     assert (grad[0, 1] == 0.0).all()
     # The same as a mask in which those pixels are unknown: the point inside is not drawn to where the other one may belong.
     rows, columns = torch.meshgrid(torch.arange(64.0), torch.arange(64.0), indexing="ij")
     to_each = [(columns - x).square() + (rows - y).square() for x, y in points.detach()[0].tolist()]
     known = (to_each[0] <= to_each[1]).float()[None]
-    alone = mask_pull(points[:, :1], there[:, :1], PullTarget.of(mask, known), 6.0, torch.tensor([2.0]))
+    alone = mask_chamfer_loss(points[:, :1], there[:, :1], MaskTarget.of(mask, known), 6.0, torch.tensor([2.0]))
     assert loss.item() == pytest.approx(alone.item(), rel=1e-6)
 
 
@@ -152,5 +152,5 @@ def test_of_an_object_that_is_seen_whole_a_point_beyond_the_border_is_drawn_in()
     mask = torch.zeros(1, 64, 64)
     mask[0, 20:40, 2:30] = 1.0
     point = torch.tensor([[[-6.0, 22.0]]], requires_grad=True)
-    mask_pull(point, torch.ones(1, 1, dtype=torch.bool), PullTarget.of(mask), 6.0).sum().backward()
+    mask_chamfer_loss(point, torch.ones(1, 1, dtype=torch.bool), MaskTarget.of(mask), 6.0).sum().backward()
     assert point.grad[0, 0, 0] < 0.0

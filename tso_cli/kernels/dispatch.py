@@ -81,7 +81,7 @@ def _on_disk() -> bool:
     return kept(compiled_mask._run, compiled_projection._project, compiled_static._search, compiled_pull._pull)
 
 
-def compiled_pays(points: Tensor) -> bool:
+def use_numba(points: Tensor) -> bool:
     """Whether compiled loops are to be used on ``points`` [M, N, D], in float32 or float64 on the CPU.
 
     Inside `planned` they are if they pay for all that is planned, else if M N is 8,192 or more. It depends on nothing

@@ -11,7 +11,7 @@ from .losses_numba import WithSlope
 from .nearest_numba import cell_edge, nearest_in_cells, sort_into_cells
 
 
-def mask_pull(
+def mask_chamfer_loss(
     points_px: Tensor,
     valid: Tensor,
     asked: Tensor,
@@ -27,7 +27,7 @@ def mask_pull(
     reach: float,
     weight: Tensor,
 ) -> Tensor:
-    """As `mask_pull`; ``asked`` [M, N] which points the masks tell something of, ``weight`` [M]
+    """As `mask_chamfer_loss`; ``asked`` [M, N] which points the masks tell something of, ``weight`` [M]
     times ``counted`` [M, N] what a stray point counts, ``scale`` pixels of 64 to
     one of the image."""
     total, slope = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)

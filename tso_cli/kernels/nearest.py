@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .dispatch import compiled_pays, triton_runs, whole_batches
+from .dispatch import triton_runs, use_numba, whole_batches
 
 # Clouds up to this size are compared pair by pair in compiled code; in larger ones a k-d tree finds its way faster.
 COMPARE_ALL_UP_TO = 8192
@@ -89,7 +89,7 @@ def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     Nothing is differentiable here; gather with the index and subtract.
     """
     smaller, larger = (a, b) if a.shape[1] <= b.shape[1] else (b, a)
-    if compiled_pays(smaller) and larger.shape[1] <= COMPARE_ALL_UP_TO:
+    if use_numba(smaller) and larger.shape[1] <= COMPARE_ALL_UP_TO:
         from .nearest_numba import nearest_both_ways as compare
 
         return compare(a, b)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from .dispatch import compiled_pays, triton_runs
+from .dispatch import triton_runs, use_numba
 from .splat_reference import splat_exact
 
 # A tap below this value changes no float32 sum; it fixes the window's radius.
@@ -74,7 +74,7 @@ def cheapest(points_px: Tensor, height: int, width: int, sigma_sq: float) -> str
     """
     if triton_runs(points_px):
         return "triton"
-    if compiled_pays(points_px):
+    if use_numba(points_px):
         return "compiled"
     taps = (2 * window_radius(sigma_sq) + 1) ** 2
     return "windowed" if TAP_COST * taps < height * width else "exact"

@@ -19,14 +19,14 @@ from ..geometry.camera import Camera
 from ..kernels.dispatch import planned
 from ..silhouette.losses import ChamferToInitial
 from .agreement import view_ious
-from .coarse_to_fine import BEST, descend_in_stages, held_and_pulled
+from .coarse_to_fine import BEST, coarse_to_fine_descent, mask_chamfer_with_prior
 from .config import PRESETS, RefineConfig, RefineResult, Settings, StopReason
 from .inputs import as_views
-from .objective import MaskObjective, PullObjective
+from .objective import MaskChamferObjective, SilhouetteObjective
 from .optimise import Descent, Objective, Progress, descend
-from .parameters import Carried, Cloud, NetworkStart, PointsStart
-from .photometric import ColourPull
-from .problem import Item, batches_of, parts_of
+from .parameters import Carried, Cloud, NetworkParameters, PointParameters
+from .photometric import PhotometricLoss
+from .problem import Problem, batches_of, parts_of
 from .result_warnings import remarks
 from .smooth_field import SmoothField
 from .view_weights import Weights
@@ -90,16 +90,16 @@ def refine(
     seconds: dict[str, float] = {}
     device = devices.resolve(settings.device)
     with _timed(seconds, "prepare"):
-        start: PointsStart | NetworkStart
+        start: PointParameters | NetworkParameters
         if settings.mode == "points":
             if points is None:
                 raise InputError("mode points needs points, found none")
             cloud = Cloud(points, "points", colours, faces)
-            start = PointsStart([cloud], device)
+            start = PointParameters([cloud], device)
         else:
-            start = NetworkStart(network, image, settings.mode, device)
+            start = NetworkParameters(network, image, settings.mode, device)
             cloud = start.cloud
-        item = Item.of(cloud, views, settings)
+        item = Problem.of(cloud, views, settings)
     with _planned([item], settings):
         (found,) = _refined([item], start, settings, seconds, progress)
     if isinstance(found, TsoError):
@@ -142,11 +142,11 @@ def refine_batch(
         raise InputError(f"mode is {settings.mode!r}, expected points for a batch")
     device = devices.resolve(settings.device)
     found: list[RefineResult | TsoError | None] = [None] * len(scenes)
-    items: dict[int, Item] = {}
+    items: dict[int, Problem] = {}
     for number, scene in enumerate(scenes):
         try:
             points, masks = parts_of(scene, number)
-            items[number] = Item.of(Cloud(points, f"points of scene {number}"), as_views(masks), settings)
+            items[number] = Problem.of(Cloud(points, f"points of scene {number}"), as_views(masks), settings)
         except TsoError as error:
             found[number] = error
     batches = batches_of(items, settings.staged)
@@ -161,7 +161,7 @@ def refine_batch(
 
         own = [items[number] for number in batch]
         with _timed(seconds, "prepare"):
-            start = PointsStart([item.cloud for item in own], device)
+            start = PointParameters([item.cloud for item in own], device)
         with _planned(list(items.values()), settings):
             results = _refined(own, start, settings, seconds, told if progress else None, at_start=interrupted)
         for number, result in zip(batch, results, strict=True):
@@ -171,7 +171,7 @@ def refine_batch(
     return [result for result in found if result is not None]
 
 
-def _planned(items: list[Item], settings: Settings) -> AbstractContextManager[None]:
+def _planned(items: list[Problem], settings: Settings) -> AbstractContextManager[None]:
     """All the work on the items, for `planned`."""
     steps = settings.steps // 2 if settings.staged else settings.steps  # of the pull, plain torch makes half as much work
     drawn = steps * sum(len(item.working) * len(item.cloud.initial) for item in items)
@@ -189,8 +189,8 @@ def compile_loops() -> None:
 
 
 def _refined(
-    items: list[Item],
-    start: PointsStart | NetworkStart,
+    items: list[Problem],
+    start: PointParameters | NetworkParameters,
     settings: Settings,
     seconds: dict[str, float],
     progress: Progress | None,
@@ -199,15 +199,15 @@ def _refined(
     """The loop, and the results of all items; ``at_start``: Ctrl-C came before it, and nothing moves."""
     small = int(start.counts.max()) <= SMALL_CLOUD
     one_thread = small and settings.mode in LIGHT
-    recipe = settings.recipe or BEST
+    recipe = settings.coarse_to_fine or BEST
     given = [item.views for item in items]
-    if settings.refine_camera and settings.steps and not at_start and isinstance(start, PointsStart):
+    if settings.refine_camera and settings.steps and not at_start and isinstance(start, PointParameters):
         from .camera_correction import settled
 
         with _timed(seconds, "cameras"), devices.one_thread(one_thread):
             items, at_start = settled(items, start, settings)
     with _timed(seconds, "prepare"), devices.one_thread(one_thread):
-        first = start.produce().detach().clone()
+        first = start.forward().detach().clone()
         chamfer = ChamferToInitial(first, start.counts)
         views = [item.working for item in items]
         weights = Weights.even(len(items), len(items[0].views))
@@ -226,7 +226,7 @@ def _refined(
         if settings.staged:
             following = _Following(items, start.counts, first, of_all)
             pictures = torch.tensor([item.pictures(own) for item, own in zip(items, weights.shared.tolist(), strict=True)])
-            descent = descend_in_stages(
+            descent = coarse_to_fine_descent(
                 first,
                 start.counts,
                 following,
@@ -243,15 +243,15 @@ def _refined(
         else:
             term: Objective
             if settings.preset == "best":
-                term = held_and_pulled(first, start.counts, PullObjective(views, start.counts, first, of_all))
+                term = mask_chamfer_with_prior(first, start.counts, MaskChamferObjective(views, start.counts, first, of_all))
             else:
-                term = MaskObjective(views, start.counts, first, of_all)
+                term = SilhouetteObjective(views, start.counts, first, of_all)
 
             def objective(moved: Tensor) -> Tensor:
                 loss = term(moved)
                 return loss + further(moved) if further else loss
 
-            descent = descend(start.produce, start.parameters, objective, steps, settings.learning_rate, told)
+            descent = descend(start.forward, start.parameters, objective, steps, settings.learning_rate, told)
         descent = replace(descent, interrupted=descent.interrupted or at_start)
     with _timed(seconds, "judge"), devices.one_thread(small):
         ways = descent.best.double() - first.double()
@@ -274,7 +274,7 @@ def _refined(
     ]
 
 
-def _agrees_less(item: Item, ious: list[tuple[float, float]], weights: list[float]) -> bool:
+def _agrees_less(item: Problem, ious: list[tuple[float, float]], weights: list[float]) -> bool:
     """Whether the masks are all that was asked, and the silhouette agrees less with them than that of the start.
 
     The pull may be less all the same, as it counts how far off cells are: so a start that is right would be led away from the
@@ -294,11 +294,11 @@ class _Following:
     items : as they are seen now.
     """
 
-    def __init__(self, items: list[Item], counts: Tensor, first: Tensor, weights: Tensor) -> None:
+    def __init__(self, items: list[Problem], counts: Tensor, first: Tensor, weights: Tensor) -> None:
         self.items, self._counts, self._first, self._weights = items, counts, first, weights
-        self._pull: PullObjective | None = None
+        self._pull: MaskChamferObjective | None = None
 
-    def __call__(self, points: Tensor, finest: bool) -> PullObjective:
+    def __call__(self, points: Tensor, finest: bool) -> MaskChamferObjective:
         items = self.items
         if self._pull is not None or finest:
             clouds = points.double().cpu().numpy()
@@ -313,41 +313,41 @@ class _Following:
             for now, before in zip(own, item.working, strict=True)
         ):
             self.items = items
-            self._pull = PullObjective(views, self._counts, self._first, self._weights)
+            self._pull = MaskChamferObjective(views, self._counts, self._first, self._weights)
         return self._pull
 
 
-def _coloured(items: list[Item], weights: Tensor, first: Tensor) -> ColourPull | None:
+def _coloured(items: list[Problem], weights: Tensor, first: Tensor) -> PhotometricLoss | None:
     """What images ask: of a single cloud, those of a batch have no colours."""
     # Paint, lettering above all, is not its own mirror image where the shape is.
     views, colours = items[0].working[: len(items[0].views)], items[0].cloud.colours
     if colours is None or all(view.image is None for view in views):
         return None
-    return ColourPull(views, weights[0].tolist(), torch.from_numpy(colours), first)
+    return PhotometricLoss(views, weights[0].tolist(), torch.from_numpy(colours), first)
 
 
 def _mirrored(
-    items: list[Item],
+    items: list[Problem],
     counts: Tensor,
     first: Tensor,
     weights: Tensor,
     settings: Settings,
     at_start: bool,
     fields: dict[int, SmoothField],
-) -> tuple[list[Item], Tensor, bool]:
-    """The items, the weights of all their views, and whether Ctrl-C came, as `borne_out`."""
+) -> tuple[list[Problem], Tensor, bool]:
+    """The items, the weights of all their views, and whether Ctrl-C came, as `verified_symmetry`."""
     if len(items[0].working) == weights.shape[1]:
         return items, weights, at_start
     if settings.symmetry == "auto" and settings.steps and not at_start:
-        from .symmetry_check import borne_out
+        from .symmetry_check import verified_symmetry
 
-        return borne_out(items, counts, first, weights, settings, fields)
+        return verified_symmetry(items, counts, first, weights, settings, fields)
     # What the mirror image shows is worth what its picture is.
     return items, weights.repeat(1, 2), at_start
 
 
 def _result(
-    item: Item,
+    item: Problem,
     descent: Descent,
     number: int,
     end: Carried,

@@ -13,19 +13,19 @@ from ..geometry.window import window_around, window_of
 from ..silhouette.losses import ChamferToInitial
 from .camera_moves import CameraMoves, moved_camera
 from .config import PAPER_GAMMA, PAPER_LEARNING_RATE, PAPER_STEPS, Settings
-from .objective import MaskObjective, PullObjective, working_view
+from .objective import MaskChamferObjective, SilhouetteObjective, resample_view
 from .optimise import descend
-from .parameters import PointsStart
-from .problem import Item
+from .parameters import PointParameters
+from .problem import Problem
 
 # A correction is accepted if it alone takes the misfit of the start in that view to under this share: the silhouette of a
 # wrong shape asks for corrections of a right camera too, but no camera makes a wrong shape fit.
 LEFT = 0.38
-# The misfit is `mask_pull` with this reach, cells: unlike the silhouette's it is near 0 for a cloud that fits.
+# The misfit is `mask_chamfer_loss` with this reach, cells: unlike the silhouette's it is near 0 for a cloud that fits.
 REACH = 4.0
 
 
-def settled(items: Sequence[Item], start: PointsStart, settings: Settings) -> tuple[list[Item], bool]:
+def settled(items: Sequence[Problem], start: PointParameters, settings: Settings) -> tuple[list[Problem], bool]:
     """The items with the cameras corrected that need it, and whether Ctrl-C kept them as they were.
 
     Points and cameras are moved together with the paper's settings, the points held near their start (which pins what a move
@@ -37,14 +37,14 @@ def settled(items: Sequence[Item], start: PointsStart, settings: Settings) -> tu
     ----------
     items : each asked by as many views, of the same kinds. start : of their clouds; it is left as it is.
     """
-    first = start.produce().detach().clone()
+    first = start.forward().detach().clone()
     points = first.clone().requires_grad_()
     chamfer = ChamferToInitial(first, start.counts)
     rate, gamma = PAPER_LEARNING_RATE["points"], PAPER_GAMMA["points"]
     # The mirror image of a wrong camera is wrong as well.
     working = [item.working[: len(item.views)] for item in items]
     moves = CameraMoves([[view.camera for view in own] for own in working], points, rate)
-    mask_term = MaskObjective(working, start.counts, points)
+    mask_term = SilhouetteObjective(working, start.counts, points)
     mask_term.moves = moves
     size = points.shape[1]
 
@@ -75,7 +75,7 @@ def settled(items: Sequence[Item], start: PointsStart, settings: Settings) -> tu
 
 
 def _misfits(
-    items: Sequence[Item], corrected: Sequence[tuple[View, ...]], counts: Tensor, points: Tensor
+    items: Sequence[Problem], corrected: Sequence[tuple[View, ...]], counts: Tensor, points: Tensor
 ) -> tuple[Tensor, ...]:
     """How far ``points`` [B, N, 3] are from what each view asks, [B, V] as it is and as it is corrected.
 
@@ -88,8 +88,8 @@ def _misfits(
             seen, other, cloud = item.working[number], others[number], item.cloud
             box = window_around(seen.box, window_of(other, cloud.initial))
             pairs.append(
-                [working_view(view, seen.sigma_sq, cloud.centre, cloud.scale, box) for view in (item.views[number], other)]
+                [resample_view(view, seen.sigma_sq, cloud.centre, cloud.scale, box) for view in (item.views[number], other)]
             )
-        own = [PullObjective([[view] for view in column], counts, points) for column in zip(*pairs, strict=True)]
+        own = [MaskChamferObjective([[view] for view in column], counts, points) for column in zip(*pairs, strict=True)]
         found.append(torch.stack([pull(points, REACH) for pull in own]))
     return torch.stack(found, 2).unbind()

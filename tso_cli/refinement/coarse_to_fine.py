@@ -11,9 +11,9 @@ from torch import Tensor
 
 from ..silhouette.mask_chamfer import REFERENCE_POINTS
 from .adam import Adam, UniformAdam
-from .objective import PullObjective
+from .objective import MaskChamferObjective
 from .optimise import Descent, Objective, Progress, descend
-from .photometric import ColourPull
+from .photometric import PhotometricLoss
 from .smooth_field import NODES, SmoothField
 
 
@@ -23,10 +23,10 @@ class Stage:
 
     Parameters
     ----------
-    smoothness : lambda of `SmoothField`. reach : of `mask_pull`, px.
+    smoothness : lambda of `SmoothField`. reach : of `mask_chamfer_loss`, px.
     pace : share of the learning rate. nodes : of the field.
     share : of its best iterate in the result, a mean over the stages.
-    blur : of `ColourPull.look`, px.
+    blur : of `PhotometricLoss.look`, px.
     finest : on the grid of `finest_grid` cells a side in place of 64. Lengths stay stated in
         64ths of the window.
     """
@@ -55,7 +55,7 @@ LOCAL_FROM, LOCAL_SMOOTHNESS = 1.0, 1.0
 
 
 @dataclass(frozen=True)
-class Recipe:
+class CoarseToFineConfig:
     """What the preset is made of; a study changes one ingredient at a time.
 
     Parameters
@@ -86,18 +86,20 @@ class Recipe:
     local: bool = False
 
 
-BEST = Recipe(local=True)
+BEST = CoarseToFineConfig(local=True)
 # Of the modes that move a network: its weights take many points along anyway, and where its prediction is far off the picture
 # it has mistaken the shape, which no small change of weights puts right.
-NETWORK = Recipe(stages=(Stage(0.0, 3.0, 1.0),), anchor=500.0, decay=0.5, least_anchor=30.0)
+NETWORK = CoarseToFineConfig(stages=(Stage(0.0, 3.0, 1.0),), anchor=500.0, decay=0.5, least_anchor=30.0)
 
 
-def held_and_pulled(first: Tensor, counts: Tensor, pull: PullObjective, recipe: Recipe = NETWORK) -> Objective:
+def mask_chamfer_with_prior(
+    first: Tensor, counts: Tensor, pull: MaskChamferObjective, config: CoarseToFineConfig = NETWORK
+) -> Objective:
     """The pull of the masks and what it costs to leave the start, for B clouds ``first`` [B, N, 3] of ``counts`` [B] points."""
     field = SmoothField(first, counts)
-    anchors = anchors_of(first, counts, pull, field, recipe)
+    anchors = prior_weights(first, counts, pull, field, config)
     pull.look(first, field)
-    (stage,) = recipe.stages
+    (stage,) = config.stages
 
     def objective(moved: Tensor) -> Tensor:
         return pull(moved, stage.reach) + cost(moved, first, anchors)
@@ -105,22 +107,27 @@ def held_and_pulled(first: Tensor, counts: Tensor, pull: PullObjective, recipe: 
     return objective
 
 
-def anchors_of(
-    first: Tensor, counts: Tensor, pull: PullObjective, field: SmoothField, recipe: Recipe, pictures: Tensor | None = None
+def prior_weights(
+    first: Tensor,
+    counts: Tensor,
+    pull: MaskChamferObjective,
+    field: SmoothField,
+    config: CoarseToFineConfig,
+    pictures: Tensor | None = None,
 ) -> Tensor:
-    """[B, N] what the square of a point's way from its start costs; ``pictures`` as in `descend_in_stages`."""
+    """[B, N] what the square of a point's way from its start costs; ``pictures`` as in `coarse_to_fine_descent`."""
     off = (pull(first, ANCHOR_REACH) / pull.pixels).unsqueeze(1)
-    if recipe.local:
+    if config.local:
         each = pull.of_points(first, ANCHOR_REACH) * (counts.to(first) / pull.pixels).unsqueeze(1)
         around = field.averaged(each, LOCAL_SMOOTHNESS)
         off = torch.maximum(off, torch.where(around > LOCAL_FROM, around, 0.0))
     # What one picture leaves open others tell: the start is needed less.
-    least = (recipe.least_anchor / _squared(pictures, first)).unsqueeze(1)
-    trusted = torch.maximum((recipe.anchor / off**recipe.decay).clamp_max(recipe.most_anchor), least)
+    least = (config.least_anchor / _squared(pictures, first)).unsqueeze(1)
+    trusted = torch.maximum((config.anchor / off**config.decay).clamp_max(config.most_anchor), least)
     each = trusted * (REFERENCE_POINTS / counts).to(first).unsqueeze(1)
     # What holds a piece of surface is as strong where points are few as where they are many.
-    areas = field.areas(first, counts) if recipe.by_area else torch.ones_like(first[..., 0])
-    each = torch.where(pull.cut.unsqueeze(1), recipe.cut * each, each)
+    areas = field.areas(first, counts) if config.by_area else torch.ones_like(first[..., 0])
+    each = torch.where(pull.cut.unsqueeze(1), config.cut * each, each)
     return each * areas
 
 
@@ -133,17 +140,17 @@ def cost(moved: Tensor, first: Tensor, anchors: Tensor) -> Tensor:
     return (anchors * (moved - first).square().sum(2)).sum(1)
 
 
-def descend_in_stages(
+def coarse_to_fine_descent(
     first: Tensor,
     counts: Tensor,
-    pull_at: Callable[[Tensor, bool], PullObjective],
+    pull_at: Callable[[Tensor, bool], MaskChamferObjective],
     further: Objective | None,
     steps: int,
     learning_rate: float,
     progress: Progress | None = None,
-    recipe: Recipe = BEST,
+    config: CoarseToFineConfig = BEST,
     fields: dict[int, SmoothField] | None = None,
-    colours: ColourPull | None = None,
+    colours: PhotometricLoss | None = None,
     pictures: Tensor | None = None,
 ) -> Descent:
     """Move B clouds by smooth fields.
@@ -155,10 +162,10 @@ def descend_in_stages(
         on the finest grids or on those of 64 cells. further : another term, or None.
     steps : of all stages together.
     learning_rate : about how far the node that is pulled hardest moves in one of the first steps.
-    recipe : what else the descent is made of.
+    config : what else the descent is made of.
     fields : those of ``first`` by their nodes, as far as they are known; further ones are added.
     colours : of the one cloud, None where no image asks for them.
-    pictures : [B] how much each goes by, `Item.pictures`; None for one mask. The more there
+    pictures : [B] how much each goes by, `Problem.pictures`; None for one mask. The more there
         are the less is the last stage's detail a guess: its share of the result grows with their square.
 
     Returns
@@ -170,13 +177,13 @@ def descend_in_stages(
     if pictures is not None:
         # What is cut off in all of them is as unknown with many as with one.
         pictures = torch.where(pull.cut.to(pictures.device), 1.0, pictures)
-    stages = recipe.stages
+    stages = config.stages
     fields = {} if fields is None else fields
     for nodes in {stage.nodes for stage in stages} - fields.keys():
         fields[nodes] = SmoothField(first, counts, nodes)
     finest = fields[max(stage.nodes for stage in stages)]
-    anchors = anchors_of(first, counts, pull, finest, recipe, pictures)
-    followed = torch.where(pull.asked(first), 1.0, recipe.unseen).to(first).unsqueeze(-1)
+    anchors = prior_weights(first, counts, pull, finest, config, pictures)
+    followed = torch.where(pull.asked(first), 1.0, config.unseen).to(first).unsqueeze(-1)
 
     def objective(moved: Tensor) -> Tensor:
         loss = pull(moved, stage.reach) + cost(moved, first, anchors)
@@ -190,8 +197,8 @@ def descend_in_stages(
         field = fields[stage.nodes]
         seen_before, pull = pull, pull_at(found, stage.finest)
         if pull is not seen_before:
-            anchors = anchors_of(first, counts, pull, finest, recipe, pictures)
-        if recipe.looks:
+            anchors = prior_weights(first, counts, pull, finest, config, pictures)
+        if config.looks:
             pull.look(found, finest)
         if colours:
             colours.look(found, stage.blur)
@@ -208,7 +215,7 @@ def descend_in_stages(
             progress(before + step, steps, loss)
 
         rate = stage.pace * learning_rate
-        part = descend(produce, [moving], objective, end - done, rate, told if progress else None, recipe.optimiser)
+        part = descend(produce, [moving], objective, end - done, rate, told if progress else None, config.optimiser)
         parts.append(part)
         found, done = part.best, end
         if part.interrupted:

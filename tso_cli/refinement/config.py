@@ -14,7 +14,7 @@ from ..geometry.camera import Camera
 from ..geometry.window import Box
 
 if TYPE_CHECKING:
-    from .coarse_to_fine import Recipe
+    from .coarse_to_fine import CoarseToFineConfig
 
 MODES = ("points", "encoder", "encoder-decoder", "latent")
 # The paper's steps, learning rates, and gamma: the encoder variant uses the silhouette alone. It has no latent variant: ours.
@@ -61,7 +61,7 @@ class RefineConfig:
         "y", "z", the axis of the input normal to a plane through the middle of its bounding box; or "a,b,c,d", the plane
         ax + by + cz = d.
     refine_camera : correct the camera of each view first, held near the given one; points mode.
-    recipe : what the preset "best" of points mode is made of, for studies; None for `BEST`.
+    coarse_to_fine : what the preset "best" of points mode is made of, for studies; None for `BEST`.
 
     Raises
     ------
@@ -79,7 +79,7 @@ class RefineConfig:
     preset: str = "best"
     symmetry: str | None = None
     refine_camera: bool = False
-    recipe: Recipe | None = None
+    coarse_to_fine: CoarseToFineConfig | None = None
 
     def __post_init__(self) -> None:
         for name, known in (("mode", MODES), ("preset", PRESETS)):
@@ -97,7 +97,7 @@ class RefineConfig:
                 raise InputError(f"{name} is {value!r}, expected a number {'>= 0' if low else '> 0'}, at most {high:g}")
         if self.symmetry is not None:
             parse_symmetry(self.symmetry)
-        if self.recipe is not None and (self.preset, self.mode) != ("best", "points"):
+        if self.coarse_to_fine is not None and (self.preset, self.mode) != ("best", "points"):
             raise InputError(f"a recipe is for mode points with preset best, found {self.mode} with {self.preset}")
 
     def settings(self, views: int = 1) -> Settings:
@@ -118,13 +118,13 @@ class RefineConfig:
             device=self.device,
             seed=self.seed,
             refine_camera=self.refine_camera,
-            recipe=self.recipe,
+            coarse_to_fine=self.coarse_to_fine,
         )
 
 
 @dataclass(frozen=True)
 class Settings:
-    """A `RefineConfig` whose every value is known, but for ``recipe``."""
+    """A `RefineConfig` whose every value is known, but for ``coarse_to_fine``."""
 
     mode: str
     preset: str
@@ -136,7 +136,7 @@ class Settings:
     device: str
     seed: int
     refine_camera: bool
-    recipe: Recipe | None
+    coarse_to_fine: CoarseToFineConfig | None
 
     @property
     def staged(self) -> bool:

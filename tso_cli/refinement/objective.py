@@ -16,9 +16,9 @@ from ..geometry.camera import NEAR, Camera
 from ..geometry.resampling import area_resize
 from ..geometry.view import View
 from ..geometry.window import Array, Box, window_of
-from ..silhouette.depth import DepthTarget, depth_pull
+from ..silhouette.depth import DepthTarget, depth_loss
 from ..silhouette.losses import REFERENCE_PIXELS, PixelWeights, mask_loss
-from ..silhouette.mask_chamfer import PullTarget, mask_pull, pull_of_points, resolved, sides
+from ..silhouette.mask_chamfer import MaskTarget, mask_chamfer_loss, mask_chamfer_of_points, resolved, sides
 from ..silhouette.projection import CameraBatch, Projected, project
 from .smooth_field import SmoothField
 
@@ -30,7 +30,7 @@ CELLS = 64
 
 
 @dataclass(frozen=True, eq=False)
-class WorkingView:
+class ResampledView:
     """A view as the loop sees it: its window (`window_of`) on a grid of square cells.
 
     Attributes
@@ -77,9 +77,9 @@ class WorkingView:
         return float(np.sqrt(camera.K[0, 0] * camera.K[1, 1] * REFERENCE_PIXELS / (camera.width * camera.height)) / depth)
 
 
-def working_view(
+def resample_view(
     view: View, sigma_sq: float, centre: Array, scale: float, box: Box | None = None, cells: int = CELLS
-) -> WorkingView:
+) -> ResampledView:
     """Prepare ``view`` for a cloud normalised by ``(X - centre) / scale``.
 
     What lies in the window is averaged by area to the cells, or interpolated linearly where they are smaller than pixels.
@@ -106,7 +106,7 @@ def working_view(
         image = area_resize(view.image, box, cells, cells, weights=view.inside, interpolate=True)[0]
     depth = None if view.depth is None else _sampled(view.depth, box, cells) / scale
     known = None if view.known is None and weight.min() >= 1.0 - 1e-9 else weight
-    found = WorkingView(
+    found = ResampledView(
         mask, known, camera.for_normalised(centre, scale), sigma_sq, box, _image_in(box, view.camera, cells), depth, image
     )
     if not found.inside.any():
@@ -140,12 +140,12 @@ def _sampled(depth: Array, box: Box, cells: int) -> Array:
     return np.where(there, depth[rows.clip(0, height - 1)[:, None], columns.clip(0, width - 1)], np.nan)
 
 
-class MaskObjective:
+class SilhouetteObjective:
     """Weighted sum over views of the silhouette's cross-entropy (Eq. 4), for B clouds that are asked by views of their own.
 
     Parameters
     ----------
-    views : [B][V] views of each cloud; view v is of one kind (`WorkingView.kind`) for all clouds.
+    views : [B][V] views of each cloud; view v is of one kind (`ResampledView.kind`) for all clouds.
     counts : [B] points of each cloud, those behind them are not there.
     like : [B, N, 3] tensor whose precision and device are used.
     weights : [B, V] of the views' losses; None for 1.
@@ -156,17 +156,17 @@ class MaskObjective:
     """
 
     def __init__(
-        self, views: Sequence[Sequence[WorkingView]], counts: Tensor, like: Tensor, weights: Tensor | None = None
+        self, views: Sequence[Sequence[ResampledView]], counts: Tensor, like: Tensor, weights: Tensor | None = None
     ) -> None:
         self.moves: CameraMoves | None = None
         self.weights = None if weights is None else weights.to(like)
-        self.views = [Together.of(column, like) for column in zip(*views, strict=True)]
+        self.views = [ViewBatch.of(column, like) for column in zip(*views, strict=True)]
         size = like.shape[1]
         self.full = bool((counts == size).all())
         self.there = (torch.arange(size) < counts.unsqueeze(1)).to(like.device)  # [B, N]
         self._targets = [PixelWeights.of(view.mask, view.known) for view in self.views]
 
-    def projected(self, points: Tensor, view: Together) -> Projected:
+    def projected(self, points: Tensor, view: ViewBatch) -> Projected:
         """Where ``points`` [B, N, 3] fall in that view, [B, N, 2] and [B, N]."""
         cameras = view.cameras if self.moves is None else self.moves.apply(view.cameras, self.views.index(view))
         points_px, valid = (found[:, 0] for found in project(points, cameras))
@@ -187,27 +187,27 @@ class MaskObjective:
         return found
 
 
-class PullObjective:
-    """Weighted sum over views of `mask_pull`, for B clouds that are asked by views of their own, and of
-    `depth_pull` where they have depth maps.
+class MaskChamferObjective:
+    """Weighted sum over views of `mask_chamfer_loss`, for B clouds that are asked by views of their own, and of
+    `depth_loss` where they have depth maps.
 
     Views of one kind are worked on together: for small clouds, what a step costs is mostly the number of its operations.
 
     Parameters
     ----------
-    views, counts, like, weights : as `MaskObjective`.
+    views, counts, like, weights : as `SilhouetteObjective`.
     """
 
     def __init__(
-        self, views: Sequence[Sequence[WorkingView]], counts: Tensor, like: Tensor, weights: Tensor | None = None
+        self, views: Sequence[Sequence[ResampledView]], counts: Tensor, like: Tensor, weights: Tensor | None = None
     ) -> None:
         kinds = [view.kind for view in views[0]]
         members = {kind: [v for v, other in enumerate(kinds) if other == kind] for kind in kinds}
         self._groups = []
         self._depths: list[DepthTarget | None] = []
         for group in members.values():
-            every = Together.of([own[v] for own in views for v in group], like)
-            target = PullTarget.of(every.mask, every.known, every.bounds, every.grain)
+            every = ViewBatch.of([own[v] for own in views for v in group], like)
+            target = MaskTarget.of(every.mask, every.known, every.bounds, every.grain)
             cameras = every.cameras.grouped(len(group))
             share = torch.ones(len(views), len(group)) if weights is None else weights[:, group]
             self._groups.append((target, cameras, share.to(like), counts.repeat_interleave(len(group))))
@@ -250,7 +250,7 @@ class PullObjective:
         for (target, cameras, share, counts), shown in zip(self._groups, self._shown, strict=True):
             points_px, valid = project(points.detach(), cameras)
             valid = (valid & self._there).flatten(0, 1)
-            each = pull_of_points(points_px.flatten(0, 1), valid, target, reach, counts, shown)
+            each = mask_chamfer_of_points(points_px.flatten(0, 1), valid, target, reach, counts, shown)
             total += (share.unsqueeze(-1) * each.view(*share.shape, -1)).sum(1)
         return total
 
@@ -260,10 +260,10 @@ class PullObjective:
         for (target, cameras, share, counts), shown, depth in zip(self._groups, self._shown, self._depths, strict=True):
             points_px, valid = project(points, cameras)
             points_px, valid = points_px.flatten(0, 1), (valid & self._there).flatten(0, 1)
-            losses = mask_pull(points_px, valid, target, reach, counts, shown)
+            losses = mask_chamfer_loss(points_px, valid, target, reach, counts, shown)
             if depth is not None:
                 each = points.repeat_interleave(share.shape[1], 0)
-                losses = losses + depth_pull(each, Projected(points_px, valid), depth, reach, counts)
+                losses = losses + depth_loss(each, Projected(points_px, valid), depth, reach, counts)
             # A view that does not count may show no point either.
             seen = target.asked(points_px.detach(), valid).any(1).view_as(share) | (share == 0.0)
             total = total + torch.where(seen, share * losses.view_as(share), torch.inf).sum(1)
@@ -271,7 +271,7 @@ class PullObjective:
 
 
 @dataclass(frozen=True, eq=False)
-class Together:
+class ViewBatch:
     """One view of each of B clouds."""
 
     mask: Tensor  # [B, h, w]
@@ -283,7 +283,7 @@ class Together:
     depth: Tensor | None = None  # [B, h, w]
 
     @classmethod
-    def of(cls, views: Sequence[WorkingView], like: Tensor) -> Together:
+    def of(cls, views: Sequence[ResampledView], like: Tensor) -> ViewBatch:
         def stacked(arrays: list[Array]) -> Tensor:
             return torch.as_tensor(np.stack(arrays), dtype=like.dtype, device=like.device)
 

@@ -79,7 +79,7 @@ def descend(
             alive = alive & torch.isfinite(values) & torch.isfinite(moved.detach().sum((1, 2)))
             losses.append(torch.where(alive, values, torch.nan))
             better = alive & (values < lowest)
-            # Together, so that Ctrl-C finds the three of one step.
+            # ViewBatch, so that Ctrl-C finds the three of one step.
             best, lowest, best_step = (
                 torch.where(better.view(-1, 1, 1), moved.detach(), best),
                 torch.where(better, values, lowest),

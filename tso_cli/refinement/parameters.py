@@ -105,7 +105,7 @@ def _as_colours(colours: Any, count: int, name: str) -> NDArray[np.float32]:
     return found
 
 
-class PointsStart:
+class PointParameters:
     """The points of B clouds move.
 
     Attributes
@@ -121,12 +121,12 @@ class PointsStart:
             row[: len(cloud.initial)] = cloud.normalised()
         self.parameters = [torch.tensor(padded, device=device, requires_grad=True)]
 
-    def produce(self) -> Tensor:
+    def forward(self) -> Tensor:
         """The clouds [B, N, 3] as they are now."""
         return self.parameters[0]
 
 
-class NetworkStart:
+class NetworkParameters:
     """A copy of the network moves, or the latent vector between its halves, and with it the cloud it predicts from the image.
 
     Attributes
@@ -156,7 +156,7 @@ class NetworkStart:
         self.counts = torch.tensor([len(self.cloud.initial)])
         self._centre = torch.as_tensor(self.cloud.centre, dtype=torch.float32, device=device)
 
-    def produce(self) -> Tensor:
+    def forward(self) -> Tensor:
         """The cloud [1, N, 3] that the network predicts now, normalised as it was at the start."""
         cloud: Tensor = (self._predict(self._given) - self._centre) / self.cloud.scale
         return cloud

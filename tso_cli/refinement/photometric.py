@@ -11,7 +11,7 @@ from torch.nn import functional
 
 from ..silhouette.mask_chamfer import REFERENCE_POINTS, REFERENCE_SIDE, robust
 from ..silhouette.projection import CameraBatch, pixels_under, project
-from .objective import WorkingView
+from .objective import ResampledView
 
 # Of points that fall within a pixel of each other those are seen that lie no further behind the first (longest side 1).
 BEHIND = 0.015
@@ -39,7 +39,7 @@ class _Photo:
     agreement: Tensor | None = None  # correlation of the two, 0 where it is negative
 
 
-class ColourPull:
+class PhotometricLoss:
     """Draw the visible points of a cloud to where photos have their colours.
 
     Of both pictures, the photo and the one that the cloud makes, the detail is compared: what a Gaussian of standard deviation
@@ -58,7 +58,7 @@ class ColourPull:
     like : tensor whose precision and device are used.
     """
 
-    def __init__(self, views: Sequence[WorkingView], weights: Sequence[float], colours: Tensor, like: Tensor) -> None:
+    def __init__(self, views: Sequence[ResampledView], weights: Sequence[float], colours: Tensor, like: Tensor) -> None:
         self._colours = colours.to(like)
         self._photos = [
             _Photo(

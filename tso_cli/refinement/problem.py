@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..geometry.view import View
 from ..geometry.window import Array, Box, window_of
 from .config import Settings, SymmetryOutcome, parse_symmetry
-from .objective import CELLS, WorkingView, working_view
+from .objective import CELLS, ResampledView, resample_view
 from .parameters import Cloud
 from .placement import place, require_overlap
 from .symmetry import FAR_MISFIT, MEAN_MISFIT, MirrorPlane, find_mirror_plane
@@ -35,7 +35,7 @@ FOLLOWED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Item:
+class Problem:
     """A cloud and what asks it.
 
     Attributes
@@ -48,14 +48,14 @@ class Item:
     cloud: Cloud
     views: tuple[View, ...]
     shown: tuple[View, ...]
-    working: tuple[WorkingView, ...]
+    working: tuple[ResampledView, ...]
     grids: tuple[int, ...]
     plane: MirrorPlane | None
     symmetry_outcome: SymmetryOutcome
     symmetry_reason: str
 
     @classmethod
-    def of(cls, cloud: Cloud, views: tuple[View, ...], config: Settings) -> Item:
+    def of(cls, cloud: Cloud, views: tuple[View, ...], config: Settings) -> Problem:
         """Raises InputError where cloud and views do not meet."""
         if not config.staged and any(view.depth is not None for view in views):
             raise InputError(
@@ -75,17 +75,17 @@ class Item:
             _require_meeting(cloud, [plane.view(view) for view in views], config.symmetry)
         return cls(cloud, (), (), (), (), plane, outcome, reason).seen_by(views, config)
 
-    def seen_by(self, views: tuple[View, ...], config: Settings) -> Item:
+    def seen_by(self, views: tuple[View, ...], config: Settings) -> Problem:
         """The same cloud, asked by other views."""
         shown = views if self.plane is None else (*views, *(self.plane.view(view) for view in views))
         cloud = self.cloud
         working = tuple(
-            working_view(view, config.sigma_sq, cloud.centre, cloud.scale, window_of(view, cloud.initial)) for view in shown
+            resample_view(view, config.sigma_sq, cloud.centre, cloud.scale, window_of(view, cloud.initial)) for view in shown
         )
         grids = tuple(finest_grid(_side(seen.box), len(cloud.initial)) for seen in working)
         return replace(self, views=views, shown=shown, working=working, grids=grids)
 
-    def followed(self, points: Array, finest: bool) -> Item:
+    def followed(self, points: Array, finest: bool) -> Problem:
         """The same with the windows around the cloud ``points`` [N, 3] as it is now, where they are much smaller or larger, on
         the finest grids or on those of 64 cells.
 
@@ -96,7 +96,7 @@ class Item:
         for view, seen, cells in zip(self.shown, self.working, grids, strict=True):
             box = window_of(view, points)
             same = seen.camera.width == cells and abs(np.log(_side(box) / _side(seen.box))) <= FOLLOWED
-            working.append(seen if same else working_view(view, seen.sigma_sq, cloud.centre, cloud.scale, box, cells))
+            working.append(seen if same else resample_view(view, seen.sigma_sq, cloud.centre, cloud.scale, box, cells))
         return replace(self, working=tuple(working))
 
     def pictures(self, weights: list[float]) -> float:
@@ -177,7 +177,7 @@ def parts_of(scene: Any, number: int) -> tuple[Any, Any]:
     return points, views
 
 
-def batches_of(items: dict[int, Item], staged: bool = False) -> list[list[int]]:
+def batches_of(items: dict[int, Problem], staged: bool = False) -> list[list[int]]:
     """Numbers of the items that are worked on together: views of one kind, sizes within a factor of two, bounded memory.
 
     ``staged`` : they are moved by smooth fields, as the preset "best" does.

@@ -9,29 +9,29 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from .coarse_to_fine import Recipe, Stage, descend_in_stages
+from .coarse_to_fine import CoarseToFineConfig, Stage, coarse_to_fine_descent
 from .config import BEST_LEARNING_RATE, Settings
-from .objective import PullObjective
-from .problem import Item
+from .objective import MaskChamferObjective
+from .problem import Problem
 from .smooth_field import SmoothField
 
 # A short descent of its own, as smooth as the second stage is and hearing of pixels as far away as the first does. It is held
 # loosely: what holds both descents alike would hide what they differ in.
-PROBE = Recipe(stages=(Stage(10.0, 6.0, 1.0, 512),), anchor=350.0, least_anchor=30.0)
+PROBE = CoarseToFineConfig(stages=(Stage(10.0, 6.0, 1.0, 512),), anchor=350.0, least_anchor=30.0)
 STEPS = 20
 # The share of the loss that may be left with the flipped picture, in units of that without it, for one picture. How often
 # shapes that are their own mirror image, and shapes that are not, stay under it is in docs/method.md.
 MOST_LEFT = 1.1
 
 
-def borne_out(
-    items: Sequence[Item],
+def verified_symmetry(
+    items: Sequence[Problem],
     counts: Tensor,
     first: Tensor,
     weights: Tensor,
     settings: Settings,
     fields: dict[int, SmoothField],
-) -> tuple[list[Item], Tensor, bool]:
+) -> tuple[list[Problem], Tensor, bool]:
     """Give up planes that the pictures contradict: with the flipped ones beside them, more of their loss is left.
 
     A shape that is symmetric moves toward both pictures at once. One that is not is pulled to and fro: what one wants covered
@@ -41,7 +41,7 @@ def borne_out(
     ----------
     items : B of one batch, all with a plane that was found; their views are followed by as many mirrored ones.
     counts, first : [B], [B, N, 3] their clouds. weights : [B, V] of the views. fields : as in
-        `descend_in_stages`.
+        `coarse_to_fine_descent`.
 
     Returns
     -------
@@ -52,15 +52,15 @@ def borne_out(
     left = []
     for shown in (both, weights):
         views = [item.working[: shown.shape[1]] for item in items]
-        pull = PullObjective(views, counts, first, shown)
-        probe = descend_in_stages(
+        pull = MaskChamferObjective(views, counts, first, shown)
+        probe = coarse_to_fine_descent(
             first,
             counts,
             partial(_same, pull),
             None,
             STEPS,
             BEST_LEARNING_RATE["points"],
-            recipe=PROBE,
+            config=PROBE,
             fields=fields,
         )
         if probe.interrupted:
@@ -85,6 +85,6 @@ def borne_out(
     return told, torch.cat([weights, weights * share], 1), False
 
 
-def _same(pull: PullObjective, _points: Tensor, _finest: bool) -> PullObjective:
+def _same(pull: MaskChamferObjective, _points: Tensor, _finest: bool) -> MaskChamferObjective:
     """So short a descent keeps its windows."""
     return pull

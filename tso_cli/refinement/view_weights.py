@@ -12,7 +12,7 @@ from torch import Tensor
 from ..geometry.camera import Camera
 from ..geometry.points import Array
 from ..silhouette.projection import pixels_under
-from .objective import MaskObjective, Together, WorkingView
+from .objective import ResampledView, SilhouetteObjective, ViewBatch
 
 # Of fewer views none can be told to be the wrong one.
 FEWEST_TO_JUDGE = 3
@@ -44,16 +44,16 @@ class Weights(NamedTuple):
         return cls(ones, ones)
 
     @classmethod
-    def of(cls, views: Sequence[Sequence[WorkingView]], counts: Tensor, points: Tensor) -> Weights:
-        """By the silhouettes at ``points`` [B, N, 3]; ``views`` and ``counts`` are those of `MaskObjective`."""
+    def of(cls, views: Sequence[Sequence[ResampledView]], counts: Tensor, points: Tensor) -> Weights:
+        """By the silhouettes at ``points`` [B, N, 3]; ``views`` and ``counts`` are those of `SilhouetteObjective`."""
         if len(views[0]) == 1:
             return cls.even(len(views), 1)
-        objective = MaskObjective(views, counts, points)
+        objective = SilhouetteObjective(views, counts, points)
         trust = _trusted(objective, views, points)
         return cls(trust, told_once(trust, _sameness(objective, views, points)))
 
 
-def _trusted(objective: MaskObjective, views: Sequence[Sequence[WorkingView]], points: Tensor) -> Tensor:
+def _trusted(objective: SilhouetteObjective, views: Sequence[Sequence[ResampledView]], points: Tensor) -> Tensor:
     if len(views[0]) < FEWEST_TO_JUDGE:
         return torch.ones(len(views), len(views[0]), dtype=torch.float64)
     start = points.detach().clone().requires_grad_()
@@ -78,7 +78,7 @@ def told_once(trust: Tensor, sameness: Tensor) -> Tensor:
     return trust * told.amax(2) / told.sum(2).clamp_min(torch.finfo(trust.dtype).tiny)
 
 
-def _sameness(objective: MaskObjective, views: Sequence[Sequence[WorkingView]], points: Tensor) -> Tensor:
+def _sameness(objective: SilhouetteObjective, views: Sequence[Sequence[ResampledView]], points: Tensor) -> Tensor:
     """[B, V, V]: |cos|^8 of the angle between two cameras, times the share of the points seen by one that the other sees.
 
     A silhouette from behind is that from the front, flipped; surfaces and colours are not.
@@ -94,7 +94,7 @@ def _sameness(objective: MaskObjective, views: Sequence[Sequence[WorkingView]], 
     return same.diagonal_scatter(torch.ones_like(same[:, 0]), dim1=1, dim2=2)
 
 
-def _seen(objective: MaskObjective, view: Together, points: Tensor) -> Tensor:
+def _seen(objective: SilhouetteObjective, view: ViewBatch, points: Tensor) -> Tensor:
     """[B, N] which points fall on known pixels of a view."""
     pixel, within = pixels_under(*objective.projected(points.detach(), view), *view.mask.shape[1:])
     if view.known is None:

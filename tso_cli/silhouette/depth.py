@@ -56,12 +56,12 @@ class DepthTarget(NamedTuple):
         return self.known.flatten(1).sum(1) * (REFERENCE_SIDE / max(self.known.shape[1:])) ** 2
 
 
-def depth_pull(points: Tensor, projected: Projected, target: DepthTarget, reach: float, counts: Tensor) -> Tensor:
+def depth_loss(points: Tensor, projected: Projected, target: DepthTarget, reach: float, counts: Tensor) -> Tensor:
     """Pull points to surfaces that none has reached, and push back what lies in front of a surface.
 
     A pixel whose surface is further than 0.7 px from the nearest point, in space, pulls that point; a point that lies more
     than that before the least depth around its pixel is pushed back to it. Lengths are counted in pixels at the surface's
-    depth, and each pair costs what it does in `mask_pull`. What lies behind a surface is hidden: the map
+    depth, and each pair costs what it does in `mask_chamfer_loss`. What lies behind a surface is hidden: the map
     says nothing of it.
 
     Parameters

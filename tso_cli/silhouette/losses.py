@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ..kernels.dispatch import compiled_pays, whole_batches
+from ..kernels.dispatch import use_numba, whole_batches
 from ..kernels.nearest import PAIRS_PER_CHUNK, StaticNearest, nearest_both_ways, nearest_in_rows, nearest_marked, nearest_points
 from ..kernels.splat import NEGLIGIBLE, cheapest, splat, window_radius
 from .projection import pixels_under
@@ -50,7 +50,7 @@ def silhouette_bce(
     [M] sum over pixels, weighted by 64^2 / (W H) so that settings hold at any resolution.
     """
     target = PixelWeights.of(mask, known)
-    total = _cross_entropy(sums, target, compiled_pays(points_px))
+    total = _cross_entropy(sums, target, use_numba(points_px))
     waiting = (sums <= UNCOVERED) & (target.wanted > 0.0)
     return (total + _far_pixels(waiting, target.wanted, points_px, valid, 0.5 / sigma_sq)) * _per_reference_pixel(mask)
 
@@ -118,7 +118,7 @@ def _cross_entropy(sums: Tensor, target: PixelWeights, compiled: bool) -> Tensor
 
 def _far_pixels(pixels: Tensor, weight: Tensor, points_px: Tensor, valid: Tensor, factor: float) -> Tensor:
     """Sum [M] over the marked pixels of weight * factor * squared distance to the nearest projected point."""
-    if compiled_pays(points_px):
+    if use_numba(points_px):
         from ..kernels.losses_numba import pull_to_pixels
 
         return pull_to_pixels(pixels, weight, points_px, valid, factor)
@@ -198,7 +198,7 @@ def _far_values(source: Tensor, goal: Tensor, marked: Tensor) -> Tensor:
 
 def _stray_points(points_px: Tensor, valid: Tensor, inside: Tensor) -> Tensor:
     """Sum [M] over the points that fall on background of the squared distance to the nearest pixel that is ``inside``."""
-    if compiled_pays(points_px):
+    if use_numba(points_px):
         from ..kernels.losses_numba import pull_to_mask
 
         return pull_to_mask(points_px, valid, inside)
@@ -239,7 +239,7 @@ class ChamferToInitial:
     def __init__(self, initial: Tensor, counts: Tensor | None = None) -> None:
         self.initial = initial.detach()
         self.counts = torch.full((len(initial),), initial.shape[1]) if counts is None else counts
-        self._compiled = compiled_pays(self.initial)
+        self._compiled = use_numba(self.initial)
         if self._compiled:
             from ..kernels.static_chamfer_numba import StaticTrees
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ..kernels.dispatch import compiled_pays
+from ..kernels.dispatch import use_numba
 from ..kernels.nearest import nearest_marked, nearest_points
 from .projection import pixels_under
 
@@ -26,7 +26,7 @@ THIN, THICK = 0.2, 0.8
 REFERENCE_POINTS = 1024.0
 
 
-class PullTarget(NamedTuple):
+class MaskTarget(NamedTuple):
     """What M masks ask of points.
 
     Attributes
@@ -49,7 +49,7 @@ class PullTarget(NamedTuple):
     @classmethod
     def of(
         cls, mask: Tensor, known: Tensor | None = None, bounds: Tensor | None = None, grain: Tensor | None = None
-    ) -> PullTarget:
+    ) -> MaskTarget:
         """``mask`` [M, H, W] in [0, 1]; ``known`` [M, H, W], where it is under 0.5 nothing is asked; ``bounds`` [M, 4], None
         for a mask that is the whole image; ``grain`` [M], how many times the mask was enlarged, None for 1."""
         inside, outside = sides(mask, known)
@@ -95,7 +95,7 @@ def _touches(inside: Tensor, bounds: Tensor) -> Tensor:
 
 
 def sides(mask: Tensor, known: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    """Pixels [M, H, W] known to be foreground and background, of masks and what is known of them as in `PullTarget.of`.
+    """Pixels [M, H, W] known to be foreground and background, of masks and what is known of them as in `MaskTarget.of`.
 
     Foreground is what is over half covered; of an object so thin that no pixel is, what is over half as covered as its best.
     """
@@ -105,10 +105,10 @@ def sides(mask: Tensor, known: Tensor | None = None) -> tuple[Tensor, Tensor]:
     return inside, ~inside if known is None else ~inside & (known >= 0.5)
 
 
-def mask_pull(
+def mask_chamfer_loss(
     points_px: Tensor,
     valid: Tensor,
-    target: PullTarget,
+    target: MaskTarget,
     reach: float,
     counts: Tensor | None = None,
     shown: Tensor | None = None,
@@ -135,23 +135,23 @@ def mask_pull(
     """
     scale = REFERENCE_SIDE / target.side
     asked, counted, share = _asked(points_px, valid, target, counts, shown)
-    if compiled_pays(points_px):
-        from ..kernels.mask_chamfer_numba import mask_pull as compiled_pull
+    if use_numba(points_px):
+        from ..kernels.mask_chamfer_numba import mask_chamfer_loss as compiled_pull
 
         return compiled_pull(points_px, valid, asked, counted, *target[:6], scale, COVERED_WITHIN, reach, share)
     return _each(points_px, valid, asked, counted, target, scale, reach, share).sum(1)
 
 
-def pull_of_points(
-    points_px: Tensor, valid: Tensor, target: PullTarget, reach: float, counts: Tensor, shown: Tensor | None = None
+def mask_chamfer_of_points(
+    points_px: Tensor, valid: Tensor, target: MaskTarget, reach: float, counts: Tensor, shown: Tensor | None = None
 ) -> Tensor:
-    """[M, N] what each point adds to `mask_pull`: of a pixel, the point that it pulls."""
+    """[M, N] what each point adds to `mask_chamfer_loss`: of a pixel, the point that it pulls."""
     asked, counted, share = _asked(points_px, valid, target, counts, shown)
     return _each(points_px, valid, asked, counted, target, REFERENCE_SIDE / target.side, reach, share)
 
 
 def _asked(
-    points_px: Tensor, valid: Tensor, target: PullTarget, counts: Tensor | None, shown: Tensor | None
+    points_px: Tensor, valid: Tensor, target: MaskTarget, counts: Tensor | None, shown: Tensor | None
 ) -> tuple[Tensor, Tensor, Tensor]:
     """[M, N] which points are asked, [M, N] what each counts as a stray, and [M] what that is times."""
     asked = target.asked(points_px.detach(), valid)
@@ -164,7 +164,7 @@ def _each(
     valid: Tensor,
     asked: Tensor,
     counted: Tensor,
-    target: PullTarget,
+    target: MaskTarget,
     scale: float,
     reach: float,
     share: Tensor,
@@ -194,7 +194,7 @@ def resolved(patches_px: Tensor, grain: Tensor | None = None) -> Tensor:
     return ((across - THIN) / (THICK - THIN)).clamp(0.0, 1.0)
 
 
-def _uncovered(points_px: Tensor, valid: Tensor, asked: Tensor, target: PullTarget, scale: float, reach: float) -> Tensor:
+def _uncovered(points_px: Tensor, valid: Tensor, asked: Tensor, target: MaskTarget, scale: float, reach: float) -> Tensor:
     reaches, asking = COVERED_WITHIN * target.grain, target.inside
     marked = bool((reaches <= MARKED_WITHIN).all())
     if marked:
@@ -231,7 +231,7 @@ def _covered(points_px: Tensor, valid: Tensor, size: torch.Size, reaches: Tensor
     return found.view(-1, height + 2, width + 2)[:, 1:-1, 1:-1]
 
 
-def _stray(points_px: Tensor, valid: Tensor, target: PullTarget, scale: float, reach: float) -> Tensor:
+def _stray(points_px: Tensor, valid: Tensor, target: MaskTarget, scale: float, reach: float) -> Tensor:
     height, width = target.inside.shape[-2:]
     # Beside the mask's part of the image it is background like that part's rim.
     nearest_px = torch.minimum(points_px.detach().clamp_min(0.0), points_px.new_tensor([width - 1.0, height - 1.0]))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..geometry.camera import NEAR, Camera
-from ..kernels.dispatch import compiled_pays
+from ..kernels.dispatch import use_numba
 from ..kernels.splat import splat
 
 # A silhouette blurred by this variance (px^2) changes little from one pixel to the next.
@@ -78,7 +78,7 @@ def project(points: Tensor, cameras: CameraBatch, near: float = NEAR) -> Project
         get no gradient.
     """
     near = -math.inf if cameras.model == "orthographic" else near
-    if compiled_pays(points) and not any(tensor.requires_grad for tensor in (cameras.K, cameras.R, cameras.t)):
+    if use_numba(points) and not any(tensor.requires_grad for tensor in (cameras.K, cameras.R, cameras.t)):
         from ..kernels.projection_numba import project as compiled_project
 
         every = (len(points), cameras.K.shape[-3])

@@ -16,7 +16,7 @@ from ...refinement import PRESETS, RefineConfig, refine, refine_batch
 from ...refinement.adam import Adam
 from ...refinement.api import SMALL_CLOUD
 from ...refinement.config import PAPER_GAMMA, PAPER_LEARNING_RATE
-from ...refinement.parameters import NetworkStart
+from ...refinement.parameters import NetworkParameters
 from ...silhouette.losses import UNCOVERED, ChamferToInitial, PixelWeights, affinity, mask_loss, silhouette_bce
 from ...silhouette.projection import project, silhouette_sums
 from .material import SIGMA_SQ, chair_view, cloud, mask_objective, projection, trajectory
@@ -130,14 +130,14 @@ def _network_step(setting: Setting, mode: str) -> list[dict[str, Any]]:
     setting.report(f"step, {mode}")
     image = torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(setting.seed))
     network = build_network(seed=setting.seed)
-    bare_start, start = (NetworkStart(network, image, mode, setting.device) for _ in range(2))
+    bare_start, start = (NetworkParameters(network, image, mode, setting.device) for _ in range(2))
     with torch.no_grad():
-        initial = start.produce()
+        initial = start.forward()
     mask_term, gamma = mask_objective(initial), PAPER_GAMMA[mode]
     chamfer = ChamferToInitial(initial)
 
     def whole(optimiser: Adam) -> None:
-        moved = start.produce()
+        moved = start.forward()
         loss = mask_term(moved)
         if gamma:
             loss = loss + gamma * chamfer(moved)
@@ -148,7 +148,7 @@ def _network_step(setting: Setting, mode: str) -> list[dict[str, Any]]:
         whole(moving)
     bare_still, still = Adam(bare_start.parameters, 0.0), Adam(start.parameters, 0.0)
     timings = setting.race(
-        {"bare network": lambda: bare_still.step(bare_start.produce().sum()), "whole step": lambda: whole(still)}
+        {"bare network": lambda: bare_still.step(bare_start.forward().sum()), "whole step": lambda: whole(still)}
     )
     added = timings["whole step"].median / timings["bare network"].median - 1.0
     return setting.records(f"step, {mode}", timings, points=initial.shape[1], side=64, precision="float32", added=added)

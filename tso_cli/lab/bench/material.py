@@ -19,7 +19,7 @@ from ...io.images import read_mask
 from ...io.meshes import Mesh, read_mesh
 from ...io.shipped import examples_folder
 from ...refinement.config import PAPER_GAMMA, PAPER_LEARNING_RATE
-from ...refinement.objective import MaskObjective, working_view
+from ...refinement.objective import SilhouetteObjective, resample_view
 from ...refinement.optimise import descend
 from ...silhouette.losses import ChamferToInitial
 from ...silhouette.projection import CameraBatch, project
@@ -107,7 +107,7 @@ def trajectory(count: int, device: torch.device, seed: int = 0, steps: int = STE
     return kept[1:]
 
 
-def mask_objective(points: Tensor) -> MaskObjective:
+def mask_objective(points: Tensor) -> SilhouetteObjective:
     """What `tso refine` asks of the cloud ``points`` [1, N, 3] by the picture of the chair, at its working resolution."""
-    working = working_view(chair_view(256), 0.4, np.zeros(3), 1.0)
-    return MaskObjective([[working]], torch.tensor([points.shape[1]]), points)
+    working = resample_view(chair_view(256), 0.4, np.zeros(3), 1.0)
+    return SilhouetteObjective([[working]], torch.tensor([points.shape[1]]), points)

@@ -30,7 +30,7 @@ class Variant:
 
 
 def _made(**changes: object) -> Variant:
-    return Variant(RefineConfig(recipe=replace(BEST, **changes)))  # type: ignore[arg-type]
+    return Variant(RefineConfig(coarse_to_fine=replace(BEST, **changes)))  # type: ignore[arg-type]
 
 
 PAPER, DEFAULT = "paper", "best"
@@ -72,7 +72,7 @@ ABLATION = {
     "anchor down to 30 where the start is far off": _made(least_anchor=30.0),
     "no bounded reach": _made(stages=tuple(replace(stage, reach=1000.0) for stage in BEST.stages)),
     "what pixels do not show pulled back too": _made(looks=False),
-    "Adam for each number": Variant(RefineConfig(learning_rate=ADAM_RATE, recipe=replace(BEST, optimiser=Adam))),
+    "Adam for each number": Variant(RefineConfig(learning_rate=ADAM_RATE, coarse_to_fine=replace(BEST, optimiser=Adam))),
     "Chamfer to the start added": Variant(RefineConfig(gamma=1e6)),
 }
 """The default preset with one ingredient changed in each row, between the paper's and itself."""
