@@ -22,7 +22,7 @@ from tso_cli.io.cameras import read_cameras
 from tso_cli.io.clouds import read_cloud
 from tso_cli.io.images import read_mask
 from tso_cli.io.meshes import read_mesh
-from tso_cli.refinement.agreement import view_ious
+from tso_cli.refinement.run import view_ious
 from tso_cli.render import RayScene, RenderSettings, fitting_distance, ground_truth, look_at, normalise, render_view
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -14,9 +14,9 @@ from tso_cli.geometry.window import window_around, window_of
 from tso_cli.io.clouds import read_cloud
 from tso_cli.lab.studies.evidence_cases import framed
 from tso_cli.refinement import PRESETS
-from tso_cli.refinement.objective import resample_view
-from tso_cli.refinement.parameters import Cloud
-from tso_cli.refinement.problem import Item, finest_grid
+from tso_cli.refinement.cloud import Cloud
+from tso_cli.refinement.problem import Problem
+from tso_cli.refinement.resampled_view import fine_cells, resample_view
 from tso_cli.scene.load import load_view
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -132,8 +132,8 @@ def test_the_window_follows_a_cloud_that_starts_far_from_its_mask():
     _, target, view = _example("chair")
     photo = _in_canvas(view, 4)
     start = target + [0.0, 0.3, 0.0] @ view.camera.R
-    item = Item.of(Cloud(start, "points"), (photo,), RefineConfig(symmetry="none").settings())
-    first, last = (each.working[0].box for each in (item, item.followed(target, finest=False)))
+    item = Problem.of(Cloud(start, "points"), (photo,), RefineConfig(symmetry="none").settings())
+    first, last = (each.resampled[0].box for each in (item, item.with_windows_around(target, False)))
     assert first[2] - first[0] > 1.1 * (last[2] - last[0])
     np.testing.assert_allclose(last, window_of(photo, target))
 
@@ -195,8 +195,8 @@ def test_windows_of_one_view_lie_in_one_around_them():
 
 
 def test_a_fine_mask_of_a_dense_cloud_is_looked_at_finely():
-    assert [finest_grid(side, 1024) for side in (30.0, 60.0, 250.0)] == [64, 96, 128]
-    assert finest_grid(250.0, 200) == 64
+    assert [fine_cells(side, 1024) for side in (30.0, 60.0, 250.0)] == [64, 96, 128]
+    assert fine_cells(250.0, 200) == 64
 
 
 def test_objects_of_different_size_in_one_batch_come_to_what_they_come_to_alone():

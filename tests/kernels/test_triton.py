@@ -19,7 +19,8 @@ from tso_cli.kernels.nearest import nearest_both_ways, nearest_in_rows, nearest_
 from tso_cli.kernels.splat import cheapest, splat
 from tso_cli.kernels.splat_reference import splat_exact
 from tso_cli.refinement.adam import Adam
-from tso_cli.refinement.objective import SilhouetteObjective, resample_view
+from tso_cli.refinement.objective import SilhouetteObjective
+from tso_cli.refinement.resampled_view import resample_view
 from tso_cli.silhouette import losses
 from tso_cli.silhouette.losses import ChamferToInitial, silhouette_bce
 

@@ -26,7 +26,7 @@ from tso_cli.lab.studies.parts import shapes_of_part
 from tso_cli.network import model as networks
 from tso_cli.network.model import NetworkConfig, build_network
 from tso_cli.refinement import RefineConfig, refine
-from tso_cli.refinement.coarse_to_fine import BEST
+from tso_cli.refinement.presets import BEST
 from tso_cli.render import RenderSettings, fitting_distance, ground_truth, normalise
 
 from ..training import make_known, make_thin
@@ -297,17 +297,16 @@ def test_a_study_changes_one_ingredient_of_the_preset_at_a_time(cars):
 
     plain = moved(RefineConfig())
     np.testing.assert_array_equal(moved(RefineConfig(coarse_to_fine=BEST)), plain)
-    changed = {name: variant for name, variant in ABLATION.items() if variant.config.coarse_to_fine is not None}
+    changed = {name: variant for name, variant in ABLATION.items() if variant.config.coarse_to_fine is not BEST}
     assert len(changed) == 13
     for name, variant in changed.items():
         recipe = variant.config.coarse_to_fine
         differing = {key for key, value in vars(recipe).items() if value != getattr(BEST, key)}
-        assert (
-            differing == {"least_anchor", "most_anchor", "anchor"} or differing == {"cut", "unseen"} or len(differing) == 1
-        ), name
+        no_prior = {"least_prior_weight", "most_prior_weight", "prior_weight"}
+        assert len(differing) == 1 or differing in (no_prior, {"truncated_prior", "unobserved_motion"}), name
         # A far start is held by the least anchor in any case; a car has no thin parts, is seen whole, and its points lie
         # evenly; the other rows show at once.
-        if differing & {"stages", "optimiser"}:
+        if differing & {"stages", "per_cloud_adam"}:
             assert np.abs(moved(variant.config) - plain).max() > 1e-4, name
 
 

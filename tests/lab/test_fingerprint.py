@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import pytest
 
@@ -16,10 +15,7 @@ from tso_cli.lab.commands.records import earlier_record, write_record
 from tso_cli.lab.studies import evidence_questions
 from tso_cli.lab.studies import fingerprint as prints
 from tso_cli.lab.studies.fingerprint import BEST, JUDGED, PAPER, PARTS, differences, fingerprint, stamped
-from tso_cli.refinement import api as run
-from tso_cli.refinement import camera_correction as cameras
-from tso_cli.refinement import config
-from tso_cli.refinement import problem as batching
+from tso_cli.refinement import camera_correction, presets, problem, resampled_view
 from tso_cli.silhouette import losses as the_losses
 from tso_cli.silhouette import mask_chamfer as pull
 from tso_cli.silhouette import projection
@@ -55,14 +51,19 @@ def _whole_photo(view, points):
     return -0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5
 
 
+def _with_defaults(patch, **changes):
+    for name, value in changes.items():
+        patch.setitem(vars(presets.BEST), name, value)
+
+
 CHANGES = {
-    "points, best": lambda patch: patch.setattr(run, "BEST", replace(run.BEST, anchor=0.8 * run.BEST.anchor)),
+    "points, best": lambda patch: _with_defaults(patch, prior_weight=0.8 * presets.BEST.prior_weight),
     "points, paper": lambda patch: patch.setattr(footprint, "EVEN", 1.5 * footprint.EVEN),
-    "points, best, in a larger photo": lambda patch: patch.setattr(batching, "window_of", _whole_photo),
-    "points, best, mask of 64 px": lambda patch: patch.setattr(batching, "FINER_FROM", ((96.0, 128),)),
-    "points, best, four masks": lambda patch: patch.setattr(run, "BEST", replace(run.BEST, weighs=False, anchor=200.0)),
-    "points, best, camera refined": lambda patch: patch.setattr(cameras, "LEFT", 0.0),
-    "latent, paper": lambda patch: patch.setitem(config.PAPER_GAMMA, "latent", 1.1e6),
+    "points, best, in a larger photo": lambda patch: patch.setattr(problem, "window_of", _whole_photo),
+    "points, best, mask of 64 px": lambda patch: patch.setattr(resampled_view, "FINE_GRIDS", ((96.0, 128),)),
+    "points, best, four masks": lambda patch: _with_defaults(patch, weigh_views=False, prior_weight=200.0),
+    "points, best, camera refined": lambda patch: patch.setattr(camera_correction, "MISFIT_LEFT", 0.0),
+    "latent, paper": lambda patch: patch.setitem(presets.PAPER_GAMMA, "latent", 1.1e6),
     "training on masks": lambda patch: patch.setattr(losses, "affinity", lambda *of: 1.1 * the_losses.affinity(*of)),
 }
 

@@ -18,12 +18,13 @@ from tso_cli.io.clouds import read_cloud
 from tso_cli.io.images import read_mask
 from tso_cli.kernels.dispatch import planned
 from tso_cli.network.model import Encoder, build_network
-from tso_cli.refinement import PRESETS, RefineConfig, objective, refine, refine_batch
-from tso_cli.refinement import api as run
+from tso_cli.refinement import PRESETS, RefineConfig, refine, refine_batch, resampled_view, run
 from tso_cli.refinement import optimise as loop
-from tso_cli.refinement.coarse_to_fine import BEST, prior_weights
-from tso_cli.refinement.objective import MaskChamferObjective, SilhouetteObjective
-from tso_cli.refinement.parameters import Cloud, NetworkParameters
+from tso_cli.refinement.cloud import Cloud
+from tso_cli.refinement.objective import SilhouetteObjective, ViewTargets
+from tso_cli.refinement.parameters import NetworkParameters
+from tso_cli.refinement.presets import BEST
+from tso_cli.refinement.prior import position_prior
 from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.smooth_field import SmoothField
 from tso_cli.render import look_at
@@ -120,7 +121,7 @@ def test_a_grid_of_64_cells_loses_nothing_against_one_of_256(chair, monkeypatch)
     coarse = refine(points, mask, camera, PAPER)
 
     def fine(view, sigma_sq, centre, scale, box):
-        return objective.resample_view(view, 0.4 * 4**2, centre, scale, box, 256)
+        return resampled_view.resample_view(view, 0.4 * 4**2, centre, scale, box, 256)
 
     monkeypatch.setattr("tso_cli.refinement.problem.resample_view", fine)
     full = refine(points, mask, camera, PAPER)
@@ -248,9 +249,9 @@ def test_a_network_mode_moves_only_its_own_numbers_and_leaves_the_network_as_it_
     seen = {}
     true_descend = run.descend
 
-    def spy(produce, parameters, *rest):
-        seen["count"] = sum(p.numel() for p in parameters)
-        return true_descend(produce, parameters, *rest)
+    def spy(forward, objective, optimiser, *rest):
+        seen["count"] = sum(p.numel() for p in optimiser._parameters)
+        return true_descend(forward, objective, optimiser, *rest)
 
     monkeypatch.setattr(run, "descend", spy)
     result = refine(None, mask, config=RefineConfig(mode, steps=3, preset="paper"), network=network, image=image)
@@ -289,11 +290,11 @@ def test_the_gradient_by_the_latent_vector_is_that_of_finite_differences(photo):
     start = NetworkParameters(network, image, "latent", torch.device("cpu"))
     start._predict.double()
     latent = start.parameters[0].detach().double()
-    view = objective.resample_view(View(mask, Camera.canonical(64, 64)), 0.4, start.cloud.centre, start.cloud.scale)
+    view = resampled_view.resample_view(View(mask, Camera.canonical(64, 64)), 0.4, start.cloud.centre, start.cloud.scale)
     term = SilhouetteObjective([[view]], start.counts, latent.new_zeros(1, 64, 3))
 
     def loss(values):
-        start._given = values
+        start._input = values
         return term(start.forward())
 
     assert torch.autograd.gradcheck(loss, latent.requires_grad_(), eps=1e-6, atol=1e-3, rtol=1e-5)
@@ -445,7 +446,7 @@ def test_what_no_picture_shows_stays_nearly_where_it_was():
     seen = camera.project(bar)[0][:, 0] > -0.5
     assert 0.3 < seen.mean() < 0.7
     mask = (silhouette_of(bar + [0.0, 0.06, 0.0], camera) > 0.5).astype(np.float32)
-    config = RefineConfig(symmetry="none", coarse_to_fine=replace(BEST, least_anchor=0.0, most_anchor=0.0))
+    config = RefineConfig(symmetry="none", coarse_to_fine=replace(BEST, least_prior_weight=0.0, most_prior_weight=0.0))
     moved = refine(bar, mask, camera, config).points[:, 1] - bar[:, 1]
     assert moved[seen].mean() > 0.02
     assert np.abs(moved[~seen]).mean() < 0.15 * moved[seen].mean()
@@ -458,8 +459,8 @@ def test_the_result_is_a_mean_over_the_stages_and_the_last_counts_for_more_where
     views = [View(mask, camera), View((silhouette_of(points * [1.0, 1.1, 1.0], side) > 0.5).astype(np.float32), side)][:masks]
 
     def refined(*shares):
-        stages = tuple(replace(stage, share=share) for stage, share in zip(BEST.stages, shares, strict=True))
-        recipe = replace(BEST, stages=stages, least_anchor=0.0)
+        stages = tuple(replace(stage, averaging_weight=share) for stage, share in zip(BEST.stages, shares, strict=True))
+        recipe = replace(BEST, stages=stages, least_prior_weight=0.0)
         return refine(points, views, config=RefineConfig(symmetry="none", coarse_to_fine=recipe))
 
     alone = [refined(*(1.0 if one == stage else 1e-12 for one in range(3))).points for stage in range(3)]
@@ -477,7 +478,7 @@ def test_a_flipped_mask_counts_for_a_quarter_and_a_depth_map_as_a_mask(chair):
 
     def pictures(views, symmetry="none", weights=(1.0, 1.0)):
         item = Problem.of(Cloud(points, "points"), tuple(views), RefineConfig(symmetry=symmetry).settings())
-        return item.pictures(list(weights[: len(views)]))
+        return item.evidence(list(weights[: len(views)]))
 
     one, deep = View(mask, camera), View(mask, camera, depth=depth)
     assert pictures([one]) == 1.0
@@ -498,13 +499,13 @@ def test_what_takes_no_step_keeps_every_bit(chair, seed):
 def test_the_more_pictures_there_are_the_less_a_start_that_is_far_off_is_held(chair):
     points, mask, camera = chair
     cloud = Cloud(points, "points")
-    working = [Problem.of(cloud, (View(mask, camera),), RefineConfig(symmetry="none").settings()).working]
+    working = [Problem.of(cloud, (View(mask, camera),), RefineConfig(symmetry="none").settings()).resampled]
     first, counts = torch.tensor(cloud.normalised(), dtype=torch.float32)[None], torch.tensor([len(points)])
-    pull, field = MaskChamferObjective(working, counts, first), SmoothField(first, counts)
-    recipe = replace(BEST, anchor=1e-6, by_area=False)
+    targets, field = ViewTargets(working, counts, first), SmoothField(first, counts)
+    recipe = replace(BEST, prior_weight=1e-6, by_area=False)
     for pictures in (1.0, 1.25, 2.0):
-        found = prior_weights(first, counts, pull, field, recipe, torch.tensor([pictures]))
-        expected = torch.full_like(found, BEST.least_anchor / pictures**2 * 1024 / len(points))
+        found = position_prior(first, counts, targets, field, recipe, torch.tensor([pictures])).weights
+        expected = torch.full_like(found, BEST.least_prior_weight / pictures**2 * 1024 / len(points))
         torch.testing.assert_close(found, expected)
 
 
@@ -519,11 +520,11 @@ def test_an_object_that_the_border_cuts_is_held_three_times_as_tightly(chair):
     points, mask, camera = chair
     cloud = Cloud(points, "points")
     first, counts = torch.tensor(cloud.normalised(), dtype=torch.float32)[None], torch.tensor([len(points)])
-    field, recipe = SmoothField(first, counts), replace(BEST, anchor=1e-6, by_area=False)
+    field, recipe = SmoothField(first, counts), replace(BEST, prior_weight=1e-6, by_area=False)
     held = []
     for view in (View(mask, camera), _cut_off(View(mask, camera))):
-        working = [Problem.of(cloud, (view,), RefineConfig(symmetry="none").settings()).working]
-        held.append(prior_weights(first, counts, MaskChamferObjective(working, counts, first), field, recipe))
+        working = [Problem.of(cloud, (view,), RefineConfig(symmetry="none").settings()).resampled]
+        held.append(position_prior(first, counts, ViewTargets(working, counts, first), field, recipe).weights)
     torch.testing.assert_close(held[1], 3.0 * held[0])
 
 
@@ -536,9 +537,9 @@ def test_what_is_cut_off_in_all_pictures_is_as_unknown_with_two_as_with_one(chai
 
     def spied(*arguments):
         told.append(float(arguments[-1][0]))
-        return prior_weights(*arguments)
+        return position_prior(*arguments)
 
-    monkeypatch.setattr("tso_cli.refinement.coarse_to_fine.prior_weights", spied)
+    monkeypatch.setattr("tso_cli.refinement.coarse_to_fine.position_prior", spied)
     shown = [_cut_off(view) if gone else view for view, gone in zip(views, cut, strict=True)]
     refine(points, shown, config=RefineConfig(steps=3, symmetry="none"))
     assert told == [pytest.approx(expected, rel=0.05)] * len(told)

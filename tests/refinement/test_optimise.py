@@ -12,8 +12,10 @@ from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
 from tso_cli.network.model import build_network
 from tso_cli.refinement import RefineConfig, refine
-from tso_cli.refinement.objective import SilhouetteObjective, resample_view
+from tso_cli.refinement.adam import Adam
+from tso_cli.refinement.objective import SilhouetteObjective
 from tso_cli.refinement.optimise import descend
+from tso_cli.refinement.resampled_view import resample_view
 
 
 def _clouds(count: int = 2) -> torch.Tensor:
@@ -32,7 +34,7 @@ def test_a_cloud_that_is_not_finite_is_never_the_best_whatever_its_loss(bad):
     iterates = iter([start, start, 0.5 * start, torch.full_like(start, 0.25)])
     leaf = torch.zeros(1, requires_grad=True)
 
-    def produce():
+    def forward():
         moved = next(iterates).clone()
         if moved[0, 0, 0] == 0.25:
             moved[1, 2, 1] = bad
@@ -41,7 +43,7 @@ def test_a_cloud_that_is_not_finite_is_never_the_best_whatever_its_loss(bad):
     def objective(moved):
         return torch.where(torch.isfinite(moved), moved, 0.0).sum((1, 2))
 
-    found = descend(produce, [leaf], objective, 2, 0.1)
+    found = descend(forward, objective, Adam([leaf], 0.1), 2)
     assert found.best_step.tolist() == [2, 1]
     assert torch.isfinite(found.best).all()
     assert np.isnan(found.losses[2]).tolist() == [False, True]
@@ -49,7 +51,7 @@ def test_a_cloud_that_is_not_finite_is_never_the_best_whatever_its_loss(bad):
 
 def test_a_cloud_whose_loss_was_once_no_number_does_not_come_back():
     leaf, values = _clouds(), iter([[3.0, 3.0], [2.0, torch.nan], [1.0, 1.0]])
-    found = descend(lambda: leaf, [leaf], lambda moved: moved.sum((1, 2)) * 0.0 + torch.tensor(next(values)), 2, 0.1)
+    found = descend(lambda: leaf, lambda moved: moved.sum((1, 2)) * 0.0 + torch.tensor(next(values)), Adam([leaf], 0.1), 2)
     assert found.best_step.tolist() == [2, 0]
     assert np.isnan(found.losses[:, 1]).tolist() == [False, True, True]
 
@@ -69,12 +71,12 @@ def test_wherever_an_interrupt_falls_the_best_cloud_is_that_of_the_best_step(mon
             patched.setattr(torch, "where", interrupted)
             iterates = []
 
-            def produce(leaf=leaf, iterates=iterates):
+            def forward(leaf=leaf, iterates=iterates):
                 iterates.append(leaf.detach().clone())
                 return leaf
 
             try:
-                found = descend(produce, [leaf], lambda moved: moved.square().sum((1, 2)), 5, 0.01)
+                found = descend(forward, lambda moved: moved.square().sum((1, 2)), Adam([leaf], 0.01), 5)
             except KeyboardInterrupt:
                 continue
         assert found.interrupted

@@ -11,16 +11,15 @@ from tso_cli import Camera, RefineConfig, refine
 from tso_cli.errors import InputError
 from tso_cli.geometry.view import View
 from tso_cli.refinement import refine_batch
-from tso_cli.refinement.objective import resample_view
 from tso_cli.refinement.photometric import PhotometricLoss, blurred, sampled
+from tso_cli.refinement.resampled_view import resample_view
 
 
 def pull(colours: np.ndarray, image: np.ndarray, start: np.ndarray, blur: float = 1.0) -> PhotometricLoss:
     like = torch.tensor(start, dtype=torch.float64)[None]
     view = resample_view(View(MASK, CAMERA, image=image), 0.4, np.zeros(3), 1.0)
-    made = PhotometricLoss([view], [1.0], torch.tensor(colours), like)
-    made.look(like, blur)
-    return made
+    made = PhotometricLoss.of([view], [1.0], torch.tensor(colours), like)
+    return made.at(like, blur)
 
 
 def loss(points: np.ndarray, colours: np.ndarray, image: np.ndarray, blur: float = 1.0) -> float:

@@ -24,8 +24,8 @@ from tso_cli.io.images import read_mask
 from tso_cli.io.meshes import read_mesh
 from tso_cli.plots.overlay import AGREED, PANEL, draw_overlay
 from tso_cli.refinement import RefineConfig, refine
-from tso_cli.refinement.agreement import view_ious
-from tso_cli.refinement.parameters import Cloud
+from tso_cli.refinement.cloud import Cloud
+from tso_cli.refinement.run import view_ious
 from tso_cli.refinement.surface import SAMPLES, Surface
 from tso_cli.render import normalise
 from tso_cli.silhouette.projection import silhouette_of
@@ -87,7 +87,7 @@ def test_the_result_is_of_the_vertices_and_its_figures_are_of_the_moved_faces(st
     np.testing.assert_array_equal(stretched.initial, CORNERS)
     assert (stretched.points.shape, stretched.surface_samples) == (CORNERS.shape, SAMPLES)
     surface = Surface(CORNERS, BOX)
-    np.testing.assert_allclose(after, surface.drawn(stretched.points), atol=1e-12)
+    np.testing.assert_allclose(after, surface.all_samples(stretched.points), atol=1e-12)
     assert stretched.view_ious == view_ious(before, after, views, views)
     assert all(new > old + 0.04 for old, new in stretched.view_ious)
     moved = surface.at(stretched.points)

@@ -15,10 +15,10 @@ from tso_cli.geometry.view import View
 from tso_cli.io.cameras import read_camera
 from tso_cli.io.clouds import read_cloud
 from tso_cli.refinement import RefineConfig, refine, refine_batch
-from tso_cli.refinement.objective import resample_view
-from tso_cli.refinement.parameters import Cloud
+from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.problem import Problem
-from tso_cli.refinement.view_weights import Weights, told_once, view_weights
+from tso_cli.refinement.resampled_view import resample_view
+from tso_cli.refinement.view_weights import ViewWeights, inlier_weights, shared_weights
 from tso_cli.silhouette.projection import silhouette_of
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -52,16 +52,16 @@ def _seen(cloud: np.ndarray, camera: Camera) -> View:
     return View(silhouette_of(cloud, camera), camera)
 
 
-def weighed(points: np.ndarray, views: list[View]) -> Weights:
+def weighed(points: np.ndarray, views: list[View]) -> ViewWeights:
     """At the start, of one cloud."""
     cloud = Cloud(points, "points", colours=np.full_like(points, 0.5))
-    working = Problem.of(cloud, tuple(views), RefineConfig(symmetry="none").settings()).working
+    working = Problem.of(cloud, tuple(views), RefineConfig(symmetry="none").settings()).resampled
     first = torch.tensor(cloud.normalised(), dtype=torch.float32)[None]
-    return Weights.of([working], torch.tensor([len(points)]), first)
+    return ViewWeights.of([working], torch.tensor([len(points)]), first)
 
 
 def doubted(points: np.ndarray, views: list[View]) -> list[float]:
-    return weighed(points, views).trust[0].tolist()
+    return weighed(points, views).inlier[0].tolist()
 
 
 BALL = np.random.default_rng(0).normal(size=(300, 3))
@@ -72,7 +72,7 @@ LEVEL = replace(Camera.canonical(64, 64), R=np.diag([1.0, -1.0, -1.0]))
 def divided(*degrees: float, **more: object) -> list[float]:
     """Weights of cameras turned about a ball by so many degrees."""
     views = [replace(_seen(BALL, _turned(LEVEL, turn)), **more) for turn in degrees]
-    return weighed(BALL, views).shared[0].tolist()
+    return weighed(BALL, views).loss[0].tolist()
 
 
 def test_pictures_from_one_place_share_the_weight_of_one_and_one_from_the_side_keeps_its_own():
@@ -101,28 +101,28 @@ def test_pictures_of_different_parts_from_one_place_share_nothing():
     left = np.zeros(view.mask.shape, bool)
     left[:, :32] = True
     halves = [replace(view, known=left), replace(view, known=~left)]
-    assert weighed(BALL, halves).shared[0].tolist() == [1.0, 1.0]
+    assert weighed(BALL, halves).loss[0].tolist() == [1.0, 1.0]
     # What the whole picture tells is told once more by each of its halves.
-    whole = weighed(BALL, [view, *halves]).shared[0]
+    whole = weighed(BALL, [view, *halves]).loss[0]
     assert float(whole[0]) == pytest.approx(0.5, abs=0.01)
 
 
 def test_views_that_tell_the_same_count_together_as_the_most_trusted_of_them_alone():
     same = torch.ones(1, 3, 3, dtype=torch.float64)
     for trust in ([1.0, 1.0, 1.0], [1.0, 0.5, 0.5], [0.3, 1e-9, 0.2]):
-        found = told_once(torch.tensor([trust], dtype=torch.float64), same)[0]
+        found = shared_weights(torch.tensor([trust], dtype=torch.float64), same)[0]
         assert float(found.sum()) == pytest.approx(max(trust))
 
 
 def test_views_that_tell_nothing_alike_keep_their_trust():
     trust = torch.tensor([[1.0, 0.5, 1e-12]], dtype=torch.float64)
-    torch.testing.assert_close(told_once(trust, torch.eye(3, dtype=torch.float64)[None]), trust)
+    torch.testing.assert_close(shared_weights(trust, torch.eye(3, dtype=torch.float64)[None]), trust)
 
 
 def test_an_orthographic_camera_looks_along_its_axis_wherever_it_stands():
     camera = replace(LEVEL, model="orthographic", K=np.array([[40.0, 0.0, 31.5], [0.0, 40.0, 31.5], [0.0, 0.0, 1.0]]))
     aside = replace(camera, t=np.array([0.2, 0.1, 9.0]))
-    assert weighed(BALL, [_seen(BALL, camera), _seen(BALL, aside)]).shared[0].tolist() == pytest.approx([0.5, 0.5])
+    assert weighed(BALL, [_seen(BALL, camera), _seen(BALL, aside)]).loss[0].tolist() == pytest.approx([0.5, 0.5])
 
 
 def test_four_pictures_of_one_side_move_a_cloud_hardly_further_than_one_does(chair, monkeypatch):
@@ -136,17 +136,17 @@ def test_four_pictures_of_one_side_move_a_cloud_hardly_further_than_one_does(cha
 
     once, often = way(near[:1]), way(near)
     assert often < 1.3 * once
-    monkeypatch.setattr("tso_cli.refinement.view_weights.SAMENESS", 1e9)
+    monkeypatch.setattr("tso_cli.refinement.view_weights.REDUNDANCY_POWER", 1e9)
     assert way(near) > 1.5 * once
 
 
 def test_losses_that_are_much_alike_all_count_in_square():
     losses = torch.tensor([[1.0, 1.2, 0.8, 1.4]], dtype=torch.float64)
-    torch.testing.assert_close(view_weights(losses, APART), torch.ones_like(losses))
+    torch.testing.assert_close(inlier_weights(losses, APART), torch.ones_like(losses))
 
 
 def test_a_view_of_great_loss_whose_gradient_no_other_shares_is_discounted_alone():
-    weights = view_weights(LOSSES, APART)[0]
+    weights = inlier_weights(LOSSES, APART)[0]
     torch.testing.assert_close(weights[:3], torch.ones(3, dtype=torch.float64))
     assert weights[3] == pytest.approx((1.5 / (6.0 / 1.05)) ** 4)
 
@@ -154,19 +154,19 @@ def test_a_view_of_great_loss_whose_gradient_no_other_shares_is_discounted_alone
 def test_a_view_of_great_loss_whose_gradient_the_others_share_counts_in_square():
     pulls = APART.clone()
     pulls[0, 3, :3] = 1.0
-    torch.testing.assert_close(view_weights(LOSSES, pulls), torch.ones_like(LOSSES))
+    torch.testing.assert_close(inlier_weights(LOSSES, pulls), torch.ones_like(LOSSES))
 
 
 def test_the_unit_of_losses_and_of_each_gradient_is_of_no_matter():
-    scaled = view_weights(1e-6 * LOSSES, APART * torch.tensor([1.0, 1e3, 1e-3, 7.0], dtype=torch.float64)[:, None])
-    torch.testing.assert_close(scaled, view_weights(LOSSES, APART))
+    scaled = inlier_weights(1e-6 * LOSSES, APART * torch.tensor([1.0, 1e3, 1e-3, 7.0], dtype=torch.float64)[:, None])
+    torch.testing.assert_close(scaled, inlier_weights(LOSSES, APART))
 
 
 def test_the_size_of_an_object_in_the_picture_knows_no_resolution(chair):
     _, _, (view, *_) = chair
     finer = View(view.mask.repeat(2, 0).repeat(2, 1), view.camera.resized(128, 128))
     far = View(view.mask, replace(view.camera, t=view.camera.t * [1.0, 1.0, 2.0]))
-    size, same, half = (resample_view(v, 0.4, np.zeros(3), 1.0).size for v in (view, finer, far))
+    size, same, half = (resample_view(v, 0.4, np.zeros(3), 1.0).magnification for v in (view, finer, far))
     assert same == pytest.approx(size)
     assert half == pytest.approx(size / 2)
     assert size == pytest.approx(120.0 / view.camera.t[2])

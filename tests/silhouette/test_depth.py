@@ -12,7 +12,8 @@ from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.points import normalise_longest_side
 from tso_cli.geometry.view import View
 from tso_cli.refinement import refine_batch
-from tso_cli.refinement.objective import MaskChamferObjective, resample_view
+from tso_cli.refinement.objective import MaskChamferObjective, ViewTargets
+from tso_cli.refinement.resampled_view import resample_view
 from tso_cli.refinement.symmetry import MirrorPlane
 from tso_cli.silhouette.depth import DepthTarget, depth_loss
 from tso_cli.silhouette.projection import CameraBatch, Projected, project
@@ -171,7 +172,7 @@ def test_views_with_and_without_a_depth_map_add_up():
 
     def total(*views: View) -> float:
         working = [resample_view(one, 0.4, np.zeros(3), 1.0) for one in views]
-        return float(MaskChamferObjective([working], torch.tensor([len(start)]), points)(points, 3.0))
+        return float(MaskChamferObjective(ViewTargets([working], torch.tensor([len(start)]), points), 3.0)(points))
 
     assert total(view, other) == pytest.approx(total(view) + total(other), rel=1e-6)
     assert total(view) > total(View(view.mask, CAMERA)) + 10.0

@@ -66,9 +66,11 @@ def print_cameras(views: Sequence[View], result: RefineResult) -> None:
     """How far each camera moved, of cameras that were to move."""
     for view, camera in zip(views, result.cameras, strict=True) if result.steps else ():
         if camera is view.camera:
-            from ..refinement.camera_correction import LEFT
+            from ..refinement.camera_correction import MISFIT_LEFT
 
-            click.echo(f"  camera kept   (no small correction takes the misfit of the start under {LEFT:g} of it; {view.name})")
+            click.echo(
+                f"  camera kept   (no small correction takes the misfit of the start under {MISFIT_LEFT:g} of it; {view.name})"
+            )
         else:
             turned, shifted = _change(view, camera, result)
             click.echo(f"  camera turned {turned:.2f} degrees, shifted {100.0 * shifted:.2f} % of its distance   ({view.name})")
@@ -90,7 +92,7 @@ def _change(view: View, camera: Camera, result: RefineResult) -> tuple[float, fl
 
     from ..geometry.rotations import angle_between
 
-    start = result.shown[0]
+    start = result.judged[0]
     middle = (start.min(0) + start.max(0)) / 2.0
     before, after = (c.R @ middle + c.t for c in (view.camera, camera))
     shifted = np.linalg.norm(after - before) / np.linalg.norm(before)

@@ -32,12 +32,14 @@ def print_result(
 
 
 def _moved(result: RefineResult) -> str:
-    from ..refinement.result_warnings import HARDLY, unmoved
+    from ..refinement.result import SMALL_DISPLACEMENT, why_unmoved
 
-    if why := unmoved(result):
+    if why := why_unmoved(result):
         return f"nothing: {why}"
-    least = f"under {100.0 * HARDLY:g} %"
-    mean, most = (f"{100.0 * share:.1f} %" if share >= HARDLY else least for share in (result.moved_mean, result.moved_max))
+    least = f"under {100.0 * SMALL_DISPLACEMENT:g} %"
+    mean, most = (
+        f"{100.0 * share:.1f} %" if share >= SMALL_DISPLACEMENT else least for share in (result.moved_mean, result.moved_max)
+    )
     return f"{mean} of the object's size on average, {most} at most"
 
 
@@ -56,9 +58,10 @@ def _symmetry(result: RefineResult) -> str | None:
 
 
 def _doubted(result: RefineResult, scene: Scene) -> str | None:
-    from ..refinement.result_warnings import DOUBTED
 
-    names = [view.name for view, trust in zip(scene.views, result.view_trust, strict=True) if trust < DOUBTED]
+    from ..refinement.result import DOUBTFUL_INLIER_WEIGHT
+
+    names = [view.name for view, trust in zip(scene.views, result.view_trust, strict=True) if trust < DOUBTFUL_INLIER_WEIGHT]
     return f"little of {', '.join(names)} (contradicted by the others)" if names else None
 
 

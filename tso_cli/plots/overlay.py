@@ -114,7 +114,7 @@ def _row_of_view(result: RefineResult, views: Sequence[View], number: int) -> Ro
 
 def _from_camera(result: RefineResult, view: View) -> list[NDArray[np.float64]]:
     """[3, N] the clouds before and after in the camera's axes, both shifted and scaled alike to fit a panel."""
-    rotated = [points @ view.camera.R.T for points in result.shown]
+    rotated = [points @ view.camera.R.T for points in result.judged]
     low = np.min([points.min(0) for points in rotated], axis=0)
     high = np.max([points.max(0) for points in rotated], axis=0)
     middle, half = (low + high) / 2.0, float((high - low).max()) * 0.53
@@ -123,7 +123,7 @@ def _from_camera(result: RefineResult, view: View) -> list[NDArray[np.float64]]:
 
 def _silhouettes(result: RefineResult, view: View, number: int) -> list[Image.Image]:
     """Mask against silhouette before, seen by the camera as it was given, and after, seen by the one that was used."""
-    before, after = result.shown
+    before, after = result.judged
     stages = (before, view), (after, replace(view, camera=result.cameras[number]))
     box = common_window(stages)
     return [_fitted(compare(in_window(points, seen, box))) for points, seen in stages]

@@ -2,7 +2,31 @@
 
 from __future__ import annotations
 
-from .api import refine, refine_batch
-from .config import MODES, PRESETS, RefineConfig, RefineResult
+from typing import TYPE_CHECKING, Any
 
+if TYPE_CHECKING:
+    from .api import refine as refine
+    from .api import refine_batch as refine_batch
+    from .config import RefineConfig as RefineConfig
+    from .presets import MODES as MODES
+    from .presets import PRESETS as PRESETS
+    from .result import RefineResult as RefineResult
+
+_MODULES = {
+    "refine": "api",
+    "refine_batch": "api",
+    "RefineConfig": "config",
+    "MODES": "presets",
+    "PRESETS": "presets",
+    "RefineResult": "result",
+}
 __all__ = ["MODES", "PRESETS", "RefineConfig", "RefineResult", "refine", "refine_batch"]
+
+
+def __getattr__(name: str) -> Any:
+    """Load public names when first used, so that the settings can be read without torch."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f".{_MODULES[name]}", __name__), name)

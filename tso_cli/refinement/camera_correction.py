@@ -1,9 +1,10 @@
-"""Cameras that are moved with the points: whether a view's camera is off, and where it should be."""
+"""Corrections of given cameras, found together with the points and kept where they explain a misfit."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -11,85 +12,93 @@ from torch import Tensor
 from ..geometry.view import View
 from ..geometry.window import window_around, window_of
 from ..silhouette.losses import ChamferToInitial
+from .adam import Adam
 from .camera_moves import CameraMoves, moved_camera
-from .config import PAPER_GAMMA, PAPER_LEARNING_RATE, PAPER_STEPS, Settings
-from .objective import MaskChamferObjective, SilhouetteObjective, resample_view
+from .config import Settings
+from .objective import MaskChamferObjective, SilhouetteObjective, ViewTargets
 from .optimise import descend
-from .parameters import PointParameters
+from .presets import PAPER_GAMMA, PAPER_LEARNING_RATE, PAPER_STEPS
 from .problem import Problem
+from .resampled_view import resample_view
 
-# A correction is accepted if it alone takes the misfit of the start in that view to under this share: the silhouette of a
-# wrong shape asks for corrections of a right camera too, but no camera makes a wrong shape fit.
-LEFT = 0.38
-# The misfit is `mask_chamfer_loss` with this reach, cells: unlike the silhouette's it is near 0 for a cloud that fits.
-REACH = 4.0
+# A correction is kept if it alone reduces the start's misfit in its view to less than this share: the silhouette of a wrong
+# shape asks for corrections of a right camera too, but no camera makes a wrong shape fit.
+MISFIT_LEFT = 0.38
+# The misfit is the mask Chamfer loss at this robust scale, cells; unlike the silhouette's it is near 0 for a cloud that fits.
+ROBUST_SCALE = 4.0
 
 
-def settled(items: Sequence[Problem], start: PointParameters, settings: Settings) -> tuple[list[Problem], bool]:
-    """The items with the cameras corrected that need it, and whether Ctrl-C kept them as they were.
+def corrected_cameras(
+    problems: Sequence[Problem], initial: Tensor, counts: Tensor, settings: Settings
+) -> tuple[list[Problem], bool]:
+    """The problems with the cameras corrected that need it, and whether Ctrl-C left them as they were.
 
-    Points and cameras are moved together with the paper's settings, the points held near their start (which pins what a move
-    of all points and one of all cameras have in common), the cameras near the given ones. A correction is kept if with it
-    the start itself, not moved, fits the view's mask far better (`LEFT`), else dropped. Where the points went on the way
-    is forgotten.
+    Points and cameras move together with the paper's settings. The points are held near their start, which separates a motion
+    of all points from one of the camera; the cameras near the given ones. A correction is kept if with it the start
+    itself fits the view's mask far better (`MISFIT_LEFT`). The points' motion is discarded.
 
     Parameters
     ----------
-    items : each asked by as many views, of the same kinds. start : of their clouds; it is left as it is.
+    problems : with as many views each, of the same kinds. initial, counts : [B, N, 3], [B] of their clouds.
     """
-    first = start.forward().detach().clone()
-    points = first.clone().requires_grad_()
-    chamfer = ChamferToInitial(first, start.counts)
-    rate, gamma = PAPER_LEARNING_RATE["points"], PAPER_GAMMA["points"]
-    # The mirror image of a wrong camera is wrong as well.
-    working = [item.working[: len(item.views)] for item in items]
-    moves = CameraMoves([[view.camera for view in own] for own in working], points, rate)
-    mask_term = SilhouetteObjective(working, start.counts, points)
-    mask_term.moves = moves
-    size = points.shape[1]
-
-    def produce() -> Tensor:
-        # The corrections are more rows of the cloud: so the loop keeps those of its best iterate.
-        return torch.cat([points, moves.parameter], 1)
-
-    def objective(_: Tensor) -> Tensor:
-        return mask_term(points) + gamma * chamfer(points) + moves.penalty()
-
-    descent = descend(produce, [points, moves.parameter], objective, PAPER_STEPS, rate)
+    points = initial.clone().requires_grad_()
+    chamfer = ChamferToInitial(initial, counts)
+    rate = PAPER_LEARNING_RATE["points"]
+    # Without the flipped views: the mirror image of a wrong camera is wrong as well.
+    resampled = [problem.resampled[: len(problem.views)] for problem in problems]
+    moves = CameraMoves([[view.camera for view in views] for views in resampled], points, rate)
+    silhouettes = SilhouetteObjective(resampled, counts, points, camera_moves=moves)
+    descent = descend(
+        partial(_stacked, points, moves),
+        partial(_loss, silhouettes, chamfer, moves, points),
+        Adam([points, moves.parameter], rate),
+        PAPER_STEPS,
+    )
     if descent.interrupted:
-        return list(items), True
-    values = moves.values_of(descent.best[:, size:]).double().cpu().numpy()
+        return list(problems), True
+    values = moves.values_of(descent.best[:, points.shape[1] :]).double().cpu().numpy()
     corrected = [
         tuple(
-            replace(view, camera=moved_camera(view.camera, by, item.cloud.centre, item.cloud.scale))
-            for view, by in zip(item.views, row, strict=True)
+            replace(view, camera=moved_camera(view.camera, correction, problem.cloud.centre, problem.cloud.scale))
+            for view, correction in zip(problem.views, row, strict=True)
         )
-        for item, row in zip(items, values, strict=True)
+        for problem, row in zip(problems, values, strict=True)
     ]
-    before, after = _misfits(items, corrected, start.counts, first)
+    before, after = _misfits(problems, corrected, counts, initial)
     chosen = [
-        tuple(other if better else view for view, other, better in zip(item.views, views, row, strict=True))
-        for item, views, row in zip(items, corrected, (after < LEFT * before).tolist(), strict=True)
+        tuple(new if better else old for old, new, better in zip(problem.views, views, row, strict=True))
+        for problem, views, row in zip(problems, corrected, (after < MISFIT_LEFT * before).tolist(), strict=True)
     ]
-    return [item.seen_by(own, settings) for item, own in zip(items, chosen, strict=True)], False
+    return [problem.with_views(views, settings) for problem, views in zip(problems, chosen, strict=True)], False
+
+
+def _stacked(points: Tensor, moves: CameraMoves) -> Tensor:
+    """The corrections as more rows of the clouds, so that the loop keeps those of its best iterate."""
+    return torch.cat([points, moves.parameter], 1)
+
+
+def _loss(
+    silhouettes: SilhouetteObjective, chamfer: ChamferToInitial, moves: CameraMoves, points: Tensor, _stacked: Tensor
+) -> Tensor:
+    return silhouettes(points) + PAPER_GAMMA["points"] * chamfer(points) + moves.penalty()
 
 
 def _misfits(
-    items: Sequence[Problem], corrected: Sequence[tuple[View, ...]], counts: Tensor, points: Tensor
+    problems: Sequence[Problem], corrected: Sequence[tuple[View, ...]], counts: Tensor, points: Tensor
 ) -> tuple[Tensor, ...]:
-    """How far ``points`` [B, N, 3] are from what each view asks, [B, V] as it is and as it is corrected.
+    """The misfit [B, V] of ``points`` [B, N, 3] by the given views and by the corrected ones.
 
-    Both in one window that holds the cloud as either camera sees it: the misfit counts cells, and these are to be as large.
+    Both in one window that holds the cloud as either camera sees it, since the misfit is in cells.
     """
-    found = []
-    for number in range(len(items[0].views)):
+    misfits = []
+    for number in range(len(problems[0].views)):
         pairs = []
-        for item, others in zip(items, corrected, strict=True):
-            seen, other, cloud = item.working[number], others[number], item.cloud
-            box = window_around(seen.box, window_of(other, cloud.initial))
+        for problem, views in zip(problems, corrected, strict=True):
+            cloud, given, new = problem.cloud, problem.resampled[number], views[number]
+            box = window_around(given.box, window_of(new, cloud.initial))
             pairs.append(
-                [resample_view(view, seen.sigma_sq, cloud.centre, cloud.scale, box) for view in (item.views[number], other)]
+                [resample_view(view, given.sigma_sq, cloud.centre, cloud.scale, box) for view in (problem.views[number], new)]
             )
-        own = [MaskChamferObjective([[view] for view in column], counts, points) for column in zip(*pairs, strict=True)]
-        found.append(torch.stack([pull(points, REACH) for pull in own]))
-    return torch.stack(found, 2).unbind()
+        columns = [ViewTargets([[view] for view in column], counts, points) for column in zip(*pairs, strict=True)]
+        misfits.append(torch.stack([MaskChamferObjective(targets, ROBUST_SCALE)(points) for targets in columns]))
+    return torch.stack(misfits, 2).unbind()

@@ -1,246 +1,196 @@
-"""The preset "best": pulled by the mask, held by the start, and points from coarse to fine."""
+"""The preset "best" of points mode: smooth displacement fields, from coarse to fine, averaged over the stages."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from ..silhouette.mask_chamfer import REFERENCE_POINTS
 from .adam import Adam, UniformAdam
-from .objective import MaskChamferObjective
+from .objective import MaskChamferObjective, ViewTargets
 from .optimise import Descent, Objective, Progress, descend
 from .photometric import PhotometricLoss
-from .smooth_field import NODES, SmoothField
+from .presets import NETWORK, CoarseToFineConfig, Stage
+from .prior import PositionPrior, position_prior, squared_evidence
+from .problem import Problem
+from .smooth_field import SmoothField
 
 
-@dataclass(frozen=True)
-class Stage:
-    """An equal part of the steps.
+@dataclass(frozen=True, eq=False)
+class WindowedTargets:
+    """What the views ask of the clouds of a batch, in windows around these clouds.
+
+    Attributes
+    ----------
+    problems : with their present windows. targets : of these.
+    initial, counts, weights : [B, N, 3], [B], [B, V], as `ViewTargets` takes them.
+    """
+
+    problems: tuple[Problem, ...]
+    initial: Tensor
+    counts: Tensor
+    weights: Tensor
+    targets: ViewTargets
+
+    @classmethod
+    def of(cls, problems: Sequence[Problem], initial: Tensor, counts: Tensor, weights: Tensor) -> WindowedTargets:
+        """The targets in the problems' present windows."""
+        targets = ViewTargets([problem.resampled for problem in problems], counts, initial, weights)
+        return cls(tuple(problems), initial, counts, weights, targets)
+
+    def around(self, points: Tensor, fine_grid: bool) -> WindowedTargets:
+        """The targets in windows around normalised ``points`` [B, N, 3]; itself where no window changes."""
+        moved = tuple(
+            problem.with_windows_around(problem.cloud.denormalised(cloud), fine_grid)
+            for problem, cloud in zip(self.problems, points.double().cpu().numpy(), strict=True)
+        )
+        if all(
+            new is old
+            for after, before in zip(moved, self.problems, strict=True)
+            for new, old in zip(after.resampled, before.resampled, strict=True)
+        ):
+            return self
+        return WindowedTargets.of(moved, self.initial, self.counts, self.weights)
+
+
+class SmoothFields:
+    """Smooth fields of the same clouds with different numbers of nodes, built when they are first asked for."""
+
+    def __init__(self, points: Tensor, counts: Tensor) -> None:
+        self._points, self._counts = points, counts
+        self._fields: dict[int, SmoothField] = {}
+
+    def with_nodes(self, nodes: int) -> SmoothField:
+        if nodes not in self._fields:
+            self._fields[nodes] = SmoothField(self._points, self._counts, nodes)
+        return self._fields[nodes]
+
+
+@dataclass(frozen=True, eq=False)
+class CoarseToFine:
+    """A coarse-to-fine descent of B clouds.
 
     Parameters
     ----------
-    smoothness : lambda of `SmoothField`. reach : of `mask_chamfer_loss`, px.
-    pace : share of the learning rate. nodes : of the field.
-    share : of its best iterate in the result, a mean over the stages.
-    blur : of `PhotometricLoss.look`, px.
-    finest : on the grid of `finest_grid` cells a side in place of 64. Lengths stay stated in
-        64ths of the window.
+    windowed : the clouds and their views at the start. fields : of the clouds at the start.
+    config : of the stages and the prior.
+    learning_rate : about how far the node with the largest gradient moves in one of the first steps.
+    follow : whether windows follow the clouds from stage to stage.
+    evidence : [B], `Problem.evidence`; None for one mask. The more views, the less is the detail of the last stage a guess: its
+        averaging weight grows with the square.
+    photometric : of a single cloud with colours.
+    regulariser : one more term.
     """
 
-    smoothness: float
-    reach: float
-    pace: float
-    nodes: int = NODES
-    share: float = 1.0
-    blur: float = 0.5
-    finest: bool = False
+    windowed: WindowedTargets
+    fields: SmoothFields
+    config: CoarseToFineConfig
+    learning_rate: float
+    follow: bool = True
+    evidence: Tensor | None = None
+    photometric: PhotometricLoss | None = None
+    regulariser: Objective | None = None
+
+    def run(self, steps: int, on_progress: Progress | None = None) -> tuple[Descent, tuple[Problem, ...]]:
+        """Descend for ``steps`` in all.
+
+        Returns
+        -------
+        The descent, whose ``best`` is the weighted mean of the stages' best iterates, or the start where that has a lower loss
+        by the last objective; and the problems with their last windows.
+        """
+        windowed, config, counts = self.windowed, self.config, self.windowed.counts
+        initial, stages = windowed.initial, config.stages
+        evidence = self.evidence
+        if evidence is not None:
+            # What is truncated in every view stays unknown, however many there are.
+            evidence = torch.where(windowed.targets.truncated.to(evidence.device), 1.0, evidence)
+        finest = self.fields.with_nodes(max(stage.nodes for stage in stages))
+        prior = position_prior(initial, counts, windowed.targets, finest, config, evidence)
+        observed = windowed.targets.observed(initial)
+        mobility = torch.where(observed, 1.0, config.unobserved_motion).to(initial).unsqueeze(-1)
+
+        parts: list[Descent] = []
+        points, done = initial, 0
+        for number, stage in enumerate(stages, 1):
+            if self.follow:
+                previous, windowed = windowed, windowed.around(points, stage.fine_grid)
+                if windowed is not previous:
+                    prior = position_prior(initial, counts, windowed.targets, finest, config, evidence)
+            objective = self._objective(stage, windowed.targets, prior, finest, points)
+            field = self.fields.with_nodes(stage.nodes)
+            parameter = torch.zeros(field.shape, dtype=initial.dtype, device=initial.device, requires_grad=True)
+            forward = partial(_displaced, points, mobility, field, field.smoother(stage.smoothness), parameter)
+            rate = stage.learning_rate_scale * self.learning_rate
+            optimiser = (UniformAdam if config.per_cloud_adam else Adam)([parameter], rate)
+            end = round(steps * number / len(stages))
+            report = on_progress and partial(_report, on_progress, done, steps)
+            part = descend(forward, objective, optimiser, end - done, report)
+            parts.append(part)
+            points, done = part.best, end
+            if part.interrupted:
+                break
+        weights = [torch.full_like(initial[:, 0, 0], stage.averaging_weight) for stage in stages]
+        weights[-1] = weights[-1] * squared_evidence(evidence, initial)
+        return _averaged(parts, torch.stack(weights[: len(parts)]), initial, objective), windowed.problems
+
+    def _objective(
+        self, stage: Stage, targets: ViewTargets, prior: PositionPrior, finest: SmoothField, points: Tensor
+    ) -> Objective:
+        """The sum of all terms for a stage that starts at ``points``."""
+        resolvability = targets.resolvability(points, finest) if self.config.use_resolvability else None
+        terms: list[Objective] = [MaskChamferObjective(targets, stage.robust_scale, resolvability), prior]
+        if self.photometric:
+            terms.append(self.photometric.at(points, stage.blur))
+        if self.regulariser:
+            terms.append(self.regulariser)
+        return partial(total_loss, terms)
 
 
-# First the cloud moves nearly as a whole and hears of pixels far away, at last almost point by point and of near ones only.
-# What the stages disagree on is about as often wrong as right: their mean is about as near to the truth as the last, and more
-# seldom further from it than the start.
-STAGES = (
-    Stage(100.0, 6.0, 1.0, 256, 1.0, 2.0),
-    Stage(10.0, 3.0, 0.75, 512, 2.0, 1.0),
-    Stage(1.0, 3.0, 0.35, NODES, 3.0, finest=True),
-)
-ANCHOR_REACH = 4.0
-# A part of the cloud is off on its own where the mean cost of its pixels is over this, px^2 of a window of 64; the smoothness
-# of that mean, as of a stage.
-LOCAL_FROM, LOCAL_SMOOTHNESS = 1.0, 1.0
+def network_objective(initial: Tensor, counts: Tensor, targets: ViewTargets) -> Objective:
+    """The objective of the preset "best" in the network modes: mask Chamfer loss and position prior."""
+    field = SmoothField(initial, counts)
+    prior = position_prior(initial, counts, targets, field, NETWORK)
+    (stage,) = NETWORK.stages
+    mask_chamfer = MaskChamferObjective(targets, stage.robust_scale, targets.resolvability(initial, field))
+    return partial(total_loss, [mask_chamfer, prior])
 
 
-@dataclass(frozen=True)
-class CoarseToFineConfig:
-    """What the preset is made of; a study changes one ingredient at a time.
-
-    Parameters
-    ----------
-    stages : share the steps evenly, in this order; their shares of the result are those of one picture.
-    anchor : what it costs a point to leave its start, squared distance (longest side 1), for a start whose mask pixels are
-        e = 1 px^2 off on average. A start that is further off is trusted less, anchor / e^decay; ``least_anchor``, for one
-        picture, and ``most_anchor`` bound it.
-    by_area : whether points hold by the surface that they stand for, or all alike.
-    cut : how many times as much it costs all points of an object that no view shows whole.
-    unseen : how far those of them move that no view shows, beyond the borders, in units of how far the field would take them.
-    optimiser : of every stage. looks : whether parts that pixels do not show are left alone.
-    weighs : whether views count for less that others contradict or repeat, or all in full.
-    local : whether what is off in one place is held less there, however right the rest is.
-    """
-
-    stages: tuple[Stage, ...] = STAGES
-    anchor: float = 300.0
-    decay: float = 1.0
-    least_anchor: float = 200.0
-    most_anchor: float = 3000.0
-    by_area: bool = True
-    cut: float = 3.0
-    unseen: float = 0.1
-    optimiser: type[Adam] | type[UniformAdam] = UniformAdam
-    looks: bool = True
-    weighs: bool = True
-    local: bool = False
+def total_loss(terms: Sequence[Objective], points: Tensor) -> Tensor:
+    """The sum [B] of the terms at ``points`` [B, N, 3]."""
+    loss = terms[0](points)
+    for term in terms[1:]:
+        loss = loss + term(points)
+    return loss
 
 
-BEST = CoarseToFineConfig(local=True)
-# Of the modes that move a network: its weights take many points along anyway, and where its prediction is far off the picture
-# it has mistaken the shape, which no small change of weights puts right.
-NETWORK = CoarseToFineConfig(stages=(Stage(0.0, 3.0, 1.0),), anchor=500.0, decay=0.5, least_anchor=30.0)
+def _displaced(points: Tensor, mobility: Tensor, field: SmoothField, smoother: Tensor, parameter: Tensor) -> Tensor:
+    return points + mobility * field.displacement(smoother, parameter)
 
 
-def mask_chamfer_with_prior(
-    first: Tensor, counts: Tensor, pull: MaskChamferObjective, config: CoarseToFineConfig = NETWORK
-) -> Objective:
-    """The pull of the masks and what it costs to leave the start, for B clouds ``first`` [B, N, 3] of ``counts`` [B] points."""
-    field = SmoothField(first, counts)
-    anchors = prior_weights(first, counts, pull, field, config)
-    pull.look(first, field)
-    (stage,) = config.stages
-
-    def objective(moved: Tensor) -> Tensor:
-        return pull(moved, stage.reach) + cost(moved, first, anchors)
-
-    return objective
+def _report(on_progress: Progress, done: int, steps: int, step: int, _steps_of_stage: int, loss: float) -> None:
+    on_progress(done + step, steps, loss)
 
 
-def prior_weights(
-    first: Tensor,
-    counts: Tensor,
-    pull: MaskChamferObjective,
-    field: SmoothField,
-    config: CoarseToFineConfig,
-    pictures: Tensor | None = None,
-) -> Tensor:
-    """[B, N] what the square of a point's way from its start costs; ``pictures`` as in `coarse_to_fine_descent`."""
-    off = (pull(first, ANCHOR_REACH) / pull.pixels).unsqueeze(1)
-    if config.local:
-        each = pull.of_points(first, ANCHOR_REACH) * (counts.to(first) / pull.pixels).unsqueeze(1)
-        around = field.averaged(each, LOCAL_SMOOTHNESS)
-        off = torch.maximum(off, torch.where(around > LOCAL_FROM, around, 0.0))
-    # What one picture leaves open others tell: the start is needed less.
-    least = (config.least_anchor / _squared(pictures, first)).unsqueeze(1)
-    trusted = torch.maximum((config.anchor / off**config.decay).clamp_max(config.most_anchor), least)
-    each = trusted * (REFERENCE_POINTS / counts).to(first).unsqueeze(1)
-    # What holds a piece of surface is as strong where points are few as where they are many.
-    areas = field.areas(first, counts) if config.by_area else torch.ones_like(first[..., 0])
-    each = torch.where(pull.cut.unsqueeze(1), config.cut * each, each)
-    return each * areas
-
-
-def _squared(pictures: Tensor | None, like: Tensor) -> Tensor:
-    return torch.ones_like(like[:, 0, 0]) if pictures is None else pictures.to(like).square()
-
-
-def cost(moved: Tensor, first: Tensor, anchors: Tensor) -> Tensor:
-    """[B] of leaving the start."""
-    return (anchors * (moved - first).square().sum(2)).sum(1)
-
-
-def coarse_to_fine_descent(
-    first: Tensor,
-    counts: Tensor,
-    pull_at: Callable[[Tensor, bool], MaskChamferObjective],
-    further: Objective | None,
-    steps: int,
-    learning_rate: float,
-    progress: Progress | None = None,
-    config: CoarseToFineConfig = BEST,
-    fields: dict[int, SmoothField] | None = None,
-    colours: PhotometricLoss | None = None,
-    pictures: Tensor | None = None,
-) -> Descent:
-    """Move B clouds by smooth fields.
-
-    Parameters
-    ----------
-    first : [B, N, 3] normalised; counts : [B].
-    pull_at : the pull of the masks, seen in windows that suit the clouds [B, N, 3] it is given,
-        on the finest grids or on those of 64 cells. further : another term, or None.
-    steps : of all stages together.
-    learning_rate : about how far the node that is pulled hardest moves in one of the first steps.
-    config : what else the descent is made of.
-    fields : those of ``first`` by their nodes, as far as they are known; further ones are added.
-    colours : of the one cloud, None where no image asks for them.
-    pictures : [B] how much each goes by, `Problem.pictures`; None for one mask. The more there
-        are the less is the last stage's detail a guess: its share of the result grows with their square.
-
-    Returns
-    -------
-    Descent; ``best`` is the mean of every stage's best, by their shares, or the start where that has the lower loss by the last
-    objective.
-    """
-    pull = pull_at(first, False)
-    if pictures is not None:
-        # What is cut off in all of them is as unknown with many as with one.
-        pictures = torch.where(pull.cut.to(pictures.device), 1.0, pictures)
-    stages = config.stages
-    fields = {} if fields is None else fields
-    for nodes in {stage.nodes for stage in stages} - fields.keys():
-        fields[nodes] = SmoothField(first, counts, nodes)
-    finest = fields[max(stage.nodes for stage in stages)]
-    anchors = prior_weights(first, counts, pull, finest, config, pictures)
-    followed = torch.where(pull.asked(first), 1.0, config.unseen).to(first).unsqueeze(-1)
-
-    def objective(moved: Tensor) -> Tensor:
-        loss = pull(moved, stage.reach) + cost(moved, first, anchors)
-        if colours:
-            loss = loss + colours(moved)
-        return loss + further(moved) if further else loss
-
-    parts, done, found = [], 0, first
-    ends = [round(steps * (i + 1) / len(stages)) for i in range(len(stages))]
-    for stage, end in zip(stages, ends, strict=True):
-        field = fields[stage.nodes]
-        seen_before, pull = pull, pull_at(found, stage.finest)
-        if pull is not seen_before:
-            anchors = prior_weights(first, counts, pull, finest, config, pictures)
-        if config.looks:
-            pull.look(found, finest)
-        if colours:
-            colours.look(found, stage.blur)
-        smoother = field.smoother(stage.smoothness)
-        moving = torch.zeros(field.shape, dtype=first.dtype, device=first.device, requires_grad=True)
-
-        def produce(
-            base: Tensor = found, field: SmoothField = field, smoother: Tensor = smoother, moving: Tensor = moving
-        ) -> Tensor:
-            return base + followed * field.displacement(smoother, moving)
-
-        def told(step: int, steps_here: int, loss: float, before: int = done) -> None:
-            assert progress is not None
-            progress(before + step, steps, loss)
-
-        rate = stage.pace * learning_rate
-        part = descend(produce, [moving], objective, end - done, rate, told if progress else None, config.optimiser)
-        parts.append(part)
-        found, done = part.best, end
-        if part.interrupted:
-            break
-    shares = [torch.full_like(first[:, 0, 0], stage.share) for stage in stages]
-    shares[-1] = shares[-1] * _squared(pictures, first)
-    return _joined(parts, torch.stack(shares[: len(parts)]), first, objective)
-
-
-def _joined(parts: list[Descent], shares: Tensor, first: Tensor, objective: Objective) -> Descent:
-    """The whole way, and the mean of what its P parts came to, by their ``shares`` [P, B], judged by the last objective."""
+def _averaged(parts: list[Descent], weights: Tensor, initial: Tensor, objective: Objective) -> Descent:
+    """One descent of its P stages: the mean of their best iterates by ``weights`` [P, B], judged by the last objective."""
     last = parts[-1]
-    # Of ways from the start: what nothing moved keeps every bit.
-    ways = torch.stack([part.best - first for part in parts])
-    mean = first + ((shares / shares.sum(0)).view(*shares.shape, 1, 1) * ways).sum(0)
+    # Displacements are averaged, not positions, so that unmoved points stay bit-identical.
+    displacements = torch.stack([part.best - initial for part in parts])
+    mean = initial + ((weights / weights.sum(0)).view(*weights.shape, 1, 1) * displacements).sum(0)
     with torch.no_grad():
-        at_start, at_mean = objective(first).double(), objective(mean).double()
-    better = at_mean < at_start
-    before = sum(len(part.losses) - 1 for part in parts[:-1])
-    losses = np.concatenate([parts[0].losses, *(part.losses[1:] for part in parts[1:])])
-    return Descent(
-        torch.where(better.view(-1, 1, 1), mean, first),
-        np.where(better.cpu().numpy(), last.best_step + before, 0),
-        losses,
-        last.interrupted,
-        at_start.cpu().numpy(),
-        torch.where(better, at_mean, at_start).cpu().numpy(),
+        loss_at_start, loss_at_mean = objective(initial).double(), objective(mean).double()
+    better = loss_at_mean < loss_at_start
+    steps_before = sum(len(part.losses) - 1 for part in parts[:-1])
+    return replace(
+        last,
+        best=torch.where(better.view(-1, 1, 1), mean, initial),
+        best_step=np.where(better.cpu().numpy(), last.best_step + steps_before, 0),
+        losses=np.concatenate([parts[0].losses, *(part.losses[1:] for part in parts[1:])]),
+        first_loss=loss_at_start.cpu().numpy(),
+        best_loss=torch.where(better, loss_at_mean, loss_at_start).cpu().numpy(),
     )

@@ -1,4 +1,4 @@
-"""The one loop: Adam on whatever moves, for any number of clouds at once, with the best iterate of each kept."""
+"""The one optimisation loop: any parameters, any number of clouds at once, the best iterate of each kept."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from .adam import Adam, UniformAdam
 Progress = Callable[[int, int, float], None]
 Objective = Callable[[Tensor], Tensor]
 
-# On a GPU a step ends before its work is done. Reading waits for that work, so it is done every so many steps.
+# Reading a loss from a GPU waits for all its work, so the check for finished clouds is made every so many steps.
 STEPS_UNREAD = 10
 
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Where B clouds came to.
+    """The result of a descent of B clouds.
 
     Attributes
     ----------
-    best : [B, N, 3], the iterate of each with the lowest loss; best_step : [B], the step it is from.
-    losses : [steps + 1, B], at the start and after every step; NaN once a cloud or its loss was no finite number.
+    best : [B, N, 3], the iterate of each with the lowest loss. best_step : [B], its step.
+    losses : [steps + 1, B], at the start and after every step; NaN once a cloud or its loss is not finite.
     interrupted : Ctrl-C ended it.
     first_loss, best_loss : [B], of the start and of ``best``.
     """
@@ -41,30 +41,27 @@ class Descent:
 
 
 def descend(
-    produce: Callable[[], Tensor],
-    parameters: list[Tensor],
+    forward: Callable[[], Tensor],
     objective: Objective,
+    optimiser: Adam | UniformAdam,
     steps: int,
-    learning_rate: float,
-    progress: Progress | None = None,
-    optimiser_of: Callable[[list[Tensor], float], Adam | UniformAdam] = Adam,
+    on_progress: Progress | None = None,
 ) -> Descent:
-    """Gradient steps on ``parameters``.
+    """Minimise ``objective(forward())``.
 
     Parameters
     ----------
-    produce : gives the clouds [B, N, 3] as the parameters have them.
-    objective : gives their losses [B]. What moves one cloud must not show in the loss of another.
-    steps : at most so many; it ends earlier when no cloud is left that is finite and has a finite loss.
-    progress : called after every step with (step, steps, mean loss of the clouds that have one).
+    forward : the clouds [B, N, 3] as functions of the optimiser's parameters.
+    objective : their losses [B]. No cloud may show in the loss of another.
+    steps : at most; it ends earlier when no cloud is left that is finite and has a finite loss.
+    on_progress : called after every step with (step, steps, mean of the finite losses).
 
     Raises
     ------
     KeyboardInterrupt
         Before the loss of the start is known; later it ends the loop.
     """
-    optimiser = optimiser_of(parameters, learning_rate)
-    best = produce().detach().clone()
+    best = forward().detach().clone()
     lowest = torch.full((len(best),), torch.inf, dtype=torch.float64, device=best.device)
     alive = torch.ones_like(lowest, dtype=torch.bool)
     best_step = torch.zeros_like(lowest, dtype=torch.int64)
@@ -72,29 +69,29 @@ def descend(
     interrupted = False
     try:
         for step in range(steps + 1):
-            moved = produce()
-            loss = objective(moved)
+            points = forward()
+            loss = objective(points)
             values = loss.detach().double()
-            # A sum is finite where all that is added is. Points that are no number are not seen, and the loss may not tell.
-            alive = alive & torch.isfinite(values) & torch.isfinite(moved.detach().sum((1, 2)))
+            # Non-finite points are invisible to the views, so the loss alone may not show them; their sum does.
+            alive = alive & torch.isfinite(values) & torch.isfinite(points.detach().sum((1, 2)))
             losses.append(torch.where(alive, values, torch.nan))
             better = alive & (values < lowest)
-            # ViewBatch, so that Ctrl-C finds the three of one step.
+            # One assignment, so that Ctrl-C leaves all three of the same step.
             best, lowest, best_step = (
-                torch.where(better.view(-1, 1, 1), moved.detach(), best),
+                torch.where(better.view(-1, 1, 1), points.detach(), best),
                 torch.where(better, values, lowest),
                 torch.where(better, step, best_step),
             )
-            told = progress is not None and step > 0
-            if (told or not whole_batches(best) or step % STEPS_UNREAD == 0) and not alive.any():
+            report = on_progress is not None and step > 0
+            if (report or not whole_batches(best) or step % STEPS_UNREAD == 0) and not alive.any():
                 break
-            if progress and told:
-                progress(step, steps, float(values[alive].mean()))
+            if on_progress and report:
+                on_progress(step, steps, float(values[alive].mean()))
             if step < steps:
                 optimiser.step(loss.sum())
     except KeyboardInterrupt:
         if not losses:
             raise
         interrupted = True
-    told_losses = torch.stack(losses).cpu().numpy()
-    return Descent(best, best_step.cpu().numpy(), told_losses, interrupted, told_losses[0], lowest.cpu().numpy())
+    history = torch.stack(losses).cpu().numpy()
+    return Descent(best, best_step.cpu().numpy(), history, interrupted, history[0], lowest.cpu().numpy())

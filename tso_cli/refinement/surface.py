@@ -15,20 +15,20 @@ from .smooth_field import INTERPOLATED_FROM, falling_weights
 
 Array = NDArray[np.float64]
 
-# As many as the smooth fields have nodes; twice and four times as many come no nearer to the truth, on larger masks neither.
+# As many as the smooth fields have nodes; two and four times as many are no more accurate, on larger masks neither.
 SAMPLES = 1024
-# What it costs to change a sample's way, in units of what it costs that the faces bring the sample elsewhere.
-HELD = 0.1
+# Weight of changing a sample's displacement, beside that of the faces moving the sample elsewhere.
+RIDGE = 0.1
 
 
 class Surface:
-    """A triangle mesh and 1,024 points of it, spread evenly by farthest-point sampling among many drawn by area.
+    """A triangle mesh and 1,024 points of it, spread by farthest-point sampling among many drawn by area.
 
-    The same mesh gives the same samples. How a surface is cut into faces, and how densely its vertices lie, hardly matters.
+    The same mesh gives the same samples, however it is cut into faces.
 
     Attributes
     ----------
-    vertices : [V, 3]; those that no face has are no part of the surface.
+    vertices : [V, 3]; those of no face are no part of the surface.
     samples : [S, 3], in the unit of the vertices.
     """
 
@@ -38,7 +38,7 @@ class Surface:
         self.vertices = vertices
         self._corners = triangles[drawn]
         self._shares = np.concatenate([1.0 - shares.sum(1, keepdims=True), shares], axis=1)
-        self._chosen = spread_subset(self.drawn(vertices), SAMPLES)
+        self._chosen = spread_subset(self.all_samples(vertices), SAMPLES)
         self.samples = self.at(vertices)
 
     @classmethod
@@ -61,37 +61,37 @@ class Surface:
         return None
 
     def at(self, values: Array) -> Array:
-        """What the samples have, [S, C], of values [V, C] that the vertices have and that are linear on every face."""
-        return _mixed(values, self._corners[self._chosen], self._shares[self._chosen])
+        """[S, C], values [V, C] of the vertices interpolated linearly at the samples."""
+        return _interpolated(values, self._corners[self._chosen], self._shares[self._chosen])
 
-    def drawn(self, values: Array) -> Array:
-        """The same of all points that were drawn by area, of which the samples are some: the surface as it is judged."""
-        return _mixed(values, self._corners, self._shares)
+    def all_samples(self, values: Array) -> Array:
+        """The same at all points that were drawn by area, of which the samples are a subset: the surface as it is judged."""
+        return _interpolated(values, self._corners, self._shares)
 
-    def followed(self, ways: Array) -> Array:
-        """How far the vertices go, [V, 3], with samples that go ``ways`` [S, 3].
+    def vertex_displacements(self, displacements: Array) -> Array:
+        """Displacements [V, 3] of the vertices from those of the samples, [S, 3].
 
-        Each takes the weighted mean of the samples nearest to it, as the points of a large cloud do of its nodes. A vertex at
-        an edge or a tip would lag behind with a mean, and large faces carry that far: the samples' ways are therefore changed
-        a little, by linear least squares, so that the faces, which stay flat, bring the samples to where they go.
+        Each vertex takes the weighted mean of the samples nearest to it, as points of a large cloud do of the field's nodes.
+        At an edge or a tip a mean lags behind, and large faces spread that: so the samples' displacements are first
+        changed a little, by regularised linear least squares, until the flat faces carry the samples where they should go.
 
-        The place of a vertex alone counts: vertices in one place, as along the seams of a texture, stay in one place.
+        Only its position decides how a vertex moves: duplicates, as along texture seams, stay together.
         """
         from scipy.spatial import cKDTree
 
         distance, nearest = cKDTree(self.samples).query(self.vertices, INTERPOLATED_FROM)
         weights = falling_weights(torch.from_numpy(distance)).numpy()
-        count = len(ways)
-        # [S, S], what the faces bring of the way of each sample to every other.
-        taken = np.zeros((count, count))
+        count = len(displacements)
+        # [S, S]: how far the faces carry each sample, per displacement of every sample.
+        carried = np.zeros((count, count))
         rows, corners = np.arange(count)[:, None, None], self._corners[self._chosen]
-        np.add.at(taken, (rows, nearest[corners]), self._shares[self._chosen][..., None] * weights[corners])
-        normal = taken.T @ taken + HELD * np.eye(count)
-        ways = ways + np.linalg.solve(normal, taken.T @ (ways - taken @ ways))
-        found: Array = (weights[..., None] * ways[nearest]).sum(1)
-        return found
+        np.add.at(carried, (rows, nearest[corners]), self._shares[self._chosen][..., None] * weights[corners])
+        normal = carried.T @ carried + RIDGE * np.eye(count)
+        corrected = displacements + np.linalg.solve(normal, carried.T @ (displacements - carried @ displacements))
+        of_vertices: Array = (weights[..., None] * corrected[nearest]).sum(1)
+        return of_vertices
 
 
-def _mixed(values: Array, corners: NDArray[np.int64], shares: Array) -> Array:
-    found: Array = np.einsum("sk,skc->sc", shares, values[corners])
-    return found
+def _interpolated(values: Array, corners: NDArray[np.int64], shares: Array) -> Array:
+    mixed: Array = np.einsum("sk,skc->sc", shares, values[corners])
+    return mixed

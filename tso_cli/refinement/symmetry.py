@@ -1,28 +1,35 @@
-"""Mirror planes of clouds: the picture of a symmetric object is a second view of it for nothing."""
+"""Mirror planes of clouds: the view of a symmetric object, flipped, is a second view of it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..device import one_thread
 from ..geometry.points import as_points, farthest_point_sample, spread_subset
 from ..geometry.view import View
 from ..kernels.nearest import nearest
+from .cloud import Cloud
+from .config import parse_symmetry
 
 Array = NDArray[np.float64]
+SymmetryOutcome = Literal["used", "given", "not_asked", "none_found", "contradicted"]
 
-# Planes are looked for with so many points, and judged with four times as many.
-SEARCHED, JUDGED = 256, 1024
-UPDATES = 8
-# The best of them is then improved until it stays, however long that takes within reason: else it would depend on how this
-# machine rounds, and two machines would refine alike clouds differently.
-MOST_UPDATES, STILL = 40, 1e-9
-# A cloud is taken to be symmetric if its mirror image lies on it as near as another sample of the same surface would:
-# distances in units of the spacing of its points, on average and for the points that lie furthest off.
-MEAN_MISFIT, FAR_MISFIT, FAR_SHARE = 0.6, 1.2, 0.97
+# Points that planes are fitted to in the search, and judged by.
+SEARCH_POINTS, JUDGED_POINTS = 256, 1024
+SEARCH_UPDATES = 8
+# The best plane is then fitted to convergence: a plane that still moves would depend on how this machine rounds.
+MOST_UPDATES, CONVERGED = 40, 1e-9
+# Distances from mirrored points to the cloud, in spacings of its points, at most which the cloud counts as symmetric (another
+# sampling of the same surface would lie as far off): their mean, and their 97 % quantile.
+MEAN_MISFIT, FAR_MISFIT, FAR_QUANTILE = 0.6, 1.2, 0.97
+# Largest ratio of losses, with the flipped views over without, per view, at which a found plane is kept. How often symmetric
+# and asymmetric shapes stay under it: docs/method.md.
+MOST_LOSS_RATIO = 1.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +39,8 @@ class MirrorPlane:
     Attributes
     ----------
     normal : [3], length 1. offset : in the unit of the points.
-    misfit : distance from the mirror image of a point to the cloud, mean, in spacings of its points; NaN before it is judged.
-    far : the same for the point that 97 % of the others lie nearer than.
+    misfit : mean distance from mirrored points to the cloud, in spacings of its points; NaN before `judged`.
+    far : the 97 % quantile of these distances.
     """
 
     normal: Array
@@ -43,14 +50,14 @@ class MirrorPlane:
 
     @property
     def symmetric(self) -> bool:
-        """Whether the cloud that it was found in is its own mirror image, as far as its sampling lets one tell."""
+        """Whether the cloud it was judged by is its own mirror image, as far as the sampling can tell."""
         return self.misfit <= MEAN_MISFIT and self.far <= FAR_MISFIT
 
     def judged(self, points: Array) -> MirrorPlane:
-        """The same plane, knowing how far the mirror image of the cloud [N, 3] lies from it."""
-        few = as_points(points)
-        few = few[spread_subset(few, JUDGED)]
-        return _judged(self, few, few, _spacing(few))
+        """The same plane with the misfit of a cloud [N, 3]."""
+        subset = as_points(points)
+        subset = subset[spread_subset(subset, JUDGED_POINTS)]
+        return _judged(self, subset, subset, _spacing(subset))
 
     def reflect(self, points: Array) -> Array:
         """The mirror image of ``points`` [N, 3]."""
@@ -58,7 +65,7 @@ class MirrorPlane:
         return reflected
 
     def view(self, view: View) -> View:
-        """What the mirror image of a symmetric object shows: the picture flipped, seen by a camera on the other side."""
+        """The flipped view: mask and depth mirrored left to right, and the mirrored camera that sees a symmetric object so."""
         camera = view.camera
         matrix = np.eye(3) - 2.0 * np.outer(self.normal, self.normal)
         flip = np.array([-1.0, 1.0, 1.0])
@@ -72,73 +79,139 @@ class MirrorPlane:
 
 
 def find_mirror_plane(points: Array) -> MirrorPlane:
-    """The plane that maps a cloud [N, 3] best onto itself; it knows whether the cloud is ``symmetric``.
+    """The plane that best maps a cloud [N, 3] onto itself, judged.
 
-    From the coordinate planes and those of the principal axes, all through the centroid, each plane is improved by turns:
-    points of the mirror image are paired with the nearest of the cloud, and the plane that suits the pairs best follows in
-    closed form.
+    Candidates are the coordinate planes and those of the principal axes, through the centroid. Each is improved by
+    alternation: mirrored points are paired with their nearest neighbours, then the plane is fitted to the pairs in closed form.
     """
     points = as_points(points)
-    judged = points[spread_subset(points, JUDGED)]
+    judged = points[spread_subset(points, JUDGED_POINTS)]
     if len(judged) < 4:
         return MirrorPlane(np.array([1.0, 0.0, 0.0]), float(points[:, 0].mean()), np.inf, np.inf)
-    few = judged[farthest_point_sample(judged, min(SEARCHED, len(judged)))]
-    centre = few.mean(0)
-    axes = np.concatenate([np.eye(3), np.linalg.svd(few - centre, full_matrices=False)[2]])
+    subset = judged[farthest_point_sample(judged, min(SEARCH_POINTS, len(judged)))]
+    centre = subset.mean(0)
+    axes = np.concatenate([np.eye(3), np.linalg.svd(subset - centre, full_matrices=False)[2]])
     spacing = _spacing(judged)
-    found = []
+    candidates = []
     for axis in axes:
         plane = MirrorPlane(axis, float(axis @ centre))
-        for _ in range(UPDATES):
-            plane, _ = _improved(plane, few)
-        found.append(_judged(plane, judged, few, spacing))
-    plane = min(found, key=lambda plane: plane.misfit)
-    tried = []
+        for _ in range(SEARCH_UPDATES):
+            plane, _ = _improved(plane, subset)
+        candidates.append(_judged(plane, judged, subset, spacing))
+    plane = min(candidates, key=lambda candidate: candidate.misfit)
+    iterates = []
     for _ in range(MOST_UPDATES):
         improved, misfit = _improved(plane, judged)
-        tried.append((misfit, plane))
-        # A normal's sign means nothing.
-        if np.abs(plane.reflect(few) - improved.reflect(few)).max() < STILL * spacing:
+        iterates.append((misfit, plane))
+        # Reflections are compared because the sign of a normal is arbitrary.
+        if np.abs(plane.reflect(subset) - improved.reflect(subset)).max() < CONVERGED * spacing:
             break
         plane = improved
-    # Where pairs change to and fro it goes round in a circle, whose best plane is the same wherever it was entered.
-    plane = min(tried, key=lambda one: one[0])[1]
+    # The alternation may end in a cycle; the best plane of a cycle does not depend on where it was entered.
+    plane = min(iterates, key=lambda iterate: iterate[0])[1]
     return _judged(plane, judged, judged, spacing)
 
 
 def _improved(plane: MirrorPlane, points: Array) -> tuple[MirrorPlane, float]:
-    """With y the point nearest to the mirror image of x: the plane that makes sum |mirrored x - y|^2 least, and what that sum
-    is for the plane given, mean over the pairs that count."""
+    """The plane fitted to pairs of mirrored points and their nearest neighbours, and the given plane's mean squared misfit."""
     image = plane.reflect(points)
     pairs = points[_nearest(image, points)]
-    apart = np.linalg.norm(image - pairs, axis=1)
-    # What has no counterpart would turn the plane.
-    kept = apart <= np.quantile(apart, 0.8)
+    distance = np.linalg.norm(image - pairs, axis=1)
+    # The furthest fifth has no counterpart, and would turn the plane.
+    kept = distance <= np.quantile(distance, 0.8)
     x, y = points[kept], pairs[kept]
     mean_x, mean_y = x.mean(0), y.mean(0)
     product = (x - mean_x).T @ (y - mean_y)
     normal = np.linalg.eigh(product + product.T)[1][:, 0]
-    return MirrorPlane(normal, float(normal @ (mean_x + mean_y)) / 2.0), float(np.square(apart[kept]).mean())
+    return MirrorPlane(normal, float(normal @ (mean_x + mean_y)) / 2.0), float(np.square(distance[kept]).mean())
 
 
 def _judged(plane: MirrorPlane, cloud: Array, queries: Array, spacing: float) -> MirrorPlane:
     image = plane.reflect(queries)
-    apart = np.linalg.norm(image - cloud[_nearest(image, cloud)], axis=1)
+    distance = np.linalg.norm(image - cloud[_nearest(image, cloud)], axis=1)
     if spacing == 0.0:
-        # Points that lie on one another have none: what is not met exactly is infinitely many of them off.
-        off = np.inf if apart.any() else 0.0
-        return replace(plane, misfit=off, far=off)
-    apart /= spacing
-    return replace(plane, misfit=float(apart.mean()), far=float(np.quantile(apart, FAR_SHARE)))
+        # Coinciding points: any distance is infinitely many spacings.
+        misfit = np.inf if distance.any() else 0.0
+        return replace(plane, misfit=misfit, far=misfit)
+    distance /= spacing
+    return replace(plane, misfit=float(distance.mean()), far=float(np.quantile(distance, FAR_QUANTILE)))
 
 
 def _spacing(points: Array) -> float:
     """Mean distance from a point to its nearest neighbour."""
     matrix = torch.from_numpy(points)
-    apart = torch.cdist(matrix, matrix, compute_mode="donot_use_mm_for_euclid_dist").fill_diagonal_(torch.inf)
-    return float(apart.amin(1).mean())
+    distance = torch.cdist(matrix, matrix, compute_mode="donot_use_mm_for_euclid_dist").fill_diagonal_(torch.inf)
+    return float(distance.amin(1).mean())
 
 
 def _nearest(queries: Array, data: Array) -> NDArray[np.int64]:
     index: NDArray[np.int64] = nearest(torch.from_numpy(queries), torch.from_numpy(data)).numpy()
     return index
+
+
+@dataclass(frozen=True, eq=False)
+class SymmetryDecision:
+    """Whether a mirror plane is used, and why.
+
+    Attributes
+    ----------
+    outcome : as in `RefineResult`. candidate : the plane that was given or found, whether it is used or not.
+    loss_ratio : of the symmetry check (`verified_symmetry`); None before it, and where there was none.
+    """
+
+    outcome: SymmetryOutcome
+    candidate: MirrorPlane | None = None
+    loss_ratio: float | None = None
+
+    @property
+    def plane(self) -> MirrorPlane | None:
+        """The plane that is used, if any."""
+        return self.candidate if self.outcome in ("used", "given") else None
+
+    @property
+    def reason(self) -> str:
+        """The measurement that decided, in words."""
+        if self.candidate is None:
+            return "none asked for"
+        fit = (
+            f"the mirrored cloud lies {self.candidate.misfit:.2f} spacings from the cloud on average, "
+            f"{self.candidate.far:.2f} at its worst"
+        )
+        if self.outcome == "given":
+            return f"given; {fit}"
+        limits = f"(at most {MEAN_MISFIT} and {FAR_MISFIT})"
+        if self.outcome == "none_found":
+            return f"{fit}, too far {limits}"
+        if self.loss_ratio is None:
+            return f"{fit} {limits}"
+        limit = f"{'at most' if self.outcome == 'used' else 'over'} {MOST_LOSS_RATIO}"
+        return (
+            f"{fit} {limits}; with the flipped picture the loss that is left is {self.loss_ratio:.2f} times that without, "
+            f"for each picture ({limit})"
+        )
+
+    def checked(self, loss_ratio: float, passed: bool) -> SymmetryDecision:
+        """The decision after the symmetry check."""
+        return replace(self, outcome="used" if passed else "contradicted", loss_ratio=loss_ratio)
+
+
+def decide_symmetry(cloud: Cloud, symmetry: str) -> SymmetryDecision:
+    """The plane that ``symmetry`` (as in `RefineConfig`) stands for, of a cloud; views are not asked here."""
+    parsed = parse_symmetry(symmetry)
+    if parsed == "none":
+        return SymmetryDecision("not_asked")
+    if parsed == "auto":
+        # Searched in normalised coordinates and rounded, so that neither unit nor origin of the input changes the result.
+        with one_thread(True):
+            plane = find_mirror_plane(cloud.normalised())
+        normal = plane.normal.round(6) / np.linalg.norm(plane.normal.round(6))
+        offset = cloud.scale * round(plane.offset, 6) + float(normal @ cloud.centre)
+        plane = replace(plane, normal=normal, offset=offset)
+        return SymmetryDecision("used" if plane.symmetric else "none_found", plane)
+    if isinstance(parsed, str):
+        normal = np.eye(3)["xyz".index(parsed)]
+        plane = MirrorPlane(normal, float(normal @ cloud.centre))
+    else:
+        length = float(np.linalg.norm(parsed[:3]))
+        plane = MirrorPlane(np.array(parsed[:3]) / length, parsed[3] / length)
+    return SymmetryDecision("given", plane.judged(cloud.initial))

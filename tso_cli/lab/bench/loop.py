@@ -14,9 +14,9 @@ from ...errors import TsoError
 from ...network.model import build_network
 from ...refinement import PRESETS, RefineConfig, refine, refine_batch
 from ...refinement.adam import Adam
-from ...refinement.api import SMALL_CLOUD
-from ...refinement.config import PAPER_GAMMA, PAPER_LEARNING_RATE
 from ...refinement.parameters import NetworkParameters
+from ...refinement.presets import PAPER_GAMMA, PAPER_LEARNING_RATE
+from ...refinement.run import SMALL_CLOUD
 from ...silhouette.losses import UNCOVERED, ChamferToInitial, PixelWeights, affinity, mask_loss, silhouette_bce
 from ...silhouette.projection import project, silhouette_sums
 from .material import SIGMA_SQ, chair_view, cloud, mask_objective, projection, trajectory

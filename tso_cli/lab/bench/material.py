@@ -18,9 +18,11 @@ from ...io.cameras import read_camera
 from ...io.images import read_mask
 from ...io.meshes import Mesh, read_mesh
 from ...io.shipped import examples_folder
-from ...refinement.config import PAPER_GAMMA, PAPER_LEARNING_RATE
-from ...refinement.objective import SilhouetteObjective, resample_view
+from ...refinement.adam import Adam
+from ...refinement.objective import SilhouetteObjective
 from ...refinement.optimise import descend
+from ...refinement.presets import PAPER_GAMMA, PAPER_LEARNING_RATE
+from ...refinement.resampled_view import resample_view
 from ...silhouette.losses import ChamferToInitial
 from ...silhouette.projection import CameraBatch, project
 
@@ -102,7 +104,7 @@ def trajectory(count: int, device: torch.device, seed: int = 0, steps: int = STE
     def objective(moved: Tensor) -> Tensor:
         return mask_term(moved) + PAPER_GAMMA["points"] * chamfer(moved)
 
-    descend(produce, [moving], objective, steps, PAPER_LEARNING_RATE["points"])
+    descend(produce, objective, Adam([moving], PAPER_LEARNING_RATE["points"]), steps)
     # The first is produced twice: as the best so far, and at the step 0.
     return kept[1:]
 

@@ -78,7 +78,7 @@ class AccuracyCase:
         """Chamfer distance to the truth: of a cloud, or of the surface that has ``points`` for vertices."""
         if self.surface is None:
             return chamfer(points, self.target).chamfer
-        return chamfer(self.surface.drawn(points), self.dense).chamfer
+        return chamfer(self.surface.all_samples(points), self.dense).chamfer
 
 
 class CaseBuilder:

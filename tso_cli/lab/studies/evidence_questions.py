@@ -9,8 +9,8 @@ import numpy as np
 
 from ...geometry.rotations import angle_between
 from ...refinement import RefineConfig, RefineResult
-from ...refinement.coarse_to_fine import BEST
 from ...refinement.config import PAPER_GAMMA
+from ...refinement.presets import BEST
 from ...refinement.symmetry import find_mirror_plane
 from .accuracy_cases import AccuracyCase
 from .accuracy_variants import NETWORK_MODES, Variant
@@ -138,7 +138,7 @@ def _wrong_rows() -> dict[str, Row]:
     for preset in ("paper", "best"):
         rows |= {f"{what}; {preset}": Row(alter, _of(4, preset=preset)) for what, alter in views.items()}
         if preset == "best":
-            full = _of(4, coarse_to_fine=replace(BEST, weighs=False))
+            full = _of(4, coarse_to_fine=replace(BEST, weigh_views=False))
             rows |= {f"{what}; best, all in full": Row(alter, full) for what, alter in views.items()}
         rows[f"the first three alone; {preset}"] = Row(as_it_is, _of(3, preset=preset))
         rows[f"the three close together alone; {preset}"] = Row(bunched, _of(3, preset=preset))

@@ -99,7 +99,7 @@ def of_a_mesh() -> Numbers:
 
     mesh = normalise(read_mesh(examples_folder() / "meshes" / f"{MESH}.ply"))
     result = refine(mesh.vertices, (_view(),), faces=mesh.faces)
-    return _after(ONE, result, result.shown[1])
+    return _after(ONE, result, result.judged[1])
 
 
 def cut_by_the_border(preset: str) -> Numbers:

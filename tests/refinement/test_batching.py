@@ -8,9 +8,9 @@ import pytest
 from tso_cli.errors import InputError
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
-from tso_cli.refinement import RefineConfig, refine, refine_batch
-from tso_cli.refinement import api as run
-from tso_cli.refinement import problem as batching
+from tso_cli.refinement import RefineConfig, batching, refine, refine_batch, run
+from tso_cli.refinement.cloud import Cloud
+from tso_cli.refinement.problem import Problem
 
 RANDOM = np.random.default_rng(0)
 POINTS = RANDOM.uniform(-0.3, 0.3, (40, 3))
@@ -22,10 +22,10 @@ def _view(left: int = 25, side: int = 64) -> View:
     return View(mask, Camera.canonical(side, side))
 
 
-def _items(*sizes: int, views: int = 1) -> dict[int, batching.Problem]:
+def _items(*sizes: int, views: int = 1) -> dict[int, Problem]:
     config = RefineConfig(symmetry="none").settings()
     return {
-        number: batching.Problem.of(run.Cloud(RANDOM.uniform(-0.3, 0.3, (size, 3)), "points"), (_view(),) * views, config)
+        number: Problem.of(Cloud(RANDOM.uniform(-0.3, 0.3, (size, 3)), "points"), (_view(),) * views, config)
         for number, size in enumerate(sizes)
     }
 
@@ -44,7 +44,7 @@ def test_a_batch_holds_no_more_pixels_than_its_bound_over_all_views(monkeypatch)
     monkeypatch.setattr(batching, "BATCH_FIELDS", 4)
     assert [len(batch) for batch in batching.batches_of(_items(*[100] * 10), staged=True)] == [4, 4, 2]
     assert len(batching.batches_of(_items(*[100] * 10))) == 1
-    monkeypatch.setattr(batching, "BATCH_PIXELS", 5 * 64 * 64)
+    monkeypatch.setattr(batching, "BATCH_CELLS", 5 * 64 * 64)
     assert [len(batch) for batch in batching.batches_of(_items(*[30] * 7))] == [5, 2]
     assert [len(batch) for batch in batching.batches_of(_items(*[30] * 5, views=2))] == [2, 2, 1]
     assert [len(batch) for batch in batching.batches_of(_items(30, 30, views=6))] == [1, 1]

@@ -1,0 +1,101 @@
+"""A cloud in the units of its file, normalised for the optimisation, and moved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ..errors import InputError
+from ..geometry.points import as_points, bounding_box_normalisation
+from .surface import Surface
+
+Array = NDArray[np.float64]
+
+
+class Cloud:
+    """A cloud, or a mesh whose surface samples are what moves.
+
+    Attributes
+    ----------
+    given : [V, 3] float64, the points of the cloud, or the vertices of the mesh.
+    surface : of a mesh, or None.
+    initial : [N, 3] float64, what moves: the points, or the samples of the surface.
+    centre [3], scale : (X - centre) / scale has longest side 1.
+    colours : [N, 3] float32 in [0, 1], or None.
+    """
+
+    def __init__(self, points: Any, name: str, colours: Any = None, faces: Any = None) -> None:
+        self.given: Array = as_points(_as_numpy(points), name)
+        self.surface = None if faces is None else Surface.of(self.given, _as_numpy(faces), name)
+        self.initial = self.surface.samples if self.surface else self.given
+        self.centre, self.scale = bounding_box_normalisation(self.initial, name)
+        self.colours = None if colours is None else _as_colours(_as_numpy(colours), len(self.given), name)
+        if self.surface and self.colours is not None:
+            self.colours = self.surface.at(self.colours.astype(np.float64)).astype(np.float32)
+
+    def normalised(self) -> Array:
+        """[N, 3]."""
+        normalised: Array = (self.initial - self.centre) / self.scale
+        return normalised
+
+    def denormalised(self, points: Array) -> Array:
+        """Normalised points [N or more, 3] in the units of the file; rows behind the N-th are padding."""
+        restored: Array = self.centre + self.scale * points[: len(self.initial)]
+        return restored
+
+    def moved(self, displacements: Array) -> MovedCloud:
+        """The cloud after ``displacements`` [N or more, 3] of what moves, in longest sides."""
+        displacements = displacements[: len(self.initial)]
+        of_given = displacements
+        if self.surface:
+            of_given = self.surface.vertex_displacements(displacements)
+            displacements = self.surface.at(of_given)
+        # Added to the input, so that unmoved points stay bit-identical.
+        points = self.given + self.scale * of_given
+        return MovedCloud(points, self._judged(points), displacements)
+
+    @property
+    def judged(self) -> Array:
+        """[S, 3], the points that measures are of: those of the cloud, or many samples of the surface."""
+        return self._judged(self.given)
+
+    def _judged(self, points: Array) -> Array:
+        return self.surface.all_samples(points) if self.surface else points
+
+
+@dataclass(frozen=True, eq=False)
+class MovedCloud:
+    """A `Cloud` after its displacement.
+
+    Attributes
+    ----------
+    points : [V, 3], of the given points or vertices. judged : [S, 3], as `Cloud.judged`.
+    displacements : [N, 3] of what moved, in longest sides.
+    """
+
+    points: Array
+    judged: Array
+    displacements: Array
+
+
+def _as_numpy(values: Any) -> Any:
+    return values.detach().cpu().numpy() if isinstance(values, Tensor) else values
+
+
+def _as_colours(colours: Any, count: int, name: str) -> NDArray[np.float32]:
+    try:
+        array = np.asarray(colours)
+        as_floats: NDArray[np.float32] = array.astype(np.float32)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: the colours are no array of numbers, expected [{count}, 3]") from None
+    if as_floats.shape != (count, 3):
+        raise InputError(f"{name}: the colours have shape {list(as_floats.shape)}, expected [{count}, 3]")
+    if array.dtype == np.uint8:
+        as_floats = as_floats / np.float32(255.0)
+    if not (as_floats.min() >= 0.0 and as_floats.max() <= 1.0):
+        raise InputError(f"{name}: the colours span {as_floats.min():g} to {as_floats.max():g}, expected 0 to 1, or uint8")
+    return as_floats

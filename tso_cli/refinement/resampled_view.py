@@ -1,0 +1,141 @@
+"""Views resampled to the window around the object: what the losses compare clouds with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..geometry.camera import NEAR, Camera
+from ..geometry.resampling import area_resize
+from ..geometry.view import View
+from ..geometry.window import Array, Box, window_of
+from ..silhouette.losses import REFERENCE_PIXELS
+from ..silhouette.mask_chamfer import sides
+
+# Cells along the side of a resampled view; `fine_cells` says where there are more.
+CELLS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class ResampledView:
+    """A view resampled to square cells in the window around the object (`window_of`).
+
+    Attributes
+    ----------
+    mask : [h, h]. known : [h, h] known share of each cell, 0 beyond the image; None where all is known.
+    camera : from normalised points to cells. sigma_sq : of the projection, cells^2.
+    box : edges of the window in pixels of the mask. bounds : edges of the image in cells.
+    depth : [h, h] normalised, NaN where unknown; None without a depth map.
+    image : [h, h, 3] mean colour of the foreground in each cell, 0 where there is none; None without an image.
+    """
+
+    mask: Array
+    known: Array | None
+    camera: Camera
+    sigma_sq: float
+    box: Box
+    bounds: Box
+    depth: Array | None = None
+    image: Array | None = None
+
+    @property
+    def grain(self) -> float:
+        """Cells to a pixel of an enlarged mask, else 1: the mask resolves nothing finer."""
+        return max(1.0, self.camera.width / (self.box[2] - self.box[0]))
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """[h, h], cells known to be foreground."""
+        known = None if self.known is None else torch.from_numpy(self.known)[None]
+        foreground: NDArray[np.bool_] = sides(torch.from_numpy(self.mask)[None], known)[0][0].numpy()
+        return foreground
+
+    @property
+    def kind(self) -> tuple[int, int, str, float]:
+        """What views must have in common to form a `ViewBatch`."""
+        return self.camera.width, self.camera.height, self.camera.model, self.sigma_sq
+
+    @property
+    def magnification(self) -> float:
+        """Pixels of a 64x64 mask per unit length at the cloud's centre; the silhouette loss is proportional to it."""
+        camera = self.camera
+        depth = 1.0 if camera.model == "orthographic" else max(float(camera.t[2]), NEAR)
+        return float(np.sqrt(camera.K[0, 0] * camera.K[1, 1] * REFERENCE_PIXELS / (camera.width * camera.height)) / depth)
+
+
+def resample_view(
+    view: View, sigma_sq: float, centre: Array, scale: float, box: Box | None = None, cells: int = CELLS
+) -> ResampledView:
+    """Resample ``view`` for a cloud normalised by ``(X - centre) / scale``.
+
+    Pixels are averaged by area, or interpolated linearly where cells are smaller than pixels.
+
+    Parameters
+    ----------
+    sigma_sq : cells^2.
+    box : edges of the square window; None for that of the mask alone. cells : along its side.
+
+    Raises
+    ------
+    InputError
+        sigma_sq is under 0.01, or its square root over a quarter of the window; or no cell is known and foreground.
+    """
+    widest = (cells / 4.0) ** 2
+    if not 0.01 <= sigma_sq <= widest:
+        raise InputError(f"sigma_sq is {sigma_sq:g}, expected 0.01 to {widest:g}: squared cells of a window of {cells}x{cells}")
+    box = window_of(view) if box is None else box
+    camera = view.camera.cropped(box, cells, cells)
+    mask, weight = area_resize(view.mask, box, cells, cells, weights=view.known, interpolate=True)
+    image = None
+    if view.image is not None:
+        image = area_resize(view.image, box, cells, cells, weights=view.inside, interpolate=True)[0]
+    depth = None if view.depth is None else _sampled(view.depth, box, cells) / scale
+    known = None if view.known is None and weight.min() >= 1.0 - 1e-9 else weight
+    bounds = _image_bounds(box, view.camera, cells)
+    resampled = ResampledView(mask, known, camera.for_normalised(centre, scale), sigma_sq, box, bounds, depth, image)
+    if not resampled.inside.any():
+        raise InputError(
+            f"{view.name}: no pixel is known to be foreground when it is worked on at {cells}x{cells}, expected "
+            "some; its ignore map leaves less than half of each"
+        )
+    return resampled
+
+
+def _image_bounds(box: Box, camera: Camera, cells: int) -> Box:
+    """The edges of the image in cells of the window."""
+    left, top, right, bottom = box
+    across, down = cells / (right - left), cells / (bottom - top)
+    return (
+        (-0.5 - left) * across - 0.5,
+        (-0.5 - top) * down - 0.5,
+        (camera.width - 0.5 - left) * across - 0.5,
+        (camera.height - 0.5 - top) * down - 0.5,
+    )
+
+
+def _sampled(depth: Array, box: Box, cells: int) -> Array:
+    """``depth`` at the pixel nearest to each cell, NaN beyond the image; averages across an edge would lie in mid-air."""
+    left, top, right, bottom = box
+    centres = (np.arange(cells) + 0.5) / cells
+    rows = np.floor(top + centres * (bottom - top) + 0.5).astype(int)
+    columns = np.floor(left + centres * (right - left) + 0.5).astype(int)
+    height, width = depth.shape
+    in_image = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))
+    return np.where(in_image, depth[rows.clip(0, height - 1)[:, None], columns.clip(0, width - 1)], np.nan)
+
+
+# From a window of so many pixels of the mask, the last stage uses so many cells; more bring nothing, at 16,384 points neither.
+FINE_GRIDS = (96.0, 128), (48.0, 96)
+# Sparser clouds cannot follow finer cells.
+FEWEST_POINTS_FOR_FINE = 512
+
+
+def fine_cells(side: float, points: int) -> int:
+    """Cells along a window of ``side`` pixels of the mask in stages with a fine grid, for a cloud of so many points."""
+    if points < FEWEST_POINTS_FOR_FINE:
+        return CELLS
+    return next((cells for pixels, cells in FINE_GRIDS if side >= pixels), CELLS)

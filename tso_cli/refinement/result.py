@@ -1,0 +1,147 @@
+"""What a refinement results in, and the warnings that go with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.camera import Camera
+from ..geometry.view import View
+from ..geometry.window import Box
+from .placement import mask_doubts
+from .symmetry import SymmetryOutcome
+
+Array = NDArray[np.float64]
+StopReason = Literal["max_steps", "interrupted", "non_finite", "nothing_to_do", "not_improved"]
+
+# A view with a lower inlier weight is warned of.
+DOUBTFUL_INLIER_WEIGHT = 0.5
+# A largest displacement under this share of the object's size is warned of.
+SMALL_DISPLACEMENT = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class RefineResult:
+    """The refined cloud, and how it was reached.
+
+    Attributes
+    ----------
+    points, initial : [N, 3] float64, in the frame and units of the input (network modes: of the network's output); of a mesh
+        its vertices.
+    mode : what was optimised.
+    steps : steps done; best_step : the step that the result is from, 0 where the start was best. With the preset "best" of
+        points mode, whose result is a mean over the stages, the best step of the last stage.
+    stop_reason : "max_steps"; "interrupted" (Ctrl-C: the best so far is kept); "non_finite" (the loss became NaN or infinite);
+        or, where the result is the start, "nothing_to_do" (its loss is 0) or "not_improved" (no step had a lower loss).
+    warnings : one sentence each, to read before the result is used.
+    losses : the objective at the start and after every step. loss_before, loss_after : of the start and of the result. With
+        the preset "best" the objective changes from stage to stage: these two are both by the last.
+    iou_before, iou_after : of the mask (> 0.5) and the cloud's silhouette, whose footprints follow the cloud's spacing
+        (evaluation/footprint.py), in the square around both; mean over views.
+    view_ious : the two of each view. view_trust : the view's inlier weight, under 1 where the other views contradict it.
+        view_weights : of its loss in the objective: the inlier weight, divided among views of the same side.
+    moved_mean, moved_max : length of the points' displacements, in longest sides of the start.
+    chamfer_to_initial : squared distances, mean over points, both directions summed, for a cloud of longest side 1.
+    surface : of a mesh the points [S, 3] sampled from its surface before and after, which IoU is of; None of a cloud.
+    surface_samples : how many samples moved, which moved_mean and chamfer_to_initial are of; None of a cloud.
+    symmetry : a, b, c, d of the mirror plane ax + by + cz = d that was used, in the frame of the input, or None.
+    symmetry_outcome : "used" (a plane that was found), "given", or without a plane "not_asked", "none_found" (the cloud has
+        none) or "contradicted" (the cloud has one, the views contradict it). symmetry_reason : the measurement, in words.
+    learning_rate, gamma, sigma_sq, device, seed : what was used; sigma_sq in squared cells.
+    view_windows : left, top, right, bottom edges of the window of each mask, px, that the cloud was compared with at last,
+        and cells along its side.
+    cameras : of each view; with ``refine_camera`` the corrected ones.
+    seconds : wall time of each phase.
+    """
+
+    points: Array
+    initial: Array
+    mode: str
+    steps: int
+    best_step: int
+    stop_reason: StopReason
+    losses: list[float]
+    loss_before: float
+    loss_after: float
+    iou_before: float
+    iou_after: float
+    view_ious: list[tuple[float, float]]
+    view_trust: list[float]
+    view_weights: list[float]
+    view_windows: list[tuple[Box, int]]
+    moved_mean: float
+    moved_max: float
+    chamfer_to_initial: float
+    symmetry: tuple[float, float, float, float] | None
+    symmetry_outcome: SymmetryOutcome
+    symmetry_reason: str
+    preset: str
+    learning_rate: float
+    gamma: float
+    sigma_sq: float
+    device: str
+    seed: int
+    cameras: tuple[Camera, ...]
+    seconds: dict[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    surface: tuple[Array, Array] | None = None
+    surface_samples: int | None = None
+
+    @property
+    def judged(self) -> tuple[Array, Array]:
+        """The points that measures are of, before and after: those of a cloud, or samples [S, 3] of a surface."""
+        return self.surface or (self.initial, self.points)
+
+    @property
+    def averaged(self) -> bool:
+        """Whether the points are a mean over stages, not one iterate."""
+        return self.preset == "best" and self.mode == "points"
+
+    @property
+    def objective(self) -> str:
+        """The terms of the loss, in words."""
+        chamfer = f"{self.gamma:g} x Chamfer to the start"
+        if self.preset == "paper":
+            return f"BCE + {chamfer}"
+        return "pull of the mask + what it costs to leave the start" + (f" + {chamfer}" if self.gamma else "")
+
+
+def why_unmoved(result: RefineResult) -> str | None:
+    """Why no point moved, in words; None where points did."""
+    if result.best_step:
+        return None
+    shows = "the mask shows" if len(result.cameras) == 1 else "the masks show"
+    return {
+        "max_steps": "no steps were asked for",
+        "interrupted": f"interrupted at step {result.steps}, before one lowered the loss",
+        "non_finite": f"the loss was no number after step {result.steps}, and none before was lower than that of the start",
+        "nothing_to_do": f"the cloud already agrees with all that {shows}",
+        "not_improved": f"none of {result.steps} steps agrees better with what {shows} than the start does",
+    }[result.stop_reason]
+
+
+def result_warnings(result: RefineResult, views: Sequence[View], steps: int) -> tuple[str, ...]:
+    """The ``warnings`` of a result that lacks them; ``steps`` : how many were asked for."""
+    messages = []
+    if reason := why_unmoved(result):
+        what = "nothing to do" if result.stop_reason == "nothing_to_do" else "nothing moved"
+        messages.append(f"{what}: {reason}; the cloud is as it was")
+    elif result.stop_reason == "interrupted":
+        messages.append(f"interrupted at step {result.steps} of {steps}: the result is the best so far")
+    elif result.stop_reason == "non_finite":
+        messages.append(f"the loss was no number after step {result.steps}: the result is the best before that")
+    elif result.moved_max < SMALL_DISPLACEMENT:
+        messages.append(f"hardly anything moved: no point by more than {100.0 * SMALL_DISPLACEMENT:g} % of the object's size")
+    for view in views:
+        messages += mask_doubts(view, result.surface_samples or len(result.points))
+    messages += [
+        f"{view.name}: the other views contradict it, so it counts for little (trust {weight:.2f} of 1); is its mask or camera "
+        "wrong?"
+        for view, weight in zip(views, result.view_trust, strict=True)
+        if weight < DOUBTFUL_INLIER_WEIGHT
+    ]
+    return tuple(messages)
