@@ -33,20 +33,21 @@ CHAMFER_PEERS = ("chamferdist", "pykeops", "point_cloud_utils", "pytorch3d")
 def measured():
     """Every part at sizes that take no time; the speed of training is a test of its own."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(refinement, "HALFWAY", 1)
+        patch.setattr(refinement, "NETWORK_HALFWAY", 0)
         speed_of_training = {"bare": 2.0, "step": 1.0, "added": 1.0, "waiting": 0.0}
         patch.setattr(training, "images_per_second", lambda *_: speed_of_training)
-        trained = training.measure(QUICK, batch=1)
-    return [
-        *silhouette.measure(QUICK, [(64, 16), (128, 32)]),
-        *chamfer.measure(QUICK, [64, 128], steps=2),
-        *refinement.terms(QUICK, [(64, 16)]),
-        *refinement.points_step(QUICK, [64]),
-        *refinement.network_steps(QUICK),
-        *refinement.batch(QUICK, [1, 2], count=64, steps=1),
-        *refinement.more_threads(QUICK, (64, 16), clouds=2, most=2),
-        *trained,
-        QUICK.record("start-up", "python", Timing(0.02, 0.01, 0.03, 3)),
-    ]
+        return [
+            *silhouette.measure(QUICK, [(64, 16), (128, 32)]),
+            *chamfer.measure(QUICK, [64, 128], steps=1),
+            *refinement.terms(QUICK, [(64, 16)]),
+            *refinement.points_step(QUICK, [64]),
+            *refinement.network_steps(QUICK),
+            *refinement.batch(QUICK, [1, 2], count=64, steps=1),
+            *refinement.more_threads(QUICK, (64, 16), clouds=2, most=2, steps=1),
+            *training.measure(QUICK, batch=1),
+            QUICK.record("start-up", "python", Timing(0.02, 0.01, 0.03, 3)),
+        ]
 
 
 @pytest.fixture
@@ -238,13 +239,13 @@ def test_quick_work_is_repeated_within_a_sample_and_very_slow_work_is_sampled_on
     assert ran.count("slow") == 2
 
 
-def test_peak_memory_is_what_one_call_adds_in_a_fresh_process():
+def test_peak_memory_is_what_one_call_adds_in_a_fresh_process(monkeypatch):
     exact = QUICK.record("silhouette", "exact", Timing(1.0, 1.0, 1.0, 1), points=4096, side=128)
-    unknown = {**exact, "name": "no such kernel", "points": 64}
-    memory.add_peaks([exact, unknown], QUICK)
+    memory.add_peaks([exact, QUICK.record("silhouette", "gsplat", left_out="not installed")], QUICK)
     # At least the two factors of the product, 4,096 x 128 float32 each.
     assert exact["peak_memory_bytes"] is None or exact["peak_memory_bytes"] > 2 * 4096 * 128 * 4
-    assert unknown["peak_memory_bytes"] is None
+    monkeypatch.setattr(sys, "executable", "false")
+    assert memory.peak(exact, 0) is None
 
 
 # Start-up
@@ -253,7 +254,7 @@ def test_peak_memory_is_what_one_call_adds_in_a_fresh_process():
 def test_each_command_line_gives_one_record(monkeypatch, tmp_path):
     commands = start_up._commands(tmp_path)
     assert {"python", "import torch", "tso --version", "tso --help", start_up.REFINE} <= set(commands)
-    chosen = {name: commands[name] for name in ("python", f"{start_up.REFINE}, first")}
+    chosen = {"python": commands["python"], "version, first": (commands["tso --version"][0], start_up._first)}
     monkeypatch.setattr(start_up, "_commands", lambda folder: chosen)
     records = start_up.measure(QUICK, repeats=1)
     assert [record["name"] for record in records] == list(chosen)

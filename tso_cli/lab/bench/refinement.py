@@ -162,7 +162,11 @@ def _many_clouds(config: RefineConfig, size: int, count: int) -> Work:
 
 
 def more_threads(
-    setting: Setting, size: tuple[int, int] = THREADED_SIZE, clouds: int = THREADED_CLOUDS, most: int | None = None
+    setting: Setting,
+    size: tuple[int, int] = THREADED_SIZE,
+    clouds: int = THREADED_CLOUDS,
+    most: int | None = None,
+    steps: int | None = None,
 ) -> list[dict[str, Any]]:
     """A large cloud's silhouette and Chamfer distance, and a batch of clouds, on one CPU thread and on all (or ``most``)."""
     if setting.device.type != "cpu":
@@ -172,7 +176,7 @@ def more_threads(
     count, side = size
     kernel = silhouette.kernels(setting.device)[0]
     iterates = trajectory(count, setting.device, setting.seed, HALFWAY)
-    config = RefineConfig(device="cpu", seed=setting.seed, preset="paper")
+    config = RefineConfig(steps=steps, device="cpu", seed=setting.seed, preset="paper")
     scene = projection(count, side, setting.device, setting.seed)
     works: dict[str, tuple[Work, dict[str, int]]] = {
         f"silhouette, {kernel}": (silhouette.work(kernel, scene), {"points": count, "side": side}),

@@ -62,32 +62,20 @@ def sections(record: Record) -> list[Section]:
         return [r for r in records if r["what"] in whats]
 
     peaks = [r for r in records if r["peak_memory_bytes"] is not None]
+    work = "{name}, {points:,} points"
+    training = of("training, points", "training, masks")
     tables = [
         _pivot("silhouette", "silhouette, forward and backward: ms (x tso's)", of("silhouette"), _ms_and("over_tso")),
         _pivot("chamfer", "Chamfer to the start, a step: ms (x tso's)", of("chamfer"), _ms_and("over_tso")),
-        _pivot("memory", "peak memory of a call: MiB", peaks, _mib, lambda r: f"{r['what']}: {r['name']}", _points),
+        _pivot("memory", "peak memory of a call: MiB", peaks, _mib, "{what}: {name}", "{points:,}"),
         _pivot("terms", "value and gradient: ms (x the projector)", of("terms"), _ms_and("over_projector")),
         _pivot("step", "a step in points mode: ms (share of the whole)", of("step"), _ms_and_share),
-        _pivot("network", "a step in the network modes: ms", of("step, encoder", "step, encoder-decoder"), _ms, _what, _name),
-        Section(
-            "batch",
-            "clouds of 1,024 points, all steps and what is around them",
-            ["preset", "call", "clouds", "ms a cloud", "clouds a second", "x `refine`"],
-            [
-                [r["preset"], r["name"], f"{r['batch']}", _ms(r), _digits(r["clouds_per_second"]), f"{r['times_refine']:.1f}x"]
-                for r in of("batch")
-            ],
+        _pivot("network", "a step: ms", of("step, encoder", "step, encoder-decoder"), _ms, "{what}", "{name}"),
+        _pivot(
+            "batch", "1,024 points: ms a cloud (x `refine`'s rate)", of("batch"), _batch, "{preset}, {name}", "batch {batch}"
         ),
-        _pivot("threads", "on more threads: ms (times quicker)", of("threads"), _ms_and("over_first"), _work, _threads),
-        Section(
-            "training",
-            "training: images a second",
-            ["supervision", "precision", "", "images/s", "added", "waits for data"],
-            [
-                [_what(r), r["precision"], r["name"], _digits(r["images_per_second"]), *_shares(r)]
-                for r in of("training, points", "training, masks")
-            ],
-        ),
+        _pivot("threads", "more threads: ms (x quicker)", of("threads"), _ms_and("over_first"), work, "threads: {threads}"),
+        _pivot("training", "images a second", training, _images, "{what}, {precision}", "{name}"),
         Section(
             "start-up",
             "whole processes: s",
@@ -98,42 +86,26 @@ def sections(record: Record) -> list[Section]:
     return [table for table in tables if table.rows]
 
 
-def _name(record: Record) -> str:
-    return str(record["name"])
-
-
-def _what(record: Record) -> str:
-    """The mode or supervision, named in "what" behind the comma."""
-    return str(record["what"].partition(", ")[2])
-
-
 def _size(record: Record) -> str:
     return f"{record['points']:,}" + (f"@{record['side']}" if record["side"] else "")
-
-
-def _points(record: Record) -> str:
-    return f"{record['points']:,}"
-
-
-def _work(record: Record) -> str:
-    return f"{record['name']}, {_size(record)}"
-
-
-def _threads(record: Record) -> str:
-    return f"{record['threads']} thread{'s' if record['threads'] > 1 else ''}"
-
-
-def _ms(record: Record) -> str:
-    return _digits(1e3 * record["seconds"]["median"])
 
 
 def _mib(record: Record) -> str:
     return f"{record['peak_memory_bytes'] / 2**20:,.1f}"
 
 
-def _shares(record: Record) -> list[str]:
-    """What projector and losses add, and how long the network waits: said of a whole step."""
-    return [f"{100 * record['added']:.0f} %", f"{100 * record['waiting']:.1f} %"] if record["name"] == "step" else ["", ""]
+def _ms(record: Record) -> str:
+    return _digits(1e3 * record["seconds"]["median"])
+
+
+def _batch(record: Record) -> str:
+    return f"{_ms(record)} ({record['times_refine']:.1f}x)"
+
+
+def _images(record: Record) -> str:
+    """Images a second; of a whole step also what projector and losses add, and the share of it that waits for data."""
+    shares = f" (+{100 * record['added']:.0f} %, waits {100 * record['waiting']:.1f} %)" if record["name"] == "step" else ""
+    return _digits(record["images_per_second"]) + shares
 
 
 def _digits(value: float) -> str:
@@ -150,15 +122,12 @@ def _ms_and_share(record: Record) -> str:
 
 
 def _pivot(
-    name: str,
-    title: str,
-    records: Records,
-    cell: Callable[[Record], str],
-    row: Callable[[Record], str] = _name,
-    column: Callable[[Record], str] = _size,
+    name: str, title: str, records: Records, cell: Callable[[Record], str], row: str = "{name}", column: str | None = None
 ) -> Section:
-    columns = list(dict.fromkeys(map(column, records)))
+    """A table of cells; ``row`` and ``column`` are templates of their labels, by default a column is a size."""
     cells: dict[str, dict[str, str]] = {}
     for record in records:
-        cells.setdefault(row(record), {})[column(record)] = cell(record)
+        label = column.format(**record) if column else _size(record)
+        cells.setdefault(row.format(**record), {})[label] = cell(record)
+    columns = list(dict.fromkeys(label for values in cells.values() for label in values))
     return Section(name, title, ["", *columns], [[label, *map(values.get, columns)] for label, values in cells.items()])

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from ...io.meshes import Mesh
 from .parts import X_AXIS, Array, Range, bar, both, box, chance, draw, ellipsoid, loft, oval, pick, rod, turned, wheel
 
+# Standard deviation of the logarithms by which an aeroplane is stretched along x, y and z.
 SPREAD = 0.06
 
 

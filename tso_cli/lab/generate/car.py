@@ -10,6 +10,7 @@ import numpy as np
 from ...io.meshes import Mesh
 from .parts import Array, Range, both, box, chance, cushion, draw, ellipsoid, loft, rectangle, rod, sweep, wheel
 
+# Standard deviation of the logarithms by which a car is stretched along x, y and z.
 SPREAD = 0.05
 # Side views: shares of the length from the nose, and of the height there.
 PROFILES: dict[str, tuple[list[float], list[float]]] = {
@@ -180,7 +181,8 @@ def _shape(rng: np.random.Generator, kind: str) -> Shape:
         hollow = (rng.uniform(0.36, 0.42), rng.uniform(0.6, 0.75), rng.uniform(0.35, 0.55))
     elif kind == "pickup" and chance(rng, 0.8):
         hollow = (rng.uniform(0.59, 0.65), 0.975, rng.uniform(0.3, 0.5))
-    arch *= not chance(rng, 0.15)
+    if chance(rng, 0.15):
+        arch = 0.0
     return Shape(**numbers, profile=profile, belt=(low, high), axles=(front, rear), tyre=tyre, arch=arch, hollow=hollow)
 
 

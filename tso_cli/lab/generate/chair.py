@@ -29,6 +29,7 @@ from .parts import (
     wheel,
 )
 
+# Standard deviation of the logarithms by which a chair is stretched along x, y and z.
 SPREAD = 0.08
 WEIGHTS = {"dining": 36, "armchair": 21, "lounger": 13, "office": 10, "shell": 12, "bar": 8}
 # Ranges of the fields of `Frame` but the last.
