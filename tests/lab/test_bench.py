@@ -123,11 +123,6 @@ def test_tables_and_chart_show_every_part(record, tmp_path):
         assert min(chart.size) > 1000
 
 
-def test_the_chart_of_one_part_can_be_drawn(record, tmp_path):
-    draw_speed(tmp_path / "part.png", {**record, "records": [r for r in record["records"] if r["what"] == "start-up"]})
-    assert (tmp_path / "part.png").exists()
-
-
 # Contestants
 
 

@@ -58,14 +58,10 @@ def _dining(rng: np.random.Generator) -> list[Mesh]:
         frame = replace(frame, thick=rng.uniform(0.05, 0.14))
     backs = {"panel": 3.5, "posts": 5.0, "hoop": 1.6, "floating": 1.5}
     bases = {"legs": 12, "sled": 1.5, "cantilever": 1.5, "crossed": 1, "panels": 0.8, "wires": 1, "pedestal": 0.6}
-    if chance(rng, 0.3):
+    if armed := chance(rng, 0.3):
         frame = replace(frame, width=frame.width + 0.09)
-        return [*_dining_parts(rng, frame, backs, bases), *arms(rng, frame, {"rest": 5, "tube": 2, "board": 1})]
-    return _dining_parts(rng, frame, backs, bases)
-
-
-def _dining_parts(rng: np.random.Generator, frame: Frame, backs: dict[str, float], bases: dict[str, float]) -> list[Mesh]:
-    return seat(rng, frame) + back(rng, frame, backs) + base(rng, frame, bases)
+    parts = seat(rng, frame) + back(rng, frame, backs) + base(rng, frame, bases)
+    return parts + (arms(rng, frame, {"rest": 5, "tube": 2, "board": 1}) if armed else [])
 
 
 def _office(rng: np.random.Generator) -> list[Mesh]:
