@@ -40,9 +40,9 @@ def measured():
         return [
             *silhouette.measure(QUICK, [(64, 16), (128, 32)]),
             *chamfer.measure(QUICK, [64, 128], steps=1),
-            *refinement.terms(QUICK, [(64, 16)]),
-            *refinement.points_step(QUICK, [64]),
-            *refinement.network_steps(QUICK),
+            *refinement.terms(QUICK, 64, 16),
+            *refinement.points_step(QUICK, 64),
+            *refinement.network_step(QUICK, "encoder-decoder"),
             *refinement.batch(QUICK, [1, 2], count=64, steps=1),
             *refinement.more_threads(QUICK, (64, 16), clouds=2, most=2, steps=1),
             *training.measure(QUICK, batch=1),
@@ -280,7 +280,7 @@ def run(*arguments):
 
 def test_the_command_writes_record_and_chart_and_overwrites_nothing(tmp_path, capsys, monkeypatch):
     assert set(PARTS) == set(speed.PARTS)
-    monkeypatch.setitem(speed.PARTS, "terms", lambda setting: refinement.terms(setting, [(64, 16)]))
+    monkeypatch.setitem(speed.PARTS, "terms", lambda setting: refinement.terms(setting, 64, 16))
     output = tmp_path / "speed.json"
     arguments = ["--only", "terms", "--seconds", "0.001", "-o", str(output), "--json"]
     assert run(*arguments) == 0

@@ -22,20 +22,14 @@ from . import silhouette
 from .material import SIGMA_SQ, chair_view, cloud, mask_objective, projection, trajectory
 from .timing import Setting, Work, gradient, threads
 
-TERM_SIZES: silhouette.Sizes = ((1024, 64), (16384, 256))
-STEP_SIZES = (1024, 16384)
 BATCHES, LARGE_BATCHES = (1, 4, 16), (64, 256, 1024)
 THREADED_SIZE, THREADED_CLOUDS = (65536, 512), 64
 # A step is measured halfway through a refinement; of a network, once its cloud has left the initial one.
 HALFWAY, NETWORK_HALFWAY = 25, 5
 
 
-def terms(setting: Setting, sizes: silhouette.Sizes = TERM_SIZES) -> list[dict[str, Any]]:
+def terms(setting: Setting, count: int, side: int) -> list[dict[str, Any]]:
     """Value and gradient of each loss beside the projector's: from points to the sums of the silhouette, and back."""
-    return [record for size in sizes for record in _terms_at(setting, *size)]
-
-
-def _terms_at(setting: Setting, count: int, side: int) -> list[dict[str, Any]]:
     setting.report(f"terms {count:,}@{side}")
     scene = projection(count, side, setting.device, setting.seed)
     iterates = trajectory(count, setting.device, setting.seed, HALFWAY)
@@ -66,15 +60,11 @@ def _terms_at(setting: Setting, count: int, side: int) -> list[dict[str, Any]]:
     return setting.records("terms", timings, "over_projector", points=count, side=side)
 
 
-def points_step(setting: Setting, sizes: Sequence[int] = STEP_SIZES) -> list[dict[str, Any]]:
+def points_step(setting: Setting, count: int) -> list[dict[str, Any]]:
     """One step of points mode at the working resolution of `tso refine`, and its parts.
 
     The learning rate is 0: every measured step is the same one.
     """
-    return [record for count in sizes for record in _points_step_at(setting, count)]
-
-
-def _points_step_at(setting: Setting, count: int) -> list[dict[str, Any]]:
     setting.report(f"step {count:,}")
     iterates = trajectory(count, setting.device, setting.seed, HALFWAY)
     moving, leaf = (iterates[-1].clone().requires_grad_() for _ in range(2))
@@ -95,12 +85,8 @@ def _points_step_at(setting: Setting, count: int) -> list[dict[str, Any]]:
     return setting.records("step", timings, "share", points=count, side=view.cameras.width)
 
 
-def network_steps(setting: Setting) -> list[dict[str, Any]]:
-    """One step of each network mode beside forward, backward and Adam of the bare network."""
-    return [record for mode in ("encoder", "encoder-decoder") for record in _network_step(setting, mode)]
-
-
-def _network_step(setting: Setting, mode: str) -> list[dict[str, Any]]:
+def network_step(setting: Setting, mode: str) -> list[dict[str, Any]]:
+    """One step of a network mode beside forward, backward and Adam of the bare network."""
     setting.report(f"step, {mode}")
     image = torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(setting.seed))
     network = build_network(seed=setting.seed)

@@ -29,8 +29,13 @@ CONVENTION = {
 PARTS: dict[str, Callable[[Setting], list[dict[str, Any]]]] = {
     "silhouette": silhouette.measure,
     "chamfer": chamfer.measure,
-    "terms": refinement.terms,
-    "step": lambda setting: refinement.points_step(setting) + refinement.network_steps(setting),
+    "terms": lambda setting: [*refinement.terms(setting, 1024, 64), *refinement.terms(setting, 16384, 256)],
+    "step": lambda setting: [
+        *refinement.points_step(setting, 1024),
+        *refinement.points_step(setting, 16384),
+        *refinement.network_step(setting, "encoder"),
+        *refinement.network_step(setting, "encoder-decoder"),
+    ],
     "batch": refinement.batch,
     "threads": refinement.more_threads,
     "training": training.measure,
