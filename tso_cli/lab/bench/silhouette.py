@@ -1,4 +1,4 @@
-"""From projected points to the gradient by them: sums of Gaussians and cross-entropy, forward and backward."""
+"""The silhouette loss from projected points, forward and backward: sums of Gaussians and cross-entropy."""
 
 from __future__ import annotations
 
@@ -9,33 +9,25 @@ import torch
 from torch import Tensor
 
 from ...kernels.dispatch import triton_runs
-from ...kernels.splat import window_radius
 from ...silhouette.losses import PixelWeights, mask_loss
 from . import peers
+from .chamfer import left_out
 from .material import SIGMA_SQ, Projection, projection
-from .timing import Setting, Work, gradient, slope
+from .timing import Setting, Work, gradient
 
 Sizes = Sequence[tuple[int, int]]
-WHAT = "silhouette"
 SIZES: Sizes = ((256, 32), (1024, 64), (4096, 128), (16384, 256))
 LARGE: Sizes = ((65536, 512), (262144, 512), (1_000_000, 1024))
-# Cost against the number of points at one size of picture, and against the picture at one number of points.
-GROWTH: dict[str, Sizes] = {
-    "points": ((1024, 256), (4096, 256), (16384, 256), (65536, 256)),
-    "pixels": ((4096, 64), (4096, 128), (4096, 256), (4096, 512)),
-}
-# The paper's sigma^2 reaches four pixels; a window of seven leaves out what is under 5e-6.
+# The paper's sigma^2 reaches four pixels; a window of 7x7 drops weights below 5e-6.
 RADII = {"scatter 9x9": 4, "scatter 7x7": 3}
-# More is left out: of the exact product a minute's work, of the scatter some gigabytes of taps.
+# Beyond these the exact product takes a minute and the scatter some gigabytes.
 EXACT_LIMIT, TAPS_LIMIT = 1e11, 3e7
-# Peers draw the silhouette from the points themselves, projection included. On the CPU the largest would take them minutes.
+# Other packages start from 3D points. On the CPU the largest sizes would take them minutes.
 PEERS_UP_TO = 16384
-# Multiply-adds of a tap: forward its weight is added up; backward, the gradient by the sum goes into two derivatives.
-FORWARD, BACKWARD = 1, 2
 
 
 def kernels(device: torch.device) -> list[str]:
-    """Those of the program that run on ``device``, the fastest first."""
+    """tso's kernels for ``device``, the fastest first."""
     if device.type == "cpu":
         return ["compiled", "windowed", "exact"]
     return [*(["triton"] if triton_runs(torch.empty(0, device=device)) else []), "windowed", "exact"]
@@ -43,7 +35,8 @@ def kernels(device: torch.device) -> list[str]:
 
 def too_much(name: str, count: int, side: int) -> str | None:
     """Why a contestant is left out at this size, None where it is not."""
-    if name == "exact" and (needed := (FORWARD + BACKWARD) * float(count) * side * side) > EXACT_LIMIT:
+    # One multiply-add for each point and pixel forward, two backward.
+    if name == "exact" and (needed := 3.0 * count * side * side) > EXACT_LIMIT:
         return f"{needed:.1e} multiply-adds"
     if name in RADII and (taps := float(count) * (2 * RADII[name] + 1) ** 2) > TAPS_LIMIT:
         return f"{taps:.1e} taps, about {50 * taps / 2**30:.0f} GiB"
@@ -59,9 +52,9 @@ def work(name: str, scene: Projection) -> Work:
 
 
 def scattered_loss(points_px: Tensor, mask: Tensor, radius: int) -> Tensor:
-    """The same loss as one writes it first: every tap by broadcasting, `index_add`, tanh, torch's cross-entropy.
+    """The loss in plain torch: all taps by broadcasting, `index_add`, tanh and torch's cross-entropy.
 
-    Nothing pulls pixels that no window reaches, so it has less to do than what it is compared with.
+    It lacks the term for mask pixels that no window reaches, so it has less to do than tso's kernels.
     """
     side = mask.shape[-1]
     steps = torch.arange(-radius, radius + 1, device=points_px.device)
@@ -78,78 +71,17 @@ def scattered_loss(points_px: Tensor, mask: Tensor, radius: int) -> Tensor:
     return torch.nn.functional.binary_cross_entropy(silhouette, mask, reduction="sum")
 
 
-def limit(count: int, side: int, radius: int, rates: dict[str, float]) -> dict[str, float]:
-    """The least seconds that forward and backward can take here, by what they must do.
-
-    "arithmetic": N (2 r + 1)^2 taps, one multiply-add forward and two backward, over the rate in registers. "scatter": the
-    forward taps over the rate of load, multiply-add and store, the others over that in registers. "memory", where the rate of a
-    copy is known: the points and their gradient, and four passes over the picture, over that.
-    """
-    taps = float(count) * (2 * radius + 1) ** 2
-    found = {"arithmetic": (FORWARD + BACKWARD) * taps / rates["multiply-add"]}
-    if (store := rates.get("load, multiply-add, store")) is not None:
-        found["scatter"] = FORWARD * taps / store + BACKWARD * taps / rates["multiply-add"]
-    if (copied := rates.get("copy")) is not None:
-        found["memory"] = (4.0 * 4 * count + 4.0 * 4 * side * side) / copied
-    return found
-
-
-def measure(setting: Setting, rates: dict[str, float], sizes: Sizes | None = None) -> list[dict[str, Any]]:
-    """Every contestant at every size, the limits beside them (their seconds are computed, and so have no runs)."""
+def measure(setting: Setting, sizes: Sizes | None = None) -> list[dict[str, Any]]:
+    """Seconds of every contestant at every size."""
     records: list[dict[str, Any]] = []
-    absent: set[str] = set()
-    if sizes is None:
-        sizes = (*SIZES, *LARGE) if setting.full else SIZES
-    for count, side in sizes:
+    for count, side in sizes or ((*SIZES, *LARGE) if setting.full else SIZES):
         setting.report(f"silhouette {count:,}@{side}")
         scene = projection(count, side, setting.device, setting.seed)
-        at: dict[str, Any] = {"points": count, "side": side}
-        names = [*kernels(setting.device), *RADII]
-        reasons = {name: reason for name in names if (reason := too_much(name, count, side))}
-        contestants = {name: work(name, scene) for name in names if name not in reasons}
+        works = {name: too_much(name, count, side) or work(name, scene) for name in (*kernels(setting.device), *RADII)}
         for name, make in peers.splatters(scene).items() if count <= PEERS_UP_TO else ():
-            made = make()
-            if isinstance(made, str):
-                reasons[name] = made
-            else:
-                contestants[name] = gradient(made, scene.points)
-        timings = setting.race(contestants)
-        limits = limit(count, side, window_radius(SIGMA_SQ), rates)
-        own = timings[names[0]].median
-        records += [
-            setting.record(
-                WHAT, name, timing, **at, over_tso=timing.median / own, over_limit=timing.median / max(limits.values())
-            )
-            for name, timing in timings.items()
-        ]
-        absent |= {name for name, reason in reasons.items() if reason == peers.NOT_INSTALLED}
-        records += [setting.record(WHAT, name, **at, left_out=reasons[name]) for name in reasons if name not in absent]
-        records += [
-            setting.record("limit", name, **at, seconds={"median": value, "low": value, "high": value})
-            for name, value in limits.items()
-        ]
-    return records + [setting.record(WHAT, name, left_out=peers.NOT_INSTALLED) for name in sorted(absent)]
-
-
-def growth(setting: Setting, growing: dict[str, Sizes] | None = None) -> list[dict[str, Any]]:
-    """The fastest kernel at growing sizes, and the slope of its cost in log-log against points, and against pixels.
-
-    "slope" is that of the straight line through all sizes, "steepest" that between two neighbouring ones.
-    """
-    kernel = kernels(setting.device)[0]
-    records = []
-    for by, sizes in (GROWTH if growing is None else growing).items():
-        setting.report(f"silhouette against {by}")
-        scenes = {size: projection(*size, setting.device, setting.seed) for size in sizes}
-        timings = setting.race({f"{n}@{side}": work(kernel, scene) for (n, side), scene in scenes.items()})
-        medians = [timing.median for timing in timings.values()]
-        grown = [n if by == "points" else side * side for n, side in sizes]
-        slopes = {
-            "slope": slope(grown, medians),
-            "steepest": max(slope(grown[i : i + 2], medians[i : i + 2]) for i in range(len(grown) - 1)),
-        }
-        records += [
-            setting.record(f"growth, {by}", kernel, timing, points=n, side=side, **slopes)
-            for (n, side), timing in zip(sizes, timings.values(), strict=True)
-        ]
+            term = make()
+            works[name] = term if isinstance(term, str) else gradient(term, scene.points)
+        timings = setting.race({name: work for name, work in works.items() if not isinstance(work, str)})
+        records += setting.records("silhouette", timings, "over_tso", points=count, side=side)
+        records += left_out(setting, "silhouette", works, points=count, side=side)
     return records

@@ -7,64 +7,44 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from ...errors import InputError
-from . import chamfer, loop, many_threads, memory, network_forms, profile, silhouette, training
+from . import chamfer, memory, refinement, silhouette, start_up, training
 from .claims import claims
-from .machine import machine, rates, versions
+from .machine import machine, versions
 from .timing import Setting, threads
 
-START_UPS = 5
-# Peak memory is measured at this size and at the largest: a process for each takes three seconds.
-REMEMBERED = 16384
 CONVENTION = {
     "seconds": "wall clock; median and quartiles (low, high) of the runs, contestants of one size by turns in one process",
     "silhouette": "from projected points to the gradient by them of sums and cross-entropy, one picture, float32, "
-    "sigma^2 0.4 px^2; the scatters without the pull of pixels that no window reaches",
-    "limit": "taps (N x 9 x 9) x multiply-adds (forward 1, backward 2) over the rate measured in the same run; scatter: the "
-    "forward ones over the rate of load, multiply-add and store; memory: bytes that must be moved over the rate of a copy",
-    "profile": "the stages of the compiled silhouette called alone; an empty function is torch's own cost of a derivative",
-    "growth": "slope: of a line through log seconds over log size (points, or pixels); steepest: between neighbouring sizes",
+    "sigma^2 0.4 px^2; the scatters without the term for mask pixels that no window reaches",
     "chamfer": "one step, value and gradient, mean over every tenth of the 50 steps of a refinement; what is built once apart",
     "terms": "value and gradient of each term; the projector is points to sums of the silhouette and back",
     "step": "one step of points mode and of the network modes, and its parts",
-    "network forms": "forward and backward of the network on one image in other layouts and precisions; Adam for its weights",
     "batch": "one cloud, all of `refine`: all steps, preparation and judgement; seconds of a call over the clouds in it",
     "start-up": "a whole process; low and high are the quickest and the slowest",
     "threads": "the same work on one thread and on all cores, by turns; over_first: how many times quicker than on the first",
     "training": "a step of 16 images without the optimiser; the bare network's forward and backward beside it; waiting: share "
-    "of such steps in which the network waits for a batch that threads prepare ahead; roofline: images a second by the "
-    "multiply-adds of forward and backward, at the rate of a large matrix product or convolution in the same precision, the "
-    "higher of the two",
+    "of such steps in which the network waits for a batch that threads prepare ahead",
     "peak_memory_bytes": "growth of the most that was resident, one call in a fresh process (CUDA: of what was allocated)",
 }
-
-
-def _silhouette(setting: Setting, records: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    found = {record["name"]: record["per_second"] for record in records if record["what"] == "rate"}
-    return silhouette.measure(setting, found) + profile.measure(setting) + silhouette.growth(setting)
-
-
-def _start_up(setting: Setting, _: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    from .start_up import start_up
-
-    setting.report("start-up")
-    return [setting.record("start-up", record["name"]) | record for record in start_up(START_UPS)]
-
-
-PARTS: dict[str, Callable[[Setting, list[dict[str, Any]]], list[dict[str, Any]]]] = {
-    "limit": lambda setting, _: rates(setting),
-    "silhouette": _silhouette,
-    "chamfer": lambda setting, _: chamfer.measure(setting),
-    "terms": lambda setting, _: loop.terms(setting),
-    "step": lambda setting, _: loop.points_step(setting) + loop.network_steps(setting) + network_forms.measure(setting),
-    "batch": lambda setting, _: loop.batch(setting),
-    "threads": lambda setting, _: many_threads.measure(setting),
-    "training": lambda setting, _: training.measure(setting),
-    "start-up": _start_up,
+PARTS: dict[str, Callable[[Setting], list[dict[str, Any]]]] = {
+    "silhouette": silhouette.measure,
+    "chamfer": chamfer.measure,
+    "terms": lambda setting: [*refinement.terms(setting, 1024, 64), *refinement.terms(setting, 16384, 256)],
+    "step": lambda setting: [
+        *refinement.points_step(setting, 1024),
+        *refinement.points_step(setting, 16384),
+        *refinement.network_step(setting, "encoder"),
+        *refinement.network_step(setting, "encoder-decoder"),
+    ],
+    "batch": refinement.batch,
+    "threads": refinement.more_threads,
+    "training": training.measure,
+    "start-up": start_up.measure,
 }
 
 
 def speed(setting: Setting, only: Sequence[str] = ()) -> dict[str, Any]:
-    """Measure the ``only`` parts, all of them where none is named.
+    """Measure the parts named in ``only``; all of them where it is empty.
 
     Returns
     -------
@@ -77,18 +57,9 @@ def speed(setting: Setting, only: Sequence[str] = ()) -> dict[str, Any]:
     if setting.device.type not in ("cpu", "cuda"):
         raise InputError(f"--device {setting.device}: expected cpu or cuda, speed is measured on no other")
     begun = time.perf_counter()
-    wanted = set(only or PARTS)
-    if "silhouette" in wanted:
-        wanted.add("limit")
-    records: list[dict[str, Any]] = []
     with threads(setting.threads):
-        for name, part in PARTS.items():
-            if name in wanted:
-                records += part(setting, records)
-    for what in memory.MEASURED:
-        own = [record for record in records if record["what"] == what and record["runs"]]
-        largest = max((record["points"] for record in own), default=0)
-        memory.add_peaks([record for record in own if record["points"] in (REMEMBERED, largest)], setting)
+        records = [record for name, part in PARTS.items() if name in (only or PARTS) for record in part(setting)]
+    memory.add_peaks(records, setting)
     return {
         "bench": "speed",
         "machine": machine(setting.device),

@@ -1,4 +1,4 @@
-"""How long whole commands take from the shell: the interpreter, the imports, the work and the end of the process."""
+"""Seconds that whole commands take from the shell."""
 
 from __future__ import annotations
 
@@ -18,91 +18,77 @@ import numpy as np
 from ...errors import TsoError
 from ...io.shipped import examples_folder
 from .material import cloud
+from .timing import Setting, Timing
 
-PACKAGE = Path(__file__).resolve().parent.parent
-
-# Given an empty folder, the variables of the environment to set.
+PACKAGE = Path(__file__).resolve().parents[2]
+# Given an empty folder, the environment variables of a run.
 Prepare = Callable[[Path], dict[str, str]]
-
-TORCH = ("-c", "import torch")
 TSO = ("-m", "tso_cli")
-LARGE = "tso refine --mode points, 16,384 points"
+REFINE = "tso refine --mode points"
+REFINE_LARGE = f"{REFINE}, 16,384 points"
 
 
-def start_up(repeats: int = 7) -> list[dict[str, Any]]:
-    """Time command lines as whole processes, in turn, so that other load on the machine falls on all of them alike.
+def measure(setting: Setting, repeats: int = 5) -> list[dict[str, Any]]:
+    """Wall times of `tso` commands, of bare Python and of ``import torch``, by turns; low and high are the extremes.
 
-    Bare Python and the import of torch are what the commands are to be held against. A *first* run finds no byte code of tso
-    (what an installer may leave undone) and an empty cache of compiled loops; a *bare* one finds no byte code of torch either.
-    Neither empties the system's file cache.
+    A *first* run finds no byte code of tso and no compiled loops. Each command runs ``repeats`` times, after one run that is
+    not counted.
 
-    Parameters
-    ----------
-    repeats : counted runs of each, >= 1, after one that is not counted.
-
-    Returns
-    -------
-    For each command line {"what": "start-up", "name", "seconds": {"median", "low", "high"}, "runs"}; low and high are the
-    quickest and the slowest run.
-
-    Raises
-    ------
-    TsoError
-        A command fails.
-    InputError
-        The shipped examples are not there.
+    Raises TsoError if a command fails, InputError if the shipped examples are missing.
     """
+    setting.report("start-up")
     with tempfile.TemporaryDirectory() as folder:
         commands = _commands(Path(folder))
         seconds: dict[str, list[float]] = {name: [] for name in commands}
-        if LARGE in commands:
+        if REFINE_LARGE in commands:
             _run("tso compile", (*TSO, "compile"), _warm)
         for turn in range(repeats + 1):
             for name, (arguments, prepare) in commands.items():
-                # The first of a kind that is prepared anew each time is as good as any other.
+                # Runs that are prepared anew need no warm-up.
                 if turn or prepare is _warm:
                     seconds[name].append(_run(name, arguments, prepare))
-    return [_record(name, values[-repeats:]) for name, values in seconds.items()]
+    counted = {name: values[-repeats:] for name, values in seconds.items()}
+    return [
+        setting.record("start-up", name, Timing(statistics.median(values), min(values), max(values), repeats))
+        for name, values in counted.items()
+    ]
 
 
 def _commands(folder: Path) -> dict[str, tuple[tuple[str, ...], Prepare]]:
-    """For each name what Python is given, and what prepares its run; ``folder`` gets the larger cloud."""
+    """Name -> Python's arguments and the preparation; the larger cloud is written to ``folder``."""
     chair = examples_folder() / "chair"
     many = folder / "many.npy"
     np.save(many, cloud(16384))
-    large = (*TSO, "refine", "--mode", "points", str(many), str(chair / "mask.png"))
-    refine = (*TSO, "refine", "--mode", "points", str(chair / "initial.ply"), str(chair / "mask.png"))
+    refine, large = (
+        (*TSO, "refine", "--mode", "points", str(points), str(chair / "mask.png")) for points in (chair / "initial.ply", many)
+    )
     return {
         "python": (("-c", "pass"), _warm),
-        "import torch": (TORCH, _warm),
+        "import torch": (("-c", "import torch"), _warm),
         "tso --version": ((*TSO, "--version"), _warm),
         "tso --help": ((*TSO, "--help"), _warm),
-        "tso refine --mode points": (refine, _warm),
-        "tso refine --mode points, with picture": ((*refine, "--overlay", "picture.png"), _warm),
-        "tso refine --mode points, first": (refine, _first),
-        LARGE: (large, _warm),
-        f"{LARGE}, first": (large, _first),
-        "import torch, bare": (TORCH, _bare),
-        "tso refine --mode points, bare": (refine, _bare),
+        REFINE: (refine, _warm),
+        f"{REFINE}, first": (refine, _first),
+        REFINE_LARGE: (large, _warm),
+        f"{REFINE_LARGE}, first": (large, _first),
     }
 
 
 def _run(name: str, arguments: tuple[str, ...], prepare: Prepare) -> float:
-    """Wall time of one process, in s."""
+    """Wall time of one process, in seconds."""
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder) / "work"
         work.mkdir()
-        # With this set, nothing would ever be kept and every run would be a first one.
+        # With this set, no byte code would be kept and every run would be a first one.
         environment = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
         environment |= prepare(Path(folder))
+        command = [sys.executable, *arguments]
         start = time.perf_counter()
-        done = subprocess.run(
-            [sys.executable, *arguments], cwd=work, env=environment, stdin=subprocess.DEVNULL, capture_output=True
-        )
+        done = subprocess.run(command, cwd=work, env=environment, stdin=subprocess.DEVNULL, capture_output=True)
         elapsed = time.perf_counter() - start
     if done.returncode:
-        said = done.stderr.decode(errors="replace").strip().splitlines() or ["nothing"]
-        raise TsoError(f"{name}: ended with exit code {done.returncode}, saying {said[-1]!r}")
+        last = (done.stderr.decode(errors="replace").strip().splitlines() or ["nothing"])[-1]
+        raise TsoError(f"{name}: ended with exit code {done.returncode}, saying {last!r}")
     return elapsed
 
 
@@ -111,15 +97,6 @@ def _warm(folder: Path) -> dict[str, str]:
 
 
 def _first(folder: Path) -> dict[str, str]:
-    left_out = shutil.ignore_patterns("__pycache__", "weights", "examples")
-    shutil.copytree(PACKAGE, folder / "fresh" / PACKAGE.name, ignore=left_out)
+    ignored = shutil.ignore_patterns("__pycache__", "weights", "examples")
+    shutil.copytree(PACKAGE, folder / "fresh" / PACKAGE.name, ignore=ignored)
     return {"PYTHONPATH": str(folder / "fresh"), "NUMBA_CACHE_DIR": str(folder / "compiled")}
-
-
-def _bare(folder: Path) -> dict[str, str]:
-    return _warm(folder) | {"PYTHONPYCACHEPREFIX": str(folder / "bytecode"), "NUMBA_CACHE_DIR": str(folder / "compiled")}
-
-
-def _record(name: str, values: list[float]) -> dict[str, Any]:
-    spread = {"median": statistics.median(values), "low": min(values), "high": max(values)}
-    return {"what": "start-up", "name": name, "seconds": spread, "runs": len(values)}

@@ -1,4 +1,4 @@
-"""The record of `tso bench speed` as tables: for a terminal, and for whoever lays them out."""
+"""The record of `tso bench speed` as tables."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from typing import Any
 
 from ...plots.table import Cell, text_table
 
-Records = Sequence[dict[str, Any]]
+Record = dict[str, Any]
+Records = Sequence[Record]
 
 
 @dataclass(frozen=True)
 class Section:
-    """A table: name, what its cells say, header and rows."""
+    """A table of what was measured under ``name``."""
 
     name: str
     title: str
@@ -21,26 +22,26 @@ class Section:
     rows: list[list[Cell]]
 
 
-def speed_table(record: dict[str, Any]) -> str:
-    """All tables, what was left out, what was asked, and the machine."""
+def speed_table(record: Record) -> str:
+    """All tables, what was left out, the targets, and the machine."""
     parts = [f"{section.title}\n{text_table(section.header, section.rows)}" for section in sections(record)]
     if left_out := left_out_lines(record["records"]):
         parts.append("left out:\n" + "\n".join(f"  {line}" for line in left_out))
     if record["claims"]:
-        claims = [f"{'holds' if c['holds'] else 'does not hold'}: {c['claim']} ({c['found']})" for c in record["claims"]]
+        claims = [f"target {'met' if c['holds'] else 'missed'}: {c['claim']} ({c['found']})" for c in record["claims"]]
         parts.append("\n".join(claims))
     parts.append(machine_line(record))
     return "\n\n".join(parts)
 
 
-def machine_line(record: dict[str, Any]) -> str:
-    """Where and with what it was measured."""
-    machine, versions = record["machine"], record["versions"]
+def machine_line(record: Record) -> str:
+    """Where and with what the record was made."""
+    machine = record["machine"]
     on = f"{machine['gpu']}, {machine['cpu']}" if machine["gpu"] else machine["cpu"]
-    named = ", ".join(f"{name} {version}" for name, version in versions.items() if version)
+    versions = ", ".join(f"{name} {version}" for name, version in record["versions"].items() if version)
     threads = f"{record['threads']} thread{'s' if record['threads'] > 1 else ''}"
     run = f"seed {record['seed']}, {record['seconds']:.0f} s"
-    return f"{on}, {machine['cores']} cores, {threads}, {record['device']}; {named}; {run}"
+    return f"{on}, {machine['cores']} cores, {threads}, {record['device']}; {versions}; {run}"
 
 
 def left_out_lines(records: Records) -> list[str]:
@@ -48,166 +49,85 @@ def left_out_lines(records: Records) -> list[str]:
     reasons: dict[tuple[str, str], list[str]] = {}
     for record in records:
         if reason := record.get("left_out"):
-            size = "" if record["points"] is None else f" ({_size(record)})"
+            size = "" if reason == "not installed" else f" ({_size(record)})"
             reasons.setdefault((record["what"], record["name"]), []).append(reason + size)
-    return [f"{what}, {name}: {'; '.join(found)}" for (what, name), found in reasons.items()]
+    return [f"{what}, {name}: {'; '.join(dict.fromkeys(lines))}" for (what, name), lines in reasons.items()]
 
 
-def sections(record: dict[str, Any]) -> list[Section]:
+def sections(record: Record) -> list[Section]:
     """The tables of whatever was measured."""
-    records = record["records"]
-    made = [
-        _rates(records),
+    records = [r for r in record["records"] if r["seconds"]]
+
+    def of(*whats: str) -> Records:
+        return [r for r in records if r["what"] in whats]
+
+    peaks = [r for r in records if r["peak_memory_bytes"] is not None]
+    work = "{name}, {points:,} points"
+    training = of("training, points", "training, masks")
+    tables = [
+        _pivot("silhouette", "silhouette, forward and backward: ms (x tso's)", of("silhouette"), _ms_and("over_tso")),
+        _pivot("chamfer", "Chamfer to the start, a step: ms (x tso's)", of("chamfer"), _ms_and("over_tso")),
+        _pivot("memory", "peak memory of a call: MiB", peaks, _mib, "{what}: {name}", "{points:,}"),
+        _pivot("terms", "value and gradient: ms (x the projector)", of("terms"), _ms_and("over_projector")),
+        _pivot("step", "a step in points mode: ms (share of the whole)", of("step"), _ms_and_share),
+        _pivot("network", "a step: ms", of("step, encoder", "step, encoder-decoder"), _ms, "{what}", "{name}"),
         _pivot(
-            "silhouette",
-            "silhouette, forward and backward: ms (x tso's)",
-            [r for r in records if r["what"] in ("silhouette", "limit")],
-            lambda r: _ms(r) if r["what"] == "limit" else _time_and("over_tso")(r),
-            lambda r: f"limit: {r['name']}" if r["what"] == "limit" else r["name"],
+            "batch", "1,024 points: ms a cloud (x `refine`'s rate)", of("batch"), _batch, "{preset}, {name}", "batch {batch}"
         ),
-        _pivot("profile", "stages of the compiled silhouette: ms (share of the whole)", _of(records, "profile"), _shared),
-        _growth(records),
-        _pivot("chamfer", "Chamfer to the start, a step: ms (x tso's)", _of(records, "chamfer"), _time_and("over_tso")),
-        _pivot(
-            "memory",
-            "peak memory of a call: MiB",
-            [r for r in records if r["peak_memory_bytes"] is not None],
-            lambda r: f"{r['peak_memory_bytes'] / 2**20:,.1f}",
-            lambda r: f"{r['what']}: {r['name']}",
-            lambda r: f"{r['points']:,}",
+        _pivot("threads", "more threads: ms (x quicker)", of("threads"), _ms_and("over_first"), work, "threads: {threads}"),
+        _pivot("training", "images a second", training, _images, "{what}, {precision}", "{name}"),
+        Section(
+            "start-up",
+            "whole processes: s",
+            ["", "median", "low", "high"],
+            [[r["name"], *(f"{r['seconds'][key]:.2f}" for key in ("median", "low", "high"))] for r in of("start-up")],
         ),
-        _pivot("terms", "value and gradient: ms (x the projector)", _of(records, "terms"), _time_and("over_projector")),
-        _pivot("step", "a step in points mode: ms (share of the whole)", _of(records, "step"), _shared),
-        _network(records),
-        _forms(records),
-        _batch(records),
-        _threads(records),
-        _training_rates(records),
-        _training(records),
-        _start_up(records),
     ]
-    return [section for section in made if section.rows]
+    return [table for table in tables if table.rows]
 
 
-def _of(records: Records, what: str) -> Records:
-    return [record for record in records if record["what"] == what]
-
-
-def _size(record: dict[str, Any]) -> str:
+def _size(record: Record) -> str:
     return f"{record['points']:,}" + (f"@{record['side']}" if record["side"] else "")
 
 
-def _ms(record: dict[str, Any]) -> str:
-    return f"{_digits(1e3 * record['seconds']['median'])}"
+def _mib(record: Record) -> str:
+    return f"{record['peak_memory_bytes'] / 2**20:,.1f}"
+
+
+def _ms(record: Record) -> str:
+    return _digits(1e3 * record["seconds"]["median"])
+
+
+def _batch(record: Record) -> str:
+    return f"{_ms(record)} ({record['times_refine']:.1f}x)"
+
+
+def _images(record: Record) -> str:
+    """Images a second; of a whole step also what projector and losses add, and the share of it that waits for data."""
+    shares = f" (+{100 * record['added']:.0f} %, waits {100 * record['waiting']:.1f} %)" if record["name"] == "step" else ""
+    return _digits(record["images_per_second"]) + shares
 
 
 def _digits(value: float) -> str:
-    """Three digits, none in powers of ten."""
+    """Three digits, without powers of ten."""
     return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
 
 
-def _time_and(ratio: str) -> Callable[[dict[str, Any]], str]:
-    def cell(record: dict[str, Any]) -> str:
-        return _ms(record) + (f" ({_digits(record[ratio])}x)" if record.get(ratio) is not None else "")
-
-    return cell
+def _ms_and(ratio: str) -> Callable[[Record], str]:
+    return lambda record: _ms(record) + (f" ({_digits(record[ratio])}x)" if ratio in record else "")
 
 
-def _shared(record: dict[str, Any]) -> str:
+def _ms_and_share(record: Record) -> str:
     return f"{_ms(record)} ({100.0 * record['share']:.0f} %)"
 
 
 def _pivot(
-    name: str,
-    title: str,
-    records: Records,
-    cell: Callable[[dict[str, Any]], str],
-    label: Callable[[dict[str, Any]], str] = lambda record: record["name"],
-    column: Callable[[dict[str, Any]], str] = _size,
+    name: str, title: str, records: Records, cell: Callable[[Record], str], row: str = "{name}", column: str | None = None
 ) -> Section:
-    """A row for each contestant, a column for each size."""
-    measured = [record for record in records if record["seconds"]]
-    sizes = list(dict.fromkeys(column(record) for record in measured))
+    """A table of cells; ``row`` and ``column`` are templates of their labels, by default a column is a size."""
     cells: dict[str, dict[str, str]] = {}
-    for record in measured:
-        cells.setdefault(label(record), {})[column(record)] = cell(record)
-    rows: list[list[Cell]] = [[row, *(own.get(size) for size in sizes)] for row, own in cells.items()]
-    return Section(name, title, ["", *sizes], rows)
-
-
-def _rates(records: Records) -> Section:
-    rows: list[list[Cell]] = [[r["name"], f"{r['per_second'] / 1e9:.1f}", r["unit"]] for r in _of(records, "rate")]
-    return Section("rate", "what the machine does, float32", ["", "10^9 a second", "of"], rows)
-
-
-def _growth(records: Records) -> Section:
-    rows: list[list[Cell]] = []
-    for by in ("points", "pixels"):
-        found = _of(records, f"growth, {by}")
-        if found:
-            times = ", ".join(f"{_size(record)} {_ms(record)}" for record in found)
-            rows.append([by, times, f"{found[0]['slope']:.2f}", f"{found[0]['steepest']:.2f}"])
-    return Section("growth", "growth of the cost in log-log", ["against", "ms", "slope", "steepest"], rows)
-
-
-def _network(records: Records) -> Section:
-    rows: list[list[Cell]] = []
-    for mode in ("encoder", "encoder-decoder"):
-        found = {record["name"]: record for record in _of(records, f"step, {mode}")}
-        if found:
-            bare, whole = found["bare network"], found["whole step"]
-            rows.append([mode, _ms(bare), _ms(whole), f"{100.0 * whole['added']:.0f} %"])
-    return Section("network", "a step in the network modes: ms", ["mode", "bare network", "whole step", "added"], rows)
-
-
-def _forms(records: Records) -> Section:
-    rows: list[list[Cell]] = [[record["name"], _ms(record)] for record in _of(records, "network forms")]
-    return Section("network forms", "a step of the network on one image, taken apart: ms", ["", "ms"], rows)
-
-
-def _batch(records: Records) -> Section:
-    rows: list[list[Cell]] = [
-        [r["preset"], r["name"], str(r["batch"]), _ms(r), _digits(r["clouds_per_second"]), f"{r['times_refine']:.1f}x"]
-        for r in _of(records, "batch")
-    ]
-    header = ["preset", "call", "clouds", "ms a cloud", "clouds a second", "x `refine`"]
-    return Section("batch", "clouds of 1,024 points, all steps and what is around them", header, rows)
-
-
-def _threads(records: Records) -> Section:
-    found = _of(records, "threads")
-    counts = list(dict.fromkeys(record["threads"] for record in found))
-    rows: list[list[Cell]] = []
-    for name in dict.fromkeys(record["name"] for record in found):
-        own = [record for record in found if record["name"] == name]
-        rows.append([name, _size(own[0]), *(_ms(record) for record in own), f"{own[-1]['over_first']:.2f}x"])
-    header = ["", "points", *(f"{count} thread{'s' if count > 1 else ''}" for count in counts), "quicker"]
-    return Section("threads", "the same work on more threads: ms", header, rows)
-
-
-def _training_rates(records: Records) -> Section:
-    rows: list[list[Cell]] = [
-        [r["name"], r["precision"], f"{r['per_second'] / 1e9:.1f}"] for r in _of(records, "training rate")
-    ]
-    return Section("training rate", "what the roofline is made of", ["", "precision", "10^9 multiply-adds a second"], rows)
-
-
-def _training(records: Records) -> Section:
-    rows: list[list[Cell]] = []
-    for supervision in ("points", "masks"):
-        found = _of(records, f"training, {supervision}")
-        for bare, whole in zip(found[::2], found[1::2], strict=True):
-            speeds = [_digits(record["images_per_second"]) for record in (bare, whole)]
-            reached = f"{_digits(whole['roofline'])} ({100.0 * whole['images_per_second'] / whole['roofline']:.0f} %)"
-            shares = [f"{100.0 * whole[key]:.{digits}f} %" for key, digits in (("added", 0), ("waiting", 1))]
-            rows.append([supervision, bare["precision"], *speeds, shares[0], reached, shares[1]])
-    header = ["supervision", "precision", "bare network, images/s", "step, images/s", "added", "roofline, images/s (reached)"]
-    header.append("waits for data")
-    return Section("training", "training: images a second", header, rows)
-
-
-def _start_up(records: Records) -> Section:
-    rows: list[list[Cell]] = [
-        [r["name"], *(f"{r['seconds'][key]:.2f}" for key in ("median", "low", "high"))] for r in _of(records, "start-up")
-    ]
-    return Section("start-up", "whole processes: s", ["", "median", "low", "high"], rows)
+    for record in records:
+        label = column.format(**record) if column else _size(record)
+        cells.setdefault(row.format(**record), {})[label] = cell(record)
+    columns = list(dict.fromkeys(label for values in cells.values() for label in values))
+    return Section(name, title, ["", *columns], [[label, *map(values.get, columns)] for label, values in cells.items()])

@@ -1,4 +1,4 @@
-"""`tso bench`: how fast it is, on this machine."""
+"""`tso bench`: speed on this machine."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ import math
 import os
 import time
 from pathlib import Path
-from typing import Any
 
 import click
 
 from ...commands import options
 from .records import answer, check_outputs, keep
 
-PARTS = ("limit", "silhouette", "chamfer", "terms", "step", "batch", "threads", "training", "start-up")
+PARTS = ("silhouette", "chamfer", "terms", "step", "batch", "threads", "training", "start-up")
 
 
 @click.group("bench")
@@ -48,12 +47,11 @@ def speed(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Kernels, terms, steps, batches, training and start-up, beside other ways of doing the same and the machine's limit.
+    """Kernels, losses, steps, batches, training and start-up, beside other ways of doing the same.
 
-    All of it takes some five minutes, a quarter of an hour with --full; a part about one. limit: the machine's rates;
-    silhouette, chamfer: the kernels at growing sizes; terms: each term of the loss beside the projector; step: one step of
-    every mode, taken apart; batch: many clouds in one call; threads: the same on one thread and on all cores; training: images
-    a second beside the network's roofline; start-up: whole processes.
+    All of it takes some five minutes, a quarter of an hour with --full; a part about one. silhouette, chamfer: the kernels at
+    growing sizes; terms: each loss beside the projector; step: one step of every mode and its parts; batch: many clouds in one
+    call; threads: the same on one thread and on all cores; training: images a second; start-up: whole processes.
 
     Contestants for the same work take turns in one process, on cpu or cuda. Other packages (chamferdist, pykeops,
     point_cloud_utils, pytorch3d, gsplat) are measured where they are installed.
@@ -67,15 +65,14 @@ def speed(
     from ..charts.speed_chart import draw_speed
     from ..charts.speed_table import speed_table
 
-    setting = Setting(resolve(device), threads, seconds, full, seed, _report())
-    record = measure(setting, only)
+    begun = time.monotonic()
+
+    def report(name: str) -> None:
+        options.log(f"tso: {time.monotonic() - begun:4.0f} s  {name}")
+
+    record = measure(Setting(resolve(device), threads, seconds, full, seed, report), only)
     keep(record, output, draw_speed, overwrite)
     if as_json:
         options.echo_json(record)
-        return
-    click.echo(speed_table(record))
-
-
-def _report() -> Any:
-    begun = time.monotonic()
-    return lambda what: options.log(f"tso: {time.monotonic() - begun:4.0f} s  {what}")
+    else:
+        click.echo(speed_table(record))

@@ -1,84 +1,36 @@
-"""Cars of many kinds, front +z, symmetric about x = 0. Lengths in metres while they are put together."""
+"""Cars, front +z, symmetric about x = 0, ground at y = 0. Lengths in metres."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ...io.meshes import Mesh
-from .car_body import Knots, Shape, extras, interior
-from .car_special import formula, vintage
-from .parts import both, box, chance, join, loft, moved, pick
+from .parts import Array, Range, both, box, chance, cushion, draw, ellipsoid, loft, rectangle, rod, sweep, wheel
 
-# Side views: share of the length from the nose, share of the height.
-PROFILES: dict[str, Knots] = {
-    "sedan": (
-        (0, 0.42),
-        (0.03, 0.52),
-        (0.28, 0.63),
-        (0.43, 0.96),
-        (0.52, 1.0),
-        (0.66, 0.97),
-        (0.82, 0.69),
-        (0.97, 0.65),
-        (1, 0.5),
-    ),
-    "hatch": ((0, 0.42), (0.04, 0.53), (0.25, 0.65), (0.42, 0.97), (0.54, 1.0), (0.82, 0.93), (0.96, 0.65), (1, 0.45)),
-    "estate": ((0, 0.42), (0.03, 0.54), (0.27, 0.64), (0.41, 0.97), (0.5, 1.0), (0.87, 0.96), (0.97, 0.66), (1, 0.45)),
-    "suv": ((0, 0.45), (0.02, 0.6), (0.26, 0.66), (0.37, 0.97), (0.46, 1.0), (0.9, 0.97), (0.98, 0.65), (1, 0.4)),
-    "van": ((0, 0.35), (0.04, 0.45), (0.12, 0.53), (0.27, 0.94), (0.34, 1.0), (0.97, 0.98), (0.995, 0.9), (1, 0.5)),
-    "pickup": (
-        (0, 0.45),
-        (0.02, 0.57),
-        (0.26, 0.62),
-        (0.36, 0.97),
-        (0.4, 1.0),
-        (0.54, 0.98),
-        (0.585, 0.63),
-        (0.99, 0.62),
-        (1, 0.5),
-    ),
-    "sports": (
-        (0, 0.3),
-        (0.04, 0.48),
-        (0.34, 0.68),
-        (0.5, 0.97),
-        (0.57, 1.0),
-        (0.68, 0.95),
-        (0.9, 0.73),
-        (0.98, 0.7),
-        (1, 0.5),
-    ),
-    "wedge": ((0, 0.28), (0.1, 0.45), (0.3, 0.62), (0.46, 0.97), (0.55, 1.0), (0.66, 0.9), (0.8, 0.75), (0.99, 0.7), (1, 0.4)),
-    "round": (
-        (0, 0.3),
-        (0.08, 0.52),
-        (0.3, 0.62),
-        (0.4, 0.92),
-        (0.52, 1.0),
-        (0.66, 0.93),
-        (0.85, 0.62),
-        (0.96, 0.4),
-        (1, 0.28),
-    ),
-    "micro": ((0, 0.35), (0.06, 0.5), (0.2, 0.6), (0.38, 0.96), (0.5, 1.0), (0.85, 0.95), (0.97, 0.6), (1, 0.4)),
-    "open": ((0, 0.48), (0.04, 0.68), (0.32, 0.88), (0.36, 0.95), (0.72, 0.95), (0.97, 0.9), (1, 0.6)),
-    "box": (
-        (0, 0.55),
-        (0.005, 0.6),
-        (0.28, 0.62),
-        (0.38, 0.99),
-        (0.42, 1.0),
-        (0.72, 1.0),
-        (0.84, 0.63),
-        (0.995, 0.62),
-        (1, 0.55),
-    ),
-    "jeep": ((0, 0.5), (0.01, 0.56), (0.33, 0.58), (0.38, 0.97), (0.4, 1.0), (0.96, 1.0), (0.985, 0.6), (1, 0.5)),
+# Standard deviation of the logarithms by which a car is stretched along x, y and z.
+SPREAD = 0.05
+# Side views: shares of the length from the nose, and of the height there.
+PROFILES: dict[str, tuple[list[float], list[float]]] = {
+    "sedan": ([0, 0.03, 0.28, 0.43, 0.52, 0.66, 0.82, 0.97, 1], [0.42, 0.52, 0.63, 0.96, 1, 0.97, 0.69, 0.65, 0.5]),
+    "hatch": ([0, 0.04, 0.25, 0.42, 0.54, 0.82, 0.96, 1], [0.42, 0.53, 0.65, 0.97, 1, 0.93, 0.65, 0.45]),
+    "estate": ([0, 0.03, 0.27, 0.41, 0.5, 0.87, 0.97, 1], [0.42, 0.54, 0.64, 0.97, 1, 0.96, 0.66, 0.45]),
+    "suv": ([0, 0.02, 0.26, 0.37, 0.46, 0.9, 0.98, 1], [0.45, 0.6, 0.66, 0.97, 1, 0.97, 0.65, 0.4]),
+    "van": ([0, 0.04, 0.12, 0.27, 0.34, 0.97, 0.995, 1], [0.35, 0.45, 0.53, 0.94, 1, 0.98, 0.9, 0.5]),
+    "pickup": ([0, 0.02, 0.26, 0.36, 0.4, 0.54, 0.585, 0.99, 1], [0.45, 0.57, 0.62, 0.97, 1, 0.98, 0.63, 0.62, 0.5]),
+    "sports": ([0, 0.04, 0.34, 0.5, 0.57, 0.68, 0.9, 0.98, 1], [0.3, 0.48, 0.68, 0.97, 1, 0.95, 0.73, 0.7, 0.5]),
+    "wedge": ([0, 0.1, 0.3, 0.46, 0.55, 0.66, 0.8, 0.99, 1], [0.28, 0.45, 0.62, 0.97, 1, 0.9, 0.75, 0.7, 0.4]),
+    "round": ([0, 0.08, 0.3, 0.4, 0.52, 0.66, 0.85, 0.96, 1], [0.3, 0.52, 0.62, 0.92, 1, 0.93, 0.62, 0.4, 0.28]),
+    "micro": ([0, 0.06, 0.2, 0.38, 0.5, 0.85, 0.97, 1], [0.35, 0.5, 0.6, 0.96, 1, 0.95, 0.6, 0.4]),
+    "open": ([0, 0.04, 0.32, 0.36, 0.72, 0.97, 1], [0.48, 0.68, 0.88, 0.95, 0.95, 0.9, 0.6]),
+    "box": ([0, 0.005, 0.28, 0.38, 0.42, 0.72, 0.84, 0.995, 1], [0.55, 0.6, 0.62, 0.99, 1, 1, 0.63, 0.62, 0.55]),
+    "jeep": ([0, 0.01, 0.33, 0.38, 0.4, 0.96, 0.985, 1], [0.5, 0.56, 0.58, 0.97, 1, 1, 0.6, 0.5]),
 }
-# Ranges of length, width, height, clearance and wheel radius in metres, and of the rounding of the profile.
-RANGES: dict[str, tuple[tuple[float, float], ...]] = {
+NUMBERS = ("length", "width", "height", "clearance", "radius", "smooth", "tumble", "nose", "rear", "bulge", "inset")
+# Ranges of the first six of these fields of `Shape`.
+SIZES: dict[str, tuple[Range, ...]] = {
     "sedan": ((4.2, 5.1), (1.65, 1.9), (1.36, 1.52), (0.14, 0.22), (0.29, 0.35), (0.01, 0.06)),
     "hatch": ((3.5, 4.4), (1.55, 1.85), (1.38, 1.58), (0.14, 0.22), (0.28, 0.34), (0.01, 0.06)),
     "estate": ((4.2, 5.0), (1.65, 1.9), (1.4, 1.6), (0.14, 0.22), (0.29, 0.35), (0.01, 0.05)),
@@ -94,132 +46,193 @@ RANGES: dict[str, tuple[tuple[float, float], ...]] = {
     "jeep": ((3.3, 4.7), (1.55, 1.95), (1.65, 2.0), (0.25, 0.4), (0.35, 0.46), (0.0, 0.02)),
 }
 WEIGHTS = {
-    "sedan": 18,
-    "hatch": 13,
-    "estate": 6,
-    "suv": 9,
-    "van": 7,
-    "pickup": 5,
-    "sports": 11,
-    "wedge": 5,
-    "round": 7,
-    "micro": 3,
-    "open": 6,
-    "box": 6,
-    "jeep": 4,
-    "vintage": 4,
-    "formula": 4,
+    "sedan": 18, "hatch": 13, "estate": 6, "suv": 9, "van": 7, "pickup": 5, "sports": 11, "wedge": 5, "round": 7, "micro": 3,
+    "open": 6, "box": 6, "jeep": 4,
+}  # fmt: skip
+# Ranges of the others: of most cars, and of kinds with a form of their own.
+FORM: tuple[Range, ...] = ((0.15, 0.55), (0.1, 0.9), (0.1, 0.8), (0.0, 0.09), (-0.02, 0.06))
+ANGULAR: tuple[Range, ...] = ((0.0, 0.4), (0.0, 0.2), (0.0, 0.2), (0.0, 0.03), (-0.2, 0.04))
+BULBOUS: tuple[Range, ...] = ((0.3, 0.6), (0.5, 1.2), (0.5, 1.2), (0.05, 0.15), (-0.02, 0.06))
+FORMS: dict[str, tuple[Range, ...]] = {
+    "van": ((0.02, 0.2), (0.2, 0.8), (0.0, 0.2), (0.0, 0.09), (-0.02, 0.06)),
+    "sports": ((0.4, 0.8), (0.4, 1.0), (0.1, 0.8), (0.03, 0.1), (-0.02, 0.06)),
+    "pickup": ((0.15, 0.55), (0.1, 0.9), (0.0, 0.15), (0.0, 0.09), (-0.02, 0.06)),
+    "box": ANGULAR,
+    "jeep": ANGULAR,
+    "round": BULBOUS,
+    "micro": BULBOUS,
 }
 
 
-def generate(rng: np.random.Generator) -> Mesh:
-    """One car: from saloons and vans to racing cars and toys."""
-    mesh = join(KINDS[pick(rng, WEIGHTS)](rng))
-    # Cartoon cars are shorter and higher than real ones.
-    stretch = np.exp(rng.normal(0.0, 0.03, 3))
-    if chance(rng, 0.1):
-        stretch = stretch * [1.0, rng.uniform(1.0, 1.2), rng.uniform(0.75, 1.0)]
-    return moved(mesh, stretch)
+@dataclass(frozen=True)
+class Shape:
+    """A car body of one loft from nose to rear.
 
+    profile : [K, 2] side view of the upper edge: shares of the length from the nose, and of the height. smooth : how much its
+    corners are rounded, as a share of the length. belt : heights of the windows' lower edge at nose and rear, as shares of the
+    height. tumble : slope of the sides above it. nose, rear : how rounded the ends are seen from above. bulge : how far the
+    sides belly out, as a share of the width. inset : of the wheels' outer faces. axles : shares of the length. arch : radius of
+    the wheel arches in wheel radii, 0 without. hollow : (from, to, depth) of an open top, in shares of the length and metres.
+    """
 
-def _shape(rng: np.random.Generator, kind: str, **change: Any) -> Shape:
-    """Measures of a car of this kind."""
-    length, width, height, clearance, radius, smooth = (float(rng.uniform(*limits)) for limits in RANGES[kind])
-    knots = np.array(PROFILES[kind])
-    moved_knots = knots + rng.normal(0.0, 1.0, knots.shape) * [0.018, 0.015]
-    # Ends stay ends, the order stays, and the highest point stays 1.
-    s = np.maximum.accumulate(np.clip(moved_knots[:, 0], 0.0, 1.0) + np.arange(len(knots)) * 1e-4)
-    s = (s - s[0]) / (s[-1] - s[0])
-    y = moved_knots[:, 1] / moved_knots[:, 1].max()
-    values: dict[str, Any] = dict(
-        length=length,
-        width=width,
-        height=height,
-        clearance=clearance,
-        profile=tuple(zip(s.tolist(), y.tolist(), strict=True)),
-        belt=(rng.uniform(0.54, 0.63), rng.uniform(0.58, 0.68)),
-        tumble=rng.uniform(0.15, 0.55),
-        nose=rng.uniform(0.1, 0.9),
-        rear=rng.uniform(0.1, 0.8),
-        smooth=smooth,
-        bulge=rng.uniform(0.0, 0.09),
-        front_axle=rng.uniform(0.155, 0.23),
-        rear_axle=rng.uniform(0.76, 0.83),
-        radius=radius,
-        tyre=rng.uniform(0.16, 0.26),
-        inset=rng.uniform(-0.02, 0.06),
-        arch=0.0 if chance(rng, 0.15) else rng.uniform(1.06, 1.3),
-    )
-    if kind in ("box", "jeep"):
-        values |= dict(
-            nose=rng.uniform(0, 0.2),
-            rear=rng.uniform(0, 0.2),
-            bulge=rng.uniform(0, 0.03),
-            tumble=rng.uniform(0.0, 0.4),
-            inset=rng.uniform(-0.2, 0.04),
+    length: float
+    width: float
+    height: float
+    clearance: float
+    radius: float
+    smooth: float
+    profile: Array
+    belt: Range
+    tumble: float
+    nose: float
+    rear: float
+    bulge: float
+    inset: float
+    axles: Range
+    tyre: float
+    arch: float
+    hollow: tuple[float, float, float] | None = None
+
+    def top(self, s: Array | float) -> Array:
+        """Height of the upper edge at share ``s`` of the length, corners rounded."""
+        around = np.clip(np.asarray(s, dtype=np.float64)[..., None] + np.linspace(-1.0, 1.0, 9) * self.smooth, 0.0, 1.0)
+        heights: Array = np.interp(around, *self.profile.T).mean(axis=-1) * self.height
+        return heights
+
+    def half_width(self, s: Array | float) -> Array:
+        """Half the width at the belt."""
+        at = np.asarray(s, dtype=np.float64)
+        front = 1.0 - 0.5 * self.nose * np.clip(1.0 - at / 0.2, 0.0, 1.0) ** 3
+        behind = 1.0 - 0.45 * self.rear * np.clip(1.0 - (1.0 - at) / 0.2, 0.0, 1.0) ** 3
+        return self.width / 2.0 * front * behind
+
+    def z(self, s: Array | float) -> Array:
+        return (0.5 - np.asarray(s, dtype=np.float64)) * self.length
+
+    def mesh(self) -> Mesh:
+        s = self._stations()
+        wide, top = self.half_width(s), self.top(s)
+        ends = np.clip(1.0 - s / 0.08, 0.0, 1.0) ** 2 + np.clip(1.0 - (1.0 - s) / 0.08, 0.0, 1.0) ** 2
+        low = self.clearance + 0.35 * (top.min() - self.clearance) * ends
+        belt = np.minimum(np.interp(s, [0, 1], self.belt) * self.height, top - 0.015)
+        # The lower edge of the sides, raised over the wheels.
+        side, reach = low, self.arch * self.radius
+        for axle in self.axles:
+            away = np.abs(s - axle) * self.length
+            rim = self.radius + np.sqrt(np.clip(reach**2 - away**2, 0.0, None))
+            side = np.where(away < reach, np.maximum(rim, side), side)
+        side = np.minimum(side, low + 0.92 * (belt - low))
+        inner = np.maximum(wide - self.inset - 1.25 * self.tyre, 0.3 * wide)
+        glass, bulge, mid = top - belt, self.bulge * wide, side + 0.45 * (belt - side)
+        crown = np.minimum(0.35 * glass, 0.06)
+        edge = np.maximum(wide - self.tumble * glass, 0.25 * wide)
+        floor, rim_x, middle = top, 0.6 * edge, 0.004 * wide
+        if self.hollow:
+            inside = (s >= self.hollow[0]) & (s <= self.hollow[1])
+            floor = np.where(inside, np.maximum(top - self.hollow[2], low + 0.05), top)
+            rim_x = np.where(inside, 0.88 * edge, rim_x)
+        x = [middle, inner, inner, wide - bulge, wide, wide - 0.3 * bulge, wide - bulge, (wide - bulge + edge) / 2.0, edge]
+        y = [low, low, side, side, mid, belt - 0.15 * (belt - mid), belt, belt + 0.5 * (glass - crown), top - crown]
+        x, y = [*x, edge - 0.7 * crown, rim_x, middle], [*y, top - 0.15 * crown, floor, floor]
+        half = np.stack([np.stack(x, 1), np.stack(y, 1)], axis=-1)
+        ring = np.concatenate([half, half[:, ::-1] * [-1.0, 1.0]], axis=1)
+        z = np.broadcast_to(self.z(s)[:, None, None], (*ring.shape[:2], 1))
+        return loft(np.concatenate([ring, z], axis=-1))
+
+    def _stations(self) -> Array:
+        """Shares of the length at which the body has an outline."""
+        ends, arch = np.array([0.004, 0.015, 0.035, 0.06]), 0.999 * self.arch * self.radius / self.length
+        around = np.linspace(-arch, arch, 7)
+        s = [np.linspace(0, 1, 13), ends, 1.0 - ends, self.profile[:, 0], *(axle + around for axle in self.axles)]
+        if self.hollow:
+            s.append(np.array([0.0, -0.004, 0.0, 0.004]) + np.repeat(self.hollow[:2], 2))
+        return np.unique(np.round(np.clip(np.concatenate(s), 0.0, 1.0), 5))
+
+    def wheels(self, hub: float) -> list[Mesh]:
+        x = self.width / 2.0 - self.inset - self.tyre / 2.0
+        return both(
+            wheel(np.array([x, self.radius, float(self.z(axle))]), self.radius, self.tyre, 0, 18, hub) for axle in self.axles
         )
-    return Shape(**(values | change))
 
 
-def _saloon(rng: np.random.Generator, kind: str) -> list[Mesh]:
-    """A closed body of any kind in `PROFILES`."""
-    change: dict[str, Any] = {}
-    if kind == "van":
-        change = dict(
-            tumble=rng.uniform(0.02, 0.2),
-            belt=(0.4, 0.45),
-            front_axle=rng.uniform(0.13, 0.2),
-            nose=rng.uniform(0.2, 0.8),
-            rear=rng.uniform(0, 0.2),
-        )
-    elif kind in ("round", "micro"):
-        change = dict(
-            nose=rng.uniform(0.5, 1.2), rear=rng.uniform(0.5, 1.2), bulge=rng.uniform(0.05, 0.15), tumble=rng.uniform(0.3, 0.6)
-        )
-    elif kind == "sports":
-        change = dict(bulge=rng.uniform(0.03, 0.1), tumble=rng.uniform(0.4, 0.8), nose=rng.uniform(0.4, 1.0))
-    shape = _shape(rng, kind, **change)
-    parts = [shape.mesh(chance(rng, 0.3)), *shape.wheels(rng), *extras(rng, shape)]
-    if chance(rng, 0.3):
-        parts += interior(rng, shape)
-    if kind == "box" and chance(rng, 0.3):  # an engine that looks out of the bonnet
-        parts.append(box((0.5, 0.2, 0.6), (0, float(shape.top(0.15)) + 0.05, float(shape.z(0.15)))))
-    if kind in ("wedge", "sports", "box") and chance(rng, 0.3):
-        deck, z = float(shape.top(0.96)), float(shape.z(0.95))
-        rise = rng.uniform(0.12, 0.35)
-        parts.append(box((shape.width, 0.04, rng.uniform(0.2, 0.4)), (0, deck + rise, z)))
-        parts += both(box((0.05, rise + 0.08, 0.2), (shape.width * 0.38, deck + rise / 2 - 0.02, z)))
+def build(rng: np.random.Generator, kind: str) -> list[Mesh]:
+    """The parts of a car of a kind in `WEIGHTS`."""
+    shape = _shape(rng, kind)
+    parts = [shape.mesh(), *shape.wheels(rng.uniform(0.45, 0.75)), *_extras(rng, shape, kind)]
+    if kind == "open":
+        parts.append(_windscreen(rng, shape))
+    if kind == "open" or (kind != "pickup" and chance(rng, 0.3)):
+        parts += _seats(rng, shape)
     return parts
 
 
-def _pickup(rng: np.random.Generator) -> list[Mesh]:
-    """A cab and an open bed."""
-    start = rng.uniform(0.56, 0.62)
-    depth = rng.uniform(0.3, 0.5) if chance(rng, 0.8) else 0.0
-    shape = _shape(rng, "pickup", rear=rng.uniform(0, 0.15), hollow=(start + 0.03, 0.975, depth) if depth else None)
-    return [shape.mesh(chance(rng, 0.2)), *shape.wheels(rng), *extras(rng, shape)]
+def _shape(rng: np.random.Generator, kind: str) -> Shape:
+    numbers: dict[str, Any] = dict(zip(NUMBERS, draw(rng, SIZES[kind] + FORMS.get(kind, FORM)), strict=True))
+    knots = np.array(PROFILES[kind]).T
+    knots = knots + rng.normal(0.0, 1.0, knots.shape) * [0.018, 0.015]
+    # Ends stay ends, the order stays, and the highest point stays 1.
+    s = np.maximum.accumulate(np.clip(knots[:, 0], 0.0, 1.0) + np.arange(len(knots)) * 1e-4)
+    profile = np.stack([(s - s[0]) / (s[-1] - s[0]), knots[:, 1] / knots[:, 1].max()], axis=1)
+    belts = {"van": ((0.4, 0.4), (0.45, 0.45)), "open": ((0.8, 0.8), (0.85, 0.85))}.get(kind, ((0.54, 0.63), (0.58, 0.68)))
+    low, high = draw(rng, belts)
+    front, rear, tyre, arch = draw(rng, ((0.155, 0.23), (0.76, 0.83), (0.16, 0.26), (1.06, 1.3)))
+    hollow = None
+    if kind == "open":
+        hollow = (rng.uniform(0.36, 0.42), rng.uniform(0.6, 0.75), rng.uniform(0.35, 0.55))
+    elif kind == "pickup" and chance(rng, 0.8):
+        hollow = (rng.uniform(0.59, 0.65), 0.975, rng.uniform(0.3, 0.5))
+    if chance(rng, 0.15):
+        arch = 0.0
+    return Shape(**numbers, profile=profile, belt=(low, high), axles=(front, rear), tyre=tyre, arch=arch, hollow=hollow)
 
 
-def _open(rng: np.random.Generator) -> list[Mesh]:
-    """A roadster: hollow body, windscreen, seats."""
-    start, end = rng.uniform(0.36, 0.42), rng.uniform(0.6, 0.75)
-    shape = _shape(rng, "open", belt=(0.8, 0.85), tumble=rng.uniform(0.2, 0.6), hollow=(start, end, rng.uniform(0.35, 0.55)))
-    parts = [shape.mesh(chance(rng, 0.2)), *shape.wheels(rng), *extras(rng, shape, 0.6)]
-    x, high = shape.width * 0.4, rng.uniform(0.25, 0.42)
-    y, z, back = float(shape.top(start - 0.02)) - 0.03, float(shape.z(start - 0.03)), rng.uniform(0.1, 0.5)
-    glass = np.array([[[-x, y, z], [x, y, z], [x, y, z - 0.02], [-x, y, z - 0.02]]])
-    upper = (glass - [0, 0, back]) * [0.85, 1, 1] + [0, high, 0]
-    parts.append(loft(np.concatenate([glass, upper])))
-    return parts + interior(rng, shape)
+def _extras(rng: np.random.Generator, shape: Shape, kind: str) -> list[Mesh]:
+    """Mirrors, bumpers, lamps, roof rails, spoiler, spare wheel and exhausts, each with some chance."""
+    parts: list[Mesh] = []
+    half, high = shape.width / 2.0, shape.height
+    front, rear = float(shape.z(0.0)), float(shape.z(1.0))
+    if chance(rng, 0.6):
+        size, at = (rng.uniform(0.12, 0.22), rng.uniform(0.1, 0.16), 0.09), (0.97 * half + 0.07, shape.belt[0] * high + 0.08)
+        parts += both(cushion(size, (*at, float(shape.z(rng.uniform(0.3, 0.36)))), 0.8, 3))
+    if chance(rng, 0.35):
+        y, thick = shape.clearance + 0.15 * high + 0.05, rng.uniform(0.08, 0.2)
+        for z, s in ((front, 0.02), (rear, 0.98)):
+            parts.append(cushion((2.1 * float(shape.half_width(s)), thick, 0.16), (0, y, z), 0.4, 8))
+    if chance(rng, 0.25):
+        parts += both(ellipsoid((0.1, 0.09, 0.07), (half * rng.uniform(0.6, 0.75), 0.42 * high, front - 0.04)))
+    if kind != "open" and chance(rng, 0.2):
+        along = np.linspace(0.46, 0.66, 5)
+        path = np.stack([np.full(5, half * 0.6), shape.top(along) + 0.02, shape.z(along)], axis=1)
+        parts += both(sweep(path, rectangle(0.04, 0.05), side=(1, 0, 0)))
+    if chance(rng, 0.35 if kind in ("wedge", "sports", "box") else 0.14):
+        deck, rise = float(shape.top(0.95)), rng.uniform(0.05, 0.3)
+        size = (shape.width * rng.uniform(0.75, 1.0), 0.035, rng.uniform(0.15, 0.4))
+        parts.append(box(size, (0, deck + rise, rear + 0.15)))
+        parts += both(box((0.04, rise + 0.06, 0.12), (half * 0.65, deck + rise / 2 - 0.03, rear + 0.16)))
+    if float(shape.top(0.96)) > 0.75 * high and chance(rng, 0.15):
+        parts.append(wheel(np.array([0, 0.55 * high, rear - 0.08]), shape.radius * 0.9, 0.18, 2))
+    if chance(rng, 0.12):
+        x, y = half * 0.5, shape.clearance + 0.03
+        parts += both(rod((x, y, rear + 0.2), (x, y, rear - 0.04), 0.035))
+    return parts
 
 
-def _closed(kind: str) -> Any:
-    return lambda rng: _saloon(rng, kind)
+def _windscreen(rng: np.random.Generator, shape: Shape) -> Mesh:
+    assert shape.hollow
+    x, high, back, s = shape.width * 0.4, rng.uniform(0.25, 0.42), rng.uniform(0.1, 0.5), shape.hollow[0] - 0.025
+    y, z = float(shape.top(s)) - 0.03, float(shape.z(s))
+    lower = np.array([[-x, y, z], [x, y, z], [x, y, z - 0.02], [-x, y, z - 0.02]])
+    return loft([lower, (lower - [0, 0, back]) * [0.85, 1, 1] + [0, high, 0]])
 
 
-KINDS = {kind: _closed(kind) for kind in PROFILES} | {
-    "pickup": _pickup,
-    "open": _open,
-    "vintage": vintage,
-    "formula": formula,
-}
+def _seats(rng: np.random.Generator, shape: Shape) -> list[Mesh]:
+    """One or two rows of seats, and a dashboard."""
+    parts, rows = [], (0.47, 0.64) if shape.length > 3.4 and chance(rng, 0.7) else (0.5,)
+    x, width, low = 0.23 * shape.width, 0.26 * shape.width, shape.clearance + 0.22
+    for s in rows:
+        z = float(shape.z(s))
+        parts += both(cushion((width, 0.14, 0.48), (x, low, z), 0.5, 6))
+        back = (x, low + 0.18 * shape.height, z - 0.26)
+        parts += both(box((width, 0.32 * shape.height, 0.12), back, (0.8, 0.8), (0, -0.06)))
+    dashboard = (0, 0.5 * shape.height, float(shape.z(rows[0] - 0.13)))
+    return [*parts, box((0.8 * shape.width, 0.2, 0.25), dashboard, (0.95, 0.6))]

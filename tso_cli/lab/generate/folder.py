@@ -12,36 +12,23 @@ from ...errors import InputError
 from ...io.meshes import Mesh, write_mesh
 from ...io.output import check_output, reason
 from . import airplane, car, chair
+from .parts import join, moved, pick
 
-_MAKERS: dict[str, Callable[[np.random.Generator], Mesh]] = {
-    "chair": chair.generate,
-    "car": car.generate,
-    "airplane": airplane.generate,
-}
+_MAKERS = {"chair": chair, "car": car, "airplane": airplane}
 CATEGORIES = tuple(_MAKERS)
+# Shapes of a category that fit the five digits of a file's name.
 MOST = 100_000
-"""Shapes of a category that fit the five digits of a file's name."""
 
 
 def generate(category: str, rng: np.random.Generator) -> Mesh:
-    """One shape.
+    """A shape of closed parts, y up, front +z (chair, car) or -x (airplane); the same state of ``rng`` gives the same one.
 
-    Parameters
-    ----------
-    category : one of `CATEGORIES`.
-    rng : where the randomness comes from: the same state gives the same shape.
-
-    Returns
-    -------
-    A mesh of closed parts, in metres or in lengths of the shape; y up, front +z (chair, car) or -x (airplane).
-
-    Raises
-    ------
-    InputError
-        There is no such category.
+    Raises InputError if ``category`` is none of `CATEGORIES`.
     """
     _check_category(category)
-    return _MAKERS[category](rng)
+    maker = _MAKERS[category]
+    mesh = join(maker.build(rng, pick(rng, maker.WEIGHTS)))
+    return moved(mesh, np.exp(rng.normal(0.0, maker.SPREAD, 3)))
 
 
 def write_shapes(
@@ -66,7 +53,7 @@ def write_shapes(
     Raises
     ------
     InputError
-        A category is not known, a count or the seed is out of range, or a file is there and ``overwrite`` is false: then
+        A category is not known, a count or the seed is out of range, or a file exists and ``overwrite`` is false: then
         nothing is written. Or a folder or file cannot be written.
     """
     output = Path(output)
@@ -76,22 +63,22 @@ def write_shapes(
         _check_category(category)
         if not 0 <= count <= MOST:
             raise InputError(f"asked for {count} shapes of category {category}, expected 0 to {MOST:,}")
-    wanted = {(name, k): output / name / f"gen_{k:05d}.ply" for name, count in counts.items() for k in range(count)}
-    if not wanted:
+    paths = {(name, k): output / name / f"gen_{k:05d}.ply" for name, count in counts.items() for k in range(count)}
+    if not paths:
         raise InputError("asked for no shape at all, expected at least one")
-    for folder in (output, *dict.fromkeys(path.parent for path in wanted.values())):
+    for folder in (output, *dict.fromkeys(path.parent for path in paths.values())):
         try:
             folder.mkdir(exist_ok=True)
         except OSError as error:
             raise InputError(f"{folder}: cannot be made a folder ({reason(error)})") from None
-    for path in wanted.values():
+    for path in paths.values():
         check_output(path, overwrite)
-    for done, ((category, k), path) in enumerate(wanted.items()):
+    for done, ((category, k), path) in enumerate(paths.items(), 1):
         rng = np.random.default_rng([seed, zlib.crc32(category.encode()), k])
         write_mesh(path, generate(category, rng), overwrite)
         if progress is not None:
-            progress(done + 1, len(wanted), f"{category}/{path.stem}")
-    return list(wanted.values())
+            progress(done, len(paths), f"{category}/{path.stem}")
+    return list(paths.values())
 
 
 def _check_category(category: str) -> None:

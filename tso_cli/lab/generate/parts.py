@@ -1,4 +1,4 @@
-"""Solids that shapes are put together from: every one is a closed mesh of its own, in the unit of its arguments."""
+"""Closed solids that shapes are put together from, in the unit of their arguments."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicHermiteSpline
 
 from ...io.meshes import Mesh
 
 Array = NDArray[np.float64]
+Range = tuple[float, float]
+X_AXIS, Y_AXIS, Z_AXIS = np.eye(3)
 
 
 def chance(rng: np.random.Generator, probability: float) -> bool:
@@ -19,9 +22,14 @@ def chance(rng: np.random.Generator, probability: float) -> bool:
 
 def pick(rng: np.random.Generator, weights: Mapping[str, float]) -> str:
     """One of the keys, drawn by weight."""
-    names = list(weights)
-    share = np.array([weights[name] for name in names], dtype=np.float64)
-    return names[int(rng.choice(len(names), p=share / share.sum()))]
+    probabilities = np.array(list(weights.values()), dtype=np.float64)
+    return list(weights)[int(rng.choice(len(weights), p=probabilities / probabilities.sum()))]
+
+
+def draw(rng: np.random.Generator, ranges: Sequence[Range]) -> list[float]:
+    """A number from each range (low, high)."""
+    low, high = np.array(ranges).T
+    return [float(value) for value in rng.uniform(low, high)]
 
 
 def join(parts: Iterable[Mesh]) -> Mesh:
@@ -37,16 +45,11 @@ def moved(part: Mesh, scale: ArrayLike = 1.0, shift: ArrayLike = 0.0) -> Mesh:
     return Mesh(part.vertices * np.asarray(scale, dtype=np.float64) + np.asarray(shift, dtype=np.float64), part.faces)
 
 
-def mirrored(part: Mesh, axis: int) -> Mesh:
-    """The reflection of ``part`` in the plane where coordinate ``axis`` is 0."""
-    sign = np.ones(3)
-    sign[axis] = -1.0
-    return Mesh(part.vertices * sign, part.faces[:, ::-1])
-
-
-def both(part: Mesh, axis: int = 0) -> list[Mesh]:
-    """``part`` and its reflection."""
-    return [part, mirrored(part, axis)]
+def both(parts: Mesh | Iterable[Mesh], axis: int = 0) -> list[Mesh]:
+    """The parts and their reflections in the plane where coordinate ``axis`` is 0."""
+    parts = [parts] if isinstance(parts, Mesh) else list(parts)
+    sign = 1.0 - 2.0 * np.eye(3)[axis]
+    return parts + [Mesh(part.vertices * sign, part.faces[:, ::-1]) for part in parts]
 
 
 def loft(sections: ArrayLike, closed: bool = False) -> Mesh:
@@ -55,7 +58,7 @@ def loft(sections: ArrayLike, closed: bool = False) -> Mesh:
     Parameters
     ----------
     sections : [S, P, 3], the same number of points in each outline. The two ends are closed by pairing point j with point
-        P - 1 - j, which suits convex outlines and thin bent ones that run forth along one side and back along the other.
+        P - 1 - j, which suits convex outlines and bent strips that run forth along one side and back along the other.
     closed : the last outline is joined to the first instead (a ring).
     """
     outlines = np.asarray(sections, dtype=np.float64)
@@ -72,9 +75,9 @@ def loft(sections: ArrayLike, closed: bool = False) -> Mesh:
     return _outward(outlines.reshape(-1, 3), np.concatenate(faces))
 
 
-def _quads(a: NDArray[np.int64], b: NDArray[np.int64], c: NDArray[np.int64], d: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Triangles [F, 3] of four-cornered faces; those with a corner twice are left out."""
-    a, b, c, d = (np.ravel(corner) for corner in (a, b, c, d))
+def _quads(*corners: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Triangles [F, 3] of four-cornered faces, without those that have a corner twice."""
+    a, b, c, d = (np.ravel(corner) for corner in corners)
     faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
     x, y, z = faces.T
     return faces[(x != y) & (y != z) & (z != x)]
@@ -87,13 +90,16 @@ def _outward(vertices: Array, faces: NDArray[np.int64]) -> Mesh:
     return Mesh(vertices, faces if volume >= 0.0 else faces[:, ::-1])
 
 
-def oval(half_width: float, half_height: float, power: float = 2.0, count: int = 12) -> Array:
-    """Outline [count, 2] of a superellipse: power 2 an ellipse, 1 a rhombus, above 6 nearly a rectangle."""
-    angle = 2.0 * np.pi * np.arange(count) / count
+def superellipse(angle: ArrayLike, power: float) -> Array:
+    """Points [..., 2] of the unit superellipse: power 2 a circle, above 6 nearly a square."""
     cos, sin = np.cos(angle), np.sin(angle)
-    # Scaled along rays, which keeps points spread over the outline whatever the power.
-    reach = (np.abs(cos) ** power + np.abs(sin) ** power) ** (-1.0 / power)
-    return np.stack([half_width * cos * reach, half_height * sin * reach], axis=1)
+    # Scaled along rays, which spreads the points evenly whatever the power.
+    return np.stack([cos, sin], -1) * ((np.abs(cos) ** power + np.abs(sin) ** power) ** (-1.0 / power))[..., None]
+
+
+def oval(half_width: float, half_height: float, power: float = 2.0, count: int = 12) -> Array:
+    """Outline [count, 2] of a superellipse."""
+    return superellipse(2.0 * np.pi * np.arange(count) / count, power) * [half_width, half_height]
 
 
 def rectangle(width: float, height: float) -> Array:
@@ -109,20 +115,21 @@ def sweep(path: ArrayLike, section: Array, scale: ArrayLike = 1.0, side: ArrayLi
     path : [N, 3], N >= 2, no point twice in a row.
     section : [P, 2]; its first axis follows ``side``, the second is across.
     scale : of the section, one number or one for each point [N].
-    side : direction that the first axis comes closest to; by default the axis the path is most across to.
+    side : direction of the section's first axis; by default the coordinate axis most across the path.
     closed : the path returns to its first point.
     """
     points = np.asarray(path, dtype=np.float64)
     around = np.concatenate([points[-1:], points, points[:1]]) if closed else np.concatenate([points[:1], points, points[-1:]])
-    tangent = around[2:] - around[:-2]
-    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12)
+    tangent = _unit(around[2:] - around[:-2])
     reference = np.eye(3)[int(np.abs(tangent).max(0).argmin())] if side is None else np.asarray(side, dtype=np.float64)
-    first = reference - (tangent @ reference)[:, None] * tangent
-    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
-    second = np.cross(tangent, first)
+    first = _unit(reference - (tangent @ reference)[:, None] * tangent)
     size = np.broadcast_to(np.asarray(scale, dtype=np.float64), (len(points),))[:, None, None]
-    offsets = section[None, :, 0, None] * first[:, None] + section[None, :, 1, None] * second[:, None]
+    offsets = section[None, :, 0, None] * first[:, None] + section[None, :, 1, None] * np.cross(tangent, first)[:, None]
     return loft(points[:, None] + size * offsets, closed)
+
+
+def _unit(vectors: Array) -> Array:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
 def tube(path: ArrayLike, radius: float, sides: int = 8, scale: ArrayLike = 1.0, closed: bool = False) -> Mesh:
@@ -130,42 +137,33 @@ def tube(path: ArrayLike, radius: float, sides: int = 8, scale: ArrayLike = 1.0,
     return sweep(path, oval(radius, radius, 2.0, sides), scale, closed=closed)
 
 
-def _line(a: ArrayLike, b: ArrayLike) -> Array:
-    return np.stack([np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)])
-
-
 def rod(a: ArrayLike, b: ArrayLike, radius: float, end: float | None = None, sides: int = 8) -> Mesh:
-    """Cylinder from point ``a`` to point ``b``, or the frustum that has radius ``end`` at ``b``."""
-    return tube(_line(a, b), radius, sides, [1.0, 1.0 if end is None else end / radius])
+    """Cylinder from ``a`` to ``b``, or the frustum of radius ``end`` at ``b``."""
+    return tube(np.array([a, b]), radius, sides, [1.0, 1.0 if end is None else end / radius])
 
 
 def bar(a: ArrayLike, b: ArrayLike, width: float, depth: float, end: float = 1.0, side: ArrayLike | None = None) -> Mesh:
     """Square-edged bar from ``a`` to ``b``; ``width`` along ``side``, ``end`` times as thick at ``b``."""
-    return sweep(_line(a, b), rectangle(width, depth), [1.0, end], side)
+    return sweep(np.array([a, b]), rectangle(width, depth), [1.0, end], side)
 
 
 def turned(a: ArrayLike, b: ArrayLike, stations: ArrayLike, radii: ArrayLike, sides: int = 10) -> Mesh:
     """Body of revolution about the line from ``a`` to ``b``: radius ``radii`` [N] at fractions ``stations`` [N] of it."""
-    start, along = np.asarray(a, dtype=np.float64), np.asarray(stations, dtype=np.float64)[:, None]
+    start = np.asarray(a, dtype=np.float64)
     line = np.asarray(b, dtype=np.float64) - start
-    direction = line / np.linalg.norm(line)
+    direction = _unit(line)
     first = np.eye(3)[int(np.abs(direction).argmin())]
-    first = first - (first @ direction) * direction
-    first /= np.linalg.norm(first)
+    first = _unit(first - (first @ direction) * direction)
     circle = oval(1.0, 1.0, 2.0, sides)
     ring = circle[:, :1] * first + circle[:, 1:] * np.cross(direction, first)
+    along = np.asarray(stations, dtype=np.float64)[:, None]
     return loft((start + along * line)[:, None] + np.asarray(radii, dtype=np.float64)[:, None, None] * ring)
 
 
-def box(
-    size: Sequence[float], centre: ArrayLike, top: Sequence[float] = (1.0, 1.0), shift: Sequence[float] = (0.0, 0.0)
-) -> Mesh:
+def box(size: Sequence[float], centre: ArrayLike, top: Range = (1.0, 1.0), shift: Range = (0.0, 0.0)) -> Mesh:
     """Box of ``size`` [3]; its top face is scaled by ``top`` and moved by ``shift`` along x and z."""
     outline = rectangle(size[0], size[2])
-    rings = np.zeros((2, 4, 3))
-    rings[0, :, [0, 2]] = outline.T
-    rings[1, :, [0, 2]] = (outline * top + shift).T
-    rings[:, :, 1] = np.array([[-0.5], [0.5]]) * size[1]
+    rings = np.stack([flat(outline, -0.5 * size[1]), flat(outline * top + shift, 0.5 * size[1])])
     return loft(rings + np.asarray(centre, dtype=np.float64))
 
 
@@ -177,7 +175,7 @@ def cushion(
     Parameters
     ----------
     rounding : radius of the upper and lower edges in half heights, 0 to 1.
-    power : how square it is seen from above; see `oval`.
+    power : how square it is seen from above; see `superellipse`.
     puff : how far the upper face bulges, in heights.
     """
     half = np.asarray(size, dtype=np.float64) / 2.0
@@ -186,32 +184,22 @@ def cushion(
     inset = np.array([0.6, 0.293, 0.0, 0.0, 0.293, 1.0]) * edge
     height = np.array([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0]) * half[1] + np.array([0.0, 0.293, 1.0, -1.0, -0.293, 0.0]) * edge
     if puff > 0.0:
-        inset = np.append(inset, edge + 0.45 * (half[[0, 2]].min() - min(edge, half[[0, 2]].min())))
+        inset = np.append(inset, edge + 0.45 * max(half[[0, 2]].min() - edge, 0.0))
         height = np.append(height, half[1] * (1.0 + 2.0 * puff))
-    rings = [
-        _flat(oval(max(half[0] - i, 1e-4), max(half[2] - i, 1e-4), power, count), y) for i, y in zip(inset, height, strict=True)
-    ]
+    wide, deep = (np.maximum(half[axis] - inset, 1e-4) for axis in (0, 2))
+    rings = [flat(oval(x, z, power, count), y) for x, y, z in zip(wide, height, deep, strict=True)]
     return loft(np.stack(rings) + np.asarray(centre, dtype=np.float64))
 
 
-def _flat(outline: Array, y: float) -> Array:
+def flat(outline: Array, y: float) -> Array:
     """Outline [P, 2] in x and z laid at height y: [P, 3]."""
-    return np.stack([outline[:, 0], np.full(len(outline), y), outline[:, 1]], axis=1)
-
-
-def slab(outline: Array, low: float, high: float, axis: int = 1) -> Mesh:
-    """Outline [P, 2] pulled along ``axis`` from ``low`` to ``high``; its two columns are the other axes in order."""
-    others = [k for k in range(3) if k != axis]
-    rings = np.zeros((2, len(outline), 3))
-    rings[:, :, others] = outline
-    rings[0, :, axis], rings[1, :, axis] = low, high
-    return loft(rings)
+    return np.insert(outline, 1, y, axis=1)
 
 
 def ellipsoid(radii: Sequence[float], centre: ArrayLike, rings: int = 7, sides: int = 12) -> Mesh:
     """Ellipsoid with half axes ``radii`` [3]."""
     angle = np.linspace(0.02, np.pi - 0.02, rings)
-    ball = turned((0, -1, 0), (0, 1, 0), (1.0 - np.cos(angle)) / 2.0, np.sin(angle), sides)
+    ball = turned(-Y_AXIS, Y_AXIS, (1.0 - np.cos(angle)) / 2.0, np.sin(angle), sides)
     return moved(ball, radii, centre)
 
 
@@ -224,32 +212,22 @@ def plate(grid: ArrayLike, thickness: ArrayLike) -> Mesh:
     thickness : one number, or one for each row and column [M, N].
     """
     middle = np.asarray(grid, dtype=np.float64)
-    normal = np.cross(np.gradient(middle, axis=0), np.gradient(middle, axis=1))
-    normal /= np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), 1e-12)
+    normal = _unit(np.cross(np.gradient(middle, axis=0), np.gradient(middle, axis=1)))
     half = np.broadcast_to(np.asarray(thickness, dtype=np.float64), middle.shape[:2])[..., None] / 2.0 * normal
     return loft(np.concatenate([middle + half, (middle - half)[:, ::-1]], axis=1))
 
 
 def curve(points: ArrayLike, count: int) -> Array:
-    """A smooth curve [count, D] through ``points`` [K, D], evenly stepped between them."""
+    """A smooth curve [count, D] through ``points`` [K, D], K >= 3, evenly stepped between them."""
     knots = np.asarray(points, dtype=np.float64)
-    if len(knots) < 3:
-        return knots[0] + np.linspace(0.0, 1.0, count)[:, None] * (knots[-1] - knots[0])
-    length = np.maximum(np.linalg.norm(np.diff(knots, axis=0), axis=1), 1e-9)
-    at = np.concatenate([[0.0], np.cumsum(length)])
-    slope = np.gradient(knots, at, axis=0)
-    t = np.linspace(0.0, at[-1], count)
-    k = np.clip(np.searchsorted(at, t, side="right") - 1, 0, len(length) - 1)
-    step = length[k][:, None]
-    s = (t - at[k])[:, None] / step
-    value = (1.0 + 2.0 * s) * (1.0 - s) ** 2 * knots[k] + s**2 * (3.0 - 2.0 * s) * knots[k + 1]
-    return value + step * s * (1.0 - s) * ((1.0 - s) * slope[k] - s * slope[k + 1])
+    at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1))])
+    result: Array = CubicHermiteSpline(at, knots, np.gradient(knots, at, axis=0))(np.linspace(0.0, at[-1], count))
+    return result
 
 
 def wheel(centre: ArrayLike, radius: float, width: float, axis: int, sides: int = 18, hub: float = 0.6) -> Mesh:
     """Wheel with a hollow hub; ``width`` along ``axis``."""
-    middle = np.asarray(centre, dtype=np.float64)
     half = np.eye(3)[axis] * width / 2.0
     stations = [0.12, 0.06, 0.0, 0.12, 0.88, 1.0, 0.94, 0.88]
     radii = np.array([0.05, hub, 0.85, 1.0, 1.0, 0.85, hub, 0.05]) * radius
-    return turned(middle - half, middle + half, stations, radii, sides)
+    return turned(centre - half, centre + half, stations, radii, sides)
