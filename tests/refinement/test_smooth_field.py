@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tso_cli.refinement.smooth_field import NODES, SmoothField
+from tso_cli.refinement.smooth_field import FIELD_NODES, SmoothField
 
 
 def _cloud(count: int, seed: int = 0) -> torch.Tensor:
@@ -18,7 +18,7 @@ def _moved(field: SmoothField, weight: float, values: torch.Tensor) -> torch.Ten
 
 
 def test_moving_everything_alike_is_no_effort():
-    for count in (5, 200, NODES + 500):
+    for count in (5, 200, FIELD_NODES + 500):
         field = SmoothField(_cloud(count))
         alike = torch.tensor([0.1, -0.2, 0.3], dtype=torch.float64).expand(field.shape)
         torch.testing.assert_close(_moved(field, 10.0, alike), alike[:, :1].expand(1, count, 3), rtol=1e-9, atol=1e-12)
@@ -54,7 +54,7 @@ def test_pieces_that_are_not_connected_do_not_move_each_other():
     assert moved[0, 60:].abs().max() == 0.0
 
 
-@pytest.mark.parametrize("nodes", [NODES, 64])
+@pytest.mark.parametrize("nodes", [FIELD_NODES, 64])
 def test_a_cloud_among_others_of_other_sizes_moves_as_alone(nodes):
     small, large = _cloud(40), _cloud(90, 1)
     counts = torch.tensor([40, 90])
@@ -69,8 +69,8 @@ def test_a_cloud_among_others_of_other_sizes_moves_as_alone(nodes):
 
 
 def test_surroundings_are_averaged_in_a_batch_as_alone():
-    clouds = _cloud(NODES + 90), _cloud(NODES + 700, 1)
-    counts = torch.tensor([NODES + 90, NODES + 700])
+    clouds = _cloud(FIELD_NODES + 90), _cloud(FIELD_NODES + 700, 1)
+    counts = torch.tensor([FIELD_NODES + 90, FIELD_NODES + 700])
     values = [torch.rand(1, int(count), dtype=torch.float64, generator=torch.Generator().manual_seed(0)) for count in counts]
     padded = [torch.nn.functional.pad(clouds[0], (0, 0, 0, 610)), clouds[1]]
     both = SmoothField(torch.cat(padded), counts).averaged(
@@ -80,7 +80,7 @@ def test_surroundings_are_averaged_in_a_batch_as_alone():
         torch.testing.assert_close(found[: cloud.shape[1]], SmoothField(cloud).averaged(own, 1.0)[0])
 
 
-@pytest.mark.parametrize("count", [300, NODES + 500])
+@pytest.mark.parametrize("count", [300, FIELD_NODES + 500])
 def test_what_is_high_in_one_place_is_high_around_it_and_what_is_alike_everywhere_stays(count):
     cloud = _cloud(count)
     field, ones = SmoothField(cloud), torch.ones(1, count, dtype=torch.float64)
@@ -96,7 +96,7 @@ def test_what_is_high_in_one_place_is_high_around_it_and_what_is_alike_everywher
 def test_a_large_cloud_moves_by_the_field_of_its_nodes():
     points = _cloud(5000)
     field = SmoothField(points)
-    assert field.shape == (1, NODES, 3)
+    assert field.shape == (1, FIELD_NODES, 3)
     pushed = torch.zeros(field.shape, dtype=torch.float64)
     pushed[0, 0] = 1.0
     moved = _moved(field, 10.0, pushed)[0, :, 0]
@@ -121,16 +121,16 @@ def test_points_of_a_large_cloud_share_the_surface_of_their_node():
 
 
 def test_what_is_behind_the_points_of_a_cloud_does_not_change_their_areas():
-    small, large = _cloud(40), _cloud(NODES + 90, 1)
-    padded = torch.cat([small, torch.zeros(1, NODES + 50, 3, dtype=torch.float64)], 1)
-    both, counts = torch.cat([padded, large]), torch.tensor([40, NODES + 90])
+    small, large = _cloud(40), _cloud(FIELD_NODES + 90, 1)
+    padded = torch.cat([small, torch.zeros(1, FIELD_NODES + 50, 3, dtype=torch.float64)], 1)
+    both, counts = torch.cat([padded, large]), torch.tensor([40, FIELD_NODES + 90])
     areas = SmoothField(both, counts).areas(both, counts)
     torch.testing.assert_close(areas[:1, :40], SmoothField(small).areas(small, counts[:1]))
     torch.testing.assert_close(areas[1:], SmoothField(large).areas(large, counts[1:]))
 
 
 def test_the_gradient_is_that_of_finite_differences():
-    field = SmoothField(_cloud(NODES + 20))
+    field = SmoothField(_cloud(FIELD_NODES + 20))
     smoother = field.smoother(3.0)
     chosen = torch.zeros(field.shape, dtype=torch.float64)
 

@@ -1,4 +1,4 @@
-"""Adam by torch's own arithmetic, without the start-up cost of ``torch.optim.Adam``."""
+"""Adam without the start-up cost of ``torch.optim.Adam``, and a variant with one scale per cloud."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from torch.optim.adam import adam
 class Adam:
     """The optimiser of the paper, with torch's defaults: betas (0.9, 0.999), eps 1e-8.
 
-    The first use of a ``torch.optim.Optimizer`` object imports torch's compiler: 0.9 s, nine times what fifty steps on a small
-    cloud take. The function underneath does not. Its fused form goes over each parameter once: two to five times faster,
-    equal to the plain one but for rounding.
+    The first ``torch.optim.Optimizer`` imports torch's compiler, which takes 0.9 s: nine times fifty steps of a small
+    cloud. The function underneath does not. Its fused form is two to five times faster, and equal but for rounding.
 
     Parameters
     ----------
@@ -27,7 +26,7 @@ class Adam:
         self._learning_rate = learning_rate
         self._means = [torch.zeros_like(p) for p in parameters]
         self._squares = [torch.zeros_like(p) for p in parameters]
-        # Other devices have no fused form in every release of torch that is supported.
+        # Other devices lack the fused form in some supported releases of torch.
         self._fused = all(p.device.type in ("cpu", "cuda") for p in parameters)
         self._steps = [torch.zeros((), device=p.device if self._fused else "cpu") for p in parameters]
 
@@ -57,15 +56,15 @@ class Adam:
 
 
 def _laid_out_as(parameter: Tensor, grad: Tensor) -> Tensor:
-    """The fused form goes through memory as it lies: a gradient that autograd expanded or transposed would be misread."""
+    """``grad`` with the strides of the parameter: the fused form would misread one that autograd expanded or transposed."""
     return grad if grad.stride() == parameter.stride() else torch.empty_like(parameter).copy_(grad)
 
 
 class UniformAdam:
-    """Adam whose steps keep the proportions of the gradient: one scale for each cloud, not one for each number.
+    """Adam with one scale per cloud, not one per number, so that steps keep the proportions of the gradient.
 
-    Adam moves what hardly matters as far as what matters most: points that nothing asks to move leave their places. Here the
-    gradient is divided by a running mean of its largest vector in the cloud (as Nicolet et al. 2021 do for smooth fields).
+    Adam moves points of tiny gradient as far as all others. Here the gradient is divided by a running mean of the largest vector
+    in the cloud, as Nicolet et al. 2021 do.
 
     Parameters
     ----------

@@ -14,21 +14,19 @@ from torch import Tensor
 from ..geometry.camera import Camera
 from ..silhouette.projection import CameraBatch
 
-# Standard deviations by which a given camera may well be off: turn about the cloud, and shift as a share of the distance.
+# Prior standard deviations of a given camera's error: rotation about the cloud, and shift in distances to it.
 TURN = math.radians(2.0)
 SHIFT = 0.01
-# Loss of a correction of one standard deviation. The silhouettes of a cloud that is still wrong ask for corrections that the
-# camera does not need; this is what keeps them small.
+# Loss of a correction of one standard deviation: a wrong cloud asks for corrections that its camera does not need.
 WEIGHT = 30.0
-# Of Adam. In 50 steps a camera comes 5 degrees far.
+# Of Adam: 50 steps rotate a camera by at most 5 degrees.
 LEARNING_RATE = 2e-3
 
 
 class CameraMoves:
-    """Turns and shifts of V cameras for each of B clouds, held near none by a quadratic penalty.
+    """Rotations and shifts of V cameras for each of B clouds, held near 0 by a quadratic penalty; K stays.
 
-    A turn goes about the cloud's centre, so that it does not shift the picture, and a shift does not turn it: the two are told
-    apart from the first step on. K is held.
+    Rotations are about the cloud's centre, which separates them from shifts.
 
     Parameters
     ----------
@@ -38,12 +36,12 @@ class CameraMoves:
 
     Attributes
     ----------
-    parameter : [B, 2 V, 3], all 0; a turn and a shift of each view by turns, in units that suit the learning rate.
+    parameter : [B, 2 V, 3], 0 at first; rotation and shift of view 0, of view 1, ..., in units that suit the learning rate.
     """
 
     def __init__(self, cameras: Sequence[Sequence[Camera]], like: Tensor, learning_rate: float = LEARNING_RATE) -> None:
         self._distance = torch.tensor(
-            [[distance_of(camera) for camera in own] for own in cameras], dtype=like.dtype, device=like.device
+            [[distance_of(camera) for camera in row] for row in cameras], dtype=like.dtype, device=like.device
         )
         self._unit = LEARNING_RATE / learning_rate
         batch, views = self._distance.shape
@@ -68,7 +66,7 @@ class CameraMoves:
 
 
 def distance_of(camera: Camera) -> float:
-    """What a shift is a share of: the depth of the origin; of an orthographic camera, which has none, the unit."""
+    """Depth of the origin, the unit of shifts; 1 for an orthographic camera."""
     return 1.0 if camera.model == "orthographic" else abs(float(camera.t[2]))
 
 
@@ -90,7 +88,7 @@ def _rotations(vectors: Tensor) -> Tensor:
     x, y, z = vectors.unbind(-1)
     zero = torch.zeros_like(x)
     cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).view(*vectors.shape, 3)
-    # The root has no derivative at 0; so near to it sin(a) / a is 1 to rounding.
+    # The root has no derivative at 0; below the clamp, sin(a) / a rounds to 1.
     angle = vectors.square().sum(-1).clamp_min(1e-16).sqrt()[..., None, None]
     half = torch.sin(angle / 2.0) / (angle / 2.0)
     identity = torch.eye(3, dtype=vectors.dtype, device=vectors.device)

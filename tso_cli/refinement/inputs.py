@@ -1,4 +1,4 @@
-"""Masks and cameras, as callers have them -> views."""
+"""Masks and cameras in the forms that `refine` accepts -> views."""
 
 from __future__ import annotations
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 from ...errors import TsoError
 from ...network.model import BaseNetwork
 from ...refinement import RefineConfig, RefineResult, refine, refine_batch
-from ...refinement.presets import BEST, Stage
-from ...refinement.smooth_field import NODES
+from ...refinement.presets import BEST, FIELD_NODES, Stage
 from .accuracy_cases import AccuracyCase
 
 
@@ -59,7 +58,7 @@ ABLATION = {
     PAPER: POINTS[PAPER],
     DEFAULT: POINTS[DEFAULT],
     "no mirror plane": POINTS[NO_SYMMETRY],
-    "no smoothing": _made(stages=tuple(replace(stage, smoothness=0.0, nodes=NODES) for stage in BEST.stages)),
+    "no smoothing": _made(stages=tuple(replace(stage, smoothness=0.0, nodes=FIELD_NODES) for stage in BEST.stages)),
     "one stage": _made(stages=(Stage(10.0, 3.0, 1.0, fine_grid=True),)),
     "64 cells in the last stage too": _made(stages=tuple(replace(stage, fine_grid=False) for stage in BEST.stages)),
     "anchor by the whole cloud alone": _made(local_prior=False),
