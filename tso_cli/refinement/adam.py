@@ -63,8 +63,8 @@ def _laid_out_as(parameter: Tensor, grad: Tensor) -> Tensor:
 class UniformAdam:
     """Adam with one scale per cloud, not one per number, so that steps keep the proportions of the gradient.
 
-    Adam moves points of tiny gradient as far as all others. Here the gradient is divided by a running mean of the largest vector
-    in the cloud, as Nicolet et al. 2021 do.
+    Adam moves points of tiny gradient as far as all others. Here a running mean of the largest vector in the
+    cloud divides the gradient, as in Nicolet et al. 2021.
 
     Parameters
     ----------
