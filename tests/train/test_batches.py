@@ -147,7 +147,7 @@ def test_of_a_flood_of_unusable_pictures_ten_are_warned_of_and_all_are_known() -
 
 def test_an_object_is_put_on_its_background_and_nothing_behind_it_shines_through() -> None:
     data = TrainingData(make_objects(1), "box", background="keep", backgrounds=Backgrounds("textures"))
-    batch = assemble(data, [Draw(0, 0, behind=1), Draw(0, 0, behind=2), Draw(0, 0, mirror=True, behind=1)], "view")
+    batch = assemble(data, [Draw(0, 0, background_seed=1), Draw(0, 0, background_seed=2), Draw(0, 0, mirror=True, background_seed=1)], "view")
     picture = data.prepared(0, 0)
     inside, outside = picture.mask == 1.0, picture.mask == 0.0
     for image in batch.images[:2]:

@@ -662,7 +662,6 @@ def test_of_many_objects_a_few_that_lie_evenly_are_judged(data: TrainingData) ->
     objects = [replace(data.objects[i % 3], name=f"box{i}", target=target(i)) for i in range(100)]
     assert evaluate(build_network(64), TrainingData(objects, "boxes"), "canonical", views=1, most=5)[2] == 5
     assert read == [0, 25, 50, 74, 99]
-    assert data.spread(5) == [0, 1, 2]
 
 
 def test_an_orthographic_camera_is_refused_and_not_taken_for_a_perspective_one() -> None:

@@ -1,4 +1,4 @@
-"""What stands behind the object in a training picture: crops of photos, or generated textures."""
+"""Backgrounds of training pictures: crops of photos, or generated textures."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..network.model import IMAGE_SIZE
 Floats = NDArray[np.float32]
 TEXTURES = "textures"
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
-# Photos kept in memory, their longer side shrunk to this many pixels: 0.2 MB each.
+# Photos kept in memory, 0.2 MB each, and the longest side they are shrunk to, in pixels.
 MOST_PHOTOS, PHOTO_SIDE = 2000, 256
 
 
@@ -26,7 +26,7 @@ class Backgrounds:
     Parameters
     ----------
     source : a folder of photos, or "textures" for generated ones (smooth noise at several scales over a gradient).
-    strict : a photo that cannot be read is an error; else it is named once and the next one takes its place.
+    strict : a photo that cannot be read is an error; else it is warned of once, and the next one takes its place.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Backgrounds:
     Raises
     ------
     InputError
-        The folder is missing or holds no picture; or none of them can be read, with ``strict`` the first that is drawn.
+        The folder is missing or holds no picture; or, when drawing, none can be read (with ``strict``: the one drawn).
     """
 
     def __init__(self, source: str, strict: bool = False) -> None:
@@ -81,29 +81,29 @@ class Backgrounds:
         raise InputError(f"{self.source}: no photo can be used, the first: {next(iter(self.unusable.values()))}")
 
     def _photo(self, path: Path) -> NDArray[np.uint8]:
-        found = self._photos.get(path)
-        if found is None:
+        photo = self._photos.get(path)
+        if photo is None:
             pixels = read_image(path)[..., :3].astype(np.float32) / np.float32(255.0)
             height, width = pixels.shape[:2]
             shrink = min(1.0, PHOTO_SIDE / max(height, width))
             size = max(1, round(width * shrink)), max(1, round(height * shrink))
-            shrunk = area_resize(pixels, (-0.5, -0.5, width - 0.5, height - 0.5), *size)[0]
-            found = np.rint(255.0 * np.clip(shrunk, 0.0, 1.0)).astype(np.uint8)
+            shrunk, _ = area_resize(pixels, (-0.5, -0.5, width - 0.5, height - 0.5), *size)
+            photo = np.rint(255.0 * np.clip(shrunk, 0.0, 1.0)).astype(np.uint8)
             if len(self._photos) < MOST_PHOTOS:
-                self._photos[path] = found
-        return found
+                self._photos[path] = photo
+        return photo
 
 
-def texture(rng: np.random.Generator, size: int = IMAGE_SIZE) -> Floats:
-    """A random texture [3, size, size]: a gradient between two colours with smooth noise at several scales."""
+def texture(rng: np.random.Generator) -> Floats:
+    """A random texture [3, 64, 64]: a gradient between two colours with smooth noise at several scales."""
     ends = rng.uniform(0.0, 1.0, (2, 3, 1, 1))
     angle = rng.uniform(0.0, 2.0 * np.pi)
-    across = np.linspace(-0.5, 0.5, size)
+    across = np.linspace(-0.5, 0.5, IMAGE_SIZE)
     ramp = np.clip(0.5 + np.cos(angle) * across[None, :] + np.sin(angle) * across[:, None], 0.0, 1.0)
     image = ends[0] * (1.0 - ramp) + ends[1] * ramp
     for cells in (2, 4, 8, 16, 32):
         coarse = rng.normal(0.0, rng.uniform(0.0, 0.25), (3 if rng.random() < 0.5 else 1, cells + 1, cells + 1))
-        image = image + _enlarged(coarse, size)
+        image = image + _enlarged(coarse, IMAGE_SIZE)
     return np.clip(image, 0.0, 1.0).astype(np.float32)
 
 
