@@ -139,7 +139,7 @@ def train(
         return draw_step(data, masked, config, processes, step, targets=objective is not None)
 
     upcoming = prefetched(draw, state.step, config.steps, config.workers)
-    with closing(upcoming), _deferred_interrupt() as interrupted:
+    with _deferred_interrupt() as interrupted, closing(upcoming):
         while state.step < config.steps and not processes.any(interrupted.is_set(), device):
             batches = next(upcoming)
             weight = state.schedule.weight if config.supervision != "points" else 0.0
