@@ -133,11 +133,11 @@ def failing(message: str) -> Callable[[], np.ndarray]:
 
 def broken(item: ObjectItem, *views: int) -> ObjectItem:
     """``item`` with pictures that cannot be read: those of ``views``, or all."""
-    every = list(item.views)
-    for i in views or range(len(every)):
-        name = every[i].name
-        every[i] = ViewItem(name, every[i].camera, failing(f"{name}.png: truncated, expected a picture"))  # type: ignore[arg-type]
-    return replace(item, views=every)
+    result = list(item.views)
+    for i in views or range(len(result)):
+        load = failing(f"{result[i].name}.png: truncated, expected a picture")
+        result[i] = replace(result[i], load=load)  # type: ignore[arg-type]
+    return replace(item, views=result)
 
 
 def test_an_unreadable_picture_is_warned_of_once_and_replaced() -> None:
