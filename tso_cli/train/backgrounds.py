@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,7 @@ class Backgrounds:
     def __init__(self, source: str, strict: bool = False) -> None:
         self.source, self.strict = source, strict
         self.unusable: dict[str, str] = {}
-        self._photos: dict[Path, NDArray[np.uint8]] = {}
+        self._photo = lru_cache(MOST_PHOTOS)(_shrunk)
         self._paths: list[Path] = []
         if source == TEXTURES:
             return
@@ -56,7 +57,7 @@ class Backgrounds:
         """One background: a random square of a random photo, or a new texture."""
         if not self._paths:
             return texture(rng)
-        photo = self._readable(int(rng.integers(len(self._paths))))
+        photo = self._photo_from(int(rng.integers(len(self._paths))))
         height, width = photo.shape[:2]
         side = rng.uniform(0.4, 1.0) * min(height, width)
         left, top = rng.uniform(0.0, width - side) - 0.5, rng.uniform(0.0, height - side) - 0.5
@@ -65,10 +66,9 @@ class Backgrounds:
             crop = crop[:, ::-1]
         return np.ascontiguousarray(np.clip(crop, 0.0, 1.0).transpose(2, 0, 1), dtype=np.float32)
 
-    def _readable(self, index: int) -> NDArray[np.uint8]:
+    def _photo_from(self, index: int) -> NDArray[np.uint8]:
         """The photo at ``index``, or the next one that can be read."""
-        for offset in range(len(self._paths)):
-            path = self._paths[(index + offset) % len(self._paths)]
+        for path in self._paths[index:] + self._paths[:index]:
             if str(path) in self.unusable:
                 continue
             try:
@@ -80,18 +80,14 @@ class Backgrounds:
                 warnings.warn(f"{error}; left out", stacklevel=2)
         raise InputError(f"{self.source}: no photo can be used, the first: {next(iter(self.unusable.values()))}")
 
-    def _photo(self, path: Path) -> NDArray[np.uint8]:
-        photo = self._photos.get(path)
-        if photo is None:
-            pixels = read_image(path)[..., :3].astype(np.float32) / np.float32(255.0)
-            height, width = pixels.shape[:2]
-            shrink = min(1.0, PHOTO_SIDE / max(height, width))
-            size = max(1, round(width * shrink)), max(1, round(height * shrink))
-            shrunk, _ = area_resize(pixels, (-0.5, -0.5, width - 0.5, height - 0.5), *size)
-            photo = np.rint(255.0 * np.clip(shrunk, 0.0, 1.0)).astype(np.uint8)
-            if len(self._photos) < MOST_PHOTOS:
-                self._photos[path] = photo
-        return photo
+
+def _shrunk(path: Path) -> NDArray[np.uint8]:
+    pixels = read_image(path)[..., :3].astype(np.float32) / np.float32(255.0)
+    height, width = pixels.shape[:2]
+    factor = min(1.0, PHOTO_SIDE / max(height, width))
+    size = max(1, round(width * factor)), max(1, round(height * factor))
+    shrunk, _ = area_resize(pixels, (-0.5, -0.5, width - 0.5, height - 0.5), *size)
+    return np.rint(255.0 * np.clip(shrunk, 0.0, 1.0)).astype(np.uint8)
 
 
 def texture(rng: np.random.Generator) -> Floats:
@@ -109,9 +105,9 @@ def texture(rng: np.random.Generator) -> Floats:
 
 def _enlarged(values: NDArray[np.float64], size: int) -> NDArray[np.float64]:
     """Bilinear interpolation of [C, n, n] to [C, size, size], corner to corner."""
-    at = np.linspace(0.0, values.shape[1] - 1.0, size)
-    low = np.minimum(at.astype(int), values.shape[1] - 2)
+    position = np.linspace(0.0, values.shape[1] - 1.0, size)
+    low = np.minimum(position.astype(int), values.shape[1] - 2)
     weights = np.zeros((size, values.shape[1]))
-    weights[np.arange(size), low] = 1.0 - (at - low)
-    weights[np.arange(size), low + 1] = at - low
+    weights[np.arange(size), low] = 1.0 - (position - low)
+    weights[np.arange(size), low + 1] = position - low
     return np.einsum("ai,cij,bj->cab", weights, values, weights)
