@@ -25,7 +25,7 @@ from .viewpoints import RenderSettings
 class RenderSummary:
     """What `render_folder` did.
 
-    written, skipped : names of the objects rendered now, and of those that were there; failed : name -> why.
+    written, skipped : names of the objects rendered by it, and of those rendered before; failed : name -> why.
     """
 
     folder: Path
@@ -108,7 +108,7 @@ def render_folder(
 
 
 def _is_rendered(folder: Path, record: dict[str, Any], overwrite: bool) -> bool:
-    """Whether the object is there and stays; InputError if it was rendered with other settings than ``record`` has."""
+    """Whether the object is complete and stays; InputError if its settings differ from those of ``record``."""
     stored = stored_record(folder)
     if stored is None or overwrite:
         return False

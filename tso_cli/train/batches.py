@@ -90,7 +90,7 @@ def draw_batch(data: TrainingData, drawing: Drawing, step: int, part: tuple[int,
     for place in range(step * drawing.size, (step + 1) * drawing.size):
         index = _object_at(data, drawing, place)
         count = len(data.objects[index].views)
-        # All that is random is drawn whatever the settings, so that they change nothing else.
+        # Drawn whatever the settings are, so that a setting changes nothing but what it is about.
         view = int(rng.integers(count))
         supervising = rng.permutation(count)[: drawing.views].tolist()
         mirror = bool(rng.random() < 0.5) and drawing.augment and drawing.frame == "view"
@@ -122,7 +122,7 @@ def assemble(data: TrainingData, draws: list[Draw], frame: str, targets: bool = 
     images, points, masks, known = [], [], [], []
     K, R, t, categories = [], [], [], []
     for draw in draws:
-        index, view, picture = data.usable(draw.index, draw.view, targets)
+        index, number, picture = data.usable(draw.index, draw.view, targets)
         to_frame = np.eye(3) if frame == "canonical" else (CANONICAL_ROTATION @ picture.camera.R).T  # rows of X to rows of y
         flip = MIRROR if draw.mirror else np.eye(3)
         image = picture.image
@@ -136,8 +136,8 @@ def assemble(data: TrainingData, draws: list[Draw], frame: str, targets: bool = 
         categories.append(data.objects[index].category)
         if targets:
             points.append((data.target(index) @ (to_frame @ flip)).astype(np.float32))
-        # Object or input view may stand in for unusable ones; the replacement then supervises too.
-        views = [data.usable(index, view if number == draw.view else number)[2] for number in draw.supervising]
+        # Object and input view may stand in for unusable ones; the replacement then supervises too.
+        views = [data.usable(index, number if view == draw.view else view)[2] for view in draw.supervising]
         masks.append([_mirrored(view.mask, draw.mirror) for view in views])
         known.append([_mirrored(view.known, draw.mirror) for view in views])
         K.append([_mirrored_intrinsics(view.camera) if draw.mirror else view.camera.K for view in views])

@@ -50,7 +50,7 @@ class TrainingData:
     ----------
     categories : indices of the objects of each category, one array a category.
     unusable : picture, or object whose points cannot be read -> why.
-    not_judged : object that cannot be evaluated for lack of points -> why.
+    not_judged : object that cannot be evaluated because its points cannot be read -> why.
     """
 
     objects: Sequence[ObjectItem]
