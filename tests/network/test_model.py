@@ -1,4 +1,4 @@
-"""The network is that of the supplement's tables, and starts in a state from which it can learn."""
+"""The network of the supplement's tables, and its initialisation."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_every_layer_has_the_size_the_table_states() -> None:
     assert sizes == [(64, 32)] * 2 + [(32, 64)] * 3 + [(16, 128)] * 3 + [(8, 256)] * 3 + [(4, 512)]
 
 
-def test_images_become_clouds_of_the_asked_size_inside_the_unit_cube() -> None:
+def test_images_become_clouds_of_the_given_size_inside_the_cube_of_side_2() -> None:
     network = BaseNetwork(Encoder(), Decoder(50))
     points = network(torch.rand(2, 3, 64, 64))
     assert points.shape == (2, 50, 3)

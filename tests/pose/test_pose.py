@@ -1,4 +1,4 @@
-"""The camera found from a mask and a cloud, and cameras that are moved with the points."""
+"""The camera fitted to a mask and a cloud, and cameras refined with the points."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from tso_cli.io.clouds import read_cloud
 from tso_cli.io.images import read_mask
 from tso_cli.pose import alignment, fit_camera
 from tso_cli.pose.alignment import Poses, Target
+from tso_cli.pose.fit import _same_by_symmetry, _spacing
 from tso_cli.refinement.camera_moves import CameraMoves, moved_camera
 from tso_cli.silhouette.projection import CameraBatch, project
 
@@ -35,36 +36,35 @@ def fitted_chair():
     return fit_camera(points, mask), points, mask, camera
 
 
-def test_the_camera_of_the_true_cloud_is_found_and_said_to_be_sure(fitted_chair):
-    found, _, _, camera = fitted_chair
-    assert angle_between(found.camera.R, camera.R) < 6.0
-    assert found.sure and found.iou > 0.8
-    assert found.camera.t == pytest.approx(camera.t, abs=0.2 * camera.t[2])
-    assert found.focal_range[0] <= found.camera.K[0, 0] <= found.focal_range[1]
+def test_the_camera_of_the_true_cloud_is_found_with_confidence(fitted_chair):
+    fitted, _, _, camera = fitted_chair
+    assert angle_between(fitted.camera.R, camera.R) < 6.0
+    assert fitted.sure and fitted.iou > 0.8
+    assert fitted.camera.t == pytest.approx(camera.t, abs=0.2 * camera.t[2])
+    assert fitted.focal_range[0] <= fitted.camera.K[0, 0] <= fitted.focal_range[1]
 
 
-def test_alternatives_are_turned_away_and_fit_less(fitted_chair):
-    found = fitted_chair[0]
-    ious = [other.iou for other in found.alternatives]
+def test_alternatives_are_over_20_degrees_away_and_have_a_lower_iou(fitted_chair):
+    fitted = fitted_chair[0]
+    ious = [alternative.iou for alternative in fitted.alternatives]
     assert ious == sorted(ious, reverse=True)
-    assert found.confidence == pytest.approx(found.iou - ious[0])
-    for other in found.alternatives:
-        assert other.degrees == pytest.approx(angle_between(other.camera.R, found.camera.R))
-        assert other.degrees > 20.0
+    assert fitted.confidence == pytest.approx(fitted.iou - ious[0])
+    for alternative in fitted.alternatives:
+        assert alternative.degrees == pytest.approx(angle_between(alternative.camera.R, fitted.camera.R))
+        assert alternative.degrees > 20.0
 
 
-def test_a_cloud_in_other_units_and_turned_gets_the_same_picture(fitted_chair):
-    found, points, mask, _ = fitted_chair
-    turn = from_vectors(np.array([0.0, 0.0, np.pi]))
-    moved = fit_camera(1000.0 * points @ turn.T + 5000.0, mask)
-    before, _ = found.camera.project(points)
-    after, _ = moved.camera.project(1000.0 * points @ turn.T + 5000.0)
-    # Another turn of the cloud meets other starting poses: the same basin, not the same bits.
+def test_a_rotated_cloud_in_other_units_gets_the_same_picture(fitted_chair):
+    fitted, points, mask, _ = fitted_chair
+    moved = 1000.0 * points @ from_vectors(np.array([0.0, 0.0, np.pi])).T + 5000.0
+    before, _ = fitted.camera.project(points)
+    after, _ = fit_camera(moved, mask).camera.project(moved)
+    # Other starting poses: the same basin, not the same bits.
     assert np.abs(after - before).mean() < 4.0
 
 
-def test_two_answers_that_fit_alike_are_unsure():
-    # A bar seen from the side: its two ends cannot be told apart by the mask, and only one of them is thick.
+def test_two_poses_that_fit_equally_well_are_unsure():
+    # A bar from the side, thicker at one end, which the mask does not show.
     rng = np.random.default_rng(0)
     bar = rng.uniform(-1.0, 1.0, (600, 3)) * [0.5, 0.08, 0.08]
     bar[:, 2] += 0.05 * (bar[:, 0] > 0.2)
@@ -78,8 +78,6 @@ def test_a_symmetry_of_the_cloud_is_no_alternative():
     quarter = rng.uniform(0.0, 1.0, (150, 3)) * [0.5, 0.05, 0.2]
     turns = [from_vectors(np.array([0.0, angle, 0.0])) for angle in np.pi / 2 * np.arange(4)]
     cross = np.concatenate([quarter @ turn.T for turn in turns])
-    from tso_cli.pose.fit import _same_by_symmetry, _spacing
-
     spacing = _spacing(cross)
     assert _same_by_symmetry(cross, np.eye(3), turns[1], spacing)
     assert not _same_by_symmetry(cross, np.eye(3), from_vectors(np.array([0.0, np.pi / 4, 0.0])), spacing)
@@ -96,32 +94,26 @@ def test_gauss_newton_brings_a_turned_pose_back():
     centre = small.K[:2, 2] + focal * t[:2] / t[2]
     turned = from_vectors(np.radians([[8.0, -6.0, 5.0]])) @ camera.R
     start = Poses(turned, centre[None] + 2.0, np.array([0.9 * focal / t[2]]), np.array([focal]))
-    found = alignment.improve(points, start, target, 20, (focal, 0.0), 4.0)
+    improved = alignment.improve(points, start, target, 20, (focal, 0.0), 4.0)
     assert angle_between(start.R[0], camera.R) > 10.0
-    assert angle_between(found.R[0], camera.R) < 4.0
-    assert found.focal == pytest.approx([focal], rel=1e-3)
+    assert angle_between(improved.R[0], camera.R) < 4.0
+    assert improved.focal == pytest.approx([focal], rel=1e-3)
 
 
-def test_the_jacobian_is_that_of_finite_differences():
+def test_the_jacobian_agrees_with_finite_differences():
     rng = np.random.default_rng(1)
     points, principal = rng.uniform(-0.5, 0.5, (5, 3)), np.array([31.0, 33.0])
     pose = Poses(from_vectors(rng.normal(size=(1, 3))), np.array([[20.0, 40.0]]), np.array([50.0]), np.array([120.0]))
     px, rotated, inverse = alignment.project(points, pose, principal)
     J = alignment._jacobian(px - principal, rotated, inverse, pose)
-    for column in range(7):
-        step = np.zeros(7)
-        step[column] = 1e-6
-        moved = Poses(
-            from_vectors(step[None, :3]) @ pose.R,
-            pose.centre + step[3:5],
-            pose.scale * np.exp(step[5]),
-            pose.focal * np.exp(step[6]),
-        )
+    for column, step in enumerate(1e-6 * np.eye(7)):
+        R, scale, focal = from_vectors(step[None, :3]) @ pose.R, pose.scale * np.exp(step[5]), pose.focal * np.exp(step[6])
+        moved = Poses(R, pose.centre + step[3:5], scale, focal)
         difference = (alignment.project(points, moved, principal)[0] - px) / 1e-6
         np.testing.assert_allclose(J[..., column], difference, atol=1e-3)
 
 
-def test_starting_rotations_are_rotations_and_leave_no_hole():
+def test_starting_rotations_cover_all_directions():
     rotations = spread(150, 18)
     np.testing.assert_allclose(
         rotations @ rotations.transpose(0, 2, 1), np.broadcast_to(np.eye(3), rotations.shape), atol=1e-12
@@ -140,21 +132,21 @@ def test_starting_rotations_are_rotations_and_leave_no_hole():
         (np.random.default_rng(0).normal(size=(20, 3)), np.zeros(8), r"shape \[8\], expected \[H, W\]"),
     ],
 )
-def test_what_cannot_be_fitted_is_refused_in_one_line(points, mask, said):
+def test_a_cloud_or_mask_that_cannot_be_fitted_is_refused(points, mask, said):
     with pytest.raises(InputError, match=said) as caught:
         fit_camera(points, mask)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("line", [np.s_[:, 30], np.s_[5, 3:60]])
-def test_a_mask_one_pixel_wide_gets_some_camera(line):
+def test_a_mask_one_pixel_wide_gets_a_finite_camera(line):
     mask = np.zeros((64, 64), np.float32)
     mask[line] = 1.0
-    found = fit_camera(np.random.default_rng(0).normal(size=(40, 3)), mask)
-    assert np.isfinite(found.camera.R).all() and 0.0 <= found.iou <= 1.0
+    fitted = fit_camera(np.random.default_rng(0).normal(size=(40, 3)), mask)
+    assert np.isfinite(fitted.camera.R).all() and 0.0 <= fitted.iou <= 1.0
 
 
-def test_a_moved_camera_in_file_units_sees_what_the_loop_saw():
+def test_a_refined_camera_in_file_units_projects_as_in_the_loop():
     points, _, camera = example("car")
     big = replace(camera, t=10.0 * camera.t - camera.R @ np.array([3.0, 4.0, 5.0]))
     centre, scale = np.array([3.0, 4.0, 5.0]), 10.0

@@ -21,12 +21,13 @@ from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 from tso_cli import render
 from tso_cli.commands.evaluate import command as eval_command
-from tso_cli.commands.render import command
 from tso_cli.io.images import read_image
 from tso_cli.io.meshes import Mesh, read_mesh
 from tso_cli.io.textures import Texture
 from tso_cli.render import RayScene, RenderSettings, render_folder, render_view
 from tso_cli.render.variation import paint, warp
+
+from .conftest import Run
 
 CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
 RED, GREEN, BLUE, WHITE = (200, 0, 0), (0, 200, 0), (0, 0, 200), (255, 255, 255)
@@ -67,77 +68,64 @@ def edited(path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
     return path
 
 
-def seen(mesh: Mesh, size: int = 60) -> tuple[np.ndarray, np.ndarray]:
-    """The front of a mesh whose texture fills it: colours without the light [size, size, 3], and where the light is."""
+def painted(mesh: Mesh, colour: tuple[int, int, int]) -> Mesh:
+    return Mesh(mesh.vertices, mesh.faces, np.full((len(mesh.faces), 3), colour, np.uint8))
+
+
+def unlit(mesh: Mesh, size: int = 60) -> np.ndarray:
+    """The front of a mesh whose texture fills it: colours without the light, [size, size, 3]."""
     camera = render.look_at(0.0, 0.0, 2.0, (size, size), 1.6 * size)
-    image = render_view(RayScene(mesh), camera).image.astype(float)
-    white = Mesh(mesh.vertices, mesh.faces, np.full((len(mesh.faces), 3), 255, np.uint8))
-    light = render_view(RayScene(white), camera).image[..., :1] / 255.0
-    return image / light, light
-
-
-def place_of_pixels(size: int = 60) -> np.ndarray:
-    """x, y [size, size, 2] in the plane z = 0 of the pixels of `seen`."""
-    along = (np.arange(size) - (size - 1) / 2) / (1.6 * size) * 2.0
-    return np.stack(np.meshgrid(along, -along), axis=-1)
+    image, light = (render_view(RayScene(each), camera).image.astype(float) for each in (mesh, painted(mesh, WHITE)))
+    return image / light[..., :1] * 255.0
 
 
 def texels(pixels: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The colour of places ``uv`` [..., 2], v up, and whether they are well inside their texel."""
+    """The colour at texture coordinates ``uv`` [..., 2], v up, and whether they are well inside their texel."""
     height, width = pixels.shape[:2]
     across, down = (uv[..., 0] % 1) * width, ((1 - uv[..., 1]) % 1) * height
     inner = (np.abs(across % 1 - 0.5) < 0.4) & (np.abs(down % 1 - 0.5) < 0.4)
     return pixels[down.astype(int) % height, across.astype(int) % width], inner
 
 
-@pytest.mark.parametrize("name", ["a.glb", "a.obj"])
-def test_every_pixel_shows_the_texel_that_it_meets(tmp_path: Path, name: str) -> None:
-    mesh = read_mesh(saved(tmp_path / name))
-    colours, _ = seen(mesh)
-    xy = place_of_pixels()
-    expected, inner = texels(CHECKS, xy + 0.5)
+@pytest.mark.parametrize(
+    ("name", "repeats", "shift"),
+    [("a.glb", 1.0, 0.0), ("a.obj", 1.0, 0.0), ("a.glb", 3.0, -1.2)],
+    ids=["glb", "obj", "repeated beyond the border"],
+)
+def test_a_pixel_shows_the_texel_that_its_rays_hit(tmp_path: Path, name: str, repeats: float, shift: float) -> None:
+    size = 60 if repeats == 1.0 else 120
+    colours = unlit(read_mesh(saved(tmp_path / name, uv=repeats * CORNERS + shift)), size)
+    along = (np.arange(size) - (size - 1) / 2) / (1.6 * size) * 2.0
+    xy = np.stack(np.meshgrid(along, -along), axis=-1)  # of the pixels, in the plane z = 0
+    expected, inner = texels(CHECKS, repeats * (xy + 0.5) + shift)
     inner &= (np.abs(xy) < 0.48).all(axis=-1)
     assert inner.sum() > 800
     np.testing.assert_allclose(colours[inner], expected[inner], atol=2.0)
 
 
-def test_the_texture_repeats_beyond_its_border(tmp_path: Path) -> None:
-    uv = 3.0 * CORNERS - 1.2
-    colours, _ = seen(read_mesh(saved(tmp_path / "a.glb", uv=uv)), 120)
-    xy = place_of_pixels(120)
-    expected, inner = texels(CHECKS, 3.0 * (xy + 0.5) - 1.2)
-    inner &= (np.abs(xy) < 0.48).all(axis=-1)
-    np.testing.assert_allclose(colours[inner], expected[inner], atol=2.0)
-    assert inner.sum() > 1000
-
-
 @settings(max_examples=60, deadline=None)
 @given(st.integers(1, 5), st.integers(1, 5), st.integers(0, 2**32 - 1))
-def test_any_place_has_the_colour_of_the_pixel_it_falls_into(height: int, width: int, seed: int) -> None:
+def test_texture_coordinates_have_the_colour_of_the_pixel_they_fall_into(height: int, width: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     pixels = rng.integers(0, 256, (height, width, 3), dtype=np.uint8)
     texture = Texture(pixels, np.array([7]), rng.uniform(-4, 4, (1, 3, 2)))
     shares = rng.dirichlet(np.ones(3), 50)
-    uv = shares @ texture.corners[0]
-    colour = texture.at(np.zeros(50, dtype=np.int64), shares[:, 1:])
-    expected, _ = texels(pixels, uv)
-    np.testing.assert_array_equal(colour, expected)
+    colours = texture.at(np.zeros(50, dtype=np.int64), shares[:, 1:])
+    np.testing.assert_array_equal(colours, texels(pixels, shares @ texture.corners[0])[0])
 
 
-def test_a_place_a_hair_below_the_border_stays_in_the_picture() -> None:
+def test_texture_coordinates_just_below_the_border_stay_in_the_picture() -> None:
     texture = Texture(CHECKS, np.array([0]), np.full((1, 3, 2), -1e-20))
     np.testing.assert_array_equal(texture.at(np.array([0]), np.zeros((1, 2))), CHECKS[:1, -1])
 
 
-def test_a_texture_of_one_colour_looks_as_faces_of_that_colour(tmp_path: Path) -> None:
+def test_a_texture_of_one_colour_looks_like_faces_of_that_colour(tmp_path: Path) -> None:
     mesh = read_mesh(saved(tmp_path / "a.glb", filled(RED)))
     camera = render.look_at(30.0, 20.0, 2.0, (40, 40))
-    plain = Mesh(mesh.vertices, mesh.faces, np.full((len(mesh.faces), 3), RED, np.uint8))
-    images = [render_view(RayScene(each), camera).image for each in (mesh, plain)]
-    np.testing.assert_array_equal(*images)
+    np.testing.assert_array_equal(*(render_view(RayScene(each), camera).image for each in (mesh, painted(mesh, RED))))
 
 
-def test_the_factor_of_a_glb_multiplies_its_texture_and_kd_of_an_obj_does_not(tmp_path: Path) -> None:
+def test_the_base_colour_of_a_glb_multiplies_its_texture_and_kd_of_an_obj_does_not(tmp_path: Path) -> None:
     material = PBRMaterial(baseColorTexture=Image.fromarray(filled((200, 200, 200))), baseColorFactor=[0.5, 1.0, 0.2, 1.0])
     square(material).export(tmp_path / "a.glb")
     assert read_mesh(tmp_path / "a.glb").textures[0].pixels[0, 0] == pytest.approx([100, 200, 40], abs=1)
@@ -145,7 +133,7 @@ def test_the_factor_of_a_glb_multiplies_its_texture_and_kd_of_an_obj_does_not(tm
     np.testing.assert_array_equal(read_mesh(saved(tmp_path / "a.obj")).textures[0].pixels, CHECKS)
 
 
-def test_every_part_of_a_scene_wears_its_own_texture_wherever_it_stands(tmp_path: Path) -> None:
+def test_each_part_of_a_scene_has_its_texture_wherever_it_stands(tmp_path: Path) -> None:
     scene = trimesh.Scene()
     red, green = (PBRMaterial(baseColorTexture=Image.fromarray(filled(c)), name=str(c)) for c in (RED, GREEN))
     plain = trimesh.Trimesh(square(red).vertices, square(red).faces, process=False)
@@ -165,13 +153,12 @@ def test_every_part_of_a_scene_wears_its_own_texture_wherever_it_stands(tmp_path
     camera = render.look_at(0.0, 0.0, 8.0, (80, 40), 80.0)
     image = render_view(RayScene(mesh), camera).image
     pixels, _ = camera.project(np.array([[-3.0, 0.1, 0], [-1, 0.1, 0], [1, 0.1, 0], [3, 0.1, 0]]))
-    shown = [image[int(v), int(u)] for u, v in np.rint(pixels)]
-    for colour, expected in zip(shown, (RED, GREEN, BLUE, RED), strict=True):
-        assert colour.argmax() == np.argmax(expected)
-        assert np.sort(colour)[:2].max() == 0
+    for (u, v), expected in zip(np.rint(pixels).astype(int), (RED, GREEN, BLUE, RED), strict=True):
+        assert image[v, u].argmax() == np.argmax(expected)
+        assert np.sort(image[v, u])[:2].max() == 0
 
 
-def test_materials_of_an_obj_wear_their_own_textures_or_their_plain_colour(tmp_path: Path) -> None:
+def test_materials_of_an_obj_have_their_textures_or_their_plain_colour(tmp_path: Path) -> None:
     (tmp_path / "maps").mkdir()
     Image.fromarray(filled(RED)).save(tmp_path / "maps" / "red.png")
     (tmp_path / "a.mtl").write_text("newmtl one\nmap_Kd maps\\red.png\nnewmtl two\nKd 0 1 0\n")
@@ -202,53 +189,47 @@ def test_grey_palette_and_transparent_textures_are_read_as_colours(tmp_path: Pat
 def test_a_normalised_or_warped_mesh_keeps_its_texture_and_a_painted_one_does_not(tmp_path: Path) -> None:
     mesh = read_mesh(saved(tmp_path / "a.glb"))
     mesh = Mesh(np.vstack([[9, 9, 9], mesh.vertices]), mesh.faces + 1, mesh.colours, mesh.textures)
-    expected = seen(render.normalise(replace(mesh, textures=())))[0]
-    shown = seen(render.normalise(mesh))[0]
-    assert np.abs(shown - expected).max() > 50
+    textured, plain = (unlit(render.normalise(each)) for each in (mesh, replace(mesh, textures=())))
+    assert np.abs(textured - plain).max() > 50
     np.testing.assert_array_equal(warp(render.normalise(mesh), np.random.default_rng(0)).textures, mesh.textures)
     assert paint(mesh, np.random.default_rng(0)).textures == ()
 
 
-# What cannot be used
+# Textures that cannot be used
 
 
 def warned(path: Path) -> tuple[Mesh, str]:
-    """The mesh, and the one line that reading it gives."""
+    """The mesh, and the one-line warning that reading it gives."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         mesh = read_mesh(path)
     (message,) = [str(warning.message) for warning in caught]
-    assert "\n" not in message
-    assert message.startswith(f"{path}: ")
-    assert "the material's colour stands in" in message
+    assert "\n" not in message and message.startswith(f"{path}: ") and "the material's colour stands in" in message
     return mesh, message
 
 
 def broken(kind: str, folder: Path) -> tuple[Path, str]:
-    """A mesh whose texture cannot be used, and what the warning says of it."""
+    """A mesh whose texture cannot be used, and words of the warning."""
     path = saved(folder / ("a.obj" if kind.startswith("obj") else "a.glb"))
     picture = folder / "material_0.png"
     if kind == "obj, missing":
         picture.unlink()
         return path, "the texture 'material_0.png' is not in this folder or below"
-    if kind == "obj, no picture":
-        picture.write_text("hello")
-        return path, "the texture 'material_0.png' cannot be decoded"
-    if kind == "obj, cut off":
-        Image.fromarray(np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)).save(picture)
-        picture.write_bytes(picture.read_bytes()[:2000])
-        return path, "cannot be decoded"
-    if kind == "obj, a program":
-        picture.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n(x) run\n")
+    if kind in ("obj, no picture", "obj, truncated", "obj, a program"):
+        noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+        Image.fromarray(noise).save(picture)
+        content = {
+            "obj, no picture": b"hello",
+            "obj, truncated": picture.read_bytes()[:2000],
+            "obj, a program": b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n(x) run\n",
+        }
+        picture.write_bytes(content[kind])
         return path, "the texture 'material_0.png' cannot be decoded"
     if kind == "obj, elsewhere":
+        material = (folder / "material.mtl").read_text()
         (folder / "inner").mkdir()
-        for name in ("a.obj", "material.mtl"):
-            (folder / name).rename(folder / "inner" / name)
-        (folder / "inner" / "material.mtl").write_text(
-            (folder / "inner" / "material.mtl").read_text().replace("map_Kd ", "map_Kd ../")
-        )
-        return folder / "inner" / "a.obj", "the texture '../material_0.png' is not in this folder or below"
+        (folder / "inner" / "material.mtl").write_text(material.replace("map_Kd ", "map_Kd ../"))
+        return path.rename(folder / "inner" / "a.obj"), "the texture '../material_0.png' is not in this folder or below"
     if kind == "obj, without coordinates":
         lines = path.read_text().splitlines()
         lines = [line for line in lines if not line.startswith("vt")]
@@ -257,24 +238,17 @@ def broken(kind: str, folder: Path) -> tuple[Path, str]:
     if kind == "glb, no picture":
         # The first view holds indices.
         return edited(path, lambda h: h["images"][0].update(bufferView=0, name="wood")), "the texture 'wood' cannot be decoded"
-    uri = {"glb, missing": "wood.png", "glb, on the web": "http://localhost/wood.png", "glb, inline": "data:;base64,aGVsbG8="}[
-        kind
-    ]
-
-    def change(header: dict[str, Any]) -> None:
-        header["images"][0] = {"uri": uri, "name": "wood"}
-
-    return edited(path, change), "cannot be decoded" if "inline" in kind else f"the texture '{uri}' is not in this folder"
+    uri = URIS[kind]
+    edited(path, lambda header: header.update(images=[{"uri": uri, "name": "wood"}]))
+    return path, "cannot be decoded" if "inline" in kind else f"the texture '{uri}' is not in this folder"
 
 
-BROKEN = [
-    *("obj, missing", "obj, no picture", "obj, cut off", "obj, a program", "obj, elsewhere", "obj, without coordinates"),
-    *("glb, no picture", "glb, missing", "glb, on the web", "glb, inline"),
-]
+URIS = {"glb, missing": "wood.png", "glb, on the web": "http://localhost/wood.png", "glb, inline": "data:;base64,aGVsbG8="}
+OBJ = ("missing", "no picture", "truncated", "a program", "elsewhere", "without coordinates")
 
 
-@pytest.mark.parametrize("kind", BROKEN)
-def test_a_texture_that_cannot_be_used_gives_one_line_and_the_colour_of_the_material(
+@pytest.mark.parametrize("kind", [*(f"obj, {kind}" for kind in OBJ), "glb, no picture", *URIS])
+def test_a_texture_that_cannot_be_used_gives_one_warning_and_the_colour_of_the_material(
     tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object, **__: object) -> None:
@@ -286,29 +260,26 @@ def test_a_texture_that_cannot_be_used_gives_one_line_and_the_colour_of_the_mate
     monkeypatch.setattr(socket, "socket", refuse)
     monkeypatch.setattr(socket, "create_connection", refuse)
     mesh, message = warned(path)
-    assert words in message
-    assert programs == []
-    assert mesh.textures == ()
-    assert mesh.colours is not None
+    assert words in message and programs == []
+    assert mesh.textures == () and mesh.colours is not None
     if kind.startswith("obj"):
         assert np.abs(mesh.colours.astype(int) - [90, 60, 30]).max() <= 1
 
 
 def test_a_texture_beside_the_folder_of_the_mesh_is_read_where_the_folder_above_is_rendered(tmp_path: Path) -> None:
     """As ShapeNetCore v2 has them: ID/models/model_normalized.obj, ID/images/texture0.png."""
-    path, message = broken("obj, elsewhere", tmp_path)
-    assert read_mesh(path, within=tmp_path).textures
-    mesh, told = warned(path)
-    assert not mesh.textures
-    assert message in told
-    summary = render_folder(tmp_path, tmp_path.parent / f"{tmp_path.name}-out", RenderSettings(views=1, size=(32, 32)))
-    assert summary.written == ["inner/a"]
-    colours = read_image(tmp_path.parent / f"{tmp_path.name}-out" / "inner" / "a" / "000.png")[..., :3]
+    source, output = tmp_path / "in", tmp_path / "out"
+    source.mkdir()
+    path, _ = broken("obj, elsewhere", source)
+    assert read_mesh(path, within=source).textures
+    assert not warned(path)[0].textures
+    assert render_folder(source, output, RenderSettings(views=1, size=(32, 32))).written == ["inner/a"]
+    colours = read_image(output / "inner" / "a" / "000.png")[..., :3]
     assert len(np.unique(colours.reshape(-1, 3), axis=0)) > 2
     assert np.ptp(colours.astype(int), axis=2).max() > 50
 
 
-def test_options_of_a_texture_are_passed_over(tmp_path: Path) -> None:
+def test_options_of_a_texture_are_ignored(tmp_path: Path) -> None:
     path = saved(tmp_path / "a.obj")
     material = tmp_path / "material.mtl"
     material.write_text(material.read_text().replace("map_Kd ", "map_Kd -s 2 2 1 "))
@@ -335,14 +306,13 @@ def test_several_textures_that_are_missing_are_counted_in_one_line(tmp_path: Pat
 
 
 @pytest.mark.filterwarnings("error")
-def test_whoever_wants_no_textures_is_told_nothing_of_them(tmp_path: Path) -> None:
+def test_reading_without_textures_gives_no_warning_nor_does_evaluation(tmp_path: Path) -> None:
     path, _ = broken("obj, missing", tmp_path)
-    mesh = read_mesh(path, textures=False)
-    assert mesh.textures == ()
+    assert read_mesh(path, textures=False).textures == ()
     assert CliRunner().invoke(eval_command, [str(path), str(path)]).exit_code == 0
 
 
-def test_rendering_goes_on_without_a_texture_and_names_it_once(tmp_path: Path) -> None:
+def test_a_missing_texture_is_warned_of_once_for_a_mesh_and_its_copies(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     broken("obj, missing", tmp_path / "in")
     settings = RenderSettings(views=1, size=(16, 16), samples=60, points=20, copies=2)
@@ -353,10 +323,8 @@ def test_rendering_goes_on_without_a_texture_and_names_it_once(tmp_path: Path) -
     assert [str(warning.message).count("material_0.png") for warning in caught] == [1]
 
 
-def test_the_command_renders_a_texture(tmp_path: Path) -> None:
-    saved(tmp_path / "a.glb", filled(GREEN))
-    arguments = f"{tmp_path / 'a.glb'} -o {tmp_path / 'out'} --views 1 --size 32 --samples 60 --points 20 --azimuth 0 0"
-    assert CliRunner().invoke(command, arguments.split()).exit_code == 0
+def test_the_command_renders_a_texture(tso_render: Callable[..., Run], tmp_path: Path) -> None:
+    words = ["--views", "1", "--size", "32", "--samples", "60", "--points", "20", "--azimuth", "0", "0"]
+    assert tso_render(saved(tmp_path / "a.glb", filled(GREEN)), tmp_path / "out", *words).code == 0
     image = np.asarray(Image.open(tmp_path / "out" / "a" / "000.png"))
-    assert image[16, 16, 1] > 50
-    assert image[16, 16, [0, 2]].max() == 0
+    assert image[16, 16, 1] > 50 and image[16, 16, [0, 2]].max() == 0

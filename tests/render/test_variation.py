@@ -1,8 +1,9 @@
-"""Warped and painted copies: other shapes and colours, of the same parts, for training."""
+"""Data augmentation: warped and painted copies of meshes."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tso_cli.cli import main
 from tso_cli.datasets.items import Dataset, ObjectItem, copied, original
 from tso_cli.errors import InputError
 from tso_cli.io.meshes import Mesh, read_mesh
@@ -18,12 +18,14 @@ from tso_cli.io.shipped import example_meshes
 from tso_cli.render import normalise
 from tso_cli.render.variation import connected_parts, paint, warp
 
+from .conftest import Run
+
 CHAIR = next(path for path in example_meshes() if path.stem == "kfurn_chair")
 
 
 @given(st.integers(0, 2**32))
 @settings(max_examples=30, deadline=None)
-def test_a_warped_mesh_is_another_shape_with_the_same_faces_and_like_size(seed: int) -> None:
+def test_a_warped_mesh_has_another_shape_the_same_faces_and_similar_size(seed: int) -> None:
     mesh = normalise(read_mesh(CHAIR))
     warped = warp(mesh, np.random.default_rng(seed))
     assert np.isfinite(warped.vertices).all()
@@ -36,27 +38,27 @@ def test_a_warped_mesh_is_another_shape_with_the_same_faces_and_like_size(seed: 
     assert np.abs(warped.vertices - mesh.vertices).max() > 0.01
 
 
-def test_no_strength_changes_nothing() -> None:
+def test_a_strength_of_zero_changes_nothing() -> None:
     mesh = normalise(read_mesh(CHAIR))
     np.testing.assert_allclose(warp(mesh, np.random.default_rng(0), 0.0).vertices, mesh.vertices, atol=1e-12)
 
 
 def test_a_symmetric_shape_keeps_a_mirror_plane_when_warped() -> None:
-    """Lean and sweep go along one and the same axis, so that of a box's two upright mirror planes one remains."""
+    """Shear and sweep go along one and the same axis, so that one of the two upright mirror planes remains."""
     rng = np.random.default_rng(0)
     half = rng.uniform(-0.5, 0.5, (200, 3))
     cloud = np.concatenate([half * [sx, 1, sz] for sx in (1, -1) for sz in (1, -1)])
-    kept = 0
+
+    def sorted_points(points: np.ndarray) -> np.ndarray:
+        return points[np.lexsort(points.round(9).T)]
+
     for seed in range(20):
         warped = warp(Mesh(cloud, np.zeros((1, 3), dtype=np.int64)), np.random.default_rng(seed)).vertices
-        for mirror in ([-1, 1, 1], [1, 1, -1]):
-            reflected = warped * mirror
-            order = np.lexsort(warped.round(9).T), np.lexsort(reflected.round(9).T)
-            kept += bool(np.allclose(warped[order[0]], reflected[order[1]], atol=1e-8))
-    assert kept == 20
+        mirrored = [sorted_points(warped * mirror) for mirror in ([-1, 1, 1], [1, 1, -1])]
+        assert sum(np.allclose(sorted_points(warped), points, atol=1e-8) for points in mirrored) == 1
 
 
-def test_faces_that_share_a_vertex_are_of_one_part() -> None:
+def test_faces_that_share_a_vertex_are_connected() -> None:
     faces = np.array([[0, 1, 2], [2, 3, 4], [5, 6, 7], [7, 8, 9], [10, 11, 12]])
     assert connected_parts(faces, 13).tolist() == [0, 0, 1, 1, 2]
 
@@ -64,50 +66,45 @@ def test_faces_that_share_a_vertex_are_of_one_part() -> None:
 def test_paint_gives_each_part_one_colour_and_leaves_the_shape() -> None:
     mesh = read_mesh(CHAIR)
     parts = connected_parts(mesh.faces, len(mesh.vertices))
-    seen = set()
+    colours = set()
     for seed in range(5):
         painted = paint(mesh, np.random.default_rng(seed))
         np.testing.assert_array_equal(painted.vertices, mesh.vertices)
         assert painted.colours is not None
         for part in np.unique(parts):
             assert len(np.unique(painted.colours[parts == part], axis=0)) == 1
-        seen.add(tuple(painted.colours[0]))
-    assert len(seen) == 5
+        colours.add(tuple(painted.colours[0]))
+    assert len(colours) == 5
 
 
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as stopped:
-        main([str(argument) for argument in arguments])
-    assert isinstance(stopped.value.code, int)
-    return stopped.value.code
-
-
-def test_copies_are_rendered_beside_the_mesh_and_belong_to_it_in_a_split(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pytest.importorskip("open3d")
-    split = tmp_path / "split.json"
+def test_copies_are_rendered_beside_the_meshes_of_a_split(tso_render: Callable[..., Run], tmp_path: Path) -> None:
+    split, out = tmp_path / "split.json", tmp_path / "out"
+    words = "--views", 1, "--samples", 256, "--points", 64, "--split", split
     split.write_text(json.dumps({"train": ["kfurn_chair"], "validation": ["q17_Chair"], "test": []}))
-    common = ["--views", 1, "--samples", 256, "--points", 64, "--split", split]
-    command = ["render", CHAIR.parent, "-o", tmp_path / "out", *common]
-    assert run(*command, "--copies", 2, "--paint") == 0
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["kfurn_chair", "kfurn_chair~0001", "kfurn_chair~0002"]
-    clouds = {(tmp_path / "out" / name / "target.ply").read_bytes() for name in ("kfurn_chair", "kfurn_chair~0001")}
-    assert len(clouds) == 2
-    # More copies of the same kind may follow.
-    assert run(*command, "--copies", 3, "--paint") == 0
-    assert "3 rendered before" in capsys.readouterr().err
-    split.write_text(json.dumps({"train": ["kfurn_chair", "no_chair"], "validation": [], "test": []}))
-    assert run(*command) == 2
-    assert "has no mesh no_chair" in capsys.readouterr().err
-    assert run(*command, "--part", "practice") == 2
-    assert "'practice' is not one of 'train', 'validation', 'test'" in capsys.readouterr().err
-    split.write_text(json.dumps({"train": ["kfurn_chair"]}))
-    assert run(*command, "--part", "test") == 2
-    assert "split.json: has no list 'test', expected one beside 'train'" in capsys.readouterr().err
+    assert tso_render(CHAIR.parent, out, *words, "--copies", 2, "--paint").code == 0
+    assert sorted(path.name for path in out.iterdir()) == ["kfurn_chair", "kfurn_chair~0001", "kfurn_chair~0002"]
+    assert len({(out / name / "target.ply").read_bytes() for name in ("kfurn_chair", "kfurn_chair~0001")}) == 2
+    # More copies may follow.
+    assert "3 rendered before" in tso_render(CHAIR.parent, out, *words, "--copies", 3, "--paint").err
 
 
-def test_a_split_takes_the_copies_of_what_it_names_and_misses_nothing() -> None:
+@pytest.mark.parametrize(
+    ("names", "part", "message"),
+    [
+        (["kfurn_chair", "no_chair"], "train", "has no mesh no_chair"),
+        (["kfurn_chair"], "practice", "'practice' is not one of 'train', 'validation', 'test'"),
+        (["kfurn_chair"], "test", "split.json: has no list 'test', expected one beside 'train'"),
+    ],
+)
+def test_a_split_that_cannot_be_rendered_is_refused(
+    tso_render: Callable[..., Run], tmp_path: Path, names: list[str], part: str, message: str
+) -> None:
+    (tmp_path / "split.json").write_text(json.dumps({"train": names}))
+    refused = tso_render(CHAIR.parent, tmp_path / "out", "--split", tmp_path / "split.json", "--part", part)
+    assert refused.code == 2 and message in refused.err
+
+
+def test_a_split_includes_the_copies_of_its_objects_and_names_no_missing_ones() -> None:
     def item(name: str) -> ObjectItem:
         return ObjectItem(name, "chair", [], None)
 

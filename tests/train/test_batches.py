@@ -1,30 +1,29 @@
-"""What a step of training sees: mirrored, recoloured and balanced draws, shares of processes, unusable pictures."""
+"""Batches: frames and cameras, random draws, augmentation, backgrounds, and what stands in for unusable data."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
-from tso_cli.datasets.items import ViewItem
+from tso_cli.datasets.items import ObjectItem, ViewItem
+from tso_cli.datasets.opening import open_dataset
 from tso_cli.errors import InputError
-from tso_cli.geometry.camera import Camera
+from tso_cli.geometry.camera import CANONICAL_ROTATION, Camera
 from tso_cli.io.images import write_image
+from tso_cli.io.shipped import example_meshes
 from tso_cli.train.backgrounds import Backgrounds
 from tso_cli.train.batches import Batch, Draw, Drawing, assemble, draw_batch, recoloured
 from tso_cli.train.data import TrainingData
-from tso_cli.train.losses import mask_loss, mask_loss_by_category
+from tso_cli.train.sources import from_dataset, from_meshes, shipped_examples
 
 from ..training import make_objects
 
-
-@pytest.fixture(scope="module")
-def data() -> TrainingData:
-    return TrainingData(make_objects(), "three boxes")
+# Frames and cameras
 
 
 def fills_its_masks(batch: Batch) -> bool:
@@ -40,18 +39,80 @@ def fills_its_masks(batch: Batch) -> bool:
     return True
 
 
-def test_a_mirrored_object_fills_its_mirrored_masks_from_every_side(data: TrainingData) -> None:
-    plain = assemble(data, [Draw(0, 1, (0, 2, 3))], "view")
-    mirrored = assemble(data, [Draw(0, 1, (0, 2, 3), mirror=True)], "view")
+@pytest.mark.parametrize("frame", ["view", "canonical"])
+def test_true_points_in_the_frame_of_the_prediction_fill_the_supervising_masks(data: TrainingData, frame: str) -> None:
+    assert fills_its_masks(assemble(data, [Draw(0, 1, (0, 2, 3)), Draw(2, 0, (0, 1, 3))], frame))
+
+
+def test_a_mirrored_object_fills_its_mirrored_masks(data: TrainingData) -> None:
+    plain, mirrored = (assemble(data, [Draw(0, 1, (0, 2, 3), mirror)], "view") for mirror in (False, True))
     np.testing.assert_allclose(mirrored.targets[0], plain.targets[0] * np.float32([-1, 1, 1]), atol=1e-6)
     np.testing.assert_array_equal(mirrored.images[0], plain.images[0, :, :, ::-1])
     np.testing.assert_allclose(np.linalg.det(mirrored.R), 1.0)
-    assert fills_its_masks(plain) and fills_its_masks(mirrored)
-    # The mirrored points do not fill the masks as they were: the object is not its own mirror image.
+    assert fills_its_masks(mirrored)
+    # The object is not symmetric: mirrored points do not fill the masks as they were.
     assert not fills_its_masks(replace(plain, targets=mirrored.targets))
 
 
-def test_recolouring_leaves_the_outline_and_what_is_around_it(data: TrainingData) -> None:
+def test_a_view_aligned_batch_has_the_axes_and_the_crop_of_its_picture(data: TrainingData) -> None:
+    batch = assemble(data, [Draw(1, 2)], "view")
+    in_camera = data.target(1) @ data.objects[1].views[2].camera.R.T
+    np.testing.assert_allclose(batch.targets[0] @ CANONICAL_ROTATION.T, in_camera, atol=1e-6)
+    np.testing.assert_array_equal(batch.images, data.prepared(1, 2).image[None])
+
+
+def test_an_orthographic_camera_is_refused() -> None:
+    item = make_objects(count=1, views=1)[0]
+    camera = replace(item.views[0].camera, model="orthographic")
+    with pytest.raises(InputError, match="orthographic, expected perspective"):
+        TrainingData([replace(item, views=[replace(item.views[0], camera=camera)])], "one")
+
+
+# Random draws
+
+
+def test_every_object_comes_once_in_an_epoch(data: TrainingData) -> None:
+    for epoch in range(4):
+        targets = [draw_batch(data, Drawing(5, 1, "canonical"), epoch * 3 + i).targets[0] for i in range(3)]
+        assert len({cloud.tobytes() for cloud in targets}) == 3
+
+
+def test_a_batch_depends_on_seed_and_step_alone(data: TrainingData) -> None:
+    def rotations(source: TrainingData, seed: int, step: int, size: int = 2) -> bytes:
+        return draw_batch(source, Drawing(seed, size, "view", 2), step).R.tobytes()
+
+    assert rotations(data, 1, 4) == rotations(data, 1, 4)
+    assert len({rotations(data, seed, step) for seed, step in ((1, 4), (2, 4), (1, 5))}) > 1
+    single = TrainingData(data.objects[:1], "one box")
+    assert len({rotations(single, 1, step, 1) for step in range(12)}) > 1
+
+
+def test_a_balanced_draw_takes_a_rare_category_as_often_as_a_common_one() -> None:
+    data = TrainingData([*make_objects(5, 1), *make_objects(1, 1, "crate")], "boxes and a crate")
+    drawn = Counter(
+        name for step in range(5) for name in draw_batch(data, Drawing(0, 4, "canonical", balance=True), step).categories
+    )
+    assert drawn == {"box": 10, "crate": 10}
+
+
+def test_processes_share_a_batch_without_overlap(data: TrainingData) -> None:
+    drawing = Drawing(3, 4, "view", views=2, augment=True)
+    whole = draw_batch(data, drawing, 7)
+    parts = [draw_batch(data, drawing, 7, (rank, 2)) for rank in (0, 1)]
+    np.testing.assert_array_equal(whole.images[0::2], parts[0].images)
+    np.testing.assert_array_equal(whole.masks[1::2], parts[1].masks)
+
+
+def test_augmentation_mirrors_half_of_the_pictures_in_the_view_frame_alone(data: TrainingData) -> None:
+    def same_targets(frame: str, step: int) -> bool:
+        plain, augmented = (draw_batch(data, Drawing(0, 1, frame, augment=on), step).targets[0] for on in (False, True))
+        return np.allclose(plain, augmented)
+
+    assert 10 < sum(same_targets("view", step) for step in range(40)) < 30
+    assert all(same_targets("canonical", step) for step in range(5))
+
+
+def test_recolouring_changes_the_object_and_not_its_surroundings(data: TrainingData) -> None:
     picture = data.prepared(0, 0)
     changed = recoloured(picture, np.random.default_rng(0))
     outside = picture.mask == 0.0
@@ -60,102 +121,78 @@ def test_recolouring_leaves_the_outline_and_what_is_around_it(data: TrainingData
     assert changed.min() >= 0.0 and changed.max() <= 1.0
 
 
-def test_augmentation_mirrors_half_of_the_pictures_in_the_view_frame_alone(data: TrainingData) -> None:
-    still = [draw_batch(data, Drawing(0, 1, "view"), step) for step in range(40)]
-    moved = [draw_batch(data, Drawing(0, 1, "view", augment=True), step) for step in range(40)]
-    flipped = sum(not np.allclose(a.targets[0], b.targets[0]) for a, b in zip(still, moved, strict=True))
-    assert 10 < flipped < 30
-    for step in range(5):
-        canonical = [draw_batch(data, Drawing(0, 1, "canonical", augment=yes), step).targets[0] for yes in (False, True)]
-        np.testing.assert_array_equal(*canonical)
+# Unusable pictures and points
 
 
-def test_a_balanced_draw_sees_a_rare_category_as_often_as_a_common_one() -> None:
-    far = np.full((8, 3), 9.0, np.float32)
-    objects = [*make_objects(5, 1), replace(make_objects(1, 1, "crate")[0], target=lambda: far)]
-    data = TrainingData(objects, "boxes and a crate")
-    seen: Counter[bool] = Counter()
-    for step in range(5):
-        batch = draw_batch(data, Drawing(0, 4, "canonical", balance=True), step)
-        seen.update(bool((points > 5.0).all()) for points in batch.targets)
-    assert seen == {True: 10, False: 10}
+def failing(message: str) -> Callable[[], np.ndarray]:
+    def load() -> np.ndarray:
+        raise InputError(message)
+
+    return load
 
 
-def test_processes_share_a_batch_without_overlap(data: TrainingData) -> None:
-    drawing = Drawing(3, 4, "view", views=2, augment=True)
-    whole = draw_batch(data, drawing, 7)
-    shares = [draw_batch(data, drawing, 7, (rank, 2)) for rank in (0, 1)]
-    np.testing.assert_array_equal(whole.images[0::2], shares[0].images)
-    np.testing.assert_array_equal(whole.masks[1::2], shares[1].masks)
+def broken(item: ObjectItem, *views: int) -> ObjectItem:
+    """``item`` with pictures that cannot be read: those of ``views``, or all."""
+    result = list(item.views)
+    for i in views or range(len(result)):
+        load = failing(f"{result[i].name}.png: truncated, expected a picture")
+        result[i] = replace(result[i], load=load)  # type: ignore[arg-type]
+    return replace(item, views=result)
 
 
-def broken(item: ViewItem) -> ViewItem:
-    def load() -> tuple[np.ndarray, np.ndarray]:
-        raise InputError(f"{item.name}.png: truncated, expected a picture")
-
-    return ViewItem(item.name, item.camera, load)
-
-
-def test_a_picture_that_cannot_be_read_is_named_once_and_another_takes_its_place() -> None:
-    objects = make_objects(2, 3)
-    objects[0] = replace(objects[0], views=[broken(objects[0].views[0]), *objects[0].views[1:]])
+def test_an_unreadable_picture_is_warned_of_once_and_replaced() -> None:
+    first, second = make_objects(2, 3)
+    objects = [broken(first, 0), second]
     data = TrainingData(objects, "boxes")
-    with pytest.warns(UserWarning, match="view 0.png: truncated, expected a picture; left out"):
+    with pytest.warns(UserWarning, match="view 0.png: truncated, expected a picture; left out") as warned:
         replaced = assemble(data, [Draw(0, 0, (0, 2))], "view")
-    good = assemble(data, [Draw(0, 1, (1, 2))], "view")
-    np.testing.assert_array_equal(replaced.images, good.images)
-    np.testing.assert_array_equal(replaced.masks, good.masks)
-    assert list(data.unusable) == ["box0 view 0"]
-    strict = TrainingData(objects, "boxes", strict=True)
+    usable = assemble(data, [Draw(0, 1, (1, 2))], "view")
+    np.testing.assert_array_equal(replaced.images, usable.images)
+    np.testing.assert_array_equal(replaced.masks, usable.masks)
+    assert len(warned) == 1 and list(data.unusable) == ["box0 view 0"]
     with pytest.raises(InputError, match="truncated"):
-        assemble(strict, [Draw(0, 0)], "view")
+        assemble(TrainingData(objects, "boxes", strict=True), [Draw(0, 0)], "view")
 
 
-@pytest.mark.filterwarnings("ignore:.*left out")
-def test_data_without_one_usable_picture_are_refused() -> None:
-    objects = [replace(item, views=[broken(view) for view in item.views]) for item in make_objects(2, 2)]
-    with pytest.raises(InputError, match="no picture can be used, the first: box1 view 1.png"):
-        assemble(TrainingData(objects, "boxes"), [Draw(1, 1)], "view")
-
-
-def test_an_object_whose_points_cannot_be_read_is_named_once_and_another_takes_its_place() -> None:
-    def damaged() -> np.ndarray:
-        raise InputError("target.ply: ends after 6 of 1024 rows, expected all")
-
+def test_an_object_with_unreadable_points_is_warned_of_once_and_replaced() -> None:
     objects = make_objects(2)
-    objects[0] = replace(objects[0], target=damaged)
+    objects[0] = replace(objects[0], target=failing("target.ply: ends after 6 of 1024 rows, expected all"))
     data = TrainingData(objects, "boxes")
     with pytest.warns(UserWarning, match="target.ply: ends after 6 of 1024 rows") as warned:
         replaced = assemble(data, [Draw(0, 1), Draw(0, 2)], "view")
     assert len(warned) == 1 and list(data.unusable) == ["box0"]
     np.testing.assert_array_equal(replaced.images, assemble(data, [Draw(1, 1), Draw(1, 2)], "view").images)
-    # Its pictures are as good as any where no points are asked for.
+    # Its pictures still serve where no points are needed.
     masks = assemble(data, [Draw(0, 1)], "view", targets=False)
     np.testing.assert_array_equal(masks.images[0], data.prepared(0, 1).image)
     with pytest.raises(InputError, match="ends after 6"):
         assemble(TrainingData(objects, "boxes", strict=True), [Draw(0, 0)], "view")
 
 
-def test_of_a_flood_of_unusable_pictures_ten_are_warned_of_and_all_are_known() -> None:
-    objects = make_objects(6, 4)
-    objects[:5] = [replace(item, views=[broken(view) for view in item.views]) for item in objects[:5]]
+def test_ten_unusable_pictures_are_warned_of_and_all_are_listed() -> None:
+    objects = [broken(item) for item in make_objects(5, 4)]
     data = TrainingData(objects, "boxes")
-    with pytest.warns(UserWarning, match="left out") as warned:
-        assemble(data, [Draw(0, 0)], "view")
+    with (
+        pytest.warns(UserWarning, match="left out") as warned,
+        pytest.raises(InputError, match="no picture can be used, the first: box1 view 1.png"),
+    ):
+        assemble(data, [Draw(1, 1)], "view")
     assert len(warned) == 10 and len(data.unusable) == 20
 
 
-def test_an_object_is_put_on_its_background_and_nothing_behind_it_shines_through() -> None:
+# Backgrounds
+
+
+def test_the_object_is_composited_on_its_background() -> None:
     data = TrainingData(make_objects(1), "box", background="keep", backgrounds=Backgrounds("textures"))
-    batch = assemble(data, [Draw(0, 0, behind=1), Draw(0, 0, behind=2), Draw(0, 0, mirror=True, behind=1)], "view")
+    draws = [Draw(0, 0, background_seed=1), Draw(0, 0, background_seed=2), Draw(0, 0, mirror=True, background_seed=1)]
+    first, second, mirrored = assemble(data, draws, "view").images
     picture = data.prepared(0, 0)
     inside, outside = picture.mask == 1.0, picture.mask == 0.0
-    for image in batch.images[:2]:
+    for image in (first, second, mirrored[:, :, ::-1]):
         np.testing.assert_allclose(image[:, inside], picture.image[:, inside], atol=1e-6)
         assert image[:, outside].std() > 0.01
-    assert np.abs(batch.images[0] - batch.images[1])[:, outside].mean() > 0.05
-    mirrored = batch.images[2][:, :, ::-1]
-    np.testing.assert_allclose(mirrored[:, inside], picture.image[:, inside], atol=1e-6)
+    assert np.abs(first - second)[:, outside].mean() > 0.05
     with pytest.raises(InputError, match="background 'black', expected 'keep'"):
         TrainingData(make_objects(1), "box", backgrounds=Backgrounds("textures"))
 
@@ -165,20 +202,19 @@ def test_backgrounds_are_crops_of_the_photos_of_a_folder(tmp_path: Path) -> None
     crop = Backgrounds(str(tmp_path)).sample(np.random.default_rng(0))
     np.testing.assert_allclose(crop, np.broadcast_to(np.float32([[[1]], [[0]], [[0]]]), (3, 64, 64)), atol=1e-6)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="holds no picture"):
-        Backgrounds(str(tmp_path / "empty"))
-    with pytest.raises(InputError, match="not a folder, expected one with photos for backgrounds, or 'textures'"):
-        Backgrounds(str(tmp_path / "none"))
+    for name, message in (("empty", "holds no picture"), ("none", "not a folder, expected one with photos .*, or 'textures'")):
+        with pytest.raises(InputError, match=message):
+            Backgrounds(str(tmp_path / name))
 
 
-def test_a_photo_that_cannot_be_read_is_named_once_and_the_next_one_stands_behind_the_object(tmp_path: Path) -> None:
+def test_an_unreadable_photo_is_warned_of_once_and_replaced_by_the_next(tmp_path: Path) -> None:
     write_image(tmp_path / "red.png", np.full((40, 90, 3), (255, 0, 0), np.uint8))
     (tmp_path / "broken.png").write_bytes(b"no picture")
-    behind = Backgrounds(str(tmp_path))
+    backgrounds = Backgrounds(str(tmp_path))
     with pytest.warns(UserWarning, match="broken.png: is not a readable image") as warned:
-        crops = [behind.sample(np.random.default_rng(seed)) for seed in range(9)]
+        crops = [backgrounds.sample(np.random.default_rng(seed)) for seed in range(9)]
     assert min(crop[0].min() for crop in crops) > 0.99
-    assert len(warned) == 1 and list(behind.unusable) == [str(tmp_path / "broken.png")]
+    assert len(warned) == 1 and list(backgrounds.unusable) == [str(tmp_path / "broken.png")]
     with pytest.raises(InputError, match="broken.png"):
         for seed in range(9):
             Backgrounds(str(tmp_path), strict=True).sample(np.random.default_rng(seed))
@@ -190,14 +226,40 @@ def test_a_photo_that_cannot_be_read_is_named_once_and_the_next_one_stands_behin
         Backgrounds(str(tmp_path)).sample(np.random.default_rng(0))
 
 
-def test_a_category_with_its_own_kernel_is_compared_with_it_and_the_others_are_not() -> None:
-    data = TrainingData([*make_objects(2), *make_objects(1, category="crate")], "boxes and a crate")
-    batch = assemble(data, [Draw(0, 0, (1, 2)), Draw(1, 0, (1, 2)), Draw(2, 1, (0, 3))], "canonical")
-    points = torch.from_numpy(np.stack(batch.targets))[:, ::4]
-    alone = [mask_loss(points[i : i + 1], batch.select(np.array([i])), kernel, 0.5, "points")[0] for i, kernel in
-             ((0, 0.4), (1, 0.4), (2, 1.5))]  # fmt: skip
-    together, bce, outliers = mask_loss_by_category(points, batch, 0.4, {"crate": 1.5}, 0.5, "points")
-    torch.testing.assert_close(together, torch.stack(alone).mean())
-    assert float(together) == pytest.approx(bce + 0.5 * outliers, rel=1e-5)
-    same, *_ = mask_loss_by_category(points, batch, 0.4, {}, 0.5, "points")
-    torch.testing.assert_close(same, mask_loss(points, batch, 0.4, 0.5, "points")[0])
+# Sources
+
+
+def test_an_empty_training_set_is_refused() -> None:
+    with pytest.raises(InputError, match="no object"):
+        TrainingData([], "nothing")
+
+
+def test_the_fingerprint_changes_with_the_pictures_of_the_same_objects() -> None:
+    def dark(view: ViewItem) -> ViewItem:
+        image, mask = view.load()
+        return replace(view, load=lambda: (image // 2, mask))
+
+    first, second = make_objects(2)
+    changed = TrainingData([first, replace(second, views=[dark(second.views[0]), *second.views[1:]])], "two")
+    same = TrainingData(make_objects(2), "two").fingerprint()
+    assert TrainingData([first, second], "two").fingerprint() == same != changed.fingerprint()
+
+
+def test_a_rendered_folder_gives_the_same_batches_as_its_pictures_in_memory(folder: Path) -> None:
+    read, in_memory = (
+        draw_batch(source, Drawing(0, 2, "view", 2), 0)
+        for source in (from_dataset(open_dataset(folder)), TrainingData(make_objects(2), "boxes"))
+    )
+    for name in ("images", "masks", "K", "targets"):
+        np.testing.assert_allclose(getattr(read, name), getattr(in_memory, name), atol=1e-6, rtol=1e-7)
+
+
+def test_the_shipped_meshes_and_examples_are_training_data() -> None:
+    pytest.importorskip("open3d")
+    meshes = example_meshes()
+    assert {path.parent.name for path in meshes} == {"airplane", "car", "chair"}
+    one, same = (from_meshes(meshes[:2], "two", views=2) for _ in range(2))
+    assert one.fingerprint() == same.fingerprint()
+    unseen = shipped_examples()
+    assert [item.name for item in unseen.objects] == ["chair", "car", "airplane"]
+    assert unseen.judged(3) == [0, 1, 2]

@@ -1,1 +1,1 @@
-"""The network that predicts a cloud from a photo, and how a photo becomes its input."""
+"""The network that predicts a cloud from a photo, and its input."""

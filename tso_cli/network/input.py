@@ -1,4 +1,4 @@
-"""How a photo becomes network input: one rule, used by training and by refinement alike."""
+"""Network input from a photo: the crop used by training and by refinement alike."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from ..geometry.view import View
 
 BACKGROUNDS = ("black", "white", "keep")
 WHOLE = 64.0 * CANONICAL_DISTANCE / CANONICAL_FOCAL_AT_64
-"""What the canonical camera sees each way at the object's distance, in units of the cloud: 1.07."""
+"""Side of the square that the canonical camera sees at the object's distance, in units of the cloud: 1.07."""
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkInput:
-    """What the network is given, and the view of it that losses compare with.
+    """The network's input, and the crop's mask and camera, which losses compare with.
 
     Parameters
     ----------
     image : float32 [3, size, size] in [0, 1].
     mask : float32 [size, size] in [0, 1], the photo's mask resampled the same way; 0 where it is not known.
-    camera : the photo's camera, cropped the same way: it projects points to pixels of `image` and `mask`.
-    known : bool [size, size], False where more than half of the pixel lies outside the photo (or in ignored pixels).
+    camera : the photo's camera, cropped the same way.
+    known : bool [size, size], False where more than half of the pixel lies outside the photo or is ignored.
     box : left, top, right, bottom edges of the crop in pixels of the photo; it may reach outside.
     """
 
@@ -37,7 +37,7 @@ class NetworkInput:
     box: Box
 
     def view(self, name: str = "mask") -> View:
-        """The crop as a view to compare a projection with."""
+        """Mask and camera of the crop as a view."""
         return View(self.mask, self.camera, None if self.known.all() else self.known, name)
 
 
@@ -47,46 +47,43 @@ def crop_box(mask_box: Box, crop_share: float) -> Box:
         raise InputError(f"crop share is {crop_share!r}, expected 0 to 1")
     left, top, right, bottom = (float(edge) for edge in mask_box)
     half = max(right - left, bottom - top) / crop_share / 2.0
-    across, down = (left + right) / 2.0, (top + bottom) / 2.0
-    return across - half, down - half, across + half, down + half
+    u, v = (left + right) / 2.0, (top + bottom) / 2.0
+    return u - half, v - half, u + half, v + half
 
 
 def whole_box(camera: Camera, name: str = "mask") -> Box:
-    """The square of the photo that shows as much as the canonical camera does: `WHOLE` units around the world's origin.
+    """The square of the photo that shows `WHOLE` units around the world's origin, as the canonical camera does.
 
-    It is as large for a small object as for a large one, so that the picture tells their size, as the whole pictures do that
-    the authors of CAPNet train with. Raises InputError if the origin is not in front of the camera.
+    Its size does not depend on the object, so that the crop shows the object's size, like the whole pictures that CAPNet
+    trains with. Raises InputError if the origin is not in front of the camera.
     """
     depth = float(camera.t[2]) if camera.model == "perspective" else 1.0
     if depth <= 0.0:
         raise InputError(f"{name}: the camera has the object at depth {camera.t[2]:g}, expected it in front (> 0)")
-    across, down = (camera.K[:2, :2] @ camera.t[:2] / depth + camera.K[:2, 2]).tolist()
+    u, v = (camera.K[:2, :2] @ camera.t[:2] / depth + camera.K[:2, 2]).tolist()
     half = 0.5 * WHOLE * float(camera.K[0, 0]) / depth
-    return across - half, down - half, across + half, down + half
+    return u - half, v - half, u + half, v + half
 
 
 def network_input(
     image: NDArray[np.generic], view: View, size: int = 64, crop_share: float = 0.9, background: str = "black"
 ) -> NetworkInput:
-    """Crop, composite and shrink a photo as the network expects it.
-
-    The crop is a square centred on the box of the mask (> 0.5), so large that the box's longer side takes up
-    ``crop_share`` of it; or, for a share of 0, `whole_box`. It is resampled to ``size`` x ``size`` by exact area
-    averaging, whether that shrinks or enlarges. What lies outside the photo gets the background colour.
+    """Crop, composite and resample a photo to the network's input, by exact area averaging.
 
     Parameters
     ----------
     image : [H, W], [H, W, 3] or [H, W, 4]; uint8, or float in [0, 1].
     view : mask [H, W] and camera of the photo.
     size : pixels of the network's input along each side.
-    crop_share : share of the crop's side that the longer side of the object's box takes up; 0 keeps the object's size.
+    crop_share : the crop is the square around the object's box whose side the box's longer side fills to this share
+        (`crop_box`); 0 takes `whole_box`.
     background : "black" or "white" puts the object, cut out by its mask, on that colour; "keep" leaves the photo as it
-        is (transparent parts and what lies outside it are black).
+        is. Transparent parts and what lies outside the photo then are black.
 
     Raises
     ------
     InputError
-        Image and mask differ in size, or a setting is not one of the above.
+        Image and mask differ in size, a setting is not one of the above, or the crop shows nothing of the object.
     """
     if background not in BACKGROUNDS:
         raise InputError(f"background is {background!r}, expected one of {', '.join(BACKGROUNDS)}")
@@ -101,7 +98,7 @@ def network_input(
         )
     box = crop_box(view.box(), crop_share) if crop_share else whole_box(view.camera, view.name)
 
-    # Composite only the part of the photo that the crop meets: the photo may be large.
+    # Only the part of a large photo that the crop covers is composited.
     left, top = max(0, int(np.floor(box[0] + 0.5))), max(0, int(np.floor(box[1] + 0.5)))
     part = (slice(top, max(top, int(np.ceil(box[3] + 0.5)))), slice(left, max(left, int(np.ceil(box[2] + 0.5)))))
     shifted = (box[0] - left, box[1] - top, box[2] - left, box[3] - top)
@@ -109,22 +106,19 @@ def network_input(
     mask = view.mask[part]
     fill = 1.0 if background == "white" else 0.0
     if background != "keep":
-        opacity = mask[:, :, None]
-        pixels = pixels * opacity + np.float32(fill) * (1.0 - opacity)
-
+        pixels = pixels * mask[:, :, None] + np.float32(fill) * (1.0 - mask[:, :, None])
     values, coverage = area_resize(pixels, shifted, size, size)
     values = values * coverage[:, :, None] + fill * (1.0 - coverage[:, :, None])
-    counted = None if view.known is None else view.known[part]
-    shrunk, share = area_resize(mask, shifted, size, size, counted)
-    known = share >= 0.5
-    if not crop_share and not (shrunk[known] > 0.5).any():
+    cropped, known_share = area_resize(mask, shifted, size, size, None if view.known is None else view.known[part])
+    known = known_share >= 0.5
+    if not crop_share and not (cropped[known] > 0.5).any():
         raise InputError(
             f"{view.name}: nothing of the object lies in the {WHOLE:.2f} units around the world's origin that the network "
             "sees, expected a camera in the scale of its training set"
         )
     return NetworkInput(
         image=np.ascontiguousarray(np.clip(values, 0.0, 1.0).transpose(2, 0, 1), dtype=np.float32),
-        mask=np.where(known, np.clip(shrunk, 0.0, 1.0), 0.0).astype(np.float32),
+        mask=np.where(known, np.clip(cropped, 0.0, 1.0), 0.0).astype(np.float32),
         camera=view.camera.cropped(box, size, size),
         known=known,
         box=box,

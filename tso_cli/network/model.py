@@ -1,4 +1,4 @@
-"""The base network: a photo in, a cloud out. Layers as in tables 1 and 2 of the paper's supplement."""
+"""The base network, which predicts a cloud from a photo; layers as in tables 1 and 2 of the paper's supplement."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LATENT = 128
 IMAGE_SIZE = 64
 FRAMES = ("view", "canonical")
 SUPERVISIONS = ("points", "masks", "joint")
-# (output channels, filter size, stride) of the twelve convolutions; 64x64 shrinks to 4x4.
+# (output channels, filter size, stride); 64x64 shrinks to 4x4.
 CONVOLUTIONS = (
     (32, 3, 1),
     (32, 3, 1),
@@ -32,22 +32,20 @@ CONVOLUTIONS = (
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """What must be known to use a trained network; it travels inside the checkpoint.
+    """What a checkpoint says of its network.
 
     Parameters
     ----------
     points : N, size of the predicted cloud.
     image_size : side of the input image in pixels; always 64.
     frame : "view" (x right, y up, z toward the viewer) or "canonical" (the frame of the objects).
-    sigma_sq : variance of the projection kernel, px^2 of a 64x64 mask (sigma^2).
-    crop_share : share of the input's side that the object's box takes up; 0: the input keeps its size, and clouds are in the
-        scale of the training set instead of longest side 1 (see `network_input`).
-    background : "black", "white" or "keep".
-    training_set : what it was trained on, in words.
+    sigma_sq : variance of the projection kernel, px^2 of a 64x64 mask.
+    crop_share, background : of `network_input`; with a share of 0 clouds are in the scale of the training set instead of
+        longest side 1.
+    training_set : in words.
     supervision : "points" (3D, PSGN-FC), "masks" (2D) or "joint".
-    seed, steps : of the training run.
+    seed, steps, settings : of the training run.
     version : of tso.
-    settings : every other setting of the training run.
     """
 
     points: int = 1024
@@ -71,9 +69,9 @@ class Encoder(nn.Module):
         super().__init__()
         layers: list[nn.Module] = []
         channels = 3
-        for out, size, stride in CONVOLUTIONS:
-            layers += [nn.Conv2d(channels, out, size, stride, padding=size // 2), nn.ReLU()]
-            channels = out
+        for outputs, size, stride in CONVOLUTIONS:
+            layers += [nn.Conv2d(channels, outputs, size, stride, padding=size // 2), nn.ReLU()]
+            channels = outputs
         self.convolutions = nn.Sequential(*layers)
         self.latent = nn.Linear(channels * 4 * 4, LATENT)
 
@@ -108,28 +106,23 @@ class BaseNetwork(nn.Module):
 
 
 def build_network(points: int = 1024, seed: int = 0) -> BaseNetwork:
-    """A new network, initialised from ``seed`` alone (the global random state is neither read nor changed)."""
-    # Built without memory first, so that torch does not draw weights from its global generator.
+    """A new network with He initialisation from ``seed`` alone; torch's global random state is neither read nor changed.
+
+    Weights have variance 2 / fan-in before a ReLU, 1 / fan-in elsewhere; biases are zero. Torch's default has a sixth of that
+    variance, which shrinks the gradient by 2.4 a layer: the first convolution gets 1e-5 of the last layer's, and outputs
+    differ by 2e-7 between images, too little to start training at a rate of 5e-5.
+    """
+    # On "meta" torch draws no weights of its own from the global generator.
     with torch.device("meta"):
         network = BaseNetwork(Encoder(), Decoder(points))
     network = network.to_empty(device="cpu")
-    initialise(network, torch.Generator().manual_seed(seed))
-    return network
-
-
-def initialise(network: BaseNetwork, generator: torch.Generator) -> None:
-    """He initialisation: weights of variance 2 / fan-in before a ReLU, 1 / fan-in elsewhere, biases zero.
-
-    torch's own default has a sixth of that variance, so each of the fifteen layers would shrink the signal, and on the
-    way back the gradient, by 2.4: measured, the first convolution's gradient is 100,000 times smaller than the last
-    layer's and the output differs by 2e-7 from one image to the next, so that training at a rate of 5e-5 starts blind.
-    """
-    linear_output = (network.encoder.latent, network.decoder.layers[-1])
+    generator = torch.Generator().manual_seed(seed)
+    before_no_relu = (network.encoder.latent, network.decoder.layers[-1])
     with torch.no_grad():
         for module in network.modules():
             if isinstance(module, (nn.Conv2d, nn.Linear)):
-                fan_in = module.weight[0].numel()
-                gain = 1.0 if module in linear_output else math.sqrt(2.0)
-                module.weight.normal_(0.0, gain / math.sqrt(fan_in), generator=generator)
+                gain = 1.0 if module in before_no_relu else math.sqrt(2.0)
+                module.weight.normal_(0.0, gain / math.sqrt(module.weight[0].numel()), generator=generator)
                 if module.bias is not None:
                     module.bias.zero_()
+    return network

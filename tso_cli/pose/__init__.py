@@ -1,4 +1,4 @@
-"""The camera of a picture, from its mask and a cloud alone. Written in numpy: torch is not needed."""
+"""The camera of a picture, from its mask and a cloud alone, in numpy."""
 
 from __future__ import annotations
 

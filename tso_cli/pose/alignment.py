@@ -1,4 +1,4 @@
-"""Poses of a cloud before a mask: projection, and Gauss-Newton on two-way nearest neighbours in the image."""
+"""Poses of a cloud relative to a mask, improved by Gauss-Newton on two-way nearest neighbours in the image."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from ..geometry.rotations import from_vectors
 
 Array = NDArray[np.float64]
 
-# The nearest point of a cloud of radius 0.87 (longest side 1) keeps at least a tenth of the centre's depth.
+# Largest scale / focal: points of a cloud of radius 0.87 (longest side 1) keep at least a tenth of the centre's depth.
 LARGEST_NEARNESS = 1.0
-# Distances below this, px, are within the pixel: nothing is asked.
+# Distances below this, px, are within the pixel and count as zero.
 TOLERANCE = 0.5
 
 
@@ -22,13 +22,14 @@ TOLERANCE = 0.5
 class Poses:
     """P poses of one cloud of longest side 1 whose centre is the origin.
 
-    The pose of a camera is written so that focal length and distance part: ``scale`` px a unit at the centre's depth is what
-    the picture shows; ``focal`` then only says how strong the perspective is.
+    ``scale`` and ``focal`` separate size from perspective: the depth of the centre is focal / scale.
 
     Attributes
     ----------
-    R : [P, 3, 3] world to camera. centre : [P, 2] pixel of the cloud's centre.
-    scale : [P] px a unit at the depth of the centre. focal : [P] px. So the depth of the centre is focal / scale.
+    R : [P, 3, 3] world to camera.
+    centre : [P, 2] pixel of the cloud's centre.
+    scale : [P] px a unit at the depth of the centre.
+    focal : [P] px.
     """
 
     R: Array
@@ -44,11 +45,11 @@ class Poses:
 
     @classmethod
     def joined(cls, parts: Sequence[Poses]) -> Poses:
-        """All poses of several batches."""
+        """The poses of several batches in one."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
     def resized(self, factor: float) -> Poses:
-        """The same poses for an image of ``factor`` times as many pixels along a side (pixel centres at integers)."""
+        """The same poses for an image with ``factor`` times as many pixels along a side (pixel centres at integers)."""
         centre = (self.centre + 0.5) * factor - 0.5
         return Poses(self.R, centre, self.scale * factor, self.focal * factor)
 
@@ -60,19 +61,18 @@ class Target:
     Attributes
     ----------
     mask : [S, S] in [0, 1]. known : [S, S] weight of each pixel. principal : [2] of the whole picture, in these pixels.
-    cut : whether the object leaves the picture, so that points outside of it are no error.
+    truncated : whether the object leaves the picture, so that points outside of it are no error.
     """
 
     mask: Array
     known: Array
     principal: Array
-    cut: bool
+    truncated: bool
 
     def foreground(self) -> NDArray[np.bool_]:
-        """[S, S] the object; one so thin that no pixel is half covered still has its best covered ones."""
-        seen = self.mask * (self.known > 0.0)
-        covered: NDArray[np.bool_] = seen > 0.5 * seen.max()
-        return covered
+        """[S, S] the object: known pixels covered more than half as much as the best covered one, for thin objects."""
+        observed = self.mask * (self.known > 0.0)
+        return np.asarray(observed > 0.5 * observed.max())
 
     def inside(self) -> Array:
         """[M, 2] column and row of the object's pixels."""
@@ -80,7 +80,7 @@ class Target:
 
 
 def project(points: Array, poses: Poses, principal: Array) -> tuple[Array, Array, Array]:
-    """Pixels [P, N, 2] of ``points`` [N, 3]; with it the rotated points [P, N, 3] and 1 / relative depth [P, N]."""
+    """Pixels [P, N, 2] of ``points`` [N, 3], the rotated points [P, N, 3] and 1 / relative depth [P, N]."""
     rotated = points @ poses.R.transpose(0, 2, 1)
     nearness = (poses.scale / poses.focal)[:, None]
     inverse = 1.0 / np.maximum(1.0 + nearness * rotated[..., 2], 0.05)
@@ -91,35 +91,34 @@ def project(points: Array, poses: Poses, principal: Array) -> tuple[Array, Array
 def improve(
     points: Array, poses: Poses, target: Target, steps: int, prior: tuple[float | Array, float], robust: float
 ) -> Poses:
-    """Gauss-Newton: every mask pixel draws the nearest projected point, every stray point goes to the nearest mask pixel.
+    """Gauss-Newton steps: each mask pixel attracts the nearest projected point, each stray point the nearest mask pixel.
 
     Parameters
     ----------
     points : [N, 3], longest side 1, centred.
-    prior : focal length in px (one, or [P]) and the standard deviation of its logarithm, which hold ``focal``; a deviation of
-        0 fixes it.
-    robust : px; distances far beyond it hardly count (weights 1 / (1 + (d / robust)^2)).
+    prior : on the focal length: its mean, px (one, or [P]), and the standard deviation of its logarithm; 0 fixes it.
+    robust : scale of the weights 1 / (1 + (d / robust)^2) of distances d, px.
     """
     pixels = target.inside()
     for _ in range(steps):
         px, rotated, inverse = project(points, poses, target.principal)
         to_point, to_pixel = _nearest(pixels, px)
         rows = np.arange(len(poses))[:, None]
-        # Pairs of a point and where it should go, each direction with as much weight as the other.
-        every = np.broadcast_to(np.arange(len(points)), to_pixel.shape)
+        # Index, displacement and weight of each pair; the two directions weigh the same in all.
+        all_points = np.broadcast_to(np.arange(len(points)), to_pixel.shape)
         missing = to_point, pixels - px[rows, to_point], np.full(to_point.shape, 1.0 / len(pixels))
-        stray = every, pixels[to_pixel] - px, _counts(px, target) / len(points)
+        stray = all_points, pixels[to_pixel] - px, _stray_weights(px, target) / len(points)
         jacobian = _jacobian(px - target.principal, rotated, inverse, poses)
         normal, gradient = np.zeros((len(poses), 7, 7)), np.zeros((len(poses), 7))
-        for index, goal, share in (missing, stray):
-            distance = np.linalg.norm(goal, axis=2)
+        for index, displacement, pair_weight in (missing, stray):
+            distance = np.linalg.norm(displacement, axis=2)
             beyond = np.maximum(1.0 - TOLERANCE / np.maximum(distance, TOLERANCE), 0.0)
-            weight = np.sqrt(share * (beyond > 0.0) / (1.0 + np.square(distance / robust)))
+            weight = np.sqrt(pair_weight * (beyond > 0.0) / (1.0 + np.square(distance / robust)))
             J: Array = (jacobian[rows, index] * weight[..., None, None]).reshape(len(poses), -1, 7)
-            residual = (goal * (beyond * weight)[..., None]).reshape(len(poses), -1, 1)
+            residual = (displacement * (beyond * weight)[..., None]).reshape(len(poses), -1, 1)
             normal += J.transpose(0, 2, 1) @ J
             gradient += (J.transpose(0, 2, 1) @ residual)[..., 0]
-        poses = _moved(poses, normal, gradient, prior, target.mask.shape[0])
+        poses = _step(poses, normal, gradient, prior, target.mask.shape[0])
     return poses
 
 
@@ -133,14 +132,14 @@ def _nearest(pixels: Array, px: Array) -> tuple[NDArray[np.int64], NDArray[np.in
     return squared.argmin(1), to_pixel
 
 
-def _counts(px: Array, target: Target) -> Array:
-    """[P, N] 1 where a stray point is an error: on known background, and outside unless the object leaves the picture."""
+def _stray_weights(px: Array, target: Target) -> Array:
+    """[P, N] 1 where a point may be stray: on known pixels, and outside the mask unless the object is truncated."""
     size = target.mask.shape[0]
     cell = np.rint(px)
     within = ((cell >= 0) & (cell < size)).all(2)
     column, row = np.where(within[..., None], cell, 0).astype(np.int64).transpose(2, 0, 1)
     known = target.known[row, column] > 0.5
-    return np.where(within, known, not target.cut).astype(np.float64)
+    return np.where(within, known, not target.truncated).astype(np.float64)
 
 
 def _jacobian(offset: Array, rotated: Array, inverse: Array, poses: Poses) -> Array:
@@ -160,19 +159,18 @@ def _jacobian(offset: Array, rotated: Array, inverse: Array, poses: Poses) -> Ar
     return J
 
 
-def _moved(poses: Poses, normal: Array, gradient: Array, prior: tuple[float | Array, float], size: int) -> Poses:
+def _step(poses: Poses, normal: Array, gradient: Array, prior: tuple[float | Array, float], size: int) -> Poses:
     """One damped step of each pose."""
     focal, deviation = prior
-    # The prior weighs as residuals of a fiftieth of the image would.
-    held = 1e9 if deviation == 0.0 else (0.02 * size / deviation) ** 2
-    normal[:, 6, 6] += held
-    gradient[:, 6] += held * np.log(focal / poses.focal)
+    # One standard deviation weighs as much as residuals of a fiftieth of the image.
+    prior_weight = 1e9 if deviation == 0.0 else (0.02 * size / deviation) ** 2
+    normal[:, 6, 6] += prior_weight
+    gradient[:, 6] += prior_weight * np.log(focal / poses.focal)
     diagonal = np.einsum("pii->pi", normal)
     diagonal += 1e-3 * diagonal + 1e-6
     step: Array = np.asarray(np.linalg.solve(normal, gradient[..., None])[..., 0], np.float64)
-    # Half a radian and a third of the size at once are beyond what the linear model knows.
+    # The linear model holds for steps of up to 0.4 radian, or 0.4 in the logarithms of scale and focal length.
     step /= np.maximum(np.abs(step[:, [0, 1, 2, 5, 6]]).max(1, keepdims=True) / 0.4, 1.0)
     scale = poses.scale * np.exp(step[:, 5])
-    focal_now = np.maximum(poses.focal * np.exp(step[:, 6]), scale / LARGEST_NEARNESS)
-    turn: Array = step[:, :3]
-    return Poses(from_vectors(turn) @ poses.R, poses.centre + step[:, 3:5], scale, focal_now)
+    focal = np.maximum(poses.focal * np.exp(step[:, 6]), scale / LARGEST_NEARNESS)
+    return Poses(from_vectors(step[:, :3]) @ poses.R, poses.centre + step[:, 3:5], scale, focal)

@@ -1,9 +1,9 @@
-"""Pose, distance and focal length of a camera from a mask and a cloud, by search from many starts."""
+"""Pose, distance and focal length of a camera from a mask and a cloud, by multi-start search."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,36 +15,36 @@ from ..geometry.resampling import area_resize
 from ..geometry.rotations import angle_between
 from ..geometry.view import View
 from .alignment import Poses, Target, improve
-from .starts import apart, closed_iou, starts
+from .starts import closed_iou, distinct, starts
 
 Array = NDArray[np.float64]
 
-# The canonical camera's focal length, as a multiple of the image's longer side, and how far the logarithm may well be off.
+# Prior on the focal length: that of the canonical camera, in longer sides of the image, and the deviation of its logarithm.
 FOCAL = CANONICAL_FOCAL_AT_64 / 64.0
 FOCAL_DEVIATION = 0.35
 # Side of the square around the object, in sides of the mask's box.
 MARGIN = 1.3
-# The square's side in pixels, the points used and the Gauss-Newton steps of the search and of its end.
-SEARCH_SIZE, SEARCH_POINTS, SEARCH_STEPS = 32, 256, 12
+# Side of the square in pixels, points and Gauss-Newton steps, of the coarse and of the fine search.
+COARSE_SIZE, COARSE_POINTS, COARSE_STEPS = 32, 256, 12
 FINE_SIZE, FINE_POINTS, FINE_STEPS = 64, 512, 20
 SCORED_POINTS, FEWEST_POINTS = 1024, 16
-# Poses followed in the search, and how many of them to the end; those nearer than this to a better one are its doubles.
-FOLLOWED, FINISHED = 48, 12
-START_DOUBLES, DOUBLES = 20.0, 10.0
-# Poses farther apart than this are different answers.
-DIFFERENT = 20.0
+# Poses taken into each search, and the angle in degrees to a better pose below which one is dropped.
+COARSE_POSES, FINE_POSES = 48, 12
+COARSE_ANGLE, FINE_ANGLE = 20.0, 10.0
+# Smallest angle between alternative poses.
+ALTERNATIVE_ANGLE = 20.0
 # Clouds are thinned to this before farthest points are chosen.
 THINNED = 4096
-# A pose is sure if its IoU is at least the first and that of the next best answer is lower by the second.
+# A pose is sure if its IoU is at least the first and exceeds that of the best alternative by the second.
 SURE_IOU, SURE_GAP = 0.75, 0.05
 # Focal lengths tried, in multiples of the prior, and the loss of IoU up to which one fits as well.
 FOCAL_FACTORS = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
-AS_WELL = 0.01
+IOU_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another pose that fits: its camera, its IoU, and how far from the best it is turned, in degrees."""
+    """Another pose that fits: its camera, its IoU, and its angle to the best pose in degrees."""
 
     camera: Camera
     iou: float
@@ -53,16 +53,16 @@ class Alternative:
 
 @dataclass(frozen=True)
 class FittedCamera:
-    """A camera found from mask and cloud, and how sure it is.
+    """A camera fitted to mask and cloud, and its confidence.
 
     Attributes
     ----------
     camera : perspective, principal point in the middle of the image.
-    iou : of mask and cloud, both widened by the distance between points, so that the cloud's gaps do not count.
-    confidence : ``iou`` less that of the best alternative; small where the mask does not tell them apart.
+    iou : of mask and cloud, both dilated by the distance between points to close the cloud's gaps.
+    confidence : ``iou`` less that of the best alternative.
     alternatives : poses over 20 degrees from the best (and from each other) that are no symmetry of the cloud, best first.
-    focal_range : px, shortest and longest of the focal lengths tried (half to twice the prior) that fit as well (IoU within
-        0.01) once the rest of the pose is fitted to them. Wide: the mask does not say how strong the perspective is.
+    focal_range : px, shortest and longest of the focal lengths tried (half to twice the prior) with an IoU within 0.01 after
+        the rest of the pose is fitted to them.
     """
 
     camera: Camera
@@ -72,7 +72,7 @@ class FittedCamera:
     focal_range: tuple[float, float]
 
     def describe(self) -> str:
-        """In words, for the log."""
+        """One line for the log."""
         toward = np.clip(-self.camera.R[2], -1.0, 1.0)
         azimuth, elevation = math.degrees(math.atan2(toward[0], toward[2])) % 360.0, math.degrees(math.asin(toward[1]))
         focal, (low, high) = self.camera.K[0, 0], self.focal_range
@@ -91,33 +91,33 @@ class FittedCamera:
 
     @property
     def doubt(self) -> str:
-        """Why it is not sure, in words."""
+        """Why it is not sure."""
         if self.iou < SURE_IOU or not self.alternatives:
             return f"it brings the cloud onto the mask with an IoU of {self.iou:.3f}, which is sure from {SURE_IOU} on"
-        other = self.alternatives[0]
-        return f"one turned by {other.degrees:.0f} degrees fits about as well (IoU {other.iou:.2f}, its own {self.iou:.2f})"
+        next_best = self.alternatives[0]
+        fits = f"fits about as well (IoU {next_best.iou:.2f}, its own {self.iou:.2f})"
+        return f"one turned by {next_best.degrees:.0f} degrees {fits}"
 
 
 def fit_camera(
     points: ArrayLike, mask: ArrayLike, known: NDArray[np.bool_] | None = None, focal: float | None = None, name: str = "mask"
 ) -> FittedCamera:
-    """Find the camera that sees ``points`` where the mask is.
+    """Find the camera that projects ``points`` onto the mask. Deterministic.
 
-    2,700 poses over all directions are scored by coarse silhouettes; the best 48 that differ are improved by Gauss-Newton on
-    two-way nearest neighbours (every mask pixel draws the nearest projected point, every stray point goes to the nearest mask
-    pixel), then the best 12 at twice the resolution. No random numbers decide.
+    Scores 2,700 poses over all directions by coarse silhouettes, improves the best 48 distinct ones by Gauss-Newton on two-way
+    nearest neighbours in the image, then the best 12 at twice the resolution.
 
     Parameters
     ----------
     points : [N, 3], any unit; at least 16.
-    mask : [H, W] in [0, 1]. known : [H, W], False where it says nothing.
-    focal : px, about which the focal length is held (standard deviation 0.35 of its logarithm); None for the canonical 1.875
+    mask : [H, W] in [0, 1]. known : [H, W], False at ignored pixels.
+    focal : mean of the prior on the focal length, px (standard deviation 0.35 of the logarithm); None for the canonical 1.875
         times the longer side of the image.
     name : what messages call the mask.
 
     Returns
     -------
-    FittedCamera, for the frame and unit of ``points``. Size and distance are fixed by those.
+    FittedCamera, in the frame and unit of ``points``.
 
     Raises
     ------
@@ -135,36 +135,43 @@ def fit_camera(
     height, width = image.shape
     view = View(image, Camera.canonical(width, height), known, name)
     crop = _Crop.around(view)
-    prior = focal if focal is not None else FOCAL * max(width, height)
+    focal = FOCAL * max(width, height) if focal is None else focal
 
-    coarse, fine = crop.target(view, SEARCH_SIZE), crop.target(view, FINE_SIZE)
-    held = prior * SEARCH_SIZE / crop.side, FOCAL_DEVIATION
-    some, fewer = local[:FINE_POINTS], local[:SEARCH_POINTS]
-    poses, score = starts(some, coarse, held[0])
-    poses = improve(fewer, poses[apart(poses, score, START_DOUBLES, FOLLOWED)], coarse, SEARCH_STEPS, held, 6.0)
-    score = closed_iou(some, poses, coarse, _spacing(some))
-    zoom = FINE_SIZE / SEARCH_SIZE
-    poses, held = poses[apart(poses, score, DOUBLES, FINISHED)].resized(zoom), (held[0] * zoom, FOCAL_DEVIATION)
-    poses = improve(some, poses, fine, FINE_STEPS, held, 4.0)
-    reach = _spacing(local)
-    score = closed_iou(local, poses, fine, reach)
-    order = apart(poses, score, DIFFERENT, len(poses))
+    coarse, fine = crop.target(view, COARSE_SIZE), crop.target(view, FINE_SIZE)
+    zoom = FINE_SIZE / COARSE_SIZE
+    coarse_focal = focal * COARSE_SIZE / crop.side
+    fine_focal = coarse_focal * zoom
+    fine_points, coarse_points = local[:FINE_POINTS], local[:COARSE_POINTS]
+    poses, score = starts(fine_points, coarse, coarse_focal)
+    poses = poses[distinct(poses, score, COARSE_ANGLE, COARSE_POSES)]
+    poses = improve(coarse_points, poses, coarse, COARSE_STEPS, (coarse_focal, FOCAL_DEVIATION), 6.0)
+    score = closed_iou(fine_points, poses, coarse, _spacing(fine_points))
+    poses = poses[distinct(poses, score, FINE_ANGLE, FINE_POSES)].resized(zoom)
+    poses = improve(fine_points, poses, fine, FINE_STEPS, (fine_focal, FOCAL_DEVIATION), 4.0)
+    spacing = _spacing(local)
+    score = closed_iou(local, poses, fine, spacing)
+    order = distinct(poses, score, ALTERNATIVE_ANGLE, len(poses))
     poses, score = poses[order], score[order]
 
-    others = [i for i in range(1, len(poses)) if not _same_by_symmetry(local, poses.R[0], poses.R[i], reach)]
-    best = poses[:1]
+    cameras = [crop.camera(poses[i : i + 1], view, centre, unit) for i in range(len(poses))]
+    ious, degrees = score.tolist(), angle_between(poses.R, poses.R[0]).tolist()
     alternatives = tuple(
-        Alternative(
-            crop.camera(poses[i : i + 1], view, centre, unit), float(score[i]), float(angle_between(poses.R[i], poses.R[0]))
-        )
-        for i in others
+        Alternative(cameras[i], ious[i], degrees[i])
+        for i in range(1, len(poses))
+        if not _same_by_symmetry(local, poses.R[0], poses.R[i], spacing)
     )
+    # Focal lengths that fit as well once the rest of the pose is fitted to them.
+    repeats = np.zeros(len(FOCAL_FACTORS), dtype=np.int64)
+    fixed = replace(poses[repeats], focal=fine_focal * FOCAL_FACTORS)
+    fixed = improve(fine_points, fixed, fine, FINE_STEPS // 2, (fixed.focal, 0.0), 4.0)
+    fits = closed_iou(local, fixed, fine, spacing) >= ious[0] - IOU_TOLERANCE
+    focal_lengths = np.append(fixed.focal[fits], poses.focal[0]) * crop.side / FINE_SIZE
     return FittedCamera(
-        crop.camera(best, view, centre, unit),
-        float(score[0]),
-        float(score[0] - score[others[0]]) if others else float(score[0]),
+        cameras[0],
+        ious[0],
+        ious[0] - alternatives[0].iou if alternatives else ious[0],
         alternatives,
-        crop.in_pixels(_focal_range(local, some, best, fine, held[0], float(score[0]), reach)),
+        (float(focal_lengths.min()), float(focal_lengths.max())),
     )
 
 
@@ -187,23 +194,19 @@ class _Crop:
         mask, known = area_resize(view.mask, box, size, size, weights=view.known)
         middle = view.camera.K[:2, 2]
         left, top, right, bottom = view.box()
-        cut = left < 0 or top < 0 or right > view.camera.width - 1 or bottom > view.camera.height - 1
-        return Target(mask, known, (middle - [self.left, self.top]) * (size / self.side) - 0.5, cut)
-
-    def in_pixels(self, lengths: Array) -> tuple[float, float]:
-        """The shortest and longest of ``lengths``, taken from the fine target's pixels to the image's."""
-        return float(lengths.min()) * self.side / FINE_SIZE, float(lengths.max()) * self.side / FINE_SIZE
+        truncated = left < 0 or top < 0 or right > view.camera.width - 1 or bottom > view.camera.height - 1
+        return Target(mask, known, (middle - [self.left, self.top]) * (size / self.side) - 0.5, truncated)
 
     def camera(self, poses: Poses, view: View, centre: Array, unit: float) -> Camera:
-        """The one pose, of the fine target, as a camera of the image that sees the cloud in its own units."""
+        """The one pose, of the fine target, as a camera of the image for the cloud in its own units."""
         zoom = self.side / FINE_SIZE
         K = view.camera.K.copy()
         K[0, 0] = K[1, 1] = poses.focal[0] * zoom
-        at = (poses.centre[0] + 0.5) * zoom + [self.left, self.top]
-        # The product of many small turns, made a rotation to the last bit.
+        # A product of many small turns is a rotation only up to rounding.
         u, _, vt = np.linalg.svd(poses.R[0])
         R = u @ vt
-        t = np.append(at - K[:2, 2], K[0, 0]) / (poses.scale[0] * zoom)
+        offset = (poses.centre[0] + 0.5) * zoom + [self.left, self.top] - K[:2, 2]
+        t = np.append(offset, K[0, 0]) / (poses.scale[0] * zoom)
         return Camera(K, R, t * unit - R @ centre, view.camera.width, view.camera.height)
 
 
@@ -223,20 +226,10 @@ def _spacing(points: Array) -> float:
 
 
 def _same_by_symmetry(points: Array, first: Array, second: Array, spacing: float) -> bool:
-    """Whether the cloud, turned as the two camera rotations differ, lies on itself to within its own spacing."""
+    """Whether the cloud, rotated by the difference of the two camera rotations, coincides with itself to within its spacing."""
     from scipy.spatial import cKDTree
 
     turned = points @ (first.T @ second)
-    there, _ = cKDTree(points).query(turned)
-    back, _ = cKDTree(turned).query(points)
-    return bool(max(np.square(there).mean(), np.square(back).mean()) < spacing**2)
-
-
-def _focal_range(points: Array, some: Array, best: Poses, target: Target, prior: float, score: float, reach: float) -> Array:
-    """The focal lengths, px of the target, that fit as well as the best pose once the rest is fitted to them."""
-    count = len(FOCAL_FACTORS)
-    R, centre, scale = (np.repeat(part, count, 0) for part in (best.R, best.centre, best.scale))
-    tried = Poses(R, centre, scale, prior * FOCAL_FACTORS)
-    fitted = improve(some, tried, target, FINE_STEPS // 2, (tried.focal, 0.0), 4.0)
-    fits = closed_iou(points, fitted, target, reach) >= score - AS_WELL
-    return np.append(fitted.focal[fits], best.focal)
+    forward, _ = cKDTree(points).query(turned)
+    backward, _ = cKDTree(turned).query(points)
+    return bool(max(np.square(forward).mean(), np.square(backward).mean()) < spacing**2)

@@ -1,4 +1,4 @@
-"""Many poses to start from, scored at once by coarse silhouettes."""
+"""Starting poses over all directions, and the scores of poses."""
 
 from __future__ import annotations
 
@@ -10,48 +10,43 @@ from .alignment import Poses, Target, project
 
 Array = NDArray[np.float64]
 
-# Viewing directions 16 degrees apart, each with turns of 20 degrees about it.
+# Viewing directions 16 degrees apart, each with in-plane turns of 20 degrees.
 DIRECTIONS, TURNS = 150, 18
 # Poses scored at once; bounds memory.
 AT_ONCE = 600
-# Cells around the image in which points outside of it are counted.
+# Cells around the image that collect the points outside of it.
 BORDER = 2
 
 
 def starts(points: Array, target: Target, focal: float) -> tuple[Poses, Array]:
     """Starting poses over all directions, and their scores (`coarse_iou`).
 
-    Scale and centre of each are those that give the box of the projected points the area and the middle of the mask's.
-
-    Parameters
-    ----------
-    points : [N, 3], longest side 1, centred.
-    focal : px of the target.
+    Scale and centre give the box of the projected points, [N, 3] of longest side 1 and centred, the area and the middle of the
+    mask's box. ``focal`` is in px of the target.
     """
     rotations = spread(DIRECTIONS, TURNS)
     inside = target.inside()
     low, high = inside.min(0) - 0.5, inside.max(0) + 0.5
     middle, size = (low + high) / 2.0, float(np.sqrt(np.prod(high - low)))
-    found, scores = [], []
-    for part in (rotations[i : i + AT_ONCE] for i in range(0, len(rotations), AT_ONCE)):
-        count = len(part)
-        poses = Poses(part, np.tile(middle, (count, 1)), np.full(count, min(size, focal)), np.full(count, focal))
-        # Perspective makes the box about proportional to the scale: twice comes near enough.
+    batches, scores = [], []
+    for R in (rotations[i : i + AT_ONCE] for i in range(0, len(rotations), AT_ONCE)):
+        poses = Poses(R, np.tile(middle, (len(R), 1)), np.full(len(R), min(size, focal)), np.full(len(R), focal))
+        # The box is only about proportional to the scale, because of perspective; two iterations are enough.
         for _ in range(2):
             px, _, _ = project(points, poses, target.principal)
             first, last = px.min(1), px.max(1)
-            grow = size / np.sqrt(np.maximum(np.prod(last - first, axis=1), 1.0))
+            growth = size / np.sqrt(np.maximum(np.prod(last - first, axis=1), 1.0))
             centre = poses.centre + (middle - (first + last) / 2.0)
-            poses = Poses(part, centre, np.minimum(poses.scale * grow, focal), poses.focal)
-        found.append(poses)
+            poses = Poses(R, centre, np.minimum(poses.scale * growth, focal), poses.focal)
+        batches.append(poses)
         scores.append(coarse_iou(points, poses, target))
-    return Poses.joined(found), np.concatenate(scores)
+    return Poses.joined(batches), np.concatenate(scores)
 
 
 def coarse_iou(points: Array, poses: Poses, target: Target) -> Array:
-    """Soft IoU [P] of the mask and the cells that points fall in, both spread over their neighbours.
+    """Soft IoU [P] of the mask and the cells that points fall in, both dilated.
 
-    Spreading only the points would favour poses that make the cloud small and so dense.
+    Dilating only the points would favour poses that make the cloud small and so dense.
     """
     size = target.mask.shape[0]
     px, _, _ = project(points, poses, target.principal)
@@ -59,19 +54,19 @@ def coarse_iou(points: Array, poses: Poses, target: Target) -> Array:
     wide = size + 2 * BORDER
     flat = (np.arange(len(poses))[:, None] * wide + cell[..., 1]) * wide + cell[..., 0]
     hits = np.bincount(flat.ravel(), minlength=len(poses) * wide * wide).reshape(-1, wide, wide).astype(np.float32)
-    own = slice(BORDER, -BORDER)
-    silhouette = _spread_out(hits)[:, own, own]
-    mask = _spread_out(np.pad(target.mask, BORDER)[None].astype(np.float32))[:, own, own]
+    inner = slice(BORDER, -BORDER)
+    silhouette = _dilated(hits)[:, inner, inner]
+    mask = _dilated(np.pad(target.mask, BORDER)[None].astype(np.float32))[:, inner, inner]
     known = target.known.astype(np.float32)
-    common = (np.minimum(silhouette, mask) * known).sum((1, 2))
-    either = (np.maximum(silhouette, mask) * known).sum((1, 2))
-    outside = 0.0 if target.cut else hits.sum((1, 2)) - hits[:, own, own].sum((1, 2))
-    iou: Array = common / (either + outside)
+    intersection = (np.minimum(silhouette, mask) * known).sum((1, 2))
+    union = (np.maximum(silhouette, mask) * known).sum((1, 2))
+    outside = 0.0 if target.truncated else hits.sum((1, 2)) - hits[:, inner, inner].sum((1, 2))
+    iou: Array = intersection / (union + outside)
     return iou
 
 
-def _spread_out(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """What covers a cell covers half of the cells around it, and is never more than 1."""
+def _dilated(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A covered cell covers the cells beside it too, and half of those diagonal to it; at most 1."""
     soft = 2.0 * image
     for axis in (1, 2):
         soft = soft + 0.5 * (np.roll(soft, 1, axis) + np.roll(soft, -1, axis))
@@ -79,10 +74,10 @@ def _spread_out(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return covered
 
 
-def closed_iou(points: Array, poses: Poses, target: Target, reach: float) -> Array:
-    """IoU [P] of mask and cloud, both widened by ``reach`` (units of the cloud): gaps between points are closed, alike in both.
+def closed_iou(points: Array, poses: Poses, target: Target, radius: float) -> Array:
+    """IoU [P] of mask and cloud, both dilated by ``radius`` (units of the cloud), which closes the gaps between points.
 
-    Unlike the IoU of a Gaussian silhouette it does not depend on how densely the cloud is sampled or how large it is seen.
+    Unlike the IoU of a Gaussian silhouette it depends neither on the cloud's density nor on its size in the picture.
     """
     from scipy.ndimage import distance_transform_edt
 
@@ -94,13 +89,13 @@ def closed_iou(points: Array, poses: Poses, target: Target, reach: float) -> Arr
         px = px.astype(np.float32)
         squared = (grid @ (-2.0 * px.T) + np.square(px).sum(1)).min(1) + np.square(grid).sum(1)
         to_point = np.sqrt(np.maximum(squared, 0.0)).reshape(size, size)
-        # A pixel belongs to a widened shape by the share of it that lies within reach.
-        cloud, mask = (np.clip(reach * scale + 0.5 - distance, 0.0, 1.0) for distance in (to_point, to_mask))
+        # Soft coverage of a pixel at the border of a dilated shape.
+        cloud, mask = (np.clip(radius * scale + 0.5 - distance, 0.0, 1.0) for distance in (to_point, to_mask))
         scores[i] = (np.minimum(cloud, mask) * target.known).sum() / (np.maximum(cloud, mask) * target.known).sum()
     return scores
 
 
-def apart(poses: Poses, score: Array, degrees: float, count: int) -> NDArray[np.int64]:
+def distinct(poses: Poses, score: Array, degrees: float, count: int) -> NDArray[np.int64]:
     """Indices of at most ``count`` poses, best first, none within ``degrees`` of a better one."""
     order = np.argsort(-score, kind="stable")
     chosen: list[int] = []

@@ -1,21 +1,19 @@
-"""Meshes -> images, masks, cameras and ground truth, by casting rays.
+"""Images, masks, cameras and ground truth of meshes, by ray casting.
 
-Every mesh is first centred on its bounding box and scaled to longest side 1. y is up; azimuth 0 looks along -z at the side
-that faces +z, and grows toward +x; the camera looks at the origin. At azimuth and elevation 0 its R is the canonical one.
+Meshes are centred on their bounding box and scaled to longest side 1. y is up; the camera looks at the origin, at azimuth 0
+along -z; azimuth grows toward +x. At azimuth and elevation 0 its R is the canonical one.
 """
 
 from __future__ import annotations
 
-from .folder import RenderSummary, render_folder
-from .objects import RenderedObject, ground_truth, normalise, render_mesh
+from .folder import render_folder
+from .objects import ground_truth, normalise, render_mesh
 from .rays import RayScene, RenderedView, render_view
 from .viewpoints import RenderSettings, fitting_distance, look_at, sample_cameras
 
 __all__ = [
     "RayScene",
     "RenderSettings",
-    "RenderSummary",
-    "RenderedObject",
     "RenderedView",
     "fitting_distance",
     "ground_truth",

@@ -1,4 +1,4 @@
-"""A mesh file, or a folder of them: rendered into a folder, object by object."""
+"""Rendering of a mesh file, or of a folder of them, into a folder of objects."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,9 +23,9 @@ from .viewpoints import RenderSettings
 
 @dataclass(frozen=True)
 class RenderSummary:
-    """What render_folder did.
+    """What `render_folder` did.
 
-    written, skipped : names of the objects rendered now and of those that were there already; failed : name -> why not.
+    written, skipped : names of the objects rendered by it, and of those rendered before; failed : name -> why.
     """
 
     folder: Path
@@ -45,20 +46,20 @@ def render_folder(
     """Render a mesh, or every mesh of a folder, into ``output``/NAME as `datasets.rendered` describes.
 
     NAME is the file's path below ``source`` without suffix, NAME~0001 and so on its warped copies. An object is written whole
-    or not at all and depends only on its mesh, its name, ``settings`` and ``seed``, so that a run that was stopped can be
-    started again and goes on: what is there and was made alike is skipped, and what a killed run left of an object is removed.
-    A mesh of a folder that cannot be rendered is left out and named in ``failed``.
+    or not at all and depends only on its mesh, its name, ``settings`` and ``seed``. A run after a stopped one therefore skips
+    the objects that are complete, and removes what a killed run left of others. A mesh of a folder that cannot be rendered is
+    left out and named in ``failed``.
 
     Parameters
     ----------
-    progress : called with objects done, objects in all and the name of the last one.
-    only : names of the meshes to render; None renders all.
+    progress : called with the number of objects done, their total and the name of the last one.
+    only : names of the meshes to render; None for all.
 
     Raises
     ------
     InputError
-        There is no mesh, or one of ``only`` is missing; ``output`` cannot be a folder; two meshes have one name; an object is
-        there that other settings made and ``overwrite`` is false; no mesh could be rendered.
+        There is no mesh, or one of ``only`` is missing; ``output`` cannot be a folder; two meshes have the same name; an object
+        was rendered with other settings and ``overwrite`` is false; no mesh could be rendered.
     TsoError
         open3d is missing, or writing failed.
     """
@@ -68,39 +69,29 @@ def render_folder(
     _check_folder(output)
     meshes = _names(source, output)
     if only is not None:
-        missing = sorted(set(only) - set(meshes))
+        names = set(only)
+        missing = sorted(names - set(meshes))
         if missing:
-            raise InputError(
-                f"{source}: has no mesh {missing[0]} ({len(missing)} of {len(set(only))} are missing), expected it"
-            )
-        meshes = {name: path for name, path in meshes.items() if name in set(only)}
+            raise InputError(f"{source}: has no mesh {missing[0]} ({len(missing)} of {len(names)} are missing), expected it")
+        meshes = {name: path for name, path in meshes.items() if name in names}
     record = {"tso": __version__, "seed": seed, **asdict(settings)}
     summary = RenderSummary(output)
-    waiting: list[tuple[str, Path, int]] = []
-    # All of what is there is looked at before the work starts: a clash of settings should not show after an hour.
     objects = [(copied(name, copy), path, copy) for name, path in meshes.items() for copy in range(settings.copies + 1)]
     sweep(output / name for name, _, _ in objects)
+    # Before the work starts, so that a clash of settings does not show after an hour.
+    waiting = []
     for name, path, copy in objects:
-        found = stored_record(output / name)
-        if found is None or overwrite:
+        if _is_rendered(output / name, record, overwrite):
+            summary.skipped.append(name)
+        else:
             waiting.append((name, path, copy))
-            continue
-        for key, value in record.items():
-            value = list(value) if isinstance(value, tuple) else value
-            # More copies may be asked for later.
-            if key not in ("tso", "copies") and found.get(key) != value:
-                raise InputError(
-                    f"{output / name}: was rendered with {key} {found.get(key)}, now it is {value}; "
-                    "expected the same settings, --overwrite or another output folder"
-                )
-        summary.skipped.append(name)
-    # The copies of a mesh follow it, so one is kept.
-    read = lru_cache(1)(partial(read_mesh, within=Path(source) if Path(source).is_dir() else None))
-    for done, (name, path, copy) in enumerate(waiting):
+    # The copies of a mesh come one after another, so one mesh is cached.
+    read = lru_cache(1)(partial(read_mesh, within=source if source.is_dir() else None))
+    for done, (name, path, copy) in enumerate(waiting, 1):
         try:
             rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
             mesh = read(path)
-            rendered = render_mesh(warp(normalise(mesh), rng) if copy else mesh, settings, rng, name)
+            rendered = render_mesh(warp(normalise(mesh), rng) if copy else mesh, settings, rng)
         except InputError as error:
             if len(objects) == 1:
                 raise
@@ -110,10 +101,25 @@ def render_folder(
             write_object(output / name, views, rendered.samples, rendered.target, {"mesh": path.name, **record}, overwrite)
             summary.written.append(name)
         if progress is not None:
-            progress(done + 1, len(waiting), name)
+            progress(done, len(waiting), name)
     if summary.failed and not (summary.written or summary.skipped):
         raise InputError(f"none of {len(objects)} objects could be rendered, the first: {next(iter(summary.failed.values()))}")
     return summary
+
+
+def _is_rendered(folder: Path, record: dict[str, Any], overwrite: bool) -> bool:
+    """Whether the object is complete and stays; InputError if its settings differ from those of ``record``."""
+    stored = stored_record(folder)
+    if stored is None or overwrite:
+        return False
+    for key, value in record.items():
+        value = list(value) if isinstance(value, tuple) else value
+        if key not in ("tso", "copies") and stored.get(key) != value:
+            raise InputError(
+                f"{folder}: was rendered with {key} {stored.get(key)}, now it is {value}; "
+                "expected the same settings, --overwrite or another output folder"
+            )
+    return True
 
 
 def _check_folder(output: Path) -> None:
@@ -125,14 +131,14 @@ def _check_folder(output: Path) -> None:
 
 
 def _names(source: Path, output: Path) -> dict[str, Path]:
-    """Name of each object -> its mesh."""
+    """Name -> mesh, for every mesh of ``source`` but those that lie in ``output``."""
     if not source.is_dir():
         return {source.stem: source}
-    inside = output.resolve()
+    written = output.resolve()
     meshes: dict[str, Path] = {}
     for path in find_meshes(source):
-        if inside != source.resolve() and inside in path.resolve().parents:
-            continue  # written by an earlier run
+        if written != source.resolve() and written in path.resolve().parents:
+            continue
         name = path.relative_to(source).with_suffix("").as_posix()
         if name in meshes:
             raise InputError(f"{path}: would be rendered as {name}, as would {meshes[name]}; expected different names")

@@ -1,4 +1,4 @@
-"""One mesh: all its pictures and its ground truth."""
+"""All pictures and the ground truth of one mesh."""
 
 from __future__ import annotations
 
@@ -21,14 +21,13 @@ class RenderedObject:
     samples : [S, 3] float32 points of the surface; target : [P, 3] float32, the farthest-point subset of them.
     """
 
-    name: str
     views: list[RenderedView]
     samples: NDArray[np.float32]
     target: NDArray[np.float32]
 
 
 def normalise(mesh: Mesh) -> Mesh:
-    """The mesh centred on the bounding box of its faces and scaled to longest side 1, without vertices no face uses."""
+    """The mesh centred on its bounding box and scaled to longest side 1, without the vertices that no face uses."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
     vertices = mesh.vertices[used]
     low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -42,10 +41,10 @@ def ground_truth(mesh: Mesh, settings: RenderSettings, rng: np.random.Generator)
     return samples, samples[farthest_point_sample(samples, settings.points)]
 
 
-def render_mesh(mesh: Mesh, settings: RenderSettings, rng: np.random.Generator, name: str = "object") -> RenderedObject:
-    """Normalise ``mesh``, draw its views and its ground truth."""
+def render_mesh(mesh: Mesh, settings: RenderSettings, rng: np.random.Generator) -> RenderedObject:
+    """Normalise ``mesh``, render its views and sample its ground truth."""
     mesh = normalise(paint(mesh, rng) if settings.paint else mesh)
     scene = RayScene(mesh)
     views = [render_view(scene, camera, rng) for camera in sample_cameras(settings, mesh.vertices, rng)]
     samples, target = ground_truth(mesh, settings, rng)
-    return RenderedObject(name, views, samples.astype(np.float32), target.astype(np.float32))
+    return RenderedObject(views, samples.astype(np.float32), target.astype(np.float32))

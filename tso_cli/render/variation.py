@@ -1,4 +1,4 @@
-"""More shapes from few: warped and painted copies of a mesh, for training only."""
+"""Data augmentation: warped and painted copies of a mesh."""
 
 from __future__ import annotations
 
@@ -10,19 +10,15 @@ from numpy.typing import NDArray
 from ..io.meshes import Mesh
 
 MAX_STRETCH = 0.3
-"""Half the range, in logarithms, of the factor by which each axis is stretched; the other deformations follow it."""
+"""Largest logarithm of the factor by which an axis is stretched; the other deformations scale with it."""
 
 
 def warp(mesh: Mesh, rng: np.random.Generator, strength: float = MAX_STRETCH) -> Mesh:
     """A smoothly deformed copy of a normalised ``mesh`` (centred, longest side 1, y up).
 
-    The axes are stretched; each coordinate is moved along itself by a sine; the shape tapers and leans with height, and its
-    sides are swept back along the other horizontal axis. Stretch, sine and taper keep every mirror plane through the origin;
-    the lean and the sweep keep the one across the axis that they move points along.
-
-    Parameters
-    ----------
-    strength : 0.3 changes proportions by up to a third, as between chairs of one kind; 0 changes nothing.
+    Stretches the axes, displaces each coordinate by a sine of itself, tapers and shears with height, and sweeps the sides back
+    along the other horizontal axis. One of the upright mirror planes through the origin is kept: shear and sweep move points
+    along one and the same axis. A ``strength`` of 0.3 changes proportions by up to a third, as between chairs of one kind.
     """
     points = mesh.vertices * np.exp(rng.uniform(-strength, strength, 3))
     points /= max(float(np.ptp(points, axis=0).max()), 1e-12)
@@ -36,7 +32,7 @@ def warp(mesh: Mesh, rng: np.random.Generator, strength: float = MAX_STRETCH) ->
 
 
 def paint(mesh: Mesh, rng: np.random.Generator) -> Mesh:
-    """The same shape with a random colour on each connected part; parts often share one, as on real objects."""
+    """The mesh with a random colour of a small palette on each connected part."""
     part = connected_parts(mesh.faces, len(mesh.vertices))
     count = int(part.max()) + 1
     palette = rng.integers(1, 4)
@@ -46,7 +42,7 @@ def paint(mesh: Mesh, rng: np.random.Generator) -> Mesh:
 
 
 def connected_parts(faces: NDArray[np.int64], vertices: int) -> NDArray[np.int64]:
-    """For each of ``faces`` [F, 3] the number of its part, from 0; faces that share a vertex are of one part."""
+    """For each of ``faces`` [F, 3] the number of its connected part, from 0; faces that share a vertex are connected."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

@@ -1,8 +1,8 @@
-"""What to render, and where the cameras stand."""
+"""Render settings and camera placement."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,29 +11,23 @@ from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_FOCAL_AT_64, Camera
 from ..geometry.points import Array
 
 MARGIN_PX = 2.0
-"""Free border left around the object when the distance is chosen here."""
+"""Border around the object in pictures of `fitting_distance`."""
 
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """What to render of every mesh.
+    """What to render of every mesh. Raises InputError for impossible values.
 
     Parameters
     ----------
     views : pictures of each object.
     size : width, height in pixels.
-    azimuth, elevation : range in degrees from which each view draws uniformly.
-    distance : of the camera from the centre, in longest sides; None takes for each view the smallest, 2 or more, at which the
-        whole object is in the picture.
-    focal : focal length in pixels; None is 120 for each 64 of the longer side.
+    azimuth, elevation : range in degrees from which each view is drawn uniformly.
+    distance : of the camera from the centre, in longest sides; None for `fitting_distance`.
+    focal : focal length in pixels; None for 120 for each 64 of the longer side.
     samples : points drawn from the surface; points : how many of them farthest-point sampling keeps.
-    copies : how many warped copies of each mesh are rendered beside it (see `variation.warp`), for training.
-    paint : give each connected part a random colour; False keeps the mesh's own, or grey.
-
-    Raises
-    ------
-    InputError
-        A number is outside what makes sense.
+    copies : warped copies of each mesh rendered beside it (see `variation.warp`), for training.
+    paint : give each connected part a random colour; False keeps the mesh's colours.
     """
 
     views: int = 24
@@ -67,9 +61,9 @@ class RenderSettings:
 
 
 def look_at(azimuth: float, elevation: float, distance: float, size: tuple[int, int], focal: float | None = None) -> Camera:
-    """The camera at ``azimuth`` and ``elevation`` (degrees), ``distance`` from the origin and looking at it.
+    """The camera at ``azimuth`` and ``elevation`` (degrees) and ``distance`` that looks at the origin.
 
-    ``size`` is width, height; ``focal`` is in pixels, None is 120 for each 64 of the longer side.
+    ``size`` is width, height; ``focal`` is in pixels, None for 120 for each 64 of the longer side.
     """
     width, height = size
     focal = CANONICAL_FOCAL_AT_64 * max(size) / 64.0 if focal is None else focal
@@ -85,30 +79,28 @@ def look_at(azimuth: float, elevation: float, distance: float, size: tuple[int, 
 def fitting_distance(vertices: Array, camera: Camera, margin: float = MARGIN_PX) -> float:
     """Smallest distance, 2 or more, at which ``vertices`` [V, 3] lie inside the picture of ``camera`` less ``margin`` px.
 
-    Exact: with x, z the coordinates of a vertex in the camera's axes, |fx x| / (z + d) <= W/2 - margin holds from
-    d = |fx x| / (W/2 - margin) - z on; the same for y, and the largest over the vertices is taken.
+    With x, z the coordinates of a vertex in the camera's axes, |fx x| / (z + d) <= W/2 - margin from
+    d = |fx x| / (W/2 - margin) - z on; the same for y.
     """
     half = np.array([camera.width, camera.height]) / 2.0
     half -= np.minimum(margin, half / 4.0)
-    turned = vertices @ camera.R.T
-    needed = np.abs(turned[:, :2]) * camera.K[[0, 1], [0, 1]] / half - turned[:, 2:]
-    # The last term keeps every vertex in front of the camera, also those on its axis.
-    return float(max(CANONICAL_DISTANCE, needed.max(), 0.01 - turned[:, 2].min()))
+    rotated = vertices @ camera.R.T
+    distances = np.abs(rotated[:, :2]) * camera.K[[0, 1], [0, 1]] / half - rotated[:, 2:]
+    # The last term keeps vertices on the optical axis in front of the camera.
+    return float(max(CANONICAL_DISTANCE, distances.max(), 0.01 - rotated[:, 2].min()))
 
 
 def sample_cameras(settings: RenderSettings, vertices: Array, rng: np.random.Generator) -> list[Camera]:
-    """Cameras on random directions around the normalised ``vertices`` [V, 3], as ``settings`` says.
+    """Cameras in random directions from the normalised ``vertices`` [V, 3].
 
     Raises InputError if a fixed distance puts the camera inside the object.
     """
     cameras = []
     for _ in range(settings.views):
-        azimuth = rng.uniform(*settings.azimuth)
-        elevation = rng.uniform(*settings.elevation)
+        azimuth, elevation = rng.uniform(*settings.azimuth), rng.uniform(*settings.elevation)
         camera = look_at(azimuth, elevation, settings.distance or CANONICAL_DISTANCE, settings.size, settings.focal)
         if settings.distance is None:
-            distance = fitting_distance(vertices, camera)
-            camera = look_at(azimuth, elevation, distance, settings.size, settings.focal)
+            camera = replace(camera, t=np.array([0.0, 0.0, fitting_distance(vertices, camera)]))
         elif camera.t[2] + (vertices @ camera.R[2]).min() <= 0.0:
             raise InputError(
                 f"distance is {settings.distance:g}: the camera would stand inside the object, "

@@ -1,8 +1,9 @@
-"""What stands behind the object in a training picture: crops of photos, or generated textures."""
+"""Backgrounds of training pictures: crops of photos, or generated textures."""
 
 from __future__ import annotations
 
 import warnings
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from ..network.model import IMAGE_SIZE
 Floats = NDArray[np.float32]
 TEXTURES = "textures"
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
-# Photos kept in memory, their longer side shrunk to this many pixels: 0.2 MB each.
+# Photos kept in memory, 0.2 MB each, and the longest side they are shrunk to, in pixels.
 MOST_PHOTOS, PHOTO_SIDE = 2000, 256
 
 
@@ -26,7 +27,7 @@ class Backgrounds:
     Parameters
     ----------
     source : a folder of photos, or "textures" for generated ones (smooth noise at several scales over a gradient).
-    strict : a photo that cannot be read is an error; else it is named once and the next one takes its place.
+    strict : a photo that cannot be read is an error; else it is warned of once, and the next one takes its place.
 
     Attributes
     ----------
@@ -35,13 +36,13 @@ class Backgrounds:
     Raises
     ------
     InputError
-        The folder is missing or holds no picture; or none of them can be read, with ``strict`` the first that is drawn.
+        The folder is missing or holds no picture; or, when drawing, none can be read (with ``strict``: the one drawn).
     """
 
     def __init__(self, source: str, strict: bool = False) -> None:
         self.source, self.strict = source, strict
         self.unusable: dict[str, str] = {}
-        self._photos: dict[Path, NDArray[np.uint8]] = {}
+        self._photo = lru_cache(MOST_PHOTOS)(_shrunk)
         self._paths: list[Path] = []
         if source == TEXTURES:
             return
@@ -56,7 +57,7 @@ class Backgrounds:
         """One background: a random square of a random photo, or a new texture."""
         if not self._paths:
             return texture(rng)
-        photo = self._readable(int(rng.integers(len(self._paths))))
+        photo = self._photo_from(int(rng.integers(len(self._paths))))
         height, width = photo.shape[:2]
         side = rng.uniform(0.4, 1.0) * min(height, width)
         left, top = rng.uniform(0.0, width - side) - 0.5, rng.uniform(0.0, height - side) - 0.5
@@ -65,10 +66,9 @@ class Backgrounds:
             crop = crop[:, ::-1]
         return np.ascontiguousarray(np.clip(crop, 0.0, 1.0).transpose(2, 0, 1), dtype=np.float32)
 
-    def _readable(self, index: int) -> NDArray[np.uint8]:
+    def _photo_from(self, index: int) -> NDArray[np.uint8]:
         """The photo at ``index``, or the next one that can be read."""
-        for offset in range(len(self._paths)):
-            path = self._paths[(index + offset) % len(self._paths)]
+        for path in self._paths[index:] + self._paths[:index]:
             if str(path) in self.unusable:
                 continue
             try:
@@ -80,38 +80,34 @@ class Backgrounds:
                 warnings.warn(f"{error}; left out", stacklevel=2)
         raise InputError(f"{self.source}: no photo can be used, the first: {next(iter(self.unusable.values()))}")
 
-    def _photo(self, path: Path) -> NDArray[np.uint8]:
-        found = self._photos.get(path)
-        if found is None:
-            pixels = read_image(path)[..., :3].astype(np.float32) / np.float32(255.0)
-            height, width = pixels.shape[:2]
-            shrink = min(1.0, PHOTO_SIDE / max(height, width))
-            size = max(1, round(width * shrink)), max(1, round(height * shrink))
-            shrunk = area_resize(pixels, (-0.5, -0.5, width - 0.5, height - 0.5), *size)[0]
-            found = np.rint(255.0 * np.clip(shrunk, 0.0, 1.0)).astype(np.uint8)
-            if len(self._photos) < MOST_PHOTOS:
-                self._photos[path] = found
-        return found
+
+def _shrunk(path: Path) -> NDArray[np.uint8]:
+    pixels = read_image(path)[..., :3].astype(np.float32) / np.float32(255.0)
+    height, width = pixels.shape[:2]
+    factor = min(1.0, PHOTO_SIDE / max(height, width))
+    size = max(1, round(width * factor)), max(1, round(height * factor))
+    shrunk, _ = area_resize(pixels, (-0.5, -0.5, width - 0.5, height - 0.5), *size)
+    return np.rint(255.0 * np.clip(shrunk, 0.0, 1.0)).astype(np.uint8)
 
 
-def texture(rng: np.random.Generator, size: int = IMAGE_SIZE) -> Floats:
-    """A random texture [3, size, size]: a gradient between two colours with smooth noise at several scales."""
+def texture(rng: np.random.Generator) -> Floats:
+    """A random texture [3, 64, 64]: a gradient between two colours with smooth noise at several scales."""
     ends = rng.uniform(0.0, 1.0, (2, 3, 1, 1))
     angle = rng.uniform(0.0, 2.0 * np.pi)
-    across = np.linspace(-0.5, 0.5, size)
+    across = np.linspace(-0.5, 0.5, IMAGE_SIZE)
     ramp = np.clip(0.5 + np.cos(angle) * across[None, :] + np.sin(angle) * across[:, None], 0.0, 1.0)
     image = ends[0] * (1.0 - ramp) + ends[1] * ramp
     for cells in (2, 4, 8, 16, 32):
         coarse = rng.normal(0.0, rng.uniform(0.0, 0.25), (3 if rng.random() < 0.5 else 1, cells + 1, cells + 1))
-        image = image + _enlarged(coarse, size)
+        image = image + _enlarged(coarse, IMAGE_SIZE)
     return np.clip(image, 0.0, 1.0).astype(np.float32)
 
 
 def _enlarged(values: NDArray[np.float64], size: int) -> NDArray[np.float64]:
     """Bilinear interpolation of [C, n, n] to [C, size, size], corner to corner."""
-    at = np.linspace(0.0, values.shape[1] - 1.0, size)
-    low = np.minimum(at.astype(int), values.shape[1] - 2)
+    position = np.linspace(0.0, values.shape[1] - 1.0, size)
+    low = np.minimum(position.astype(int), values.shape[1] - 2)
     weights = np.zeros((size, values.shape[1]))
-    weights[np.arange(size), low] = 1.0 - (at - low)
-    weights[np.arange(size), low + 1] = at - low
+    weights[np.arange(size), low] = 1.0 - (position - low)
+    weights[np.arange(size), low + 1] = position - low
     return np.einsum("ai,cij,bj->cab", weights, values, weights)

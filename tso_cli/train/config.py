@@ -20,30 +20,30 @@ class TrainConfig:
 
     Parameters
     ----------
-    supervision : "points" (Chamfer to the target, 3D), "masks" (V views through the projector, 2D) or "joint" (both at once:
-        points on one data set, one mask an image on another).
+    supervision : "points" (Chamfer to the target, 3D), "masks" (V views through the projector, 2D) or "joint" (points of one
+        data set and one mask for each image of another).
     frame : "view" or "canonical", the frame of the predicted points (see `network.NetworkConfig`).
     steps : Adam steps in all, those of a resumed run included.
     batch_size : objects a step.
     learning_rate : of Adam; the paper's is 5e-5.
     views : V, supervising masks of each object a step ("masks" only); the paper's is 4.
-    affinity_weight : lambda of Eq. 6, dropped to 0.02 of it when the loss saturates ("masks" only). With the form "points",
-        of 0, 0.01, 0.1 and 1 the last gave the lowest Chamfer distance on the shipped shapes (150 steps at 3e-4).
+    affinity_weight : lambda of Eq. 6, which drops to 0.02 of itself when the loss saturates ("masks" and "joint"). With the
+        form "points", of 0, 0.01, 0.1 and 1 the last gave the lowest Chamfer distance on the shipped shapes.
     affinity : form of Eq. 5, one of `losses.AFFINITIES`.
-    saturation_steps : window of the running mean that decides on saturation: no improvement by 1 % over the window before. None
-        for a sixth of ``steps``, from 10 to 500, so that lambda may drop from a third of the steps on.
+    saturation_steps : window of the running mean that decides on saturation (see `losses.AffinitySchedule`). None for a sixth
+        of ``steps``, from 10 to 500, so that lambda may drop from a third of the steps on.
     sigma_sq : variance of the projection kernel, px^2 of the 64x64 mask.
-    category_sigma_sq : the same for categories that need another, by name.
+    category_sigma_sq : category -> its own variance.
     points : N, size of the predicted cloud.
     joint_weight : of the Chamfer distance beside the mask loss ("joint" only); 1e6, as gamma in refinement.
-    averaging : the network that is saved is the running mean of the weights, in which each step keeps this share of the mean
-        before (less in the first steps, so that the start is forgotten); 0 saves the last weights.
-    balance : every category equally often, however many objects it has.
+    averaging : decay of the running mean of the weights, which is what is saved (see `state.TrainingState`); 0 saves the last
+        weights.
+    balance : draw every category equally often, however many objects it has.
     augment : mirror and recolour the pictures at random (see `batches.Drawing`).
     precision : "bfloat16" runs the network's layers in mixed precision (about twice as fast where the processor has it);
         weights, losses and the projector stay in float32.
     workers : threads that prepare batches ahead.
-    seed : of the weights and of every draw. A run depends on it, on the data and on the device alone.
+    seed : of the weights and of every draw. A run depends on it, the data and the device alone.
     device : "cpu", "cuda", "auto" or any name torch knows.
 
     Raises

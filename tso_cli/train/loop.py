@@ -1,4 +1,4 @@
-"""Training the base network: with points (the PSGN-FC baseline), with masks (CAPNet, Eq. 6), or with both."""
+"""Training the base network with points (the PSGN-FC baseline), with masks (CAPNet, Eq. 6), or with both."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ import copy
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -28,9 +27,9 @@ from .data import TrainingData
 from .losses import AffinitySchedule
 from .processes import Processes
 from .state import TrainingState, new_state
-from .step import Objective, batch_loss, draw_step, images_of
+from .step import Objective, batch_loss, draw_step, predict
 
-# A training ends with a judgement of this many of its objects: of thousands it would take minutes.
+# Objects evaluated at the end of a training: thousands would take minutes.
 JUDGED_OBJECTS = 256
 Progress = Callable[[int, int, str], None]
 Save = Callable[[TrainingState, NetworkConfig], None]
@@ -38,12 +37,12 @@ Save = Callable[[TrainingState, NetworkConfig], None]
 
 @dataclass(frozen=True, eq=False)
 class TrainResult:
-    """A trained network and how it came about.
+    """A trained network and its training.
 
     Attributes
     ----------
     network, config : ready to be saved and to predict (evaluation mode, on the CPU).
-    steps : steps done, those before a resume included.
+    steps : done so far, those before a resume included.
     stop_reason : "max_steps" or "interrupted" (Ctrl-C).
     history : [steps, 4]: loss, forward and backward (or BCE and affinity), lambda.
     lambda_dropped_at : the step after which lambda dropped, or None.
@@ -58,19 +57,19 @@ class TrainResult:
 
 
 def network_config(data: TrainingData, config: TrainConfig, steps: int) -> NetworkConfig:
-    """What a checkpoint after ``steps`` steps says of itself."""
-    settings: dict[str, Any] = {"batch_size": config.batch_size, "learning_rate": config.learning_rate}
-    settings |= {"averaging": config.averaging, "balance": config.balance, "augment": config.augment}
-    settings |= {"precision": config.precision}
+    """The configuration that a checkpoint after ``steps`` steps holds."""
+    names = ("batch_size", "learning_rate", "averaging", "balance", "augment", "precision")
+    settings: dict[str, Any] = {name: getattr(config, name) for name in names}
     if config.supervision != "points":
         settings |= {
             "views": config.views if config.supervision == "masks" else 1,
             "lambda": config.affinity_weight,
             "affinity": config.affinity,
+            "saturation_steps": config.saturation_steps,
+            "category_sigma_sq": dict(config.category_sigma_sq),
         }
-        settings |= {"saturation_steps": config.saturation_steps, "category_sigma_sq": dict(config.category_sigma_sq)}
     if config.supervision == "joint":
-        settings |= {"joint_weight": config.joint_weight}
+        settings["joint_weight"] = config.joint_weight
     return NetworkConfig(
         points=config.points,
         frame=config.frame,
@@ -93,8 +92,7 @@ def start(data: TrainingData, config: TrainConfig, initial: BaseNetwork | None =
     network = copy.deepcopy(initial) if initial else build_network(config.points, config.seed)
     if network.decoder.points != config.points:
         raise InputError(f"the initial network predicts {network.decoder.points} points, expected {config.points}")
-    described = network_config(data, config, 0)
-    return new_state(network, described, schedule, data.fingerprint(), devices.resolve(config.device))
+    return new_state(network, config.learning_rate, schedule, data.fingerprint(), devices.resolve(config.device))
 
 
 def train(
@@ -109,15 +107,15 @@ def train(
     save: Save | None = None,
     save_every: int = 0,
 ) -> TrainResult:
-    """Train until ``config.steps`` steps are done, or until Ctrl-C (the step at hand is finished first).
+    """Train until ``config.steps`` steps are done, or until Ctrl-C (the current step is finished first).
 
     Parameters
     ----------
-    state : where to go on (`state.load_training`); None starts anew.
-    masked : the images of which each has one mask alone ("joint" only).
-    objective : a loss in place of that of supervision with masks; its batches hold the targets too.
-    processes : those that train together; the step, and all that is random in it, is the same for any number of them.
-    progress : called after every step with (step, steps, note).
+    state : where to continue (`state.load_training`); None starts anew.
+    masked : images with one mask each ("joint" only).
+    objective : replaces the loss of supervision with masks; its batches hold the targets too.
+    processes : train together; the result does not depend on their number, but for rounding.
+    progress : called after every step with (step, steps, note), in the first process.
     save : called with the state every ``save_every`` steps (0: never) and at the end, in the first process.
 
     Raises
@@ -140,13 +138,12 @@ def train(
     def draw(step: int) -> list[Batch]:
         return draw_step(data, masked, config, processes, step, targets=objective is not None)
 
-    with _interrupt_flag() as interrupted, ahead(draw, state.step, config.steps, config.workers) as next_batches:
-        while state.step < config.steps and not processes.any(interrupted(), device):
-            batches = next_batches()
+    upcoming = prefetched(draw, state.step, config.steps, config.workers)
+    with _deferred_interrupt() as interrupted, closing(upcoming):
+        while state.step < config.steps and not processes.any(interrupted.is_set(), device):
+            batches = next(upcoming)
             weight = state.schedule.weight if config.supervision != "points" else 0.0
-            with torch.autocast(device.type, torch.bfloat16, enabled=config.precision == "bfloat16"):
-                clouds = [state.network(images_of(batch, device)) for batch in batches]
-            clouds = [cloud.float() for cloud in clouds]
+            clouds = predict(state.network, batches, config.precision)
             if objective:
                 loss, first, second = objective(clouds[0], batches[0], weight)
             else:
@@ -188,20 +185,20 @@ def train(
 
 
 def _require_data(data: TrainingData, masked: TrainingData | None, config: TrainConfig, processes: Processes) -> None:
-    """Refuse data that lack what the supervision needs."""
+    """InputError unless the data have what the supervision needs."""
     joint = config.supervision == "joint"
     if joint != (masked is not None):
         raise InputError(
             f"supervision is {config.supervision!r} {'without' if joint else 'with'} images that have one mask each, expected "
             f"{'some' if joint else 'none'}"
         )
-    held = {item.category for part in (data, masked) if part for item in part.objects}
+    categories = {item.category for part in (data, masked) if part for item in part.objects}
     for name in config.category_sigma_sq:
-        if name not in held:
-            raise InputError(f"sigma^2 is given for {name!r}, expected one of the categories {', '.join(sorted(held))}")
-    shares = processes.count * (2 if joint else 1)
-    if config.batch_size % shares:
-        raise InputError(f"batch size is {config.batch_size}, expected a multiple of {shares}")
+        if name not in categories:
+            raise InputError(f"sigma^2 is given for {name!r}, expected one of the categories {', '.join(sorted(categories))}")
+    parts = processes.count * (2 if joint else 1)
+    if config.batch_size % parts:
+        raise InputError(f"batch size is {config.batch_size}, expected a multiple of {parts}")
     if config.supervision == "masks":
         for item in data.objects:
             if len(item.views) < config.views:
@@ -212,22 +209,17 @@ def _require_data(data: TrainingData, masked: TrainingData | None, config: Train
         raise InputError(f"{lacking}: has no points to learn from, expected some (or --supervision masks)")
 
 
-@contextmanager
-def ahead(draw: Callable[[int], list[Batch]], first: int, steps: int, workers: int) -> Iterator[Callable[[], list[Batch]]]:
-    """Batches of the steps from ``first`` on, one at each call, prepared by threads while the network is busy."""
+def prefetched(draw: Callable[[int], list[Batch]], first: int, steps: int, workers: int) -> Generator[list[Batch], None, None]:
+    """The batches of steps ``first`` to ``steps`` - 1; threads draw the next ``workers`` of them meanwhile."""
     pool = ThreadPoolExecutor(workers, thread_name_prefix="tso-batch")
     waiting: deque[Future[list[Batch]]] = deque()
-    following = first
-
-    def take() -> list[Batch]:
-        nonlocal following
-        while len(waiting) <= workers and following < steps:
-            waiting.append(pool.submit(draw, following))
-            following += 1
-        return waiting.popleft().result()
-
     try:
-        yield take
+        for step in range(first, steps):
+            waiting.append(pool.submit(draw, step))
+            if len(waiting) > workers:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
@@ -235,13 +227,14 @@ def ahead(draw: Callable[[int], list[Batch]], first: int, steps: int, workers: i
 def evaluate(
     network: BaseNetwork, data: TrainingData, frame: str, views: int = 4, most: int = JUDGED_OBJECTS
 ) -> tuple[float, float, int]:
-    """Chamfer distance (forward, backward; squared, mean over points, not multiplied) of predictions to the targets.
+    """Chamfer distance of predictions to the targets (squared, mean over points), in the scale of ``data``.
 
-    The mean over the first ``views`` views of at most ``most`` objects, evenly spread over those that have a 3D file; clouds
-    are compared as they are, in the scale of ``data``. The third value is the number of objects; without one the distances are
-    NaN.
+    Returns
+    -------
+    Forward and backward distance, means over the first ``views`` views of at most ``most`` objects, spread evenly over those
+    with a 3D file; and the number of these objects. Without any the distances are NaN.
     """
-    totals = []
+    distances = []
     device = next(network.parameters()).device
     with torch.no_grad():
         for index in data.judged(most):
@@ -249,27 +242,26 @@ def evaluate(
             batch = assemble(data, [Draw(index, view) for view in range(count)], frame)
             points = network(torch.as_tensor(batch.images, device=device))
             forward, backward = chamfer(points, torch.as_tensor(np.stack(batch.targets), device=device))
-            totals.append((float(forward.mean()), float(backward.mean())))
-    forward_mean, backward_mean = np.mean(totals, axis=0) if totals else (np.nan, np.nan)
-    return float(forward_mean), float(backward_mean), len(totals)
+            distances.append((float(forward.mean()), float(backward.mean())))
+    forward_mean, backward_mean = np.mean(distances, axis=0) if distances else (np.nan, np.nan)
+    return float(forward_mean), float(backward_mean), len(distances)
 
 
 @contextmanager
-def _interrupt_flag() -> Iterator[Callable[[], bool]]:
-    """Hold Ctrl-C back until a step, or a file, is finished; a second one goes through at once."""
-    asked = False
+def _deferred_interrupt() -> Iterator[threading.Event]:
+    """Ctrl-C sets the event, so that the current step or file is finished; a second Ctrl-C interrupts at once."""
+    pressed = threading.Event()
 
-    def note(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        if asked:
+    def note(*_: object) -> None:
+        if pressed.is_set():
             raise KeyboardInterrupt
-        asked = True
+        pressed.set()
 
     if threading.current_thread() is not threading.main_thread():
-        yield lambda: False
+        yield pressed
         return
     before = signal.signal(signal.SIGINT, note)
     try:
-        yield lambda: asked
+        yield pressed
     finally:
         signal.signal(signal.SIGINT, before)

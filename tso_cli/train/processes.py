@@ -1,6 +1,6 @@
-"""Several processes that train one network: each works on its share of every batch, gradients are averaged.
+"""Data-parallel training: each process works on its part of every batch, gradients are averaged.
 
-`torchrun --nproc-per-node 2 -m tso_cli train ...` starts them; gloo joins them on CPUs, nccl on GPUs.
+`torchrun --nproc-per-node 2 -m tso_cli train ...` starts the processes; they talk through gloo on CPUs, nccl on GPUs.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Processes:
 
     @property
     def first(self) -> bool:
-        """Whether this process is the one that writes and speaks."""
+        """Whether this process writes files and reports progress."""
         return self.rank == 0
 
     def average(self, values: Iterable[Tensor]) -> None:
@@ -36,44 +36,31 @@ class Processes:
         joined = torch.cat([tensor.reshape(-1) for tensor in tensors])
         torch.distributed.all_reduce(joined)
         joined /= self.count
-        start = 0
-        for tensor in tensors:
-            tensor.copy_(joined[start : start + tensor.numel()].view_as(tensor))
-            start += tensor.numel()
+        for tensor, part in zip(tensors, joined.split([tensor.numel() for tensor in tensors]), strict=True):
+            tensor.copy_(part.view_as(tensor))
 
     def any(self, flag: bool, device: torch.device) -> bool:
         """Whether ``flag`` is set in any process."""
         if self.count == 1:
             return flag
-        asked = torch.tensor(float(flag), device=device)
-        torch.distributed.all_reduce(asked)
-        return bool(asked.item() > 0.0)
+        count = torch.tensor(float(flag), device=device)
+        torch.distributed.all_reduce(count)
+        return bool(count.item() > 0.0)
 
     def wait(self) -> None:
-        """Until every process is here."""
+        """Wait until every process has called this."""
         if self.count > 1:
             torch.distributed.barrier()
 
 
-def launched() -> bool:
-    """Whether this process is one of several that `torchrun` started."""
-    return int(os.environ.get("WORLD_SIZE", "1")) > 1
-
-
 @contextmanager
 def joined(device: str) -> Iterator[tuple[Processes, str]]:
-    """Join the processes that `torchrun` started, until the end of the block; alone if it started none.
+    """Join the processes that `torchrun` started, until the end of the block; without `torchrun` train alone.
 
-    Yields
-    ------
-    processes, device : with "cuda" or "auto" on a machine with GPUs, each process gets its own, "cuda:LOCAL_RANK".
-
-    Raises
-    ------
-    InputError
-        There are more processes on this machine than GPUs.
+    Yields the processes and the device of this one: on GPUs "cuda:LOCAL_RANK". Raises InputError if this machine has fewer
+    GPUs than processes.
     """
-    if not launched():
+    if int(os.environ.get("WORLD_SIZE", "1")) <= 1:
         yield Processes(), device
         return
     cuda = device.startswith("cuda") or (device == "auto" and torch.cuda.is_available())

@@ -1,10 +1,10 @@
-"""Where training data come from: a data set on disk, meshes rendered in memory, the shipped examples."""
+"""Sources of training data: a data set on disk, meshes rendered in memory, the shipped examples."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,8 @@ from .data import TrainingData
 if TYPE_CHECKING:
     from ..render import RenderedView
 
+T = TypeVar("T")
 Floats = NDArray[np.float32]
-Pixels = NDArray[np.uint8]
 # Pictures of each shipped mesh, and their side in pixels: about the size of the network's input once cropped.
 EXAMPLE_VIEWS, EXAMPLE_SIZE = 32, 96
 
@@ -32,8 +32,10 @@ def from_dataset(
     backgrounds: Backgrounds | None = None,
 ) -> TrainingData:
     """A data set as training data; pictures are read when they are first needed."""
-    described = f"{dataset.description}: {len(dataset.objects)} objects"
-    return TrainingData(dataset.objects, described, crop_share, background, strict, backgrounds, dataset.skipped, dataset.scale)
+    description = f"{dataset.description}: {len(dataset.objects)} objects"
+    return TrainingData(
+        dataset.objects, description, crop_share, background, strict, backgrounds, dataset.skipped, dataset.scale
+    )
 
 
 def from_meshes(
@@ -41,43 +43,41 @@ def from_meshes(
     description: str,
     crop_share: float = 0.9,
     background: str = "black",
-    seed: int = 0,
     progress: Callable[[int, int, str], None] | None = None,
     views: int = EXAMPLE_VIEWS,
-    size: int = EXAMPLE_SIZE,
 ) -> TrainingData:
-    """Meshes rendered in memory; the pictures of each depend on ``seed`` and its place in the list alone.
+    """Meshes rendered in memory; the pictures of each depend only on its place in the list.
 
     A ``crop_share`` of 0 gives them a unit diagonal, as ShapeNet's models have, so that the pictures show sizes.
     """
     from ..io.meshes import read_mesh
     from ..render import RenderSettings, render_mesh
 
-    settings = RenderSettings(views=views, size=(size, size))
+    settings = RenderSettings(views=views, size=(EXAMPLE_SIZE, EXAMPLE_SIZE))
     objects = []
     for number, path in enumerate(meshes):
-        name = f"{path.parent.name}/{path.stem}"
-        rendered = render_mesh(read_mesh(path), settings, np.random.default_rng([seed, number]), name)
-        objects.append(rendered_object(name, path.parent.name, rendered.views, rendered.target))
+        rendered = render_mesh(read_mesh(path), settings, np.random.default_rng([0, number]))
+        category = path.parent.name
+        objects.append(rendered_object(f"{category}/{path.stem}", category, rendered.views, rendered.target))
         if progress:
             progress(number + 1, len(meshes), "")
     return sized(Dataset(objects, description), crop_share, background)
 
 
 def sized(dataset: Dataset, crop_share: float, background: str = "black") -> TrainingData:
-    """Objects of longest side 1 as training data, of unit diagonal where the input keeps sizes."""
+    """Objects of longest side 1 as training data, scaled to unit diagonal if ``crop_share`` is 0 (pictures show sizes)."""
     dataset = dataset if crop_share else of_unit_diagonal(dataset)
     return TrainingData(dataset.objects, dataset.description, crop_share, background, scale=dataset.scale)
 
 
 def rendered_object(name: str, category: str, views: Sequence[RenderedView], target: Floats) -> ObjectItem:
     """A shape whose pictures and points [P, 3] are held in memory."""
-    taken = [ViewItem(f"{name} view {i}", view.camera, _in_memory(view.image, view.mask)) for i, view in enumerate(views)]
-    return ObjectItem(name, category, taken, _always(target))
+    items = [ViewItem(f"{name} view {i}", view.camera, _pixels_of(view)) for i, view in enumerate(views)]
+    return ObjectItem(name, category, items, _returning(target))
 
 
 def shipped_examples(crop_share: float = 0.9, background: str = "black") -> TrainingData:
-    """The pictures of the shipped examples with their true shapes: unseen by a network trained on the shipped meshes."""
+    """The pictures and true shapes of the shipped examples, which a network trained on the shipped meshes has not seen."""
     from ..io.cameras import read_camera
     from ..io.clouds import read_cloud
     from ..io.images import read_image, read_mask
@@ -88,19 +88,16 @@ def shipped_examples(crop_share: float = 0.9, background: str = "black") -> Trai
         folder = examples_folder() / category
         image, mask = read_image(folder / "image.png"), read_mask(folder / "mask.png")
         camera = read_camera(folder / "camera.json", mask.shape[1], mask.shape[0])
-        view = ViewItem(str(folder / "mask.png"), camera, _loaded(image[..., :3], mask))
+        view = ViewItem(str(folder / "mask.png"), camera, _returning((image[..., :3], mask)))
         target = normalise_longest_side(read_cloud(folder / "target.ply").points).astype(np.float32)
-        objects.append(ObjectItem(category, category, [view], _always(target)))
+        objects.append(ObjectItem(category, category, [view], _returning(target)))
     return sized(Dataset(objects, "shipped examples"), crop_share, background)
 
 
-def _always(points: Floats) -> Callable[[], Floats]:
-    return lambda: points
+def _returning(value: T) -> Callable[[], T]:
+    return lambda: value
 
 
-def _loaded(image: Pixels, mask: Floats) -> Callable[[], tuple[Pixels, Floats]]:
-    return lambda: (image, mask)
-
-
-def _in_memory(image: Pixels, mask: Pixels) -> Callable[[], tuple[Pixels, Floats]]:
-    return lambda: (image, mask.astype(np.float32) / np.float32(255.0))
+def _pixels_of(view: RenderedView) -> Callable[[], tuple[NDArray[np.uint8], Floats]]:
+    # Kept in bytes: the float mask takes four times the memory.
+    return lambda: (view.image, view.mask.astype(np.float32) / np.float32(255.0))

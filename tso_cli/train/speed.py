@@ -1,9 +1,10 @@
-"""How much the projector, the losses and the data add to the network's own forward and backward pass."""
+"""Speed of a training step beside that of the bare network."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import closing
 from statistics import median
 
 import torch
@@ -11,10 +12,10 @@ import torch
 from .batches import Batch
 from .config import TrainConfig
 from .data import TrainingData
-from .loop import ahead
+from .loop import prefetched
 from .processes import Processes
 from .state import TrainingState
-from .step import batch_loss, draw_step, images_of
+from .step import batch_loss, draw_step, predict
 
 ROUNDS = 5
 
@@ -22,14 +23,14 @@ ROUNDS = 5
 def images_per_second(
     state: TrainingState, config: TrainConfig, data: TrainingData, masked: TrainingData | None = None
 ) -> dict[str, float]:
-    """Images a second of the bare network and of a whole step, measured by turns in this process.
+    """Images a second of the bare network and of a whole step, measured alternately in this process.
 
     Returns
     -------
     bare : forward and backward of the network alone, on images that are there.
     step : drawing the batch, the same passes, projector and losses. The optimiser is in neither.
-    added : by how much the step takes longer than the bare passes, as a share.
-    waiting : share of such steps in which the network waits for a batch, where threads prepare them ahead as in `train`.
+    added : relative increase in time from bare to step.
+    waiting : fraction of such steps in which the network waits for a batch, when threads prepare them ahead as in `train`.
     """
     network = state.network
     device = next(network.parameters()).device
@@ -37,42 +38,39 @@ def images_per_second(
     def draw(step: int) -> list[Batch]:
         return draw_step(data, masked, config, Processes(), step)
 
-    def passes(batches: list[Batch], whole: bool) -> None:
+    def bare_passes(batches: list[Batch]) -> None:
         network.zero_grad(set_to_none=True)
-        with torch.autocast(device.type, torch.bfloat16, enabled=config.precision == "bfloat16"):
-            clouds = [network(images_of(batch, device)) for batch in batches]
-        points = [cloud.float() for cloud in clouds]
-        if whole:
-            loss, *_ = batch_loss(points, batches, config, config.affinity_weight)
-        else:
-            loss = torch.stack([cloud.sum() for cloud in points]).sum()
-        loss.backward()
+        torch.stack([cloud.sum() for cloud in predict(network, batches, config.precision)]).sum().backward()
 
-    def timed(work: Callable[[], None]) -> float:
+    def passes(batches: list[Batch]) -> None:
+        network.zero_grad(set_to_none=True)
+        clouds = predict(network, batches, config.precision)
+        batch_loss(clouds, batches, config, config.affinity_weight)[0].backward()
+
+    def seconds(work: Callable[..., object], *arguments: object) -> float:
         if device.type == "cuda":
             torch.cuda.synchronize(device)
         start = time.perf_counter()
-        work()
+        work(*arguments)
         if device.type == "cuda":
             torch.cuda.synchronize(device)
         return time.perf_counter() - start
 
-    bare, whole, waits, works = [], [], [], []
-    for step, batches in enumerate([draw(step) for step in range(ROUNDS + 1)]):
-        bare.append(timed(lambda: passes(batches, False)))  # noqa: B023 - called at once
-        whole.append(timed(lambda: passes(draw(step), True)))  # noqa: B023
-    with ahead(draw, 0, ROUNDS + 1, config.workers) as take:
+    drawn = [draw(step) for step in range(ROUNDS + 1)]
+    rows = [(seconds(bare_passes, batches), seconds(lambda i: passes(draw(i)), step)) for step, batches in enumerate(drawn)]
+    waits = []
+    with closing(prefetched(draw, 0, ROUNDS + 1, config.workers)) as upcoming:
         for _ in range(ROUNDS + 1):
-            begun = time.perf_counter()
-            batches = take()
-            waits.append(time.perf_counter() - begun)
-            works.append(timed(lambda: passes(batches, True)))  # noqa: B023
+            start = time.perf_counter()
+            batches = next(upcoming)
+            waits.append((time.perf_counter() - start, seconds(passes, batches)))
     network.zero_grad(set_to_none=True)
     # The first round warms up.
-    bare_seconds, whole_seconds, waited = median(bare[1:]), median(whole[1:]), sum(waits[1:])
+    bare, step = (median(column) for column in zip(*rows[1:], strict=True))
+    waiting, working = (sum(column) for column in zip(*waits[1:], strict=True))
     return {
-        "bare": config.batch_size / bare_seconds,
-        "step": config.batch_size / whole_seconds,
-        "added": whole_seconds / bare_seconds - 1.0,
-        "waiting": waited / (waited + sum(works[1:])),
+        "bare": config.batch_size / bare,
+        "step": config.batch_size / step,
+        "added": step / bare - 1.0,
+        "waiting": waiting / (waiting + working),
     }

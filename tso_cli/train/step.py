@@ -1,4 +1,4 @@
-"""One step of a training: what it sees, and what its clouds are asked."""
+"""One training step: its batches, predictions and loss."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from ..network.model import BaseNetwork
 from .batches import Batch, Drawing, draw_batch
 from .config import TrainConfig
 from .data import TrainingData
 from .losses import mask_loss_by_category, point_loss
 from .processes import Processes
 
-# From clouds [B, N, 3], their batch and lambda: the loss and two parts of it for the record.
+# From clouds [B, N, 3], their batch and lambda: the loss, and two parts of it for the history.
 Objective = Callable[[Tensor, Batch, float], tuple[Tensor, float, float]]
 
 
@@ -26,9 +27,9 @@ def draw_step(
     step: int,
     targets: bool = False,
 ) -> list[Batch]:
-    """This process's share of a step: one batch, or with "joint" one with points and one with masks.
+    """This process's part of a step: one batch, or with "joint" one with points and one with masks.
 
-    Batches for masks hold the ``targets`` where they are asked for.
+    With ``targets`` batches for supervision with masks hold the points too.
     """
     part = (processes.rank, processes.count)
     size = config.batch_size // (2 if masked else 1)
@@ -37,12 +38,12 @@ def draw_step(
         return [draw_batch(data, replace(drawing, views=config.views, targets=targets), step, part)]
     batches = [draw_batch(data, drawing, step, part)]
     if masked:
-        batches.append(draw_batch(masked, replace(drawing, views=1, own_view=True, targets=False), step, part))
+        batches.append(draw_batch(masked, replace(drawing, views=1, input_supervises=True, targets=False), step, part))
     return batches
 
 
 def batch_loss(clouds: list[Tensor], batches: list[Batch], config: TrainConfig, weight: float) -> tuple[Tensor, float, float]:
-    """The loss and its two parts: forward and backward, BCE and affinity, or Chamfer and BCE."""
+    """The loss and two parts of it: forward and backward, BCE and affinity, or Chamfer and BCE."""
     projected = (config.sigma_sq, config.category_sigma_sq, weight, config.affinity)
     if config.supervision == "masks":
         return mask_loss_by_category(clouds[0], batches[0], *projected)
@@ -54,5 +55,13 @@ def batch_loss(clouds: list[Tensor], batches: list[Batch], config: TrainConfig, 
 
 
 def images_of(batch: Batch, device: torch.device) -> Tensor:
-    """The images of a batch [B, 3, 64, 64] on ``device``, channels last as the network's weights."""
+    """The images of a batch [B, 3, 64, 64] on ``device``, channels last like the network's weights."""
     return torch.as_tensor(batch.images, device=device).contiguous(memory_format=torch.channels_last)
+
+
+def predict(network: BaseNetwork, batches: list[Batch], precision: str) -> list[Tensor]:
+    """Clouds [B, N, 3] float32 of each batch; the layers run in mixed precision with "bfloat16"."""
+    device = next(network.parameters()).device
+    with torch.autocast(device.type, torch.bfloat16, enabled=precision == "bfloat16"):
+        clouds = [network(images_of(batch, device)) for batch in batches]
+    return [cloud.float() for cloud in clouds]

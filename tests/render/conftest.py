@@ -1,0 +1,60 @@
+"""A folder of meshes, and `tso render` run in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from tso_cli.cli import main
+from tso_cli.io.meshes import Mesh, write_mesh
+
+
+class Run(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def tso_render(capsys: pytest.CaptureFixture[str]) -> Callable[..., Run]:
+    def run(source: Path, output: Path, *options: object) -> Run:
+        with pytest.raises(SystemExit) as stopped:
+            main([str(word) for word in ("render", source, "-o", output, *options)])
+        assert isinstance(stopped.value.code, int)
+        return Run(stopped.value.code, *capsys.readouterr())
+
+    return run
+
+
+def box(sides: tuple[float, float, float] = (1.0, 1.0, 1.0), centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Mesh:
+    """A closed box of 12 triangles."""
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [(a, b, c) for a, b, c, _ in quads] + [(a, c, d) for a, _, c, d in quads]
+    return Mesh(corners * sides + centre, np.array(faces, dtype=np.int64))
+
+
+def joined(*parts: Mesh) -> Mesh:
+    starts = np.cumsum([0] + [len(part.vertices) for part in parts])
+    faces = [part.faces + start for part, start in zip(parts, starts[:-1], strict=True)]
+    return Mesh(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
+
+
+def stool() -> Mesh:
+    """Not convex, not symmetric: a seat, three legs and a post."""
+    legs = [box((0.1, 0.6, 0.1), (x, -0.35, z)) for x, z in ((-0.3, -0.2), (0.3, -0.2), (0.1, 0.2))]
+    return joined(box((0.8, 0.1, 0.5)), *legs, box((0.1, 0.5, 0.1), (-0.3, 0.3, 0.0)))
+
+
+@pytest.fixture
+def meshes(tmp_path: Path) -> Path:
+    folder = tmp_path / "meshes"
+    (folder / "chair").mkdir(parents=True)
+    write_mesh(folder / "chair" / "a.ply", stool())
+    write_mesh(folder / "chair" / "b.ply", box((1.0, 0.3, 0.5)))
+    write_mesh(folder / "c.ply", box())
+    return folder

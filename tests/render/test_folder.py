@@ -1,0 +1,257 @@
+"""Rendering into folders: layout, resuming, refusals, and the command `tso render`."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tso_cli.datasets import rendered
+from tso_cli.datasets.rendered import open_rendered
+from tso_cli.errors import InputError
+from tso_cli.render import RenderSettings, render_folder
+
+from .conftest import Run
+
+FAST = RenderSettings(views=3, size=(24, 24), samples=200, points=50)
+WORDS = "--views", 3, "--size", 24, "--samples", 200, "--points", 50
+# The command, which kills itself after the tenth picture: in the middle of the second object.
+KILLED = """
+import os, signal, sys
+from tso_cli.cli import main
+from tso_cli.datasets import rendered
+
+write, calls = rendered.write_image, []
+
+def kill(*arguments, **options):
+    write(*arguments, **options)
+    calls.append(0)
+    if len(calls) == 10:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+rendered.write_image = kill
+main(sys.argv[1:])
+"""
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def hidden(folder: Path) -> list[str]:
+    return [path.name for path in folder.rglob(".*")]
+
+
+def at_tenth_picture(monkeypatch: pytest.MonkeyPatch, action: Callable[[], object]) -> None:
+    """Do ``action`` before the tenth picture is written: in the middle of the second object."""
+    write, calls = rendered.write_image, []
+
+    def acting(*arguments: Any, **options: Any) -> None:
+        calls.append(0)
+        if len(calls) == 10:
+            action()
+        write(*arguments, **options)
+
+    monkeypatch.setattr(rendered, "write_image", acting)
+
+
+def test_a_folder_is_rendered_into_the_documented_layout(meshes: Path, tmp_path: Path) -> None:
+    reported: list[tuple[int, int, str]] = []
+    summary = render_folder(meshes, tmp_path / "out", FAST, progress=lambda *report: reported.append(report))
+    assert (summary.written, summary.skipped, summary.failed) == (["c", "chair/a", "chair/b"], [], {})
+    assert reported == [(1, 3, "c"), (2, 3, "chair/a"), (3, 3, "chair/b")]
+    pictures = [(f"{i:03d}.png", f"{i:03d}.mask.png") for i in range(3)]
+    names = {path.name for path in (tmp_path / "out/chair/a").iterdir()}
+    assert names == {*sum(pictures, ()), "cameras.json", "render.json", "target.ply", "target_200.ply"}
+    document = json.loads((tmp_path / "out/c/cameras.json").read_text())
+    assert [(view["image"], view["mask"]) for view in document["views"]] == pictures
+
+
+def test_an_object_depends_on_the_seed_and_not_on_the_others(meshes: Path, tmp_path: Path) -> None:
+    render_folder(meshes, tmp_path / "all", FAST, seed=1)
+    (meshes / "c.ply").unlink()
+    render_folder(meshes, tmp_path / "two", FAST, seed=1)
+    render_folder(meshes, tmp_path / "other", FAST, seed=2)
+    assert contents(tmp_path / "all/chair") == contents(tmp_path / "two/chair")
+    assert contents(tmp_path / "all/chair")["a/target.ply"] != contents(tmp_path / "other/chair")["a/target.ply"]
+
+
+def test_an_interrupted_run_leaves_only_whole_objects_and_resumes(
+    meshes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    render_folder(meshes, tmp_path / "whole", FAST)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        at_tenth_picture(patch, lambda: signal.raise_signal(signal.SIGINT))
+        render_folder(meshes, tmp_path / "out", FAST)
+    assert {name.split("/")[0] for name in contents(tmp_path / "out")} == {"c"}
+    summary = render_folder(meshes, tmp_path / "out", FAST)
+    assert summary.skipped == ["c"] and summary.written == ["chair/a", "chair/b"]
+    assert contents(tmp_path / "out") == contents(tmp_path / "whole")
+
+
+def test_a_terminated_command_cleans_up_as_after_ctrl_c(
+    tso_render: Callable[..., Run], meshes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at_tenth_picture(monkeypatch, lambda: signal.raise_signal(signal.SIGTERM))
+    stopped = tso_render(meshes, tmp_path / "out", *WORDS)
+    assert stopped.code == 130 and stopped.err.splitlines()[-1] == "tso: error: interrupted"
+    assert hidden(tmp_path / "out") == []
+
+
+def test_what_a_killed_command_leaves_is_removed_by_the_next(
+    tso_render: Callable[..., Run], meshes: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    words = [str(word) for word in ("render", meshes, "-o", out, *WORDS)]
+    killed = subprocess.run([sys.executable, "-c", KILLED, *words], capture_output=True, check=False, timeout=120)
+    assert killed.returncode == -signal.SIGKILL
+    assert any(name.endswith(".partial") for name in hidden(out))
+    resumed = tso_render(meshes, out, *WORDS)
+    assert resumed.code == 0 and "1 rendered before, skipped" in resumed.err
+    assert hidden(out) == []
+    assert {path.parent.relative_to(out).as_posix() for path in out.glob("**/render.json")} == {"c", "chair/a", "chair/b"}
+
+
+def left_behind(out: Path, name: str) -> Path:
+    folder = out / name
+    folder.mkdir(parents=True)
+    (folder / "000.png").write_bytes(b"half")
+    return folder
+
+
+def test_only_partial_objects_that_no_living_process_writes_are_removed(meshes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    stale, living = (left_behind(out, f".c.{number}.partial") for number in ("0123abcd", "89abcdef"))
+    foreign = [left_behind(out, name) for name in (".other.0123abcd.partial", ".c.0123abcd.backup", ".c.partial")]
+    (out / "chair").mkdir()
+    (out / "chair" / ".a.0123abcd.partial").symlink_to(foreign[0])
+    just_made = out / "chair" / ".b.0123abcd.partial"
+    just_made.mkdir()
+    lock = rendered._lock(living)
+    assert lock is not None
+    render_folder(meshes, out, FAST)
+    assert not stale.exists()
+    assert all(path.exists() for path in (living, *foreign, just_made))
+    os.close(lock)
+    os.utime(just_made, (0, 0))
+    render_folder(meshes, out, FAST)
+    assert not living.exists() and not just_made.exists()
+    assert all((path / "000.png").exists() for path in foreign)
+
+
+def test_an_object_whose_replacement_was_killed_half_way_is_restored(meshes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    render_folder(meshes, out, FAST)
+    before = contents(out)
+    (out / "c").rename(out / ".c.0123abcd.old")
+    left_behind(out, ".c.0123abcd.partial")
+    (out / "chair" / "a").rename(out / "chair" / ".a.0123abcd.old")
+    render_folder(meshes / "chair", out / "chair", FAST)
+    render_folder(meshes / "c.ply", out, FAST)
+    assert contents(out) == before
+    left_behind(out, ".c.0123abcd.old")
+    render_folder(meshes, out, FAST)
+    assert contents(out) == before
+
+
+def test_an_object_is_locked_while_it_is_written(meshes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out, write, kept = tmp_path / "out", rendered.write_image, []
+
+    def swept(path: Path, *arguments: Any, **options: Any) -> None:
+        write(path, *arguments, **options)
+        rendered.sweep([out / "c"])
+        kept.append(path.exists())
+
+    monkeypatch.setattr(rendered, "write_image", swept)
+    render_folder(meshes / "c.ply", out, FAST)
+    render_folder(meshes / "c.ply", out, FAST, overwrite=True)
+    assert kept == [True] * 12
+    assert hidden(out) == []
+
+
+def test_a_folder_of_other_settings_is_only_changed_with_overwrite(meshes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    render_folder(meshes, out, FAST)
+    before = contents(out)
+    with pytest.raises(InputError, match=r"views 3, now it is 2.*--overwrite"):
+        render_folder(meshes, out, replace(FAST, views=2))
+    assert contents(out) == before
+    assert len(render_folder(meshes, out, replace(FAST, views=2), overwrite=True).written) == 3
+    assert not (out / "c/002.png").exists()
+    assert {path.name for path in out.iterdir()} == {"c", "chair"}
+
+
+def test_a_folder_of_something_else_is_never_replaced(meshes: Path, tmp_path: Path) -> None:
+    (tmp_path / "out/c").mkdir(parents=True)
+    (tmp_path / "out/c/thesis.tex").write_text("years of work")
+    for overwrite in (False, True):
+        with pytest.raises(InputError, match="not an object"):
+            render_folder(meshes, tmp_path / "out", FAST, overwrite=overwrite)
+    assert contents(tmp_path / "out") == {"c/thesis.tex": b"years of work"}
+
+
+def test_a_bad_mesh_is_named_and_the_others_are_rendered(tso_render: Callable[..., Run], meshes: Path, tmp_path: Path) -> None:
+    (meshes / "chair/broken.ply").write_text("ply\n")
+    summary = render_folder(meshes, tmp_path / "out", FAST)
+    assert len(summary.written) == 3
+    assert list(summary.failed) == ["chair/broken"] and "broken.ply" in summary.failed["chair/broken"]
+    assert not (tmp_path / "out/chair/broken").exists()
+    again = tso_render(meshes, tmp_path / "out", *WORDS)
+    assert again.code == 2 and "1 mesh" in again.err and "broken.ply" in again.err
+    assert "3 rendered before, skipped" in again.err
+
+
+def test_a_bad_mesh_alone_is_an_error_and_writes_nothing(tmp_path: Path) -> None:
+    (tmp_path / "broken.ply").write_text("ply\n")
+    for name, message in (("broken.ply", r"broken\.ply"), ("missing.ply", "does not exist")):
+        with pytest.raises(InputError, match=message):
+            render_folder(tmp_path / name, tmp_path / "out", FAST)
+    assert not (tmp_path / "out").exists()
+
+
+def test_names_that_would_collide_are_refused(meshes: Path, tmp_path: Path) -> None:
+    (meshes / "c.stl").write_bytes(b"x")
+    with pytest.raises(InputError, match="different names"):
+        render_folder(meshes, tmp_path / "out", FAST)
+    (meshes / "c.stl").rename(meshes / "chair.stl")
+    with pytest.raises(InputError, match="rendered inside chair"):
+        render_folder(meshes, tmp_path / "out", FAST)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_output_may_lie_inside_the_source(meshes: Path) -> None:
+    first, again = (render_folder(meshes, meshes / "out", FAST) for _ in range(2))
+    assert again.skipped == first.written and not again.written
+
+
+def test_an_output_that_cannot_be_a_folder_is_refused(meshes: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    for name, message in (("file", "is a file"), ("no/such", "does not exist")):
+        with pytest.raises(InputError, match=message):
+            render_folder(meshes, tmp_path / name, FAST)
+
+
+def test_the_command_prints_one_json_document_and_writes_a_data_set(
+    tso_render: Callable[..., Run], meshes: Path, tmp_path: Path
+) -> None:
+    done = tso_render(meshes, tmp_path / "out", *WORDS, "--size", "32x24", "--seed", 5, "--json")
+    assert "warning" not in done.err
+    document = json.loads(done.out)
+    assert document["written"] == ["c", "chair/a", "chair/b"]
+    assert document["settings"]["size"] == [32, 24]
+    data = open_rendered(tmp_path / "out")
+    assert [item.target().shape for item in data.objects if item.target] == [(50, 3)] * 3
+    assert data.objects[0].views[0].load()[0].shape == (24, 32, 3)
+
+
+def test_the_command_refuses_an_unreadable_size(tso_render: Callable[..., Run], meshes: Path, tmp_path: Path) -> None:
+    refused = tso_render(meshes, tmp_path / "out", "--size", "wide")
+    assert refused.code == 2 and "128x96" in refused.err

@@ -1,0 +1,69 @@
+"""What the tests of training share: data in memory and on disk, and `tso train` run in this process."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from tso_cli.cli import main
+from tso_cli.datasets.items import ObjectItem
+from tso_cli.datasets.rendered import write_object
+from tso_cli.train.data import TrainingData
+
+from ..training import make_objects, make_thin
+
+
+@pytest.fixture
+def thin(monkeypatch: pytest.MonkeyPatch) -> None:
+    make_thin(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def data() -> TrainingData:
+    return TrainingData(make_objects(), "three boxes")
+
+
+def write(folder: Path, item: ObjectItem) -> None:
+    """An object as `tso render` would have written it."""
+    pictures = [(*view.load(), view.camera) for view in item.views]
+    views = [(image, (mask * 255).astype(np.uint8), camera) for image, mask, camera in pictures]
+    assert item.target is not None
+    write_object(folder / item.name, views, item.target(), item.target(), {"seed": 0})
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "boxes").mkdir()
+    for item in make_objects(2):
+        write(tmp_path / "boxes", item)
+    return tmp_path / "boxes"
+
+
+class Run(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+    @property
+    def document(self) -> dict[str, Any]:
+        document: dict[str, Any] = json.loads(self.out)
+        return document
+
+
+@pytest.fixture
+def tso_train(thin: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., Run]:
+    """`tso train` on a data set for two short steps; of an option that is given twice the last one counts."""
+
+    def run(data: Path, *options: object) -> Run:
+        common = ["-o", tmp_path / "base.safetensors", "--steps", 2, "--batch-size", 2, "--points", 32]
+        with pytest.raises(SystemExit) as stopped:
+            main([str(word) for word in ("train", data, *common, *options)])
+        assert isinstance(stopped.value.code, int)
+        return Run(stopped.value.code, *capsys.readouterr())
+
+    return run

@@ -1,0 +1,177 @@
+"""The command `tso train`: what it trains on, what it says, what it refuses."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.dataset_trees import CHAIR, write_clouds, write_r2n2
+from tso_cli.commands import options
+from tso_cli.io.checkpoints import load_network
+from tso_cli.train.data import TrainingData
+
+from ..training import make_objects
+from .conftest import Run, write
+
+Command = Callable[..., Run]
+MASKS = ("--supervision", "masks", "--views", 2)
+
+
+def test_trains_on_a_folder_and_reports_it(tso_train: Command, folder: Path, tmp_path: Path) -> None:
+    document = tso_train(folder, *MASKS, "--steps", 4, "--log-file", tmp_path / "log.jsonl", "--json").document
+    assert (document["steps"], document["stop_reason"], document["supervision"]) == (4, "max_steps", "masks")
+    assert document["chamfer_training"]["chamfer"] > 0
+    assert load_network(tmp_path / "base.safetensors")[1].settings["lambda"] == 1.0
+    lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert lines[0]["settings"]["views"] == 2 and len(lines) == 5
+    assert list(lines[4]) == ["step", "loss", "bce", "affinity", "lambda"]
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "base.safetensors", "base.training.safetensors", "boxes", "log.jsonl",
+    }  # fmt: skip
+
+
+def test_joint_training_takes_each_data_set_by_its_own_split(tso_train: Command, folder: Path, tmp_path: Path) -> None:
+    splits = tmp_path / "split.json", tmp_path / "masks.json"
+    for path, names in zip(splits, (["box0"], ["box1"]), strict=True):
+        path.write_text(json.dumps({"train": names, "validation": [], "test": []}))
+    joint = ("--supervision", "joint", "--split", splits[0], "--mask-data", folder, "--mask-split", splits[1])
+    document = tso_train(folder, *joint, "--json").document
+    assert document["training_set"] == "boxes: 1 objects" and document["supervision"] == "joint"
+    assert load_network(tmp_path / "base.safetensors")[1].settings["views"] == 1
+
+
+def test_objects_without_a_3d_file_train_masks_only_and_are_not_evaluated(tso_train: Command, tmp_path: Path) -> None:
+    write_r2n2(tmp_path / "ShapeNetRendering", ("abc", "def"))
+    write_clouds(tmp_path, "abc")
+    document = tso_train(tmp_path, *MASKS, "--json").document
+    assert (document["objects"], document["chamfer_training"]["shapes"], document["left_out"]) == (2, 1, {})
+    assert document["not_judged"][f"{CHAIR}/def"].endswith("does not exist, expected the shape of this object")
+    points = tso_train(tmp_path, "--overwrite", "--json")
+    document = points.document
+    assert (document["objects"], document["not_judged"], list(document["left_out"])) == (1, {}, [f"{CHAIR}/def"])
+    assert "pcl_1024_fps_trimesh.npy: does not exist" in points.err
+    strict = tso_train(tmp_path, "--overwrite", "--strict")
+    assert strict.code == 2 and "pcl_1024_fps_trimesh.npy: does not exist" in strict.err
+
+
+def test_a_damaged_3d_file_does_not_stop_training_by_masks(tso_train: Command, tmp_path: Path) -> None:
+    write_r2n2(tmp_path / "ShapeNetRendering", ("abc", "def", "ghi"))
+    write_clouds(tmp_path, "abc", "def", "ghi")
+    damaged = tmp_path / "ShapeNet_pcl" / CHAIR / "def" / "pcl_1024_fps_trimesh.npy"
+    damaged.write_bytes(b"no array")
+    done = tso_train(tmp_path, *MASKS, "--strict", "--json")
+    # No other object is evaluated in its place.
+    assert (done.document["chamfer_training"]["shapes"], done.document["left_out"]) == (2, {})
+    assert str(damaged) in done.document["not_judged"][f"{CHAIR}/def"]
+    assert "left out" not in done.err
+
+
+def test_data_without_any_points_are_trained_on_by_masks_alone(
+    tso_train: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bare = TrainingData([replace(item, target=None) for item in make_objects(2)], "boxes without points")
+    monkeypatch.setattr("tso_cli.commands.train.load", lambda wanted, quiet: bare)
+    refused = tso_train(tmp_path)
+    assert refused.code == 2 and "box0: has no points to learn from" in refused.err
+    assert not (tmp_path / "base.safetensors").exists()
+    assert "2 steps" in tso_train(tmp_path, *MASKS).out
+
+
+def test_a_split_may_name_absent_objects_of_categories_that_are_not_trained_on(tso_train: Command, tmp_path: Path) -> None:
+    for item in (*make_objects(2, category="box"), *make_objects(1, category="crate")):
+        write(tmp_path / "data" / item.category, item)
+    (tmp_path / "data/box/box1/target.ply").unlink()
+    split = tmp_path / "split.json"
+    split.write_text(json.dumps({"train": ["box/box0", "crate/absent"], "test": ["box/box1"]}))
+    common = tmp_path / "data", "--split", split, "--batch-size", 1
+    document = tso_train(*common, "--category", "box", "--json").document
+    assert document["training_set"] == "data: 1 objects"
+    assert list(document["left_out"]) == ["box/box1"]
+    for category, message in (("crate", "split.json: names crate/absent, expected"), ("tin", "has no category 'tin'")):
+        refused = tso_train(*common, "--category", category, "--overwrite")
+        assert refused.code == 2 and message in refused.err
+    split.write_text(json.dumps({"test": ["box/box0"]}))
+    assert "split.json: has no list 'train', expected one beside 'test'" in tso_train(*common, "--overwrite").err
+
+
+def test_distances_are_reported_with_their_scale(tso_train: Command, folder: Path, tmp_path: Path) -> None:
+    root = tmp_path / "r2n2"
+    write_r2n2(root / "ShapeNetRendering")
+    write_clouds(root, "abc")
+    for data, share, scale in (
+        (folder, 0, "unit diagonal"), (root, 0.9, "longest side 1"), (root, 0, "units of the data set")
+    ):  # fmt: skip
+        done = tso_train(data, "--crop-share", share, "--overwrite")
+        assert f"mean over points, {scale}; N 32" in done.out
+        assert load_network(tmp_path / "base.safetensors")[1].crop_share == share
+
+
+def test_a_resumed_run_keeps_its_saturation_window(tso_train: Command, folder: Path, tmp_path: Path) -> None:
+    assert tso_train(folder, *MASKS, "--saturation-steps", 3).code == 0
+    assert tso_train(folder, *MASKS, "--steps", 4, "--resume").code == 0
+    assert load_network(tmp_path / "base.safetensors")[1].settings["saturation_steps"] == 3
+    assert tso_train(folder, *MASKS, "--steps", 6, "--resume", "--saturation-steps", 3).code == 0
+    assert tso_train(folder, *MASKS, "--steps", 8, "--resume", "--saturation-steps", 4).code == 2
+
+
+def test_ctrl_c_exits_with_130_and_resume_continues_bit_for_bit(
+    tso_train: Command, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    straight, output = tmp_path / "straight.safetensors", tmp_path / "base.safetensors"
+    assert tso_train(folder, "--steps", 4, "-o", straight).code == 0
+    show = options.ProgressBar.__call__
+
+    def press(bar: options.ProgressBar, done: int, total: int, note: str = "") -> None:
+        show(bar, done, total, note)
+        if bar.label == "train" and done == 2:
+            signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(options.ProgressBar, "__call__", press)
+        interrupted = tso_train(folder, "--steps", 4)
+    assert interrupted.code == 130 and "interrupted after 2 of 4 steps" in interrupted.err
+    assert load_network(output)[1].steps == 2
+    resumed = tso_train(folder, "--steps", 4, "--resume")
+    assert resumed.code == 0 and "resuming after 2 steps" in resumed.err
+    assert output.read_bytes() == straight.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["none"], "none"),
+        (["boxes", "-o", "there.safetensors"], "exists"),
+        (["boxes", "-o", "missing/a.safetensors"], "missing"),
+        (["boxes", "-o", "a.pth"], "expected a checkpoint name in .safetensors"),
+        (["boxes", "--resume"], "base.training.safetensors: does not exist"),
+        (["boxes", "--steps", 0], "steps is 0"),
+        (["none", "--crop-share", "-1"], "--crop-share is -1, expected 0 to 1"),
+        (["none", "--crop-share", "nan"], "--crop-share is nan, expected 0 to 1"),
+        (["none", "--crop-share", "1.5"], "--crop-share is 1.5, expected 0 to 1"),
+        (["boxes", "--device", "cuda:99"], "cuda:99"),
+        (["boxes", "--frame", "world"], "world"),
+        (["boxes", "--mask-data", "boxes"], "expected joint with --mask-data"),
+        (["boxes", "--supervision", "joint"], "joint, expected --mask-data FOLDER with it"),
+        (["boxes", "--views", 2], "--views is for --supervision masks, found points"),
+        (["boxes", "--mask-split", "boxes"], "--mask-split is for --supervision joint"),
+        (["boxes", "--lambda", 2], "--lambda is for --supervision masks or joint"),
+        (["boxes", *MASKS, "--category-sigma-sq", "crate=1"], "sigma^2 is given for 'crate', expected one of"),
+        (["boxes", "--log-file", "base.safetensors"], "expected a file of its own"),
+    ],
+)
+def test_refuses_in_one_line_and_writes_nothing(
+    tso_train: Command, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[object], message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there.safetensors").write_bytes(b"mine")
+    before = sorted(tmp_path.iterdir())
+    refused = tso_train(*arguments)
+    lines = [line for line in refused.err.splitlines() if line.startswith("tso: error:")]
+    assert refused.code == 2 and len(lines) == 1 and message in lines[0]
+    assert sorted(tmp_path.iterdir()) == before
+    assert (tmp_path / "there.safetensors").read_bytes() == b"mine"
