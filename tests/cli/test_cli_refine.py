@@ -324,9 +324,9 @@ def test_a_view_that_the_others_contradict_is_discounted_and_named(views, capsys
     captured = capsys.readouterr()
     assert "; little of side.png (contradicted by the others); " in captured.out
     assert re.findall(r"warning: (\S+): the other views contradict it", captured.err) == ["side.png"]
-    weights = [float(weight) for weight in re.findall(r"weight ([\d.]+), ", captured.out)]
+    weights = [float(weight) for weight in re.findall(r"loss weight ([\d.]+), ", captured.out)]
     assert weights[1] < 0.2 < 0.8 < min(weights[0], weights[2])
-    trust = [float(trust) for trust in re.findall(r"trust ([\d.]+), weight", captured.out)]
+    trust = [float(trust) for trust in re.findall(r"inlier weight ([\d.]+), loss weight", captured.out)]
     assert trust[1] < 0.2
     assert min(trust[0], trust[2]) > 0.95
 
