@@ -16,9 +16,10 @@ from tests.dataset_trees import lopsided, write_binvox
 from tests.io.test_shapes import SQUARE_OFF, SQUARE_PLY
 from tso_cli.commands.evaluate import command
 from tso_cli.errors import GateError, InputError
+from tso_cli.evaluation.compare import EvalConfig, evaluate
 from tso_cli.evaluation.footprint import IOU_MEANS
-from tso_cli.evaluation.judge import EvalConfig, evaluate, find_pairs
 from tso_cli.evaluation.metrics import chamfer, emd, iou
+from tso_cli.evaluation.pairs import find_pairs
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.points import normalise_longest_side
 from tso_cli.io.cameras import CameraRecord, write_cameras

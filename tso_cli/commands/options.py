@@ -33,13 +33,14 @@ class FilePath(click.Path):
 
 
 class Command(click.Command):
-    """A command whose help lists its options under headings.
+    """A command whose help shows defaults, and options under headings.
 
     headings : name of a parameter -> the heading that it and those after it stand under.
     """
 
     def __init__(self, *args: Any, headings: Mapping[str, str], **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
+        self.context_settings["show_default"] = True
         self.headings = headings
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

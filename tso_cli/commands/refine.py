@@ -35,14 +35,12 @@ HEADINGS = {
     "--mode",
     type=click.Choice(MODES),
     default="points",
-    show_default=True,
     help="What is optimised: the points, the network's encoder, all its weights, or its latent code.",
 )
 @click.option(
     "--preset",
     type=click.Choice(["best", "paper"]),
     default="best",
-    show_default=True,
     help="Loss and defaults of the options below: the most accurate on validation shapes, or those of the paper.",
 )
 @click.option(
