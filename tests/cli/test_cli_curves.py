@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tso_cli.cli import main
 from tso_cli.datasets.rendered import write_object
 from tso_cli.errors import InputError
 from tso_cli.io.checkpoints import save_network
@@ -22,6 +21,7 @@ from tso_cli.train.data import TrainingData
 from tso_cli.train.state import write_history
 
 from ..training import config, make_objects, make_thin
+from .run import tso
 
 
 @pytest.fixture
@@ -34,9 +34,7 @@ def log(tmp_path: Path) -> Path:
 
 
 def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as stopped:
-        main(["curves", *map(str, arguments)])
-    return stopped.value.code
+    return tso("curves", *arguments)
 
 
 def test_a_log_is_read_as_it_was_written(log):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -206,9 +206,8 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
         selection = options.pick(DataSelection, {**chosen, "points": config.supervision != "masks"})
         sets = [load(selection, quiet=quiet)]
         if chosen["mask_data"] is not None:
-            masked = {"data": "mask_data", "split_file": "mask_split", "categories": "mask_categories"}
-            choice = {**chosen, **{name: chosen[source] for name, source in masked.items()}, "behind": None, "points": False}
-            sets.append(load(options.pick(DataSelection, choice), quiet=quiet))
+            masked = {"data": chosen["mask_data"], "split_file": chosen["mask_split"], "categories": chosen["mask_categories"]}
+            sets.append(load(replace(selection, **masked, behind=None, points=False), quiet=quiet))
         data, masked_data = sets[0], sets[1] if len(sets) > 1 else None
         state = _initial_state(data, config, outputs, chosen["initial"], quiet)
         prepared, first_step = time.perf_counter(), state.step
@@ -225,14 +224,16 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
     if not processes.first:
         return
     trained = time.perf_counter()
-    document = training_document(result, config, outputs.output, sets, on_examples)
+    document = training_document(result, config, outputs.output, data, on_examples)
     document["seconds"] = {"prepare": prepared - started, "train": trained - prepared, "judge": time.perf_counter() - trained}
     document["images_per_second"] = {
         "training": (result.steps - first_step) * config.batch_size / (trained - prepared),
         **images_per_second(state, config, data, masked_data),
     }
-    if count := len(unusable(sets)):
-        options.log(f"tso: {count} pictures could not be used and were left out (--strict stops at the first)")
+    left_out = unusable(sets)
+    document["left_out"] = {item: why for each in sets for item, why in each.skipped.items()} | left_out
+    if left_out:
+        options.log(f"tso: {len(left_out)} pictures could not be used and were left out (--strict stops at the first)")
     if as_json:
         options.echo_json(document)
     else:

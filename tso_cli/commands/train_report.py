@@ -17,12 +17,9 @@ FROM_CONFIG = ("supervision", "frame", "points", "sigma_sq", "learning_rate", "b
 
 
 def training_document(
-    result: TrainResult, config: TrainConfig, output: Path, sets: list[TrainingData], on_examples: bool
+    result: TrainResult, config: TrainConfig, output: Path, training: TrainingData, on_examples: bool
 ) -> dict[str, Any]:
-    """Evaluate the network; the JSON document without its times.
-
-    sets : the training data, and what masks supervise beside it. on_examples : evaluate on the shipped pictures too.
-    """
+    """Evaluate the network, if ``on_examples`` on the shipped pictures too; the JSON document without times and failures."""
     from ..train import evaluate
     from ..train.sources import shipped_examples
     from ..train.state import state_path
@@ -31,7 +28,6 @@ def training_document(
         forward, backward, shapes = evaluate(result.network, data, config.frame)
         return {"forward": forward, "backward": backward, "chamfer": forward + backward, "shapes": shapes}
 
-    training = sets[0]
     document = {
         "output": output,
         "state": state_path(output),
@@ -52,7 +48,6 @@ def training_document(
         "scale": training.scale,
         **{name: getattr(config, name) for name in FROM_CONFIG},
         "version": __version__,
-        "left_out": {item: why for data in sets for item, why in data.skipped.items()} | unusable(sets),
     }
 
 
