@@ -1,4 +1,4 @@
-"""The silhouette follows the cloud's own spacing, so that its IoU tells clouds that fit from those that do not."""
+"""The silhouette of a cloud and its IoU with a mask."""
 
 from __future__ import annotations
 
