@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from ..plots.curves import Sample
 
 
-@click.command("curves", short_help="Draw the loss curves of trainings, and samples of a network.")
+@click.command("curves")
 @click.argument("logs", nargs=-1, required=True, type=options.FilePath())
 @click.option(
     "-o", "--output", type=options.FilePath(), default=Path("curves.png"), show_default=True, help="Picture to write."

@@ -187,8 +187,7 @@ class ProgressBar:
         self._open = False
 
     def _left(self, now: float, done: int, total: int) -> str:
-        assert self._first is not None
-        began, before = self._first
+        began, before = self._first or (now, done)
         if not before < done < total:
             return ""
         seconds = math.ceil((now - began) / (done - before) * (total - done))

@@ -92,9 +92,7 @@ class TrainOutputs:
             write_history(self.log_file, state.history, config)
 
 
-@click.command(
-    "train", cls=options.Command, headings=HEADINGS, short_help="Train the network that predicts a cloud from a photo."
-)
+@click.command("train", cls=options.Command, headings=HEADINGS)
 @click.argument("data", required=False, type=PATH)
 @click.option("--split", "split_file", type=PATH, help='Train only on the objects in its list "train".')
 @click.option("--category", "categories", multiple=True, help="Train only on this category; may be repeated.")
@@ -111,7 +109,7 @@ class TrainOutputs:
     "--backgrounds",
     "behind",
     metavar="FOLDER|textures",
-    help="Put the objects of DATA on crops of these photos, or on generated textures; with --background keep.",
+    help="Put the objects on crops of these photos, or on generated textures; with --background keep.",
 )
 @click.option("--augment", is_flag=True, help="Mirror and recolour the pictures at random.")
 @click.option(
@@ -160,8 +158,7 @@ class TrainOutputs:
 @click.option(
     "--averaging",
     type=float,
-    help="Save the exponential moving average of the weights, with this decay a step; 0: the last weights.  [default: 0; 0.99 "
-    "without DATA]",
+    help="Save the moving average of the weights, with this decay a step; 0: the last weights.  [default: 0; 0.99 without DATA]",
 )
 @click.option("--precision", type=click.Choice(["float32", "bfloat16"]), default="float32", help="bfloat16: mixed precision.")
 @click.option("-o", "--output", type=PATH, default=Path("base.safetensors"), help="Checkpoint to write.")

@@ -40,17 +40,13 @@ class EvalConfig:
 
     Parameters
     ----------
-    metrics : some of "chamfer", "f_score", "emd", "iou".
+    metrics : some of `METRICS`.
     protocol : "plain" takes coordinates as they are. "capnet" is the paper's: each cloud is thinned to ``points``, then centred
         on its own bounding box and scaled to longest side 1, which hides errors of scale and place; EMD squares its distances.
-    points : farthest-point sample so many points of every cloud first, from its first point on. None takes all points, under
-        "capnet" 1,024 (or all of a smaller cloud).
-    samples : points sampled from the surface of a mesh or voxel grid.
+    points : thin every cloud first (`farthest_point_sample`). None: all points; under "capnet" at most 1,024.
+    samples, seed : of the surface of a mesh or voxel grid, independent for prediction and target.
     threshold : of the F-score, in units of the clouds as compared; None for 1 % of the target's longest side.
-    sigma_sq : IoU of the paper's silhouette, Gaussians of this variance in px^2 over the whole image, instead of that of
-        `tso_cli.evaluation.footprint`.
-    seed : of the surface samples, which are independent for prediction and target: equal surfaces are not at distance 0, as
-        no perfect prediction is.
+    sigma_sq : IoU of the paper's silhouette, Gaussians of this variance in px^2, instead of that of `footprint`.
     as_vertices : of meshes take the vertices, not the surface.
 
     Raises
@@ -90,11 +86,7 @@ class EvalConfig:
 
 
 def evaluate(pairs: Sequence[Pair], config: EvalConfig, progress: Progress | None = None) -> dict[str, Any]:
-    """Measure every pair.
-
-    Parameters
-    ----------
-    progress : called with (done, total) after each pair.
+    """Measure every pair; ``progress`` is called with (done, total) after each.
 
     Returns
     -------

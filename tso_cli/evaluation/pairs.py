@@ -47,16 +47,13 @@ class Pair:
             mask = read_mask(file)
             height, width = mask.shape
             if camera is None:
-                camera = read_camera(self._camera_of(file), width, height, file)
+                source = self.camera or find_camera(file)
+                if source is None:
+                    raise InputError(f"{file}: no {file.stem}.camera.json or camera.json beside it, expected one or --camera")
+                camera = read_camera(source, width, height, file)
             if (camera.width, camera.height) != (width, height):
                 raise InputError(f"{self.camera}: a camera is for {camera.width}x{camera.height}, {file} is {width}x{height}")
             yield file, mask, camera
-
-    def _camera_of(self, mask: Path) -> Path:
-        path = self.camera or find_camera(mask)
-        if path is None:
-            raise InputError(f"{mask}: no {mask.stem}.camera.json or camera.json beside it, expected one or --camera")
-        return path
 
 
 def find_pairs(
@@ -116,17 +113,16 @@ def _require_same_names(
     prediction: Path, predictions: dict[str, Path], target: Path, targets: dict[str, Path], suffix: str
 ) -> None:
     parts = []
-    for folder, other, names in (
-        (prediction, target, sorted(predictions.keys() - targets.keys())),
-        (target, prediction, sorted(targets.keys() - predictions.keys())),
+    for folder, other, unmatched in (
+        (prediction, target, predictions.keys() - targets.keys()),
+        (target, prediction, targets.keys() - predictions.keys()),
     ):
-        if names:
+        if names := sorted(unmatched):
             listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
             parts.append(f"{folder} has {listed}, which {other} has not")
     if parts:
-        advice = ""
-        if not suffix and any(name.endswith(".refined") for name in predictions):
-            advice = " (--suffix .refined takes the predictions that end so)"
+        refined = not suffix and any(name.endswith(".refined") for name in predictions)
+        advice = " (--suffix .refined takes the predictions that end so)" if refined else ""
         raise InputError("; ".join(parts) + ": expected the same names in both" + advice)
 
 

@@ -38,13 +38,9 @@ class Scene:
     points : [N, 3] float64, the start: the cloud of the file, or the network's prediction in the network's frame.
     views : masks, and the cameras that project `points` onto them (network modes: one, of the network's crop).
     camera_sources : for each view, where its camera is from; camera_summary : the same for all views, shorter.
-    frame : of the output: "input" (that of the cloud), "view", "canonical" or "world".
-    cloud : the file that `points` are from; None in the network modes.
-    network, image : the network and its input [3, 64, 64]; None in points mode.
-    sigma_sq : that of the network's training, squared cells of the window; None in points mode.
-    colours : [N, 3] of `points`; None unless the views have images.
-    faces : [F, 3] triangles of `points`; None for a cloud.
-    to_output : maps points to the frame of the output.
+    frame : of the output: "input" (that of the cloud), "view", "canonical" or "world"; to_output maps points to it.
+    cloud, colours, faces : of points mode: the file, [N, 3] (None unless the views have images), [F, 3] (None for a cloud).
+    network, image, sigma_sq : of the network modes: the network, its input [3, 64, 64], and the variance of its training.
     """
 
     points: Array
@@ -111,49 +107,31 @@ class ViewFiles:
         return files or [None] * len(self.masks)
 
 
-def load_view(
-    mask_file: Path, camera_file: Path | None = None, invert: bool = False, ignore_file: Path | None = None
-) -> tuple[View, Path | None]:
-    """Read a mask and its camera: the one named, else one found beside the mask, else the canonical one.
-
-    Returns
-    -------
-    The view, and the camera's file (None for the canonical camera).
-
-    Raises
-    ------
-    InputError
-        A file cannot be used, sizes differ, or the mask is all object or all background.
-    """
-    views, sources = load_views(ViewFiles([mask_file], camera_file, invert, [ignore_file] if ignore_file else []))
-    return views[0], sources[0]
-
-
 def load_views(files: ViewFiles) -> tuple[list[View], list[Path | None]]:
-    """Read masks and their cameras.
+    """Read masks and their cameras: of the file named, else of one beside the mask, else (for a single mask) the canonical one.
 
     Views of one camera file are matched to masks by the names in it, else by order (`pair_with_masks`).
 
     Returns
     -------
-    The views, and the camera's file of each (None for the canonical camera, which only a single mask gets).
+    The views, and the camera's file of each (None for the canonical camera).
 
     Raises
     ------
     InputError
-        As `load_view`; or the numbers of masks, cameras and other images differ.
+        A file cannot be used, sizes or numbers of files differ, or a mask is all object or all background.
     """
     ignore = files.one_each("--ignore", "ignore maps", files.ignore)
     sources = [files.camera or find_camera(mask) for mask in files.masks]
     cameras: list[Camera | None] = [None] * len(files.masks)
-    for source in dict.fromkeys(sources):
+    for source in dict.fromkeys(sources) if len(files.masks) > 1 else ():
         numbers = [number for number, other in enumerate(sources) if other == source]
-        if source is None and len(files.masks) > 1:
+        if source is None:
             raise InputError(
                 f"{files.masks[numbers[0]]}: no camera file was given or found beside it, expected one for each of "
                 f"{len(files.masks)} masks"
             )
-        if source is not None and len(numbers) > 1:
+        if len(numbers) > 1:
             for number, camera in zip(numbers, pair_with_masks(source, [files.masks[i] for i in numbers]), strict=True):
                 cameras[number] = camera
     rows = zip(files.masks, sources, cameras, ignore, strict=True)
@@ -230,9 +208,11 @@ def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = Fal
         _warn_of_scale(cloud.points, view, cloud_file)
     for view, depth_file in zip(views, files.depth, strict=False):
         _warn_of_depth(cloud.points, view, depth_file)
-    return replace(
-        scene, views=tuple(views), camera_sources=tuple(map(camera_source, sources)), camera_summary=_summary(sources)
-    )
+    names = list(dict.fromkeys(map(camera_source, sources)))
+    summary = f"cameras of {', '.join(names) if len(names) < 3 else f'{len(names)} files'}"
+    if len(sources) == 1:
+        summary = f"camera {names[0]}" if sources[0] else f"canonical camera {NO_FILE}"
+    return replace(scene, views=tuple(views), camera_sources=tuple(map(camera_source, sources)), camera_summary=summary)
 
 
 def _with_fitted_camera(scene: Scene, files: ViewFiles) -> Scene:
@@ -251,13 +231,6 @@ def _with_fitted_camera(scene: Scene, files: ViewFiles) -> Scene:
 def camera_source(camera_file: Path | None) -> str:
     """Where a camera is from, in words."""
     return str(camera_file) if camera_file else f"canonical {NO_FILE}"
-
-
-def _summary(camera_files: Sequence[Path | None]) -> str:
-    if len(camera_files) == 1:
-        return f"camera {camera_files[0]}" if camera_files[0] else f"canonical camera {NO_FILE}"
-    names = list(dict.fromkeys(map(str, camera_files)))
-    return f"cameras of {', '.join(names) if len(names) < 3 else f'{len(names)} files'}"
 
 
 def _warn_of_scale(points: Array, view: View, cloud_file: Path) -> None:

@@ -16,7 +16,7 @@ from ..geometry.view import View
 from ..io.images import read_image
 from ..network.input import network_input
 from ..refinement.placement import mask_doubts, place_in_front, settle, view_to_world
-from .load import NO_FILE, Scene, camera_source, load_view, require_same_size
+from .load import NO_FILE, Scene, ViewFiles, camera_source, load_views, require_same_size
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork, NetworkConfig
@@ -54,7 +54,8 @@ def load_network_scene(
     """
     from ..io.checkpoints import load_network
 
-    view, camera_file = load_view(mask_file, camera_file, invert, ignore_file)
+    files = ViewFiles([mask_file], camera_file, invert, [ignore_file] if ignore_file else [])
+    (view,), (camera_file,) = load_views(files)
     image = read_image(image_file)
     require_same_size(image_file, image.shape, mask_file, view.mask.shape)
     network, config = load_network(checkpoint)
@@ -130,17 +131,8 @@ def network_scene(
             def to_output(points: Array) -> Array:
                 return view_to_world(points, placed, view.camera)
 
-    return Scene(
-        points,
-        (crop,),
-        (source,),
-        summary,
-        frame,
-        network=network,
-        image=inputs.image,
-        sigma_sq=config.sigma_sq,
-        to_output=to_output,
-    )
+    about = (None, network, inputs.image, config.sigma_sq)
+    return Scene(points, (crop,), (source,), summary, frame, *about, to_output=to_output)
 
 
 def _placed(points: Array, crop: View, view: View, placing: Placing, sigma_sq: float) -> Camera:
