@@ -158,7 +158,7 @@ class TrainOutputs:
 @click.option(
     "--averaging",
     type=float,
-    help="Save the moving average of the weights, with this decay a step; 0: the last weights.  [default: 0; 0.99 without DATA]",
+    help="Save the moving average of the weights, of this decay; 0: the last weights.  [default: 0; 0.99 without DATA]",
 )
 @click.option("--precision", type=click.Choice(["float32", "bfloat16"]), default="float32", help="bfloat16: mixed precision.")
 @click.option("-o", "--output", type=PATH, default=Path("base.safetensors"), help="Checkpoint to write.")
