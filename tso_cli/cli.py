@@ -27,7 +27,7 @@ SECTIONS = {
     "Speed and research": {
         "compile": (
             "tso_cli.commands.compile_loops",
-            "Compile the numba kernels of large refinements now, once, for all runs.",
+            "Compile the kernels of large refinements now, once, for all runs.",
         ),
         "bench": ("tso_cli.lab.commands.bench", "Measure the speed on this machine and compare it with other packages."),
         "lab": ("tso_cli.lab.commands", "Studies of the method: accuracy, the paper's tables, generated shapes."),

@@ -74,7 +74,7 @@ def command(
     if "f_score" not in metrics and config.threshold is not None:
         raise InputError("--threshold serves --f-score, which was not asked for")
     pairs = find_pairs(prediction, target, mask, camera, suffix)
-    result = evaluate(pairs, config, options.ProgressBar("judging") if len(pairs) > 1 else None)
+    result = evaluate(pairs, config, options.ProgressBar("evaluating") if len(pairs) > 1 else None)
     _log_remarks(result["pairs"], config)
     if as_json:
         options.echo_json(result)

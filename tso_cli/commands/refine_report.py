@@ -198,7 +198,7 @@ class RefineReport:
         for view, camera, degrees, shift in self.corrections if self.refine_camera and result.steps else ():
             text = f"turned {degrees:.2f} degrees, shifted {100.0 * shift:.2f} % of its distance   ({view.name})"
             if camera is view.camera:
-                text = f"kept   (no small correction takes the misfit of the start under {LEFT:g} of it; {view.name})"
+                text = f"kept   (no small correction reduces the misfit to under {LEFT:g} of the initial one; {view.name})"
             click.echo(f"  camera {text}")
         click.echo(f"  mirror {self._mirror()}")
         click.echo(
