@@ -21,7 +21,7 @@ SECTIONS = {
     "Networks": {
         "train": ("tso_cli.commands.train", "Train the network that predicts a cloud from a photo."),
         "render": ("tso_cli.commands.render", "Render meshes to images, masks, cameras and ground truth."),
-        "export": ("tso_cli.commands.export", "Write a network with 16-bit weights, without the state of its training."),
+        "export": ("tso_cli.commands.export", "Write a network with 16-bit weights, without its training state."),
         "curves": ("tso_cli.commands.curves", "Draw the loss curves of trainings, and samples of a network."),
     },
     "Speed and research": {
