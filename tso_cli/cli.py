@@ -1,4 +1,4 @@
-"""The command line: subcommands loaded when called, and the one place where errors become messages and exit codes."""
+"""The command line: the subcommands, and how errors become messages and exit codes."""
 
 from __future__ import annotations
 
@@ -12,21 +12,24 @@ from .commands.lazy_group import LazyGroup
 from .errors import TsoError
 from .version import __version__
 
-# Heading -> name -> (module, one line of help). The help stands here so that `tso --help` imports no command.
+# Heading -> name -> (module, one line of help), here so that `tso --help` imports no command.
 SECTIONS = {
     "Your data": {
         "refine": ("tso_cli.commands.refine", "Make a cloud agree with a mask."),
-        "eval": ("tso_cli.commands.evaluate", "Judge clouds against ground truth: Chamfer, F-score, EMD, IoU."),
+        "eval": ("tso_cli.commands.evaluate", "Evaluate clouds against ground truth: Chamfer, F-score, EMD, IoU."),
     },
     "Networks": {
         "train": ("tso_cli.commands.train", "Train the network that predicts a cloud from a photo."),
         "render": ("tso_cli.commands.render", "Render meshes to images, masks, cameras and ground truth."),
-        "export": ("tso_cli.commands.export", "Write a network in half the size, without the state of its training."),
+        "export": ("tso_cli.commands.export", "Write a network with 16-bit weights, without its training state."),
         "curves": ("tso_cli.commands.curves", "Draw the loss curves of trainings, and samples of a network."),
     },
     "Speed and research": {
-        "compile": ("tso_cli.commands.compile_loops", "Compile the loops of large refinements now, once, for all runs."),
-        "bench": ("tso_cli.lab.commands.bench", "Measure the speed on this machine, beside other ways and the limit."),
+        "compile": (
+            "tso_cli.commands.compile_loops",
+            "Compile the kernels of large refinements now, once, for all runs.",
+        ),
+        "bench": ("tso_cli.lab.commands.bench", "Measure the speed on this machine and compare it with other packages."),
         "lab": ("tso_cli.lab.commands", "Studies of the method: accuracy, the paper's tables, generated shapes."),
     },
 }
@@ -46,7 +49,7 @@ def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit: 0 done, 1 the work failed, 2 unusable input, 3 a gate that was asked for is not met."""
+    """Run the command line and exit: 0 done, 1 failed, 2 unusable input, 3 target missed (GateError), 130 interrupted."""
     warnings.showwarning = _print_warning
     warnings.simplefilter("always", UserWarning)
     try:
@@ -61,7 +64,7 @@ def main(arguments: list[str] | None = None) -> None:
     except (click.Abort, KeyboardInterrupt):
         code = _fail("interrupted", 130)
     except BrokenPipeError:
-        # The reader went away (`tso eval ... | head`); python would complain once more while closing stdout.
+        # The reader is gone (`tso eval ... | head`); without stdout Python prints no second complaint on exit.
         sys.stdout = None
         code = 0
     except MemoryError:
@@ -77,5 +80,5 @@ def _fail(message: str, code: int) -> int:
 
 
 def _one_line(message: str) -> str:
-    """``message`` as one printable line; a file's name may hold anything."""
+    """``message`` as one printable line; the name of a file may hold control characters."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(message.split()))

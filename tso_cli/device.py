@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 
 def resolve(name: str) -> torch.device:
-    """The torch device called ``name``: "cpu", "cuda", "cuda:1", "mps", or "auto" (CUDA where there is one).
+    """The torch device ``name``: "cpu", "cuda", "cuda:1", "mps", or "auto" (CUDA if available, else the CPU).
 
-    Raises InputError if it does not exist here.
+    Raises InputError if it is not available.
     """
     import torch
 
@@ -23,20 +23,20 @@ def resolve(name: str) -> torch.device:
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
         device = torch.device(name)
-        # "meta" allocates, but holds no numbers
+        # Reading a value back excludes "meta", whose tensors have no data.
         torch.ones(1, device=device).item()
     except (RuntimeError, AssertionError, NotImplementedError):
-        found = f"{torch.cuda.device_count()} CUDA devices" if torch.cuda.is_available() else "no CUDA device"
-        raise InputError(f"--device {name}: not available here (found the CPU and {found})") from None
+        available = f"{torch.cuda.device_count()} CUDA devices" if torch.cuda.is_available() else "no CUDA device"
+        raise InputError(f"--device {name}: not available here (found the CPU and {available})") from None
     return device
 
 
 @contextmanager
 def one_thread(when: bool) -> Iterator[None]:
-    """Let torch use one CPU thread inside the block if ``when``; its own number is restored after.
+    """Limit torch to one CPU thread inside the block if ``when``.
 
-    A step on a small cloud is a hundred operations of some microseconds each. Sharing them between threads gains nothing
-    on an idle machine, and on a busy one the threads wait for one another: five to ten times slower.
+    A step on a small cloud is a hundred operations of some microseconds each: more threads gain nothing on an idle machine,
+    and on a busy one they wait for one another (five to ten times slower).
     """
     import torch
 

@@ -1,8 +1,8 @@
-"""Errors a user can act on. `cli` turns them into one line and an exit code; nothing else catches them."""
+"""Errors that a user can act on; `cli` prints them as one line and exits with their code."""
 
 
 class TsoError(Exception):
-    """A failure with a message fit to print as it stands: the file, what was found, what was expected."""
+    """A failure, with a message for the user: the file, what was found, what was expected."""
 
     exit_code = 1
 
@@ -14,6 +14,6 @@ class InputError(TsoError):
 
 
 class GateError(TsoError):
-    """The work was done, but a bound that was asked for does not hold."""
+    """The work is done, but a target that was set is missed."""
 
     exit_code = 3

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tso_cli.cli import main
 from tso_cli.datasets.rendered import write_object
 from tso_cli.errors import InputError
 from tso_cli.io.checkpoints import save_network
@@ -22,6 +21,7 @@ from tso_cli.train.data import TrainingData
 from tso_cli.train.state import write_history
 
 from ..training import config, make_objects, make_thin
+from .run import tso
 
 
 @pytest.fixture
@@ -34,12 +34,13 @@ def log(tmp_path: Path) -> Path:
 
 
 def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as stopped:
-        main(["curves", *map(str, arguments)])
-    return stopped.value.code
+    return tso("curves", *arguments)
 
 
-def test_a_log_is_read_as_it_was_written(log):
+def test_a_log_is_one_line_of_settings_and_one_a_step_and_is_read_as_it_was_written(log):
+    lines = [json.loads(line) for line in log.read_text().splitlines()]
+    assert len(lines) == 13
+    assert "supervision" in lines[0]
     read = read_log(log)
     assert read.settings["supervision"] == "masks"
     assert list(read.columns) == ["step", "loss", "bce", "affinity", "lambda"]
@@ -53,11 +54,9 @@ def test_the_drop_of_lambda_is_the_first_step_with_the_smaller_one(log):
     assert lambda_drop(read_log(path)) is None
 
 
-def test_the_running_mean_is_over_the_last_values_there_are():
-    values = np.array([4.0, 2.0, 6.0, 0.0])
-    np.testing.assert_allclose(running_mean(values, 2), [4.0, 3.0, 4.0, 3.0])
-    np.testing.assert_allclose(running_mean(values, 9), [4.0, 3.0, 4.0, 3.0])
-    np.testing.assert_array_equal(running_mean(values, 1), values)
+@pytest.mark.parametrize(("window", "means"), [(1, [4.0, 2.0, 6.0, 0.0]), (2, [4.0, 3.0, 4.0, 3.0]), (9, [4.0, 3.0, 4.0, 3.0])])
+def test_the_running_mean_is_over_the_last_values_there_are(window, means):
+    np.testing.assert_allclose(running_mean(np.array([4.0, 2.0, 6.0, 0.0]), window), means)
 
 
 def test_logs_of_one_name_are_told_apart_by_their_folders(log, tmp_path):
@@ -96,9 +95,9 @@ def test_a_log_without_steps_or_settings_is_refused(log):
         read_log(log)
 
 
-def test_the_command_draws_several_logs_of_different_losses(log, tmp_path, capsys):
+def test_the_command_draws_several_logs_of_different_losses_and_one_that_is_zero(log, tmp_path, capsys):
     points = tmp_path / "points.jsonl"
-    write_history(points, [(1.0 / step, 0.5, 0.5, 0.0) for step in range(1, 20)], NetworkConfig())
+    write_history(points, [(1.0 / step, 0.5, 0.0, 0.0) for step in range(1, 20)], NetworkConfig())
     output = tmp_path / "curves.png"
     assert run(log, points, "-o", output) == 0
     printed = capsys.readouterr().out
@@ -112,12 +111,6 @@ def test_the_command_draws_several_logs_of_different_losses(log, tmp_path, capsy
     assert output.read_bytes() == before
 
 
-def test_a_loss_that_is_zero_throughout_is_drawn(tmp_path):
-    path = tmp_path / "none.jsonl"
-    write_history(path, [(1.0, 1.0, 0.0, 0.0)] * 3, NetworkConfig(supervision="masks"))
-    assert run(path, "-o", tmp_path / "curves.png") == 0
-
-
 def test_the_command_draws_samples_beside_the_curves(monkeypatch, tmp_path, capsys):
     make_thin(monkeypatch)
     objects = make_objects(3, 2)
@@ -125,7 +118,7 @@ def test_the_command_draws_samples_beside_the_curves(monkeypatch, tmp_path, caps
         pictures = [(*view.load(), view.camera) for view in item.views]
         shown = [(image, np.rint(255 * mask).astype(np.uint8), camera) for image, mask, camera in pictures]
         write_object(tmp_path / "data" / item.name, shown, item.target(), item.target()[:256], {})
-    result = train(TrainingData(objects, "three boxes"), config(steps=2))
+    result = train(TrainingData(objects, "three boxes"), config(steps=1))
     save_network(tmp_path / "net.safetensors", result.network, result.config)
     write_history(tmp_path / "log.jsonl", [tuple(row) for row in result.history], result.config)
     output = tmp_path / "curves.png"
@@ -149,9 +142,3 @@ def test_samples_are_spread_over_the_data_and_judged(monkeypatch):
         assert sample.points.shape == (64, 3)
         assert sample.chamfer is not None and sample.chamfer > 0.0
     assert len(sample_predictions(result.network, data, "view", 50)) == 5
-
-
-def test_a_log_written_by_training_is_one_line_of_settings_and_one_a_step(log):
-    lines = [json.loads(line) for line in log.read_text().splitlines()]
-    assert len(lines) == 13
-    assert "supervision" in lines[0]

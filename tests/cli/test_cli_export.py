@@ -11,11 +11,12 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from tso_cli.cli import main
 from tso_cli.errors import InputError
 from tso_cli.io.checkpoints import load_network, read_metadata, save_network, save_tensors
 from tso_cli.network import model as networks
 from tso_cli.network.model import NetworkConfig, build_network
+
+from .run import tso
 
 CONFIG = NetworkConfig(points=16, training_set="two chairs", settings={"views": 4})
 
@@ -32,12 +33,6 @@ def base(tmp_path, thin_network, monkeypatch):
     monkeypatch.chdir(tmp_path)
     save_network("base.safetensors", build_network(16, seed=1), CONFIG)
     return Path("base.safetensors")
-
-
-def tso(*arguments) -> int:
-    with pytest.raises(SystemExit) as stopped:
-        main([str(argument) for argument in arguments])
-    return stopped.value.code
 
 
 def test_the_copy_is_half_the_size_and_predicts_the_same(base, capsys):

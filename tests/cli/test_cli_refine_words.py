@@ -1,54 +1,39 @@
-"""What `tso refine` says to whom: four lines, every measure with -v, nothing but errors with -q; and its warnings."""
+"""What `tso refine` prints: four lines, every measure with -v, nothing but errors with -q; its warnings and progress."""
 
 from __future__ import annotations
 
 import json
 import re
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from tso_cli import __version__
-from tso_cli.cli import main
 from tso_cli.commands import options
 from tso_cli.io.cameras import CameraRecord, read_camera, write_cameras
 from tso_cli.io.clouds import read_cloud
 
-CHAIR = Path(__file__).parents[2] / "examples" / "chair"
-
-
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """A copy of the chair example to stand in."""
-    for name in ("initial.ply", "mask.png", "image.png", "camera.json"):
-        shutil.copy(CHAIR / name, tmp_path / name)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+from . import run
 
 
 def tso(*arguments) -> int:
-    with pytest.raises(SystemExit) as stopped:
-        main(["refine", *map(str, arguments), "--overwrite"])
-    return stopped.value.code
+    return run.tso("refine", *arguments, "--overwrite")
 
 
-def test_every_measure_is_there_for_who_asks(folder, capsys):
-    assert tso("initial.ply", "mask.png", "-v") == 0
+def test_verbose_prints_every_measure_and_setting(folder, capsys):
+    assert tso("initial.ply", "mask.png", "-v", "--steps", "6") == 0
     captured = capsys.readouterr()
     assert captured.err == "tso: camera: camera.json\n"
-    for words in ("loss ", "Chamfer to the start", "mirror plane", "sigma_sq ", "weight 1.00, mask.png", "seed 0"):
+    for words in ("loss ", "Chamfer to the start", "mirror plane", "sigma_sq ", "loss weight 1.00, mask.png", "seed 0"):
         assert words in captured.out
 
 
-def test_who_wants_quiet_reads_errors_alone(folder, capsys):
-    assert tso("initial.ply", "mask.png", "-q", "--steps", "0", "--overlay", "picture.png") == 0
-    assert capsys.readouterr() == ("", "")
+def test_quiet_prints_nothing_but_errors_and_the_json_document(folder, capsys):
+    for option in (("--steps", "0", "--overlay", "picture.png"), ("--check",)):
+        assert tso("initial.ply", "mask.png", "-q", *option) == 0
+        assert capsys.readouterr() == ("", "")
     assert Path("picture.png").exists()
-    assert tso("initial.ply", "mask.png", "-q", "--check") == 0
-    assert capsys.readouterr() == ("", "")
     assert tso("initial.ply", "mask.png", "-q", "--steps", "0", "--json") == 0
     captured = capsys.readouterr()
     assert captured.err == ""
@@ -71,10 +56,10 @@ def test_a_run_that_moves_nothing_says_so_and_why(folder, capsys):
     assert (document["stop_reason"], document["warnings"], document["moved_max"]) == ("not_improved", [why], 0.0)
 
 
-def test_what_reading_the_files_warned_of_is_in_the_json(folder, capsys):
+def test_warnings_of_reading_the_files_are_in_the_json(folder, capsys):
     with Image.open("mask.png") as mask:
         Image.fromarray((np.asarray(mask.convert("L")) > 127).astype(np.uint8)).save("labels.png")
-    assert tso("initial.ply", "labels.png", "--json") == 0
+    assert tso("initial.ply", "labels.png", "--json", "--steps", "6") == 0
     captured = capsys.readouterr()
     (told,) = json.loads(captured.out)["warnings"]
     assert "read as labels" in told
@@ -90,20 +75,10 @@ def test_what_reading_the_files_warned_of_is_in_the_json(folder, capsys):
         (("--preset", "paper"), None),
     ],
 )
-def test_what_was_assumed_of_the_objects_symmetry_is_said_in_plain_words(folder, capsys, options, told):
+def test_the_assumed_symmetry_is_printed(folder, capsys, options, told):
     assert tso("initial.ply", "mask.png", "--steps", "6", *options) == 0
     (used,) = re.findall(r"^  used   camera camera.json; (?:(.*); )?[\d.]+ s$", capsys.readouterr().out, re.M)
     assert used == (told or "")
-
-
-@pytest.fixture(scope="module")
-def checkpoint(tmp_path_factory):
-    from tso_cli.io.checkpoints import save_network
-    from tso_cli.network.model import NetworkConfig, build_network
-
-    path = tmp_path_factory.mktemp("checkpoint") / "small.safetensors"
-    save_network(path, build_network(points=128, seed=0), NetworkConfig(points=128, version=__version__))
-    return path
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ def test_chamfer_is_the_mean_of_the_smallest_of_all_squared_distances(prediction
     assert result.chamfer == result.forward + result.backward
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(clouds(), clouds())
 def test_swapping_the_clouds_swaps_the_directions(a: np.ndarray, b: np.ndarray) -> None:
     one, other = chamfer(a, b), chamfer(b, a)
@@ -48,13 +48,10 @@ def test_a_cloud_is_at_distance_zero_of_itself_in_any_order(points: np.ndarray, 
     assert f_score(points, shuffled, 1e-9).f_score == 1.0
 
 
-def test_forward_is_what_the_prediction_fails_to_cover() -> None:
+def test_chamfer_is_directed_and_exact_far_from_the_origin() -> None:
     target = np.array([[0.0, 0, 0], [2, 0, 0]])
-    result = chamfer(target[:1], target)
-    assert (result.forward, result.backward) == (2.0, 0.0)
-
-
-def test_chamfer_is_exact_far_from_the_origin() -> None:
+    uncovered = chamfer(target[:1], target)
+    assert (uncovered.forward, uncovered.backward) == (2.0, 0.0)
     far = np.array([4e6, -4e6, 4e6])
     a, b = np.eye(3) / 1024 + far, np.zeros((1, 3)) + far
     assert chamfer(a, b).chamfer == 2.0 / 1024**2
@@ -104,17 +101,13 @@ def test_emd_is_the_best_of_all_permutations(count: int, seed: int, squared: boo
     assert emd(a, b, squared) == pytest.approx(best, abs=1e-12)
 
 
-def test_emd_bounds_both_directions_of_chamfer_from_above() -> None:
+def test_emd_bounds_chamfer_from_above_and_measures_a_translation() -> None:
     a, b = np.random.default_rng(5).normal(size=(2, 60, 3))
     result = chamfer(a, b)
     assert emd(a, b, squared=True) >= max(result.forward, result.backward)
     assert emd(a, b) == pytest.approx(emd(b, a))
-
-
-def test_emd_of_a_moved_cloud_is_the_length_of_the_move() -> None:
-    points = np.random.default_rng(6).normal(size=(40, 3))
-    assert emd(points, points + np.array([0.0, 0.3, 0.4])) == pytest.approx(0.5)
-    assert emd(points, points + np.array([0.0, 0.3, 0.4]), squared=True) == pytest.approx(0.25)
+    for squared, length in ((False, 0.5), (True, 0.25)):
+        assert emd(a, a + np.array([0.0, 0.3, 0.4]), squared) == pytest.approx(length)
 
 
 def test_emd_refuses_clouds_of_different_or_excessive_size_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:

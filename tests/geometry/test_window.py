@@ -17,7 +17,7 @@ from tso_cli.refinement import PRESETS
 from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.resampled_view import fine_cells, resample_view
-from tso_cli.scene.load import load_view
+from tso_cli.scene.load import ViewFiles, load_views
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -25,7 +25,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 def _example(name):
     folder = EXAMPLES / name
     initial, target = (read_cloud(folder / f"{file}.ply").points for file in ("initial", "target"))
-    return initial, target, load_view(folder / "mask.png")[0]
+    return initial, target, load_views(ViewFiles([folder / "mask.png"]))[0][0]
 
 
 def _in_canvas(view, times, across=0.5, down=0.3):

@@ -219,7 +219,7 @@ def test_a_network_that_sees_sizes_takes_the_distance_of_the_camera_and_warns_wi
     def crop_of(distance: float) -> np.ndarray:
         view = View(mask, replace(camera, t=distance * camera.t))
         scene = network_scene(image, view, network, config)
-        assert "(only its K and t)" in scene.camera_in_short
+        assert "(only its K and t)" in scene.camera_summary
         return scene.views[0].mask
 
     # The same object, said to be nearer and so smaller, fills less of what the network sees.

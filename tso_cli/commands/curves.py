@@ -14,15 +14,15 @@ if TYPE_CHECKING:
     from ..plots.curves import Sample
 
 
-@click.command("curves", short_help="Draw the loss curves of trainings, and samples of a network.")
+@click.command("curves")
 @click.argument("logs", nargs=-1, required=True, type=options.FilePath())
 @click.option(
     "-o", "--output", type=options.FilePath(), default=Path("curves.png"), show_default=True, help="Picture to write."
 )
 @click.option("--checkpoint", type=options.FilePath(), help="Network to draw samples of, into NAME.samples.png beside it.")
-@click.option("--data", type=options.FilePath(), help="Data set that the samples come from.")
-@click.option("--split", "split_file", type=options.FilePath(), help='Take samples from its list "test" alone.')
-@click.option("--samples", "count", type=click.IntRange(min=1, max=50), default=6, show_default=True)
+@click.option("--data", type=options.FilePath(), help="Data set of the samples.")
+@click.option("--split", "split_file", type=options.FilePath(), help='Take samples only from its list "test".')
+@click.option("--samples", "count", type=click.IntRange(min=1, max=50), default=6, show_default=True, help="How many.")
 @options.overwrite
 def command(
     logs: tuple[Path, ...],
@@ -35,42 +35,38 @@ def command(
 ) -> None:
     """Draw the losses in LOGS, which `tso train --log-file` wrote: raw values under their running mean.
 
-    With --checkpoint and --data also what the network makes of a few pictures: input, prediction and target from two sides.
+    With --checkpoint and --data also samples of a network: input, prediction and target from two sides.
     """
     from ..io.logs import read_log
-    from ..io.output import check_output
     from ..plots.curves import draw_curves, draw_samples, labels, lambda_drop, running_mean
 
     if (checkpoint is None) != (data is None):
         raise InputError("samples need a network and pictures, expected --checkpoint and --data together")
     if split_file is not None and data is None:
         raise InputError("--split without --data, expected a data set to choose from")
-    if output.suffix.lower() != ".png":
-        raise InputError(f"{output}: the suffix is {output.suffix!r}, expected .png")
     pictures = output.with_name(f"{output.stem}.samples.png")
     for path in (output, pictures) if checkpoint else (output,):
-        check_output(path, overwrite)
-    read = [read_log(path) for path in logs]
+        options.require_output(path, ".png", overwrite)
+    histories = [read_log(path) for path in logs]
     samples, scale = _samples(checkpoint, data, split_file, count) if checkpoint and data else ([], "")
-    draw_curves(output, read, overwrite)
-    for name, log in zip(labels(read), read, strict=True):
+    draw_curves(output, histories, overwrite)
+    for name, log in zip(labels(histories), histories, strict=True):
         losses, drop = log.columns["loss"], lambda_drop(log)
-        told = "" if drop is None else f", lambda dropped before step {drop}"
+        dropped = "" if drop is None else f", lambda dropped before step {drop}"
         last = running_mean(losses, max(1, len(losses) // 50))[-1]
-        click.echo(f"{name}: {len(losses)} steps, {log.settings['supervision']}, loss {losses[0]:.4g} to {last:.4g}{told}")
+        click.echo(f"{name}: {len(losses)} steps, {log.settings['supervision']}, loss {losses[0]:.4g} to {last:.4g}{dropped}")
     if samples:
         draw_samples(pictures, samples, scale, overwrite)
         click.echo(f"{pictures}: {len(samples)} samples of {checkpoint}, {scale}")
 
 
 def _samples(checkpoint: Path, folder: Path, split_file: Path | None, count: int) -> tuple[list[Sample], str]:
-    """The first view of ``count`` objects spread evenly over the data set, predicted; and the scale of the clouds."""
+    """The predicted first view of ``count`` objects spread evenly over the data set; and the scale of the clouds."""
     from ..io.checkpoints import load_network
     from ..io.shipped import named_checkpoint
     from ..plots.samples import sample_predictions
-    from .training_data import Wanted, load
+    from .training_data import DataSelection, load
 
     network, config = load_network(named_checkpoint(checkpoint))
-    wanted = Wanted(folder, split_file, crop_share=config.crop_share, background=config.background, part="test")
-    data = load(wanted)
+    data = load(DataSelection(folder, split_file, crop_share=config.crop_share, background=config.background, part="test"))
     return sample_predictions(network, data, config.frame, count), data.scale

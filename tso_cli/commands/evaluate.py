@@ -1,4 +1,4 @@
-"""`tso eval`: judge clouds against ground truth."""
+"""`tso eval`: compare clouds with ground truth."""
 
 from __future__ import annotations
 
@@ -9,85 +9,73 @@ from typing import Any
 import click
 
 from ..errors import GateError, InputError
-from ..evaluation.judge import FIELDS, METRICS, PROTOCOLS, EvalConfig, evaluate, find_pairs
+from ..evaluation.compare import FIELDS, METRICS, PROTOCOLS, EvalConfig, evaluate
+from ..evaluation.pairs import find_pairs
 from ..plots.table import text_table
 from . import options
 
-# Centres further apart than this, in longest sides of the target, are no error of a prediction.
-_FAR = 0.25
-# Shown x1000 in the table: squared distances of shapes of size 1 are small.
-_SQUARED = ("forward", "backward", "chamfer")
+PATH = options.FilePath()
+HEADINGS = {"chamfer": "Metrics", "protocol": "Clouds", "mask": "Silhouettes", "suffix": "Other"}
+# Between a voxel grid and a shape: a larger offset of the centres, in longest sides of the target, is one of the frames.
+FAR = 0.25
 
 
-@click.command("eval")
-@click.argument("prediction", type=options.FilePath())
-@click.argument("target", type=options.FilePath())
+@click.command("eval", cls=options.Command, headings=HEADINGS)
+@click.argument("prediction", type=PATH)
+@click.argument("target", type=PATH)
 @click.option("--chamfer", is_flag=True, help="Chamfer distance (the default).")
 @click.option("--f-score", is_flag=True, help="F-score at a distance.")
+@click.option("--threshold", type=float, help="Distance of the F-score.  [default: 1 % of the target's longest side]")
 @click.option("--emd", is_flag=True, help="Earth mover's distance; clouds of equal size.")
 @click.option("--iou", is_flag=True, help="IoU of silhouette and mask; needs --mask.")
-@click.option("--protocol", type=click.Choice(PROTOCOLS), default="plain", show_default=True)
+@click.option("--protocol", type=click.Choice(PROTOCOLS), default="plain", help="plain: clouds as they are; capnet: see above.")
 @click.option(
-    "--points", type=int, metavar="N", help="Thin every cloud to N points first, farthest-point.  [default: all; capnet: 1024]"
+    "--points", type=int, metavar="N", help="Farthest-point sample N points of every cloud first.  [default: all; capnet 1024]"
 )
-@click.option("--samples", type=int, default=16384, show_default=True, help="Points drawn from a mesh or voxel grid.")
-@click.option("--vertices", is_flag=True, help="Of meshes take the vertices, not the surface.")
-@click.option("--threshold", type=float, help="Distance of the F-score.  [default: 1 % of the target's longest side]")
-@click.option("--mask", type=options.FilePath(), help="Mask of the object, or a folder of NAME.png.")
-@click.option(
-    "--camera", type=options.FilePath(), help="Camera file, for one mask or for all, or a folder of NAME.camera.json."
-)
-@click.option("--sigma-sq", type=float, help="Of the IoU: the paper's silhouette, Gaussians of this variance, px^2.")
-@click.option("--suffix", default="", help="In folders: predictions are the files NAME + this, such as .refined.")
+@click.option("--samples", type=int, default=16384, help="Points sampled from the surface of a mesh or voxel grid.")
+@click.option("--vertices", "as_vertices", is_flag=True, help="Take the vertices of meshes, not their surface.")
+@click.option("--mask", type=PATH, help="Mask of the object, or a folder of NAME.png.")
+@click.option("--camera", type=PATH, help="Camera file, for one mask or for all, or a folder of NAME.camera.json.")
+@click.option("--sigma-sq", type=float, help="IoU of the paper's silhouette, Gaussians of this variance, px^2.")
+@click.option("--suffix", default="", show_default=False, help="In folders: predictions are called NAME + this, as .refined.")
 @click.option("--fail-above", type=float, metavar="X", help="Exit with 3 if the mean Chamfer x1000 is above X.")
 @options.seed
 @options.as_json
 def command(
     prediction: Path,
     target: Path,
-    chamfer: bool,
-    f_score: bool,
-    emd: bool,
-    iou: bool,
-    protocol: str,
-    points: int | None,
-    samples: int,
-    vertices: bool,
-    threshold: float | None,
     mask: Path | None,
     camera: Path | None,
-    sigma_sq: float | None,
     suffix: str,
     fail_above: float | None,
-    seed: int,
     as_json: bool,
+    **chosen: Any,
 ) -> None:
-    """Judge PREDICTION against TARGET: two files, or two folders matched by name.
+    """Compare PREDICTION with TARGET: two files, or two folders matched by name.
 
     Files are point clouds (.ply .npy .xyz .txt), meshes (.obj .off .stl .glb, .ply with faces) or voxel grids (.npy .binvox);
-    meshes and grids are judged by points drawn from their surface, those of PREDICTION and TARGET each for itself: equal
-    surfaces are as far apart as two samples. A .binvox grid is centred at the origin. In folders .txt files are left out.
+    of meshes and grids, points sampled on the surface are compared, for PREDICTION and TARGET independently: the distance of
+    equal surfaces is that of two samples, not 0. A .binvox grid is centred at the origin. In folders .txt files are left out.
 
     Chamfer: squared distances, mean over points; forward is target -> prediction, backward prediction -> target. The table
     shows it x1000, --json raw. --protocol capnet, the paper's, first thins each cloud to 1,024 points, then centres it on its
     own bounding box and scales it to longest side 1, which hides errors of scale and place.
     """
-    asked = zip(METRICS, (chamfer, f_score, emd, iou), strict=True)
-    chosen = tuple(name for name, wanted in asked if wanted) or ("chamfer",)
-    config = EvalConfig(chosen, protocol, points, samples, threshold, sigma_sq, seed, vertices)
-    if fail_above is not None and ("chamfer" not in chosen or not fail_above >= 0.0):
+    metrics = tuple(name for name in METRICS if chosen[name]) or ("chamfer",)
+    config = options.pick(EvalConfig, chosen | {"metrics": metrics})
+    if fail_above is not None and ("chamfer" not in metrics or not fail_above >= 0.0):
         raise InputError(f"--fail-above {fail_above:g} bounds the Chamfer distance, expected a number >= 0 and --chamfer")
-    if "iou" in chosen and mask is None and camera is None:
+    if "iou" in metrics and mask is None and camera is None:
         raise InputError("--iou needs --mask (with --camera, or a camera file beside it), or a --camera file that names masks")
-    if "iou" not in chosen and (mask is not None or camera is not None):
+    if "iou" not in metrics and (mask is not None or camera is not None):
         raise InputError("--mask and --camera serve --iou, which was not asked for")
-    if "iou" not in chosen and sigma_sq is not None:
+    if "iou" not in metrics and config.sigma_sq is not None:
         raise InputError("--sigma-sq serves --iou, which was not asked for")
-    if "f_score" not in chosen and threshold is not None:
+    if "f_score" not in metrics and config.threshold is not None:
         raise InputError("--threshold serves --f-score, which was not asked for")
     pairs = find_pairs(prediction, target, mask, camera, suffix)
-    result = evaluate(pairs, config, options.ProgressBar("judging") if len(pairs) > 1 else None)
-    _remarks(result["pairs"], config)
+    result = evaluate(pairs, config, options.ProgressBar("evaluating") if len(pairs) > 1 else None)
+    _log_remarks(result["pairs"], config)
     if as_json:
         options.echo_json(result)
     else:
@@ -96,24 +84,22 @@ def command(
         raise GateError(f"mean Chamfer x1000 is {1000.0 * result['mean']['chamfer']:.4g}, above {fail_above:g} (--fail-above)")
 
 
-def _remarks(records: list[dict[str, Any]], config: EvalConfig) -> None:
-    """What a reader of the numbers might not expect, on stderr."""
+def _log_remarks(records: list[dict[str, Any]], config: EvalConfig) -> None:
+    """Log what may surprise a reader of the numbers: sampled surfaces, and frames or sizes that differ."""
+    samples = f"{config.samples:,} points of the surface"
+    meshes = "their vertices" if config.as_vertices else f"{samples} (--vertices takes the vertices)"
     for side in ("prediction", "target"):
         kinds = Counter(record[f"{side}_kind"] for record in records)
-        read_as = {"mesh": "their vertices" if config.as_vertices else f"{config.samples:,} points of the surface"}
-        read_as["voxels"] = f"{config.samples:,} points of the surface"
-        for kind, how in read_as.items():
+        for kind, noun, how in (("mesh", "meshes", meshes), ("voxels", "voxel grids", samples)):
             if kinds[kind]:
-                noun = {"mesh": "meshes", "voxels": "voxel grids"}[kind]
-                hint = " (--vertices takes the vertices)" if kind == "mesh" and not config.as_vertices else ""
-                options.log(f"{side}: {kinds[kind]} of {len(records)} are {noun}, judged by {how}{hint}")
-    sides = [record["target_longest_side"] for record in records]
+                options.log(f"{side}: {kinds[kind]} of {len(records)} are {noun}, judged by {how}")
     if config.protocol != "plain":
         return
     far = [
         record
-        for record, side in zip(records, sides, strict=True)
-        if "voxels" in (record["prediction_kind"], record["target_kind"]) and record["centre_offset"] > _FAR * side
+        for record in records
+        if "voxels" in (record["prediction_kind"], record["target_kind"])
+        and record["centre_offset"] > FAR * record["target_longest_side"]
     ]
     if far:
         pairs = f", too far in {len(far)} of {len(records)} pairs" if len(far) > 1 else ""
@@ -121,6 +107,7 @@ def _remarks(records: list[dict[str, Any]], config: EvalConfig) -> None:
             f"{far[0]['name']}: the centres of prediction and target are {far[0]['centre_offset']:.3g} apart{pairs}; voxel "
             "grids are centred at the origin, expected the same of what they are compared with (--protocol capnet centres both)"
         )
+    sides = [record["target_longest_side"] for record in records]
     if min(sides) > 0.0 and not all(0.98 < side < 1.02 for side in sides):
         span = f"{min(sides):.4g}" if len(sides) == 1 else f"{min(sides):.4g} to {max(sides):.4g}"
         options.log(f"the longest side of the target is {span}; published figures are for 1 (--protocol capnet rescales)")
@@ -128,37 +115,32 @@ def _remarks(records: list[dict[str, Any]], config: EvalConfig) -> None:
 
 def _table(result: dict[str, Any], config: EvalConfig) -> str:
     fields = [field for name in config.metrics for field in FIELDS[name]]
-    factors = {field: 1000.0 if _thousandfold(field, config) else 1.0 for field in fields}
+    # Squared distances of shapes of size 1 are small: show them x1000.
+    squared = {*FIELDS["chamfer"], *(["emd"] if config.protocol == "capnet" else [])}
+
+    def cells(values: dict[str, float]) -> list[float]:
+        return [(1000.0 if field in squared else 1.0) * values[field] for field in fields]
+
     titles = [field.replace("f_score", "F-score").replace("emd", "EMD").replace("iou", "IoU") for field in fields]
-    header = ["name", "N prediction", "N target", *titles]
     rows: list[list[Any]] = [
-        [record["name"], record["prediction_points"], record["target_points"], *(factors[f] * record[f] for f in fields)]
-        for record in result["pairs"]
+        [record["name"], record["prediction_points"], record["target_points"], *cells(record)] for record in result["pairs"]
     ]
     several = len(rows) > 1
     if several:
-        rows.append([f"mean of {len(rows)}", None, None, *(factors[f] * result["mean"][f] for f in fields)])
-    return text_table(header, rows, rule_before_last=several) + "\n" + _footnote(result, config, fields)
+        rows.append([f"mean of {len(rows)}", None, None, *cells(result["mean"])])
+    table = text_table(["name", "N prediction", "N target", *titles], rows, rule_before_last=several)
+    return "\n".join([table, *_conventions(result, config, "emd" in squared)])
 
 
-def _thousandfold(field: str, config: EvalConfig) -> bool:
-    return field in _SQUARED or (field == "emd" and config.protocol == "capnet")
-
-
-def _footnote(result: dict[str, Any], config: EvalConfig, fields: list[str]) -> str:
-    """The convention of every number above it."""
+def _conventions(result: dict[str, Any], config: EvalConfig, squared_emd: bool) -> list[str]:
+    """Lines that state the convention of every number."""
     convention = result["convention"]
-    drawn = {"voxels"} if config.as_vertices else {"mesh", "voxels"}
-    lines = []
-    if "chamfer" in fields:
-        lines.append(f"Chamfer x1000: {convention['chamfer']}")
-    if "f_score" in fields:
-        lines.append(f"F-score: {convention['f_score']}")
-    if "emd" in fields:
-        lines.append(f"EMD{' x1000' if _thousandfold('emd', config) else ''}: {convention['emd']}")
-    if "iou" in fields:
-        lines.append(f"IoU: {convention['iou']}; clouds in their own frame")
-    if any({record["prediction_kind"], record["target_kind"]} <= drawn for record in result["pairs"]):
+    sampled = {"voxels"} if config.as_vertices else {"mesh", "voxels"}
+    labels = {"chamfer": "Chamfer x1000", "f_score": "F-score", "emd": f"EMD{' x1000' if squared_emd else ''}", "iou": "IoU"}
+    lines = [f"{labels[name]}: {convention[name]}" for name in METRICS if name in config.metrics]
+    if "iou" in config.metrics:
+        lines[-1] += "; clouds in their own frame"
+    if any({record["prediction_kind"], record["target_kind"]} <= sampled for record in result["pairs"]):
         lines.append(
             "surfaces: prediction and target draw their own points, so that equal shapes are not at 0 but at two samples"
         )
@@ -166,4 +148,4 @@ def _footnote(result: dict[str, Any], config: EvalConfig, fields: list[str]) -> 
         f"protocol {config.protocol} (normalisation: {convention['normalisation']}), {convention['thinning']}, "
         f"samples {config.samples}, seed {config.seed}, cpu, float64"
     )
-    return "\n".join(lines)
+    return lines

@@ -7,7 +7,6 @@ from pathlib import Path
 import click
 
 from ..errors import InputError
-from ..io.output import check_output
 from ..version import __version__
 from . import options
 
@@ -18,14 +17,12 @@ from . import options
 @options.overwrite
 @options.as_json
 def command(checkpoint: Path, output: Path, overwrite: bool, as_json: bool) -> None:
-    """Write a network with weights of 16 bits and without the state of its training.
+    """Write a network with 16-bit weights and without the state of its training.
 
-    The copy is used like any checkpoint; an interrupted training cannot go on from it. How far the rounding moves a predicted
-    point is measured on the shipped examples.
+    The copy is used like any checkpoint, but a training cannot be resumed from it. The largest change of a predicted point is
+    measured on the shipped examples.
     """
-    if output.suffix.lower() != ".safetensors":
-        raise InputError(f"{output}: the suffix is {output.suffix!r}, expected .safetensors")
-    check_output(output, overwrite)
+    options.require_output(output, ".safetensors", overwrite)
     import torch
 
     from ..io.checkpoints import load_network, save_network
@@ -55,7 +52,7 @@ def command(checkpoint: Path, output: Path, overwrite: bool, as_json: bool) -> N
 
 
 def _largest_change(folder: Path, *checkpoints: Path) -> float:
-    """The largest distance between a point that one checkpoint predicts for an example and the other's."""
+    """The largest distance between corresponding points that two checkpoints predict for an example."""
     import numpy as np
 
     from ..scene.network import load_network_scene

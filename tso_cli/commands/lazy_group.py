@@ -1,4 +1,4 @@
-"""A group of commands that are imported when they run: `tso --help` must not wait for torch."""
+"""A group that imports a command only to run it: `tso --help` must not wait for torch."""
 
 from __future__ import annotations
 
@@ -9,12 +9,9 @@ import click
 
 
 class LazyGroup(click.Group):
-    """A click group that knows its commands by name, and their help by one line each.
+    """A click group of modules that each hold a ``command``.
 
-    Parameters
-    ----------
-    sections : heading -> name of a command -> (absolute name of its module, its line of help). A module holds its command
-        under the name ``command``.
+    sections : heading -> name of a command -> (its module, its line of help).
     """
 
     def __init__(self, *args: Any, sections: dict[str, dict[str, tuple[str, str]]], **kwargs: Any) -> None:

@@ -1,4 +1,4 @@
-"""Options that several commands share."""
+"""What several commands share: options, help in sections, progress, warnings and JSON."""
 
 from __future__ import annotations
 
@@ -11,30 +11,47 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 
-# What `--camera` takes instead of a file.
-FIT = Path("fit")
+from ..errors import InputError
+from ..io.output import check_output
+
+T = TypeVar("T")
 
 
 class FilePath(click.Path):
-    """A path as `pathlib.Path`. Whether it can be read is the reader's to say, in one voice for every file."""
+    """A path as `pathlib.Path`; the readers check it, so that their messages are the same everywhere."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
 
 
-class CameraPath(FilePath):
-    """A camera file, or the word `fit`: that stays the path ``FIT``; a file of that name, written ./fit, is made absolute."""
+class Command(click.Command):
+    """A command whose help shows defaults, and options under headings.
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        path = super().convert(value, param, ctx)
-        return path.absolute() if path == FIT and str(value) != str(FIT) else path
+    headings : name of a parameter -> the heading that it and those after it stand under.
+    """
+
+    def __init__(self, *args: Any, headings: Mapping[str, str], **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.context_settings["show_default"] = True
+        self.headings = headings
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        heading, sections = "Options", dict[str, list[tuple[str, str]]]()
+        for parameter in self.get_params(ctx):
+            heading = self.headings.get(parameter.name or "", heading)
+            if isinstance(parameter, click.Option) and (record := parameter.get_help_record(ctx)):
+                sections.setdefault(heading, []).append(record)
+        for heading, records in sections.items():
+            with formatter.section(heading):
+                formatter.write_dl(records)
 
 
 overwrite = click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
@@ -42,25 +59,40 @@ seed = click.option(
     "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Seed of everything random."
 )
 as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
-device = click.option("--device", default="cpu", show_default=True, help="cpu, cuda, cuda:1, mps or auto.")
+device = click.option(
+    "--device",
+    default="cpu",
+    show_default=True,
+    help="cpu, cuda, cuda:1, mps or auto; GPU support (Triton kernels) is experimental.",
+)
+
+
+def pick(kind: type[T], chosen: Mapping[str, Any]) -> T:
+    """The dataclass ``kind`` from the options that it has fields for."""
+    return kind(**{field.name: chosen[field.name] for field in fields(kind) if field.name in chosen})  # type: ignore[arg-type]
+
+
+def require_output(path: Path, suffix: str, overwrite: bool) -> None:
+    """InputError for an output that has another suffix or cannot be written (`check_output`)."""
+    if path.suffix.lower() != suffix:
+        raise InputError(f"{path}: the suffix is {path.suffix!r}, expected {suffix}")
+    check_output(path, overwrite)
 
 
 @contextmanager
 def loading() -> Iterator[None]:
-    """For imports: looking for garbage among what a large library has just made takes a tenth of a second and finds none."""
-    collecting = gc.isenabled()
+    """Import without garbage collection: torch makes many objects, and scanning them takes a tenth of a second."""
     gc.disable()
     try:
         yield
     finally:
         gc.freeze()
-        if collecting:
-            gc.enable()
+        gc.enable()
 
 
 @contextmanager
 def terminated_as_interrupted() -> Iterator[None]:
-    """SIGTERM ends the work as Ctrl-C does, so that nothing half done is left."""
+    """Let SIGTERM end the work as Ctrl-C does, so that no partial output stays."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -95,7 +127,7 @@ def log(message: str) -> None:
 
 @contextmanager
 def collected_warnings(quiet: bool) -> Iterator[list[str]]:
-    """A list that takes the text of every warning that is issued; they are shown as ever unless ``quiet``."""
+    """Collect the texts of all warnings in a list; show them too unless ``quiet``."""
     show, texts = warnings.showwarning, []
 
     def collect(message: Warning | str, *rest: Any, **named: Any) -> None:
@@ -111,12 +143,9 @@ def collected_warnings(quiet: bool) -> Iterator[list[str]]:
 
 
 class ProgressBar:
-    """A bar with the time left on stderr while it is a terminal, else a line every tenth of the work or 15 seconds.
+    """Progress on stderr: a bar with the time left on a terminal, else a line every tenth of the work or 15 seconds.
 
-    Parameters
-    ----------
-    label : what is being done.
-    delay : seconds before anything is shown, so that quick work stays silent.
+    Nothing is shown in the first ``delay`` seconds.
     """
 
     def __init__(self, label: str, delay: float = 1.0) -> None:
@@ -143,7 +172,7 @@ class ProgressBar:
         if not self._terminal:
             log(f"{self.label} {words}")
             return
-        # A line that wraps cannot be written over: what does not fit is the bar's to save.
+        # A line that wraps cannot be overwritten: shorten the bar until it fits.
         width = min(40, _columns() - len(f"{self.label} [] {total}/{total} {note}, 00:00 left") - 1)
         words += self._left(now, done, total)
         filled = done * width // max(total, 1)
@@ -152,14 +181,13 @@ class ProgressBar:
         click.echo(f"\r{self.label} {bar}{words}\x1b[K", err=True, nl=not self._open)
 
     def close(self) -> None:
-        """End the line of a bar that did not come to its end."""
+        """End the line of a bar that stopped early."""
         if self._open:
             log("")
         self._open = False
 
     def _left(self, now: float, done: int, total: int) -> str:
-        assert self._first is not None
-        began, before = self._first
+        began, before = self._first or (now, done)
         if not before < done < total:
             return ""
         seconds = math.ceil((now - began) / (done - before) * (total - done))
@@ -167,7 +195,7 @@ class ProgressBar:
 
 
 def _columns() -> int:
-    """Of the terminal that stderr is."""
+    """Width of the terminal."""
     try:
         return os.get_terminal_size(sys.stderr.fileno()).columns or 80
     except OSError:

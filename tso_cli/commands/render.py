@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from ..errors import InputError
 from . import options
 
 
@@ -26,69 +27,63 @@ class Size(click.ParamType):
         return int(match[1]), int(match[2] or match[1])
 
 
-@click.command("render")
+@click.command(
+    "render", cls=options.Command, headings={"split": "Meshes", "views": "Pictures", "samples": "Points", "output": "Output"}
+)
 @click.argument("source", metavar="MESH_OR_FOLDER", type=options.FilePath())
-@click.option("-o", "--output", type=options.FilePath(), required=True, help="Folder to write NAME/... into.")
-@click.option("--views", type=int, default=24, show_default=True, help="Pictures of each object.")
-@click.option("--size", type=Size(), default="64", show_default=True, help="Pixels, or WIDTHxHEIGHT.")
-@click.option("--elevation", type=float, nargs=2, default=(-5, 40), show_default=True, help="Range in degrees.")
-@click.option("--azimuth", type=float, nargs=2, default=(0, 360), show_default=True, help="Range in degrees; 0 sees +z.")
+@click.option("--split", type=options.FilePath(), help="Render only the meshes that this split names; .json.")
+@click.option("--part", type=click.Choice(["train", "validation", "test"]), default="train", help="Which list of the split.")
+@click.option("--copies", type=int, default=0, help="Add so many randomly warped copies of each mesh, for training.")
+@click.option("--paint", is_flag=True, help="Random colours on the parts of each mesh, for training.")
+@click.option("--views", type=int, default=24, help="Pictures of each object.")
+@click.option("--size", type=Size(), default="64", help="Pixels, or WIDTHxHEIGHT.")
+@click.option("--elevation", type=float, nargs=2, default=(-5, 40), help="Range in degrees.")
+@click.option("--azimuth", type=float, nargs=2, default=(0, 360), help="Range in degrees; 0 looks from +z.")
 @click.option("--distance", type=float, help="Of the camera, in longest sides. [default: 2, or more to see all]")
 @click.option("--focal", type=float, help="Focal length in pixels. [default: 120 for each 64 pixels]")
-@click.option("--samples", type=int, default=16384, show_default=True, help="Points drawn from the surface.")
-@click.option("--points", type=int, default=1024, show_default=True, help="How many of them the target keeps.")
-@click.option("--copies", type=int, default=0, show_default=True, help="Warped copies of each mesh beside it, for training.")
-@click.option("--paint", is_flag=True, help="Random colours on the parts of each mesh, for training.")
-@click.option("--split", type=options.FilePath(), help="Render only what this split names; .json.")
-@click.option(
-    "--part",
-    type=click.Choice(["train", "validation", "test"]),
-    default="train",
-    show_default=True,
-    help="Which list of the split.",
-)
-@options.seed
+@click.option("--samples", type=int, default=16384, help="Points sampled from the surface.")
+@click.option("--points", type=int, default=1024, help="How many of them the target keeps.")
+@click.option("-o", "--output", type=options.FilePath(), required=True, help="Folder to write NAME/... into.")
 @options.overwrite
+@options.seed
 @options.as_json
 def command(
     source: Path,
-    output: Path,
     split: Path | None,
     part: str,
-    seed: int,
+    output: Path,
     overwrite: bool,
+    seed: int,
     as_json: bool,
-    **settings: Any,
+    **chosen: Any,
 ) -> None:
     """Render a mesh, or all meshes of a folder: pictures, masks, cameras and ground truth.
 
-    Every mesh is centred and scaled to longest side 1. Textures are read from its folder, or the one that is rendered, and
-    below. Views are random, reproducible from the seed. A run that was stopped, or killed, goes on where it was when started
-    again.
+    Every mesh is centred and scaled to longest side 1. Textures are read from its folder, the rendered folder and those below.
+    Views are random, reproducible from the seed. Started again after an interruption, the command skips what is rendered.
     """
-    from ..errors import InputError
     from ..render import RenderSettings, render_folder
     from ..version import __version__
 
-    chosen = RenderSettings(**settings)
-    only = None
+    settings = RenderSettings(**chosen)
+    names = None
     if split is not None:
         from ..datasets.opening import read_part
 
-        only = read_part(split, part)
+        names = read_part(split, part)
     with options.terminated_as_interrupted():
-        summary = render_folder(source, output, chosen, seed, overwrite, options.ProgressBar("rendering"), only)
+        summary = render_folder(source, output, settings, seed, overwrite, options.ProgressBar("rendering"), names)
     for message in summary.failed.values():
         options.log(message)
     if summary.skipped:
         options.log(f"{len(summary.skipped)} rendered before, skipped (--overwrite renders again)")
     if as_json:
-        options.echo_json({**asdict(summary), "settings": asdict(chosen), "seed": seed, "version": __version__})
+        options.echo_json({**asdict(summary), "settings": asdict(settings), "seed": seed, "version": __version__})
     else:
-        width, height = chosen.size
+        width, height = settings.size
         click.echo(
-            f"{len(summary.written)} objects rendered into {output} ({chosen.views} views of {width}x{height} and "
-            f"{chosen.points} points of {chosen.samples} each, seed {seed})"
+            f"{len(summary.written)} objects rendered into {output} ({settings.views} views of {width}x{height} and "
+            f"{settings.points} points of {settings.samples} each, seed {seed})"
         )
     if summary.failed:
         raise InputError(f"{len(summary.failed)} meshes could not be rendered, all others are in {output}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,18 +11,39 @@ import click
 
 from ..errors import InputError
 from . import options
-from .train_result import print_result, result_document
-from .training_data import Wanted, load
+from .train_report import print_summary, training_document, unusable
+from .training_data import DataSelection, load
 
 if TYPE_CHECKING:
-    from ..train import TrainConfig, TrainResult
+    from ..network.model import NetworkConfig
+    from ..train import TrainConfig
     from ..train.data import TrainingData
-    from ..train.processes import Processes
     from ..train.state import TrainingState
 
-# Without DATA: about two minutes on two cores, at a rate that gets somewhere in so few steps (both by measurement).
-EXAMPLE_STEPS, EXAMPLE_RATE, EXAMPLE_AVERAGING = 600, 3e-4, 0.99
-STEPS, PAPER_RATE = 20_000, 5e-5
+PATH = options.FilePath()
+DEFAULTS = {"steps": 20_000, "learning_rate": 5e-5, "averaging": 0.0}
+# Without DATA: about two minutes on two cores, at a rate that suits so few steps (both measured).
+EXAMPLE_DEFAULTS = {"steps": 600, "learning_rate": 3e-4, "averaging": 0.99}
+# Options that serve only some supervisions.
+SERVES = {
+    "views": ("masks",),
+    "affinity_weight": ("masks", "joint"),
+    "affinity": ("masks", "joint"),
+    "saturation_steps": ("masks", "joint"),
+    "category_sigma_sq": ("masks", "joint"),
+    "mask_split": ("joint",),
+    "mask_categories": ("joint",),
+}
+HEADINGS = {
+    "split_file": "Data",
+    "crop_share": "Input pictures",
+    "supervision": "Supervision",
+    "affinity_weight": "Losses",
+    "points": "Network",
+    "steps": "Optimisation",
+    "output": "Output",
+    "device": "Running",
+}
 
 
 class CategoryValue(click.ParamType):
@@ -37,72 +59,82 @@ class CategoryValue(click.ParamType):
             self.fail(f"{value!r} is no category and number, expected such as airplane=0.1", param, ctx)
 
 
-@click.command("train", short_help="Train the network that predicts a cloud from a photo.")
-@click.argument("data", required=False, type=options.FilePath())
-@click.option("--split", "split_file", type=options.FilePath(), help='Train on the objects of its list "train" alone.')
-@click.option("--category", "categories", multiple=True, help="Train on this category; may be repeated.  [default: all]")
-@click.option("--strict", is_flag=True, help="Stop at what cannot be used instead of leaving it out.")
+@dataclass(frozen=True)
+class TrainOutputs:
+    """What a training writes, and whether it goes on from what is there."""
+
+    output: Path
+    log_file: Path | None
+    resume: bool
+    overwrite: bool
+
+    def check(self) -> None:
+        """InputError for an output that cannot be written."""
+        from ..io.output import check_output
+        from ..train.state import state_path
+
+        if self.output.suffix != ".safetensors":
+            raise InputError(
+                f"{self.output}: ends in {self.output.suffix or 'nothing'!r}, expected a checkpoint name in .safetensors"
+            )
+        files = [self.output, state_path(self.output), *([self.log_file] if self.log_file else [])]
+        for path in files:
+            check_output(path, self.overwrite or self.resume)
+        if self.log_file and self.log_file.resolve() in [path.resolve() for path in files[:2]]:
+            raise InputError(f"--log-file {self.log_file}: is the checkpoint or its state, expected a file of its own")
+
+    def save(self, state: TrainingState, config: NetworkConfig) -> None:
+        """Write checkpoint, state and log."""
+        from ..train.state import save_training, write_history
+
+        save_training(self.output, state, config)
+        if self.log_file is not None:
+            write_history(self.log_file, state.history, config)
+
+
+@click.command("train", cls=options.Command, headings=HEADINGS)
+@click.argument("data", required=False, type=PATH)
+@click.option("--split", "split_file", type=PATH, help='Train only on the objects in its list "train".')
+@click.option("--category", "categories", multiple=True, help="Train only on this category; may be repeated.")
+@click.option("--strict", is_flag=True, help="Stop at unusable data instead of skipping them.")
+@click.option("--balance", is_flag=True, help="Draw every category equally often, however many objects it has.")
 @click.option(
-    "-o", "--output", type=options.FilePath(), default=Path("base.safetensors"), show_default=True, help="Checkpoint to write."
+    "--crop-share",
+    type=float,
+    default=0.9,
+    help="Side of the object relative to the input's; clouds have longest side 1. 0: pictures and clouds keep their sizes.",
 )
+@click.option("--background", type=click.Choice(["black", "white", "keep"]), default="black", help="Background of the input.")
+@click.option(
+    "--backgrounds",
+    "behind",
+    metavar="FOLDER|textures",
+    help="Put the objects on crops of these photos, or on generated textures; with --background keep.",
+)
+@click.option("--augment", is_flag=True, help="Mirror and recolour the pictures at random.")
 @click.option(
     "--supervision",
     type=click.Choice(["points", "masks", "joint"]),
     default="points",
-    show_default=True,
-    help="Chamfer to the true points, masks through the projector, or both at once (--mask-data).",
+    help="Loss: Chamfer distance to the true points, masks through the projector, or both (with --mask-data).",
 )
-@click.option("--mask-data", type=options.FilePath(), help="Images that have one mask each, for --supervision joint.")
-@click.option("--mask-split", type=options.FilePath(), help='Of --mask-data take the list "train" of this split alone.')
+@click.option("--views", type=int, default=4, help="Supervising masks of each object in a step, for --supervision masks.")
+@click.option("--mask-data", type=PATH, help="Images with one mask each, for --supervision joint.")
+@click.option("--mask-split", type=PATH, help='Of --mask-data take only the list "train" of this split.')
 @click.option(
-    "--mask-category",
-    "mask_categories",
-    multiple=True,
-    help="Of --mask-data take this category; may be repeated.  [default: all]",
+    "--mask-category", "mask_categories", multiple=True, help="Of --mask-data take only this category; may be repeated."
 )
 @click.option(
-    "--init",
-    "initial",
-    type=options.FilePath(),
-    help='Start from the weights of this checkpoint; "default" is the shipped one.  [default: random weights]',
+    "--lambda", "affinity_weight", type=float, default=1.0, help="Weight of the affinity loss; x0.02 after saturation."
 )
-@click.option(
-    "--frame",
-    type=click.Choice(["view", "canonical"]),
-    default="view",
-    show_default=True,
-    help="Axes of the predicted points: the camera's, or the objects' own.",
-)
-@click.option(
-    "--views", type=int, default=4, show_default=True, help="Masks that supervise each object a step, of --supervision masks."
-)
-@click.option("--steps", type=int, help=f"Adam steps in all.  [default: {STEPS}; {EXAMPLE_STEPS} without DATA]")
-@click.option("--batch-size", type=int, default=16, show_default=True, help="Objects a step.")
-@click.option("--learning-rate", type=float, help=f"Of Adam.  [default: {PAPER_RATE:g}; {EXAMPLE_RATE:g} without DATA]")
-@click.option(
-    "--lambda",
-    "affinity_weight",
-    type=float,
-    default=1.0,
-    show_default=True,
-    help="Weight of the affinity loss, 0.02 of it once the loss saturates.",
-)
-@click.option(
-    "--affinity", type=click.Choice(["points", "paper"]), default="points", show_default=True, help="Form of the affinity loss."
-)
+@click.option("--affinity", type=click.Choice(["points", "paper"]), default="points", help="Form of the affinity loss.")
 @click.option(
     "--saturation-steps",
     type=int,
     help="Lambda drops once the mean loss over so many steps is not 1 % below that of as many before.  [default: a sixth of "
     "--steps, 10 to 500]",
 )
-@click.option(
-    "--sigma-sq",
-    type=float,
-    default=0.4,
-    show_default=True,
-    help="Variance of the projection's Gaussian, px^2 of the 64x64 mask.",
-)
+@click.option("--sigma-sq", type=float, default=0.4, help="Variance of the projector's Gaussian, px^2 of the 64x64 mask.")
 @click.option(
     "--category-sigma-sq",
     multiple=True,
@@ -110,84 +142,38 @@ class CategoryValue(click.ParamType):
     type=CategoryValue(),
     help="The same for one category; may be repeated.",
 )
-@click.option("--points", type=int, default=1024, show_default=True, help="Points of the predicted cloud.")
+@click.option("--points", type=int, default=1024, help="Points of the predicted cloud.")
 @click.option(
-    "--crop-share",
-    type=float,
-    default=0.9,
-    show_default=True,
-    help="Share of the input's side that the object takes up, whatever its size; clouds have longest side 1. 0: the input "
-    "keeps sizes, and so do the clouds.",
+    "--frame", type=click.Choice(["view", "canonical"]), default="view", help="Axes of the cloud: the camera's or the object's."
 )
 @click.option(
-    "--background",
-    type=click.Choice(["black", "white", "keep"]),
-    default="black",
-    show_default=True,
-    help="What stands around the object in the input.",
+    "--init",
+    "initial",
+    type=PATH,
+    help="Start from the weights of this checkpoint; `default` is the shipped one.  [default: random weights]",
 )
-@click.option(
-    "--backgrounds",
-    "behind",
-    metavar="FOLDER|textures",
-    help="Put the objects of DATA on crops of these photos, or on generated textures; with --background keep.",
-)
-@click.option("--balance", is_flag=True, help="Every category equally often, however many objects it has.")
-@click.option("--augment", is_flag=True, help="Mirror and recolour the pictures at random.")
+@click.option("--steps", type=int, help="Adam steps in all.  [default: 20000; 600 without DATA]")
+@click.option("--batch-size", type=int, default=16, help="Objects in a step.")
+@click.option("--learning-rate", type=float, help="Of Adam.  [default: 5e-05; 0.0003 without DATA]")
 @click.option(
     "--averaging",
     type=float,
-    help="Save the running mean of the weights, which keeps this share of itself a step; 0: the last weights."
-    f"  [default: 0; {EXAMPLE_AVERAGING:g} without DATA]",
+    help="Save the moving average of the weights, of this decay; 0: the last weights.  [default: 0; 0.99 without DATA]",
 )
+@click.option("--precision", type=click.Choice(["float32", "bfloat16"]), default="float32", help="bfloat16: mixed precision.")
+@click.option("-o", "--output", type=PATH, default=Path("base.safetensors"), help="Checkpoint to write.")
+@options.overwrite
 @click.option(
-    "--precision",
-    type=click.Choice(["float32", "bfloat16"]),
-    default="float32",
-    show_default=True,
-    help="bfloat16: mixed precision, for GPUs and processors that have it.",
-)
-@click.option("--workers", type=int, default=1, show_default=True, help="Threads that prepare batches ahead.")
-@options.seed
-@options.device
-@click.option(
-    "--checkpoint-every",
-    type=click.IntRange(min=0),
-    default=500,
-    show_default=True,
-    help="Steps between checkpoints; 0: only at the end.",
+    "--checkpoint-every", type=click.IntRange(min=0), default=500, help="Steps between checkpoints; 0: only at the end."
 )
 @click.option("--resume", is_flag=True, help="Go on from the state beside the checkpoint.")
-@options.overwrite
-@click.option("--log-file", type=options.FilePath(), help="Settings and losses of every step, .jsonl.")
+@click.option("--log-file", type=PATH, help="Settings and losses of every step, .jsonl.")
 @options.as_json
+@options.device
+@options.seed
+@click.option("--workers", type=int, default=1, help="Threads that prepare batches ahead.")
 @click.pass_context
-def command(
-    ctx: click.Context,
-    data: Path | None,
-    split_file: Path | None,
-    categories: tuple[str, ...],
-    strict: bool,
-    mask_data: Path | None,
-    mask_split: Path | None,
-    mask_categories: tuple[str, ...],
-    initial: Path | None,
-    output: Path,
-    steps: int | None,
-    learning_rate: float | None,
-    averaging: float | None,
-    crop_share: float,
-    background: str,
-    behind: str | None,
-    category_sigma_sq: tuple[tuple[str, float], ...],
-    device: str,
-    checkpoint_every: int,
-    resume: bool,
-    overwrite: bool,
-    log_file: Path | None,
-    as_json: bool,
-    **settings: Any,
-) -> None:
+def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
     """Train the network that predicts a cloud from a photo, for `tso refine --mode encoder` and `encoder-decoder`.
 
     DATA is a folder that `tso render` wrote, or ShapeNet, 3D-R2N2 or Pix3D as they are distributed. Without it the shipped
@@ -195,142 +181,96 @@ def command(
     (NAME.training.safetensors) for --resume; Ctrl-C finishes the step at hand and writes both. Several processes:
     torchrun --nproc-per-node N -m tso_cli train ...
     """
-    from ..train import TrainConfig
+    from ..train import TrainConfig, train
     from ..train.processes import joined
+    from ..train.speed import images_per_second
     from ..train.state import stored_window
 
-    if resume and settings["saturation_steps"] is None:
-        settings["saturation_steps"] = stored_window(output)
     started = time.perf_counter()
-    with joined(device) as (processes, device):
-        config = TrainConfig(
-            steps=steps if steps is not None else STEPS if data else EXAMPLE_STEPS,
-            learning_rate=learning_rate if learning_rate is not None else PAPER_RATE if data else EXAMPLE_RATE,
-            averaging=averaging if averaging is not None else 0.0 if data else EXAMPLE_AVERAGING,
-            device=device,
-            category_sigma_sq=dict(category_sigma_sq),
-            **settings,
-        )
-        if (config.supervision == "joint") != (mask_data is not None):
-            expected = "--mask-data FOLDER with it" if mask_data is None else "joint with --mask-data"
-            raise InputError(f"--supervision is {config.supervision}, expected {expected}")
-        _refuse_unused(ctx, config.supervision)
+    outputs, on_examples = options.pick(TrainOutputs, chosen), chosen["data"] is None
+    if outputs.resume and chosen["saturation_steps"] is None:
+        chosen["saturation_steps"] = stored_window(outputs.output)
+    for name, value in (EXAMPLE_DEFAULTS if on_examples else DEFAULTS).items():
+        chosen[name] = value if chosen[name] is None else chosen[name]
+    chosen["category_sigma_sq"] = dict(chosen["category_sigma_sq"])
+    with joined(chosen["device"]) as (processes, chosen["device"]):
+        config = options.pick(TrainConfig, chosen)
+        _check_supervision(ctx, config.supervision, chosen["mask_data"])
         if processes.first:
-            _check_outputs(output, log_file, resume, overwrite)
+            outputs.check()
         processes.wait()
-        points = config.supervision != "masks"
-        wanted = Wanted(data, split_file, categories, strict, crop_share, background, behind, points=points)
-        training = load(wanted, quiet=not processes.first)
-        of_masks = Wanted(mask_data, mask_split, mask_categories, strict, crop_share, background)
-        masked = load(of_masks, quiet=not processes.first) if mask_data else None
-        state = _begin(training, config, output, initial, resume, quiet=not processes.first)
-        prepared, begun = time.perf_counter(), state.step
-        result = _run(training, masked, config, state, processes, output, log_file, checkpoint_every)
+        quiet = not processes.first
+        selection = options.pick(DataSelection, {**chosen, "points": config.supervision != "masks"})
+        sets = [load(selection, quiet=quiet)]
+        if chosen["mask_data"] is not None:
+            masked = {"data": chosen["mask_data"], "split_file": chosen["mask_split"], "categories": chosen["mask_categories"]}
+            sets.append(load(replace(selection, **masked, behind=None, points=False), quiet=quiet))
+        data, masked_data = sets[0], sets[1] if len(sets) > 1 else None
+        state = _initial_state(data, config, outputs, chosen["initial"], quiet)
+        prepared, first_step = time.perf_counter(), state.step
+        result = train(
+            data,
+            config,
+            state,
+            masked=masked_data,
+            processes=processes,
+            progress=options.ProgressBar("train"),
+            save=outputs.save,
+            save_every=chosen["checkpoint_every"],
+        )
     if not processes.first:
         return
     trained = time.perf_counter()
-    document = result_document(result, config, output, training, data is None)
+    document = training_document(result, config, outputs.output, data, on_examples)
     document["seconds"] = {"prepare": prepared - started, "train": trained - prepared, "judge": time.perf_counter() - trained}
-    from ..train.speed import images_per_second
-
     document["images_per_second"] = {
-        "training": (result.steps - begun) * config.batch_size / (trained - prepared),
-        **images_per_second(state, config, training, masked),
+        "training": (result.steps - first_step) * config.batch_size / (trained - prepared),
+        **images_per_second(state, config, data, masked_data),
     }
-    both = [training, masked] if masked else [training]
-    unusable = {item: why for own in both for item, why in own.unusable.items()}
-    if training.backgrounds:
-        unusable |= training.backgrounds.unusable
-    if unusable:
-        options.log(f"tso: {len(unusable)} pictures could not be used and were left out (--strict stops at the first)")
-    document["left_out"] = {item: why for own in both for item, why in own.skipped.items()} | unusable
+    left_out = unusable(sets)
+    document["left_out"] = {item: why for each in sets for item, why in each.skipped.items()} | left_out
+    if left_out:
+        options.log(f"tso: {len(left_out)} pictures could not be used and were left out (--strict stops at the first)")
     if as_json:
         options.echo_json(document)
     else:
-        print_result(document)
+        print_summary(document)
     if result.stop_reason == "interrupted":
         options.log(
-            f"tso: interrupted after {result.steps} of {config.steps} steps; {output} and its state were written. "
+            f"tso: interrupted after {result.steps} of {config.steps} steps; {outputs.output} and its state were written. "
             "Run the same command with --resume to go on"
         )
         ctx.exit(130)
 
 
-def _begin(
-    training: TrainingData, config: TrainConfig, output: Path, initial: Path | None, resume: bool, quiet: bool
+def _check_supervision(ctx: click.Context, supervision: str, mask_data: Path | None) -> None:
+    """InputError for options that the supervision needs or has no use for."""
+    if (supervision == "joint") != (mask_data is not None):
+        expected = "--mask-data FOLDER with it" if mask_data is None else "joint with --mask-data"
+        raise InputError(f"--supervision is {supervision}, expected {expected}")
+    for option in ctx.command.params:
+        name = option.name or ""
+        used = ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+        if used and supervision not in SERVES.get(name, (supervision,)):
+            raise InputError(f"{option.opts[0]} is for --supervision {' or '.join(SERVES[name])}, found {supervision}")
+
+
+def _initial_state(
+    data: TrainingData, config: TrainConfig, outputs: TrainOutputs, initial: Path | None, quiet: bool
 ) -> TrainingState:
-    """The state to go on from: that beside the checkpoint, or a new one."""
+    """The state beside the checkpoint to resume from, or a new one."""
     from .. import device as devices
     from ..io.checkpoints import load_network
     from ..io.shipped import named_checkpoint
     from ..train import network_config, start
     from ..train.state import load_training
 
-    if resume:
-        if initial is not None:
-            raise InputError("--init with --resume: the state to resume has weights of its own, expected one of the two")
-        described = network_config(training, config, 0)
-        state = load_training(output, described, training.fingerprint(), devices.resolve(config.device))
-        if not quiet:
-            options.log(f"tso: resuming after {state.step} steps")
-        return state
-    return start(training, config, load_network(named_checkpoint(initial))[0] if initial else None)
-
-
-def _run(
-    training: TrainingData,
-    masked: TrainingData | None,
-    config: TrainConfig,
-    state: TrainingState,
-    processes: Processes,
-    output: Path,
-    log_file: Path | None,
-    save_every: int,
-) -> TrainResult:
-    from ..train import train
-    from ..train.state import save_training, write_history
-
-    def save(current: TrainingState, current_config: Any) -> None:
-        save_training(output, current, current_config)
-        if log_file is not None:
-            write_history(log_file, current.history, current_config)
-
-    return train(
-        training,
-        config,
-        state,
-        masked=masked,
-        processes=processes,
-        progress=options.ProgressBar("train"),
-        save=save,
-        save_every=save_every,
-    )
-
-
-def _refuse_unused(ctx: click.Context, supervision: str) -> None:
-    """Options that the supervision has no use for, if they were given."""
-    of = {
-        "views": ("masks",),
-        **dict.fromkeys(("affinity_weight", "affinity", "saturation_steps", "category_sigma_sq"), ("masks", "joint")),
-    }
-    of |= dict.fromkeys(("mask_split", "mask_categories"), ("joint",))
-    for option in ctx.command.params:
-        kinds = of.get(option.name or "")
-        given = ctx.get_parameter_source(option.name or "") is click.core.ParameterSource.COMMANDLINE
-        if kinds and given and supervision not in kinds:
-            raise InputError(f"{option.opts[0]} is for --supervision {' or '.join(kinds)}, found {supervision}")
-
-
-def _check_outputs(output: Path, log_file: Path | None, resume: bool, overwrite: bool) -> None:
-    from ..io.output import check_output
-
-    if output.suffix != ".safetensors":
-        raise InputError(f"{output}: ends in {output.suffix or 'nothing'!r}, expected a checkpoint name in .safetensors")
-    # What a resumed run replaces is its own.
-    state = output.with_name(f"{output.stem}.training.safetensors")
-    for path in (output, state):
-        check_output(path, overwrite or resume)
-    if log_file is not None:
-        check_output(log_file, overwrite or resume)
-        if log_file.resolve() in (output.resolve(), state.resolve()):
-            raise InputError(f"--log-file {log_file}: is the checkpoint or its state, expected a file of its own")
+    if not outputs.resume:
+        return start(data, config, load_network(named_checkpoint(initial))[0] if initial else None)
+    if initial is not None:
+        raise InputError("--init with --resume: the state to resume has weights of its own, expected one of the two")
+    about = network_config(data, config, 0)
+    state = load_training(outputs.output, about, data.fingerprint(), devices.resolve(config.device))
+    if not quiet:
+        options.log(f"tso: resuming after {state.step} steps")
+    return state

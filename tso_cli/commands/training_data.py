@@ -1,37 +1,37 @@
-"""The training data that the options of a command ask for."""
+"""The training data that a command works on."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
-from . import options
+from .options import ProgressBar, log
 
 if TYPE_CHECKING:
     from ..datasets.items import Dataset
     from ..train.data import TrainingData
 
-
-# Items left out that are named on stderr; of a hundred thousand many may be bad.
+# Of the skipped items so many are named on stderr.
 NAMED = 10
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """What to train or judge on.
+class DataSelection:
+    """Which objects of which data set, and how their pictures are prepared.
 
-    folder : of a data set; None is the shipped example meshes.
-    split : file of a split, of which ``part`` is taken; None takes everything.
-    categories : names; empty takes all.
-    crop_share : 0 keeps sizes, in the picture and of the clouds.
-    behind : a folder of photos, or "textures", to put the objects on.
-    points : leave out objects without a 3D file.
+    data : folder of the data set; None renders the shipped example meshes.
+    split_file : take its list ``part``; None takes all objects.
+    categories : take these; empty takes all.
+    strict : stop at what cannot be used instead of skipping it.
+    crop_share : side of the object relative to the input's; 0 keeps sizes, of pictures and clouds.
+    behind : folder of photos, or "textures", to put the objects on.
+    points : skip objects without a 3D file.
     """
 
-    folder: Path | None
-    split: Path | None = None
+    data: Path | None
+    split_file: Path | None = None
     categories: tuple[str, ...] = ()
     strict: bool = False
     crop_share: float = 0.9
@@ -45,53 +45,47 @@ class Wanted:
             raise InputError(f"--crop-share is {self.crop_share:g}, expected 0 to 1")
 
 
-def load(wanted: Wanted, quiet: bool = False) -> TrainingData:
-    """Open the data set, or render the shipped meshes; what was left out is named on stderr."""
+def load(selection: DataSelection, quiet: bool = False) -> TrainingData:
+    """Open the data set, or render the shipped meshes; name skipped items on stderr."""
     from ..train.sources import from_dataset, from_meshes
 
-    if wanted.folder is None:
-        if wanted.split is not None or wanted.categories or wanted.behind is not None:
+    if selection.data is None:
+        if selection.split_file is not None or selection.categories or selection.behind is not None:
             raise InputError("--split, --category or --backgrounds without DATA, expected a data set")
         from ..io.shipped import example_meshes
 
         meshes = example_meshes()
+        description = f"{len(meshes)} shipped example meshes"
         if not quiet:
-            options.log(f"tso: no DATA: rendering the {len(meshes)} shipped example meshes")
-        described = f"{len(meshes)} shipped example meshes"
-        bar = None if quiet else options.ProgressBar("render")
-        return from_meshes(meshes, described, wanted.crop_share, wanted.background, progress=bar)
-    dataset = chosen(wanted)
-    if not quiet:
+            log(f"tso: no DATA: rendering the {description}")
+        bar = None if quiet else ProgressBar("render")
+        return from_meshes(meshes, description, selection.crop_share, selection.background, progress=bar)
+    dataset = _select(selection, selection.data)
+    if dataset.skipped and not quiet:
         for item, reason in list(dataset.skipped.items())[:NAMED]:
-            options.log(f"tso: {reason if item in reason else f'{item}: {reason}'}; left out")
-        if dataset.skipped:
-            options.log(f"tso: {len(dataset.skipped)} items left out in all (--strict stops at the first, --json names all)")
-    behind = None
-    if wanted.behind is not None:
+            log(f"tso: {reason if item in reason else f'{item}: {reason}'}; left out")
+        log(f"tso: {len(dataset.skipped)} items left out in all (--strict stops at the first, --json names all)")
+    backgrounds = None
+    if selection.behind is not None:
         from ..train.backgrounds import Backgrounds
 
-        behind = Backgrounds(wanted.behind, wanted.strict)
-    return from_dataset(dataset, wanted.crop_share, wanted.background, wanted.strict, behind)
+        backgrounds = Backgrounds(selection.behind, selection.strict)
+    return from_dataset(dataset, selection.crop_share, selection.background, selection.strict, backgrounds)
 
 
-def chosen(wanted: Wanted) -> Dataset:
-    """The objects of the data set that are wanted."""
-    from dataclasses import replace
-
+def _select(selection: DataSelection, folder: Path) -> Dataset:
     from ..datasets.opening import open_dataset, read_part
 
-    assert wanted.folder is not None
-    dataset = open_dataset(wanted.folder, wanted.strict, own_scale=wanted.crop_share == 0.0)
-    if wanted.categories:
-        held = sorted({item.category for item in dataset.objects})
-        unknown = [name for name in wanted.categories if name not in held]
-        if unknown:
-            raise InputError(f"{wanted.folder}: has no category {unknown[0]!r}, expected one of {', '.join(held)}")
-        objects = [item for item in dataset.objects if item.category in wanted.categories]
-        dataset = replace(dataset, objects=objects)
-    if wanted.split is not None:
-        names = read_part(wanted.split, wanted.part)
-        # Of the other categories the split may name what is not here.
-        own = [name for name in names if not wanted.categories or name.split("/")[0] in wanted.categories]
-        dataset = dataset.select(own, str(wanted.split))
-    return dataset.with_points(wanted.strict) if wanted.points else dataset
+    dataset = open_dataset(folder, selection.strict, own_scale=selection.crop_share == 0.0)
+    categories = selection.categories
+    if categories:
+        known = sorted({item.category for item in dataset.objects})
+        if unknown := [name for name in categories if name not in known]:
+            raise InputError(f"{folder}: has no category {unknown[0]!r}, expected one of {', '.join(known)}")
+        dataset = replace(dataset, objects=[item for item in dataset.objects if item.category in categories])
+    if selection.split_file is not None:
+        names = read_part(selection.split_file, selection.part)
+        # The split may name objects of categories that were not loaded.
+        names = [name for name in names if not categories or name.split("/")[0] in categories]
+        dataset = dataset.select(names, str(selection.split_file))
+    return dataset.with_points(selection.strict) if selection.points else dataset

@@ -1,8 +1,7 @@
-"""The silhouette of a cloud as the spacing of its points makes it, and how well it agrees with a mask.
+"""The silhouette of a cloud, its gaps closed by a disc that follows the spacing of the points, and its IoU with a mask.
 
-Gaps between points are closed with a disc: the projected points are dilated by it, then eroded. Its radius follows the
-spacing of the cloud as it is seen, so that neither the size of the photo nor the number of points decides what is a gap.
-Both steps are distance transforms on a grid of the window, that count from the points themselves, not from their cells.
+The projected points are dilated by the disc, then eroded by a little less, with distance transforms on a grid of the window.
+The disc depends on the spacing alone, so that neither the size of the photo nor the number of points decides what is a gap.
 """
 
 from __future__ import annotations
@@ -20,20 +19,18 @@ from .metrics import iou
 
 Bools = NDArray[np.bool_]
 
-# Radius of the disc in spacings: of points that lie evenly, and of those that lie at random and so leave wider gaps.
+# Radius of the disc in spacings: for evenly spaced points, and for random ones, whose gaps are wider.
 EVEN, RANDOM = 1.0, 1.4
-# How far the outline lies beyond the outermost points, in spacings: samples lie inside the true outline.
+# The outline lies so many spacings beyond the outermost points: samples are inside the true outline.
 RIM = 0.15
-# The least of both, in cells: nothing is finer than the grid.
-LEAST_REACH, LEAST_RIM = 1.5, 0.25
-# The largest disc, as a share of the window's longer side: a few points far from each other have nothing to close.
+# Least radius and rim in cells of the grid.
+LEAST_RADIUS, LEAST_RIM = 1.5, 0.25
+# Largest radius relative to the window's longer side: points far apart do not form a surface.
 WIDEST = 1.0 / 8.0
-# Cells along the window's longer side where it has more pixels, and the fewest: pixels are divided where they are fewer.
+# Cells along the longer side of a window with more pixels, and the fewest of one with less: its pixels are divided.
 CELLS, FEWEST = 256, 214
-# The spacing is told by the distance to so many neighbours, of so many points where the cloud has more.
-NEIGHBOURS, ASKED = 8, 128
-# Of a cloud that is larger than this only so many points, drawn at random, are neighbours.
-MOST = 4096
+# The spacing is estimated from the distance of at most SAMPLES points to so many neighbours among at most CLOUD points.
+NEIGHBOURS, SAMPLES, CLOUD = 8, 128, 4096
 
 IOU_MEANS = (
     "intersection over union of the mask (> 0.5) and the cloud's silhouette, its points joined over gaps of up to "
@@ -46,7 +43,7 @@ class Seen(NamedTuple):
 
     silhouette: Bools
     mask: Bools
-    known: Bools | None  # False where the mask says nothing, None where every pixel counts
+    known: Bools | None  # None: all pixels
 
 
 def common_window(stages: Sequence[tuple[Array, View]]) -> Box:
@@ -67,17 +64,17 @@ def window_iou(points: Array, view: View, box: Box | None = None) -> float:
 
     Returns
     -------
-    In [0, 1]. It is 0 where the window is so much larger than the object that its cells miss all that is known.
+    In [0, 1]; 0 where the window is so large that its cells miss all known pixels.
     """
     score = iou(*in_window(points, view, window_of(view, points) if box is None else box))
     return 0.0 if np.isnan(score) else score
 
 
 def in_window(points: Array, view: View, box: Box) -> Seen:
-    """What `window_iou` compares: silhouette and mask in the part of ``box`` that lies in the image.
+    """Silhouette and mask in the part of ``box`` that lies in the image, as `window_iou` compares them.
 
-    A window of fewer than 256 pixels is compared pixel by pixel, of which the silhouette has those that it covers by half. A
-    larger one has 256 x 256 cells, and what lies in the middle of each is compared: the time does not grow with the photo.
+    A window of fewer than 256 pixels is compared pixel by pixel; the silhouette has those that it covers by half. A larger one
+    is sampled at the centres of 256 x 256 cells, so that the time does not grow with the photo.
     """
     camera = view.camera
     first, last = np.array(box).reshape(2, 2)
@@ -102,90 +99,89 @@ def in_window(points: Array, view: View, box: Box) -> Seen:
 
 
 def spacing(points: Array) -> tuple[float, float]:
-    """How far apart the points [N, 3] of a surface lie, and the radius of the disc that closes the gaps between them.
+    """Spacing of the points [N, 3] of a surface, and the radius of the disc that closes the gaps between them.
 
     Returns
     -------
-    1 / sqrt(points per area), the median over the cloud, and 1 to 1.4 times that, in the units of the points. 0 where all are
-    equal.
+    1 / sqrt(points per area), the median over the cloud, and 1 to 1.4 times that, in units of the points; 0 if all are equal.
     """
     unit = float(np.ptp(points, axis=0).max())
     if unit == 0.0:
         return 0.0, 0.0
-    cloud = _drawn(points, MOST)
+    cloud = _subset(points, CLOUD)
     cloud = (cloud - cloud.mean(0)) / unit
-    asked, count = _drawn(cloud, ASKED), min(NEIGHBOURS, len(cloud) - 1)
-    squared = asked @ cloud.T
+    queries, count = _subset(cloud, SAMPLES), min(NEIGHBOURS, len(cloud) - 1)
+    squared = queries @ cloud.T
     squared *= -2.0
     squared += np.square(cloud).sum(1)
-    # The least is the point itself.
+    # The smallest distance is that of the point to itself.
     squared.partition([1, count], axis=1)
-    squared = squared[:, [1, count]] + np.square(asked).sum(1)[:, None]
+    squared = squared[:, [1, count]] + np.square(queries).sum(1)[:, None]
     nearest, farthest = np.sqrt(np.maximum(np.median(squared, axis=0), 0.0)).tolist()
-    # A disc of that radius holds so many neighbours.
-    apart = farthest * float(np.sqrt(np.pi / count))
-    # The nearest neighbour is 0.9 spacings away where points lie evenly, 0.5 where at random.
-    reach = min(max(2.0 * apart - 1.1 * nearest, EVEN * apart), RANDOM * apart)
-    # Those that were drawn lie farther apart than all.
+    # A disc of radius ``farthest`` holds ``count`` points.
+    spaced = farthest * float(np.sqrt(np.pi / count))
+    # The nearest neighbour is at 0.9 spacings among evenly spaced points, at 0.5 among random ones.
+    radius = min(max(2.0 * spaced - 1.1 * nearest, EVEN * spaced), RANDOM * spaced)
+    # A subset has a larger spacing than the cloud.
     unit *= float(np.sqrt(len(cloud) / len(points)))
-    return unit * apart, unit * reach
+    return unit * spaced, unit * radius
 
 
-def _drawn(points: Array, most: int) -> Array:
-    """So many of the points, drawn at random, the same ones every time; all where there are no more."""
+def _subset(points: Array, most: int) -> Array:
+    """At most so many of the points, drawn at random with a fixed seed."""
     if len(points) <= most:
         return points
     return points[np.random.default_rng(0).choice(len(points), most, replace=False, shuffle=False)]
 
 
 def footprint(points: Array, camera: Camera) -> Bools:
-    """The silhouette [H, W] of a cloud: what lies in no empty disc of 1 to 1.4 spacings, and a rim of 0.15 spacings about it.
+    """The silhouette [H, W] of a cloud: a closing by a disc of 1 to 1.4 spacings, and a rim of 0.15 spacings.
 
-    Points beyond the borders of the image take part in it, those at or behind the camera do not.
+    Points beyond the borders of the image count, those at or behind the camera do not.
 
     Parameters
     ----------
     points : [N, 3], N >= 1.
-    camera : its image is the grid. Time and memory grow with it; some hundred pixels a side are meant.
+    camera : its image is the grid, of some hundred pixels a side; time and memory grow with it.
     """
     size = np.array([camera.width, camera.height])
     widest = WIDEST * float(size.max())
     pixels, depth = camera.project(points)
-    # What lies farther outside changes nothing inside. NaN is no less than anything.
-    seen = (np.abs(pixels - (size - 1.0) / 2.0) < size / 2.0 + 2.0 * widest).all(1)
+    # Points farther outside change nothing inside; NaN compares false.
+    visible = (np.abs(pixels - (size - 1.0) / 2.0) < size / 2.0 + 2.0 * widest).all(1)
     scale = np.full(len(points), np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
     if camera.model == "perspective":
-        seen &= depth > NEAR * np.ptp(points, axis=0).max()
-        scale[seen] /= depth[seen]
+        visible &= depth > NEAR * np.ptp(points, axis=0).max()
+        scale[visible] /= depth[visible]
     silhouette = np.zeros((camera.height, camera.width), dtype=bool)
-    if not seen.any():
+    if not visible.any():
         return silhouette
-    apart, radius = spacing(points)
-    reach = np.clip(radius * scale[seen], LEAST_REACH, widest).astype(np.float32)
-    rim = np.clip(RIM * apart * scale[seen], LEAST_RIM, RIM * widest).astype(np.float32)
+    spaced, closing = spacing(points)
+    radius = np.clip(closing * scale[visible], LEAST_RADIUS, widest).astype(np.float32)
+    rim = np.clip(RIM * spaced * scale[visible], LEAST_RIM, RIM * widest).astype(np.float32)
 
-    # The grid ends where nothing reaches: there is always a cell beyond all discs.
-    cell = np.rint(pixels[seen]).astype(int)
-    border = int(np.ceil(reach.max())) + 3
+    # The grid has a border of cells beyond all discs.
+    cell = np.rint(pixels[visible]).astype(int)
+    border = int(np.ceil(radius.max())) + 3
     low, high = cell.min(0) - border, cell.max(0) + border + 1
-    x, y = (pixels[seen] - low).astype(np.float32).T
+    x, y = (pixels[visible] - low).astype(np.float32).T
     number = np.full((high - low)[::-1], -1)
     number[tuple((cell - low).T[::-1])] = np.arange(len(cell))
     row, column = (np.arange(count, dtype=np.float32) for count in number.shape)
     row = row[:, None]
 
     point = number.ravel()[_nearest(number >= 0, border)]
-    beyond = np.hypot(x[point] - column, y[point] - row) - reach[point]
-    # The point of the nearest cell need not be the nearest one: where that matters, those of the cells around are asked too.
-    at = np.nonzero((beyond > 0.0) & (beyond < 1.5))
+    beyond = np.hypot(x[point] - column, y[point] - row) - radius[point]
+    # The point in the nearest cell need not be the nearest one: near the edge try those of the adjacent cells too.
+    edge = np.nonzero((beyond > 0.0) & (beyond < 1.5))
     for down, right in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-        other = point[at[0] + down, at[1] + right]
-        beyond[at] = np.minimum(beyond[at], np.hypot(x[other] - at[1], y[other] - at[0]) - reach[other])
+        adjacent = point[edge[0] + down, edge[1] + right]
+        beyond[edge] = np.minimum(beyond[edge], np.hypot(x[adjacent] - edge[1], y[adjacent] - edge[0]) - radius[adjacent])
     outside = _nearest(beyond > 0.0, border)
-    # From the nearest cell beyond the discs it is so far back to their edge.
+    # The nearest outside cell lies ``beyond`` the edge of the discs.
     rows, columns = np.divmod(outside, number.shape[1])
     depth_inside = np.hypot(columns - column, rows - row) - beyond.ravel()[outside]
-    inside = (beyond <= 0.0) & ((outside < 0) | (depth_inside > (reach - rim)[point]))
+    inside = (beyond <= 0.0) & ((outside < 0) | (depth_inside > (radius - rim)[point]))
 
     (left, top), (right, bottom) = np.clip([low, high], 0, size)
     silhouette[top:bottom, left:right] = inside[top - low[1] : bottom - low[1], left - low[0] : right - low[0]]
@@ -193,9 +189,9 @@ def footprint(points: Array, camera: Camera) -> Bools:
 
 
 def _nearest(cells: Bools, within: int) -> NDArray[np.signedinteger]:
-    """The number [H, W] of the nearest of ``cells`` [H, W], counted row by row; -1 where none is within as many rows."""
+    """Flat index [H, W] of the nearest of ``cells`` [H, W]; -1 where none is within so many rows and columns."""
     bits = cells.size.bit_length()
-    # Squared distance and number in one integer: the least of them tells both.
+    # Squared distance and index in one integer, so that a minimum finds both.
     kind = np.int32 if (2 * within**2).bit_length() + bits < 30 else np.int64
     none = np.iinfo(kind).max // 2
     least = np.full(cells.shape, none, dtype=kind)

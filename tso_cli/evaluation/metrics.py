@@ -1,7 +1,7 @@
-"""How good a cloud is, against a target cloud or a mask. Exact, in float64, on the CPU.
+"""Metrics of a cloud against a target cloud or a mask; exact, in float64, on the CPU.
 
 Chamfer uses SQUARED distances, mean over points; forward is target -> prediction, backward prediction -> target.
-Nothing is centred or scaled here: `tso_cli.geometry.points.normalise_longest_side` does that for protocols which ask for it.
+Nothing is centred or scaled here (`tso_cli.geometry.points.normalise_longest_side`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ..geometry.points import Array, as_points, bounding_box_normalisation
 
 # The cost matrix of an assignment holds N^2 numbers, and solving it takes about N^3 steps.
 EMD_LIMIT = 5000
-# Share of the target's longest side.
+# Threshold of the F-score, in longest sides of the target.
 F_SCORE_SHARE = 0.01
 
 
@@ -25,7 +25,7 @@ class Chamfer:
     """Mean squared distances to the nearest point, in squared units of the clouds."""
 
     forward: float  # target -> prediction: what the prediction fails to cover
-    backward: float  # prediction -> target: what it has too much of
+    backward: float  # prediction -> target: outliers of the prediction
 
     @property
     def chamfer(self) -> float:
@@ -35,11 +35,11 @@ class Chamfer:
 
 @dataclass(frozen=True)
 class FScore:
-    """Shares in [0, 1] of points that have a counterpart nearer than ``threshold`` (in units of the clouds)."""
+    """Fractions of the points that are closer than ``threshold`` to the other cloud."""
 
     precision: float  # of the prediction's points
     recall: float  # of the target's points
-    threshold: float
+    threshold: float  # in units of the clouds
 
     @property
     def f_score(self) -> float:
@@ -53,122 +53,86 @@ def nearest_squared(queries: Array, data: Array) -> Array:
     from scipy.spatial import cKDTree
 
     _, index = cKDTree(data).query(queries)
-    # From the coordinates again: squaring the tree's square root would round twice.
+    # Squaring the tree's distances would round twice.
     return np.square(queries - data[index]).sum(1)
 
 
 def chamfer(prediction: ArrayLike, target: ArrayLike) -> Chamfer:
-    """Chamfer distance, squared distances, mean over points.
+    """Chamfer distance of ``prediction`` [N, 3] and ``target`` [M, 3]: squared distances, mean over points.
 
-    Parameters
-    ----------
-    prediction : [N, 3]
-    target : [M, 3], in the unit of the prediction.
-
-    Returns
-    -------
-    Chamfer
-        Both directions and their sum. Counts may differ, points may coincide; a single point on either side is allowed.
-
-    Raises
-    ------
-    InputError
-        A cloud is empty, is not [N, 3] or holds a number that is not finite.
+    Raises InputError for a cloud that is empty, is not [N, 3] or holds a number that is not finite.
     """
-    ours, theirs = as_points(prediction, "prediction"), as_points(target, "target")
-    return Chamfer(float(nearest_squared(theirs, ours).mean()), float(nearest_squared(ours, theirs).mean()))
+    prediction, target = as_points(prediction, "prediction"), as_points(target, "target")
+    forward, backward = nearest_squared(target, prediction).mean(), nearest_squared(prediction, target).mean()
+    return Chamfer(float(forward), float(backward))
 
 
 def f_score(prediction: ArrayLike, target: ArrayLike, threshold: float | None = None) -> FScore:
-    """F-score at a distance: how much of each cloud lies nearer than ``threshold`` to the other.
+    """F-score at a distance (Knapitsch et al., "Tanks and Temples", 2017).
 
     Parameters
     ----------
-    prediction : [N, 3]
-    target : [M, 3], in the unit of the prediction.
-    threshold : distance in that unit, > 0, or None: 1 % of the longest side of the target's bounding box.
-
-    Returns
-    -------
-    FScore
-        1 for equal clouds, 0 where no point has a counterpart. The bound itself is outside (distance < threshold).
+    prediction, target : [N, 3] and [M, 3].
+    threshold : points count if they are closer; None for 1 % of the longest side of the target's bounding box.
 
     Raises
     ------
     InputError
-        As for `chamfer`; ``threshold`` is not a finite number > 0; or it is None and all target points are equal.
+        As `chamfer`; ``threshold`` is not a finite number > 0; or it is None and all target points are equal.
     """
-    ours, theirs = as_points(prediction, "prediction"), as_points(target, "target")
+    prediction, target = as_points(prediction, "prediction"), as_points(target, "target")
     if threshold is None:
-        threshold = F_SCORE_SHARE * bounding_box_normalisation(theirs, "target")[1]
+        threshold = F_SCORE_SHARE * bounding_box_normalisation(target, "target")[1]
     if not 0.0 < threshold < np.inf:
         raise InputError(f"F-score threshold is {threshold:g}, expected a distance > 0")
-    precision = np.sqrt(nearest_squared(ours, theirs)) < threshold
-    recall = np.sqrt(nearest_squared(theirs, ours)) < threshold
+    precision = np.sqrt(nearest_squared(prediction, target)) < threshold
+    recall = np.sqrt(nearest_squared(target, prediction)) < threshold
     return FScore(float(precision.mean()), float(recall.mean()), float(threshold))
 
 
 def emd(prediction: ArrayLike, target: ArrayLike, squared: bool = False) -> float:
-    """Earth mover's distance: mean distance of an optimal one-to-one assignment.
+    """Earth mover's distance: mean distance of the optimal one-to-one assignment.
 
     Parameters
     ----------
-    prediction, target : [N, 3] each, the same N, at most 5,000.
-    squared : squared distances instead, in the cost that is minimised and in the mean.
-
-    Returns
-    -------
-    float
-        0 for equal clouds, whatever the order of their points.
+    prediction, target : [N, 3] each, N at most 5,000.
+    squared : use squared distances, in the cost and in the mean.
 
     Raises
     ------
     InputError
-        Counts differ or are too large for an exact answer, or as for `chamfer`.
+        As `chamfer`; or sizes differ or are too large for an exact answer.
     """
     from scipy.optimize import linear_sum_assignment
     from scipy.spatial.distance import cdist
 
-    ours, theirs = as_points(prediction, "prediction"), as_points(target, "target")
-    if len(ours) != len(theirs):
+    prediction, target = as_points(prediction, "prediction"), as_points(target, "target")
+    if len(prediction) != len(target):
         raise InputError(
-            f"EMD needs clouds of equal size, found {len(ours)} (prediction) and {len(theirs)} (target) points: "
-            f"thin both with --points {min(len(ours), len(theirs), 1024)}"
+            f"EMD needs clouds of equal size, found {len(prediction)} (prediction) and {len(target)} (target) points: "
+            f"thin both with --points {min(len(prediction), len(target), 1024)}"
         )
-    if len(ours) > EMD_LIMIT:
+    if len(prediction) > EMD_LIMIT:
         raise InputError(
-            f"EMD of {len(ours)} points would take too long, expected at most {EMD_LIMIT}: thin both with --points 1024"
+            f"EMD of {len(prediction)} points would take too long, expected at most {EMD_LIMIT}: thin both with --points 1024"
         )
-    cost = cdist(ours, theirs, "sqeuclidean" if squared else "euclidean")
+    cost = cdist(prediction, target, "sqeuclidean" if squared else "euclidean")
     if not np.isfinite(cost).all():
         raise InputError("EMD: the clouds are too far apart to measure in float64")
     return float(cost[linear_sum_assignment(cost)].mean())
 
 
 def iou(silhouette: ArrayLike, mask: ArrayLike, known: NDArray[np.bool_] | None = None) -> float:
-    """Intersection over union of a silhouette and a mask, foreground being > 0.5 in each.
+    """Intersection over union of two images [H, W], foreground > 0.5, over the pixels that are ``known`` [H, W] (None: all).
 
-    Parameters
-    ----------
-    silhouette, mask : [H, W] in [0, 1].
-    known : [H, W] bool, False where the mask says nothing, or None when every pixel counts.
-
-    Returns
-    -------
-    float
-        In [0, 1]. 1 where both are empty (they agree); NaN where no pixel is known.
-
-    Raises
-    ------
-    InputError
-        The shapes differ.
+    1 where both are empty; NaN where no pixel is known. Raises InputError if the shapes differ.
     """
-    ours, theirs = np.asarray(silhouette) > 0.5, np.asarray(mask) > 0.5
-    counted = np.ones(theirs.shape, dtype=bool) if known is None else np.asarray(known, dtype=bool)
-    if ours.ndim != 2 or not ours.shape == theirs.shape == counted.shape:
-        shapes = ", ".join(str(list(a.shape)) for a in (ours, theirs, *(() if known is None else (counted,))))
-        raise InputError(f"IoU needs images of one size [H, W], found {shapes}")
+    foreground, expected = np.asarray(silhouette) > 0.5, np.asarray(mask) > 0.5
+    counted = np.ones(expected.shape, dtype=bool) if known is None else np.asarray(known, dtype=bool)
+    if foreground.ndim != 2 or not foreground.shape == expected.shape == counted.shape:
+        images = (foreground, expected) if known is None else (foreground, expected, counted)
+        raise InputError(f"IoU needs images of one size [H, W], found {', '.join(str(list(i.shape)) for i in images)}")
     if not counted.any():
         return float("nan")
-    union = int(((ours | theirs) & counted).sum())
-    return int((ours & theirs & counted).sum()) / union if union else 1.0
+    union = int(((foreground | expected) & counted).sum())
+    return int((foreground & expected & counted).sum()) / union if union else 1.0

@@ -1,1 +1,1 @@
-"""Pictures and tables of results; matplotlib is imported inside."""
+"""Pictures and tables of results."""

@@ -1,6 +1,6 @@
-"""The picture of one refinement: mask and silhouette, and the cloud from two sides, before and after.
+"""The picture of a refinement: mask and silhouette, and the cloud, before and after.
 
-It is drawn with Pillow: importing matplotlib and laying out one figure takes five times as long as a small refinement.
+Drawn with Pillow: matplotlib would take five times as long as a small refinement.
 """
 
 from __future__ import annotations
@@ -24,49 +24,45 @@ if TYPE_CHECKING:
 
 Colour = tuple[float, float, float]
 
-# Safe for colour-blind readers: blue is missing, orange is too much.
+# Safe for colour-blind readers.
 AGREED, MISSING, STRAY = (0.62, 0.65, 0.68), (0.0, 0.45, 0.70), (0.90, 0.45, 0.0)
 UNKNOWN = (0.93, 0.90, 0.80)
 LEGEND_ENTRIES = (
     (AGREED, "agree"),
     (MISSING, "mask without silhouette"),
     (STRAY, "silhouette without mask"),
-    (UNKNOWN, "says nothing"),
+    (UNKNOWN, "unknown"),
 )
 # From near to far: yellow, green, blue, violet, each darker than the one before.
 NEAR_TO_FAR = np.array([(253, 231, 37), (94, 201, 98), (33, 145, 140), (59, 82, 139), (68, 1, 84)], np.float64)
 
-# Pixels: the side of a panel, the space around it and that above it for its title. Dots are drawn FINE times as large.
+# Pixels: the side of a panel, the space around it, the height of its title, and that of the legend.
 PANEL, GAP, TITLE, LEGEND = 340, 24, 32, 44
+# Supersampling of the dots.
 FINE = 3
-# Views that one picture shows.
+# Views in one picture.
 MOST_ROWS = 6
-# Of the usual 6 it takes 60 % of the time and 108 % of the size.
+# Of PNG: 60 % of the time and 108 % of the size of the usual 6.
 COMPRESSION = 1
 
 
 def compare(seen: Seen) -> NDArray[np.float64]:
-    """[H, W, 3] picture: grey where mask and silhouette agree, blue where the silhouette is missing, orange where it strays."""
+    """[H, W, 3] picture: grey where mask and silhouette agree, blue and orange where one is without the other."""
     picture = np.ones((*seen.mask.shape, 3))
-    for where, colour in (
-        (seen.mask & seen.silhouette, AGREED),
-        (seen.mask & ~seen.silhouette, MISSING),
-        (~seen.mask & seen.silhouette, STRAY),
-    ):
-        picture[where] = colour
+    picture[seen.mask & seen.silhouette] = AGREED
+    picture[seen.mask & ~seen.silhouette] = MISSING
+    picture[~seen.mask & seen.silhouette] = STRAY
     if seen.known is not None:
         picture[~seen.known] = UNKNOWN
     return picture
 
 
 def draw_overlay(path: Path, result: RefineResult, views: Sequence[View]) -> None:
-    """Write a picture of a result and of the views it was made from.
+    """Write a picture of a result to ``path``.
 
-    One view: a row before and a row after; mask against silhouette, the cloud from the camera, and from its right. Several: a
-    row for each, at most six, evenly chosen; mask against silhouette before and after, and the refined cloud from that camera.
-    Masks and silhouettes are shown in the square around the object in which their IoU is taken.
-
-    It is written straight to ``path``, for the caller to move where it belongs once all outputs are there.
+    One view: rows before and after, with mask against silhouette, the cloud from the camera, and from its right. Several: a row
+    for each of at most six, with mask against silhouette before and after, and the refined cloud from that camera. Masks and
+    silhouettes are cropped to the square in which their IoU is taken.
     """
     heading = None
     if len(views) == 1:
@@ -74,46 +70,45 @@ def draw_overlay(path: Path, result: RefineResult, views: Sequence[View]) -> Non
     else:
         chosen = evenly_chosen(len(views), MOST_ROWS)
         rows = [_row_of_view(result, views, number) for number in chosen]
-        every = f"{len(views)} views" if len(chosen) == len(views) else f"{len(chosen)} of {len(views)} views, evenly chosen"
-        heading = f"{every}: mask against silhouette before and after, and the refined cloud from each camera"
-    known = all(view.known is None for view in views)
-    _draw(rows, heading, LEGEND_ENTRIES[:3] if known else LEGEND_ENTRIES).save(path, format="PNG", compress_level=COMPRESSION)
+        shown = f"{len(views)} views" if len(chosen) == len(views) else f"{len(chosen)} of {len(views)} views, evenly chosen"
+        heading = f"{shown}: mask against silhouette before and after, and the refined cloud from each camera"
+    entries = LEGEND_ENTRIES[:3] if all(view.known is None for view in views) else LEGEND_ENTRIES
+    _draw(rows, heading, entries).save(path, format="PNG", compress_level=COMPRESSION)
 
 
 def evenly_chosen(count: int, most: int) -> list[int]:
-    """At most ``most`` of the numbers 0 to count - 1, first and last among them."""
+    """At most ``most`` of the numbers 0 to count - 1, with the first and the last."""
     numbers: list[int] = np.linspace(0, count - 1, min(count, most)).round().astype(int).tolist()
     return numbers
 
 
 def _before_and_after(result: RefineResult, view: View) -> list[Row]:
-    seen = _from_camera(result, view)
-    silhouettes = _silhouettes(result, view, 0)
-    rows = []
-    for name, silhouette, (x, y, z), iou in zip(("before", "after"), silhouettes, seen, result.view_ious[0], strict=True):
-        # OpenCV axes: x right, y down, z away. From the right of the camera, what is far lies to the right.
-        rows.append(
-            [
-                (f"{name}: IoU {iou:.3f}", silhouette),
-                (f"{name}: from the camera", _dots(x, y, z)),
-                (f"{name}: from the camera's right", _dots(z, y, -x)),
-            ]
-        )
-    return rows
+    stages = zip(
+        ("before", "after"), _silhouettes(result, view, 0), _from_camera(result, view), result.view_ious[0], strict=True
+    )
+    # OpenCV axes: x right, y down, z away. Seen from the right of the camera, z points to the right.
+    return [
+        [
+            (f"{name}: IoU {iou:.3f}", silhouette),
+            (f"{name}: from the camera", _dots(x, y, z)),
+            (f"{name}: from the camera's right", _dots(z, y, -x)),
+        ]
+        for name, silhouette, (x, y, z), iou in stages
+    ]
 
 
 def _row_of_view(result: RefineResult, views: Sequence[View], number: int) -> Row:
     view, (before, after), weight = views[number], result.view_ious[number], result.view_weights[number]
-    shown_before, shown_after = _silhouettes(result, view, number)
+    silhouette_before, silhouette_after = _silhouettes(result, view, number)
     return [
-        (f"view {number + 1} before: IoU {before:.3f}", shown_before),
-        (f"after: IoU {after:.3f}, weight {weight:.2f}", shown_after),
+        (f"view {number + 1} before: IoU {before:.3f}", silhouette_before),
+        (f"after: IoU {after:.3f}, weight {weight:.2f}", silhouette_after),
         (f"after: from camera {number + 1}", _dots(*_from_camera(result, view)[1])),
     ]
 
 
 def _from_camera(result: RefineResult, view: View) -> list[NDArray[np.float64]]:
-    """[3, N] the clouds before and after in the camera's axes, both shifted and scaled alike to fit a panel."""
+    """[3, N] the clouds before and after in the camera's axes, normalised together to fit a panel."""
     rotated = [points @ view.camera.R.T for points in result.judged]
     low = np.min([points.min(0) for points in rotated], axis=0)
     high = np.max([points.max(0) for points in rotated], axis=0)
@@ -122,7 +117,7 @@ def _from_camera(result: RefineResult, view: View) -> list[NDArray[np.float64]]:
 
 
 def _silhouettes(result: RefineResult, view: View, number: int) -> list[Image.Image]:
-    """Mask against silhouette before, seen by the camera as it was given, and after, seen by the one that was used."""
+    """Mask against silhouette before, from the given camera, and after, from the refined one."""
     before, after = result.judged
     stages = (before, view), (after, replace(view, camera=result.cameras[number]))
     box = common_window(stages)
@@ -130,7 +125,7 @@ def _silhouettes(result: RefineResult, view: View, number: int) -> list[Image.Im
 
 
 def _draw(rows: list[Row], heading: str | None, entries: Sequence[tuple[Colour, str]]) -> Image.Image:
-    """Rows of three titled panels, the heading over and the legend under them."""
+    """Rows of three titled panels between heading and legend."""
     from PIL import Image, ImageDraw, ImageFont
 
     font = ImageFont.load_default(16)
@@ -155,7 +150,7 @@ def _draw(rows: list[Row], heading: str | None, entries: Sequence[tuple[Colour, 
 
 
 def _fitted(colours: NDArray[np.float64]) -> Image.Image:
-    """[H, W, 3] in [0, 1] as a panel; larger pixels stay square."""
+    """[H, W, 3] in [0, 1] as a panel."""
     from PIL import Image
 
     image = Image.fromarray(np.rint(colours * 255.0).astype(np.uint8))
@@ -165,7 +160,7 @@ def _fitted(colours: NDArray[np.float64]) -> Image.Image:
 
 
 def _dots(across: NDArray[np.float64], down: NDArray[np.float64], depth: NDArray[np.float64]) -> Image.Image:
-    """A panel of points with coordinates in [-1, 1] to the right and down, the nearer ones over the farther."""
+    """A panel of points with coordinates in [-1, 1] to the right and down; nearer ones hide farther ones."""
     from PIL import Image
 
     side = PANEL * FINE
@@ -173,13 +168,13 @@ def _dots(across: NDArray[np.float64], down: NDArray[np.float64], depth: NDArray
     around = np.arange(-int(radius), int(radius) + 1)
     disc = (around[:, None] * side + around)[np.hypot(around[:, None], around) <= radius]
     order = np.argsort(-depth)
-    place = np.rint((np.stack([across, down]) + 1.0) * (side / 2)).astype(np.int64)
+    pixel = np.rint((np.stack([across, down]) + 1.0) * (side / 2)).astype(np.int64)
     shade = np.rint(np.interp(depth, (depth.min(), depth.max()), (0.0, 254.0))).astype(np.uint8)
     canvas = np.full(side * side, 255, np.uint8)
-    # Of what is assigned to one place the last stays.
-    canvas[((place[1] * side + place[0])[order, None] + disc).ravel()] = shade[order].repeat(len(disc))
-    at = np.linspace(0.0, len(NEAR_TO_FAR) - 1.0, 255)
-    palette = np.stack([np.interp(at, np.arange(len(NEAR_TO_FAR)), channel) for channel in NEAR_TO_FAR.T], 1)
+    # Of several assignments to one pixel the last holds.
+    canvas[((pixel[1] * side + pixel[0])[order, None] + disc).ravel()] = shade[order].repeat(len(disc))
+    stops, shades = np.arange(len(NEAR_TO_FAR)), np.linspace(0.0, len(NEAR_TO_FAR) - 1.0, 255)
+    palette = np.stack([np.interp(shades, stops, channel) for channel in NEAR_TO_FAR.T], 1)
     colours = np.vstack([np.rint(palette), [255, 255, 255]]).astype(np.uint8)
     image = Image.fromarray(canvas.reshape(side, side))
     image.putpalette(colours.tobytes())

@@ -1,4 +1,4 @@
-"""Colours that every chart shares, and the page they are drawn on."""
+"""Colours of all charts, and figures that are written to files."""
 
 from __future__ import annotations
 
@@ -15,11 +15,8 @@ COLOURS = (BETTER, WORSE, "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 
 
 @contextmanager
-def page(path: Path, overwrite: bool, size: tuple[float, float], dpi: int = 110) -> Iterator[Any]:
-    """A figure of ``size`` inches that is written to ``path`` at the end of the block.
-
-    Raises InputError if ``path`` cannot be written to.
-    """
+def figure_file(path: Path, overwrite: bool, size: tuple[float, float], dpi: int = 110) -> Iterator[Any]:
+    """A figure of ``size`` inches, written to ``path`` after the block; InputError if it cannot be written."""
     check_output(path, overwrite)
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -27,9 +24,16 @@ def page(path: Path, overwrite: bool, size: tuple[float, float], dpi: int = 110)
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
     yield figure
-    for axis in figure.axes:
-        axis.spines[["top", "right"]].set_visible(False)
-        if not (len(axis.get_xticks()) or len(axis.get_yticks())):
-            axis.set_axis_off()  # a picture, not a plot
     with atomic_output(path) as temporary:
         figure.savefig(temporary, dpi=dpi)
+
+
+@contextmanager
+def page(path: Path, overwrite: bool, size: tuple[float, float], dpi: int = 110) -> Iterator[Any]:
+    """`figure_file` for charts: without top and right spines, and without frames around images."""
+    with figure_file(path, overwrite, size, dpi) as figure:
+        yield figure
+        for axis in figure.axes:
+            axis.spines[["top", "right"]].set_visible(False)
+            if not (len(axis.get_xticks()) or len(axis.get_yticks())):
+                axis.set_axis_off()

@@ -1,4 +1,4 @@
-"""Rows of text and numbers -> an aligned table for a terminal."""
+"""Tables of text and numbers for the terminal."""
 
 from __future__ import annotations
 
@@ -10,19 +10,12 @@ Cell = str | float | int | None
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[Cell]], decimals: int = 3, rule_before_last: bool = False) -> str:
-    """Columns two spaces apart; text to the left, numbers to the right.
+    """Columns two spaces apart, text to the left, numbers to the right; without a final newline.
 
     Parameters
     ----------
-    header : one title per column.
-    rows : as many cells each. Floats show ``decimals`` decimals (more for small ones: never fewer than 3 digits), whole
-        numbers all of theirs, None and NaN a dash.
-    rule_before_last : set the last row, a mean or a sum, off by a line.
-
-    Returns
-    -------
-    str
-        Lines without trailing spaces and without a final newline.
+    rows : one cell for each title of ``header``. Floats show ``decimals`` decimals (small ones 3 digits), None and NaN a dash.
+    rule_before_last : separate the last row, a mean or a sum.
     """
     texts = [[_text(cell, decimals) for cell in row] for row in rows]
     for row in texts:
@@ -36,14 +29,13 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[Cell]], decimals: 
     rule = ["-" * width for width in widths]
     lines = [list(header), rule, *texts]
     if rule_before_last and rows:
-        lines.insert(len(lines) - 1, rule)
-    return "\n".join(
-        "  ".join(
-            cell.rjust(width) if to_right else cell.ljust(width)
-            for cell, width, to_right in zip(line, widths, right, strict=True)
-        ).rstrip()
-        for line in lines
-    )
+        lines.insert(-1, rule)
+
+    def aligned(line: Sequence[str]) -> str:
+        cells = zip(line, widths, right, strict=True)
+        return "  ".join(cell.rjust(width) if number else cell.ljust(width) for cell, width, number in cells).rstrip()
+
+    return "\n".join(map(aligned, lines))
 
 
 def _text(cell: Cell, decimals: int) -> str:
@@ -52,7 +44,7 @@ def _text(cell: Cell, decimals: int) -> str:
     if isinstance(cell, str):
         return cell
     if isinstance(cell, Real) and not hasattr(cell, "__index__"):
-        plain = f"{float(cell):.{decimals}f}"
-        # 0.000 would hide that a distance is not zero.
-        return f"{float(cell):.3g}" if cell != 0 and abs(float(cell)) < 10.0 ** (1 - decimals) else plain
+        # Fixed decimals would show a small number as 0.000.
+        small = cell != 0 and abs(float(cell)) < 10.0 ** (1 - decimals)
+        return f"{float(cell):.3g}" if small else f"{float(cell):.{decimals}f}"
     return str(cell)

@@ -1,4 +1,4 @@
-"""Files -> Scene: the cloud or the network to refine, the mask to agree with, and the camera between them."""
+"""Files -> Scene: the cloud or the network to refine, the masks, and the cameras that see them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,22 +35,18 @@ class Scene:
 
     Attributes
     ----------
-    points : [N, 3] float64, the start: the file's cloud, or the network's prediction in the network's frame.
-    faces : [F, 3] triangles of `points`, None for a cloud.
-    views : masks and the cameras that project `points` onto them (network modes: one, of the crop that the network saw).
-    camera_sources : where the camera of each is from, in words. camera_in_short : of all, in few.
-    frame : of the output: "input" (the cloud's own), "view", "canonical" or "world".
-    cloud : the file that `points` are from, None in the network modes.
-    colours : [N, 3] of `points`, None where no view has an image.
-    network, image : the network and its input [3, 64, 64], None in points mode.
-    sigma_sq : squared cells of the window, what the checkpoint was trained with; None in points mode.
-    to_output : takes points from the frame of `points` to that of the output.
+    points : [N, 3] float64, the start: the cloud of the file, or the network's prediction in the network's frame.
+    views : masks, and the cameras that project `points` onto them (network modes: one, of the network's crop).
+    camera_sources : for each view, where its camera is from; camera_summary : the same for all views, shorter.
+    frame : of the output: "input" (that of the cloud), "view", "canonical" or "world"; to_output maps points to it.
+    cloud, colours, faces : of points mode: the file, [N, 3] (None unless the views have images), [F, 3] (None for a cloud).
+    network, image, sigma_sq : of the network modes: the network, its input [3, 64, 64], and the variance of its training.
     """
 
     points: Array
     views: tuple[View, ...]
     camera_sources: tuple[str, ...]
-    camera_in_short: str
+    camera_summary: str
     frame: str
     cloud: PointCloud | None = None
     network: BaseNetwork | None = None
@@ -67,7 +63,7 @@ class Scene:
 
     @cached_property
     def surface(self) -> Surface | None:
-        """That of a mesh; None, with a warning, where its faces have no area."""
+        """The surface of a mesh; None for a cloud, and, with a warning, for faces without area."""
         if self.cloud is None or self.faces is None:
             return None
         from ..refinement.surface import Surface
@@ -79,93 +75,97 @@ class Scene:
         """What a refinement moves, [N, 3]: the points, or the samples of a surface."""
         return self.surface.samples if self.surface else self.points
 
-    @property
-    def camera_source(self) -> str:
-        """Where the cameras are from, each file once."""
-        return ", ".join(dict.fromkeys(self.camera_sources))
 
+@dataclass(frozen=True)
+class ViewFiles:
+    """The files of one or several views.
 
-def load_view(
-    mask_file: Path, camera_file: Path | None = None, invert: bool = False, ignore_file: Path | None = None
-) -> tuple[View, Path | None]:
-    """Read a mask and its camera: the one named, else one found beside the mask, else the canonical one.
-
-    Parameters
+    Attributes
     ----------
-    ignore_file : an image whose foreground marks the pixels of the mask that say nothing.
-
-    Returns
-    -------
-    The view, and the camera's file or None where the canonical camera stands in for one.
-
-    Raises
-    ------
-    InputError
-        A file cannot be used, sizes differ, or the mask is all object or all background.
+    masks : one for each view.
+    camera : the file of all cameras; None looks for files beside the masks.
+    invert : the masks show the object dark.
+    ignore : images whose foreground marks unknown pixels, one for each mask or none.
+    depth : depth maps, one for each mask or none; depth_scale : as in `read_depth`.
+    image : photos, one for each mask or none.
     """
-    source = camera_file or find_camera(mask_file)
-    return _read_view(mask_file, source, None, invert, ignore_file), source
 
+    masks: Sequence[Path]
+    camera: Path | None = None
+    invert: bool = False
+    ignore: Sequence[Path] = ()
+    depth: Sequence[Path] = ()
+    depth_scale: float = 1.0
+    image: Sequence[Path] = ()
 
-def load_views(
-    mask_files: Sequence[Path], camera_file: Path | None = None, invert: bool = False, ignore_files: Sequence[Path] = ()
-) -> tuple[tuple[View, ...], tuple[Path | None, ...]]:
-    """Read masks and their cameras: of the file named, else of those found beside the masks.
-
-    Views of one file are told apart by the masks that they name, else by their order
-    (`pair_with_masks`). One mask is read as `load_view` does.
-
-    Parameters
-    ----------
-    ignore_files : one for each mask, or none.
-
-    Returns
-    -------
-    The views, and the camera's file of each (None: the canonical camera, of a single mask only).
-
-    Raises
-    ------
-    InputError
-        As `load_view`; or masks, cameras and ignore maps do not pair up.
-    """
-    ignores = _ignores_of(mask_files, ignore_files)
-    sources = [camera_file or find_camera(mask_file) for mask_file in mask_files]
-    cameras: list[Camera | None] = [None] * len(mask_files)
-    for source in dict.fromkeys(sources):
-        own = [i for i, other in enumerate(sources) if other == source]
-        if source is None and len(mask_files) > 1:
+    def one_each(self, option: str, plural: str, files: Sequence[Path]) -> Sequence[Path | None]:
+        """The file of each mask, None where there are no files; InputError for another number of them."""
+        if files and len(files) != len(self.masks):
             raise InputError(
-                f"{mask_files[own[0]]}: no camera file was given or found beside it, expected one for each of "
-                f"{len(mask_files)} masks"
+                f"{option} {files[0]}: found {len(files)} {plural} for {len(self.masks)} masks, expected one for each or none"
             )
-        if source is not None and len(own) > 1:
-            for i, camera in zip(own, pair_with_masks(source, [mask_files[i] for i in own]), strict=True):
-                cameras[i] = camera
-    rows = zip(mask_files, sources, cameras, ignores, strict=True)
-    return tuple(_read_view(file, source, camera, invert, ignore) for file, source, camera, ignore in rows), tuple(sources)
+        return files or [None] * len(self.masks)
 
 
-def _require_one_each(option: str, what: str, files: Sequence[Path], masks: int) -> None:
-    if files and len(files) != masks:
-        raise InputError(f"{option} {files[0]}: found {len(files)} {what} for {masks} masks, expected one for each or none")
+def load_views(files: ViewFiles) -> tuple[list[View], list[Path | None]]:
+    """Read masks and their cameras: of the file named, else of one beside the mask, else (for a single mask) the canonical one.
+
+    Views of one camera file are matched to masks by the names in it, else by order (`pair_with_masks`).
+
+    Returns
+    -------
+    The views, and the camera's file of each (None for the canonical camera).
+
+    Raises
+    ------
+    InputError
+        A file cannot be used, sizes or numbers of files differ, or a mask is all object or all background.
+    """
+    ignore = files.one_each("--ignore", "ignore maps", files.ignore)
+    sources = [files.camera or find_camera(mask) for mask in files.masks]
+    cameras: list[Camera | None] = [None] * len(files.masks)
+    for source in dict.fromkeys(sources) if len(files.masks) > 1 else ():
+        numbers = [number for number, other in enumerate(sources) if other == source]
+        if source is None:
+            raise InputError(
+                f"{files.masks[numbers[0]]}: no camera file was given or found beside it, expected one for each of "
+                f"{len(files.masks)} masks"
+            )
+        if len(numbers) > 1:
+            for number, camera in zip(numbers, pair_with_masks(source, [files.masks[i] for i in numbers]), strict=True):
+                cameras[number] = camera
+    rows = zip(files.masks, sources, cameras, ignore, strict=True)
+    views = [_read_view(mask, source, camera, files.invert, unknown) for mask, source, camera, unknown in rows]
+    return _with_depth_and_images(views, files), sources
 
 
-def _ignores_of(mask_files: Sequence[Path], ignore_files: Sequence[Path]) -> Sequence[Path | None]:
-    """The ignore map of each mask."""
-    _require_one_each("--ignore", "ignore maps", ignore_files, len(mask_files))
-    return ignore_files or [None] * len(mask_files)
+def _with_depth_and_images(views: Sequence[View], files: ViewFiles) -> list[View]:
+    depth_files = files.one_each("--depth", "depth maps", files.depth)
+    image_files = files.one_each("--image", "images", files.image)
+    completed = []
+    for view, depth_file, image_file in zip(views, depth_files, image_files, strict=True):
+        if depth_file is not None:
+            depth = read_depth(depth_file, files.depth_scale)
+            require_same_size(depth_file, depth.shape, view.name, view.mask.shape)
+            view = replace(view, depth=depth)
+        if image_file is not None:
+            image = read_image(image_file)
+            require_same_size(image_file, image.shape, view.name, view.mask.shape)
+            view = replace(view, image=image[..., :3] / np.float32(255.0))
+        completed.append(view)
+    return completed
 
 
 def _read_view(
     mask_file: Path, camera_file: Path | None, camera: Camera | None, invert: bool, ignore_file: Path | None
 ) -> View:
-    """The view of a mask and of its ``camera``, None for the one that ``camera_file`` has for it, else the canonical one."""
+    """A mask with ``camera``, else with the one in ``camera_file``, else with the canonical one."""
     mask = read_mask(mask_file, invert)
     height, width = mask.shape
     known = None
     if ignore_file is not None:
         known = read_mask(ignore_file) <= 0.5
-        same_size(ignore_file, known.shape, mask_file, mask.shape)
+        require_same_size(ignore_file, known.shape, mask_file, mask.shape)
     if camera_file is None:
         camera = Camera.canonical(width, height)
     elif camera is None:
@@ -175,7 +175,7 @@ def _read_view(
     return View(mask, camera, known, name=str(mask_file))
 
 
-def same_size(file: Path, shape: tuple[int, ...], mask_file: Path | str, mask_shape: tuple[int, ...]) -> None:
+def require_same_size(file: Path, shape: tuple[int, ...], mask_file: Path | str, mask_shape: tuple[int, ...]) -> None:
     """InputError where an image of that [H, W, ...] shape and a mask differ in size."""
     if shape[:2] != mask_shape:
         raise InputError(
@@ -184,91 +184,57 @@ def same_size(file: Path, shape: tuple[int, ...], mask_file: Path | str, mask_sh
         )
 
 
-def _with_depths(views: tuple[View, ...], files: Sequence[Path], scale: float) -> tuple[View, ...]:
-    depths = _read_each("--depth", "depth maps", views, files, lambda file: read_depth(file, scale))
-    return tuple(replace(view, depth=depth) for view, depth in zip(views, depths, strict=True))
+def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = False) -> Scene:
+    """The scene of points mode; errors as `load_views` and `read_cloud`.
+
+    Parameters
+    ----------
+    cloud_file : a cloud, or a mesh whose surface is refined.
+    files : of the views, or one mask. Images are for clouds that have colours.
+    fit : estimate the camera of the one mask from mask and cloud (`fit_camera`) instead of reading it; without depth maps.
+    """
+    files = files if isinstance(files, ViewFiles) else ViewFiles([files])
+    if fit and len(files.masks) != 1:
+        raise InputError(
+            f"--camera fit finds the camera of one mask, found {len(files.masks)} masks; expected one, or a camera file"
+        )
+    cloud = read_cloud(cloud_file)
+    colours = cloud.colours() if files.image else None
+    scene = Scene(cloud.points, (), (), "", "input", cloud=cloud, colours=colours, faces=cloud.faces())
+    if fit:
+        return _with_fitted_camera(scene, files)
+    views, sources = load_views(files)
+    for view in views:
+        _warn_of_scale(cloud.points, view, cloud_file)
+    for view, depth_file in zip(views, files.depth, strict=False):
+        _warn_of_depth(cloud.points, view, depth_file)
+    names = list(dict.fromkeys(map(camera_source, sources)))
+    summary = f"cameras of {', '.join(names) if len(names) < 3 else f'{len(names)} files'}"
+    if len(sources) == 1:
+        summary = f"camera {names[0]}" if sources[0] else f"canonical camera {NO_FILE}"
+    return replace(scene, views=tuple(views), camera_sources=tuple(map(camera_source, sources)), camera_summary=summary)
 
 
-def _with_images(views: tuple[View, ...], files: Sequence[Path]) -> tuple[View, ...]:
-    images = _read_each("--image", "images", views, files, read_image)
-    return tuple(replace(view, image=image[..., :3] / np.float32(255.0)) for view, image in zip(views, images, strict=True))
+def _with_fitted_camera(scene: Scene, files: ViewFiles) -> Scene:
+    from ..pose import fit_camera
+
+    (ignore,) = files.one_each("--ignore", "ignore maps", files.ignore)
+    view = _read_view(files.masks[0], None, None, files.invert, ignore)
+    fitted = fit_camera(scene.moving, view.mask, view.known, name=view.name)
+    views = _with_depth_and_images([replace(view, camera=fitted.camera)], files)
+    if not fitted.sure:
+        warnings.warn(f"{view.name}: the fitted camera is unsure: {fitted.doubt}", stacklevel=3)
+    summary = f"camera fitted to cloud and mask ({'sure' if fitted.sure else 'unsure'})"
+    return replace(scene, views=tuple(views), camera_sources=(fitted.describe(),), camera_summary=summary)
 
 
-def _read_each(
-    option: str, what: str, views: tuple[View, ...], files: Sequence[Path], read: Callable[[Path], NDArray[Any]]
-) -> list[NDArray[Any]]:
-    """What ``read`` makes of the file of each view; InputError where there is not one for each, of its mask's size."""
-    _require_one_each(option, what, files, len(views))
-    found = []
-    for view, file in zip(views, files, strict=True):
-        found.append(read(file))
-        same_size(file, found[-1].shape, view.name, view.mask.shape)
-    return found
-
-
-def said(camera_file: Path | None) -> str:
-    """Where a camera comes from, in words."""
+def camera_source(camera_file: Path | None) -> str:
+    """Where a camera is from, in words."""
     return str(camera_file) if camera_file else f"canonical {NO_FILE}"
 
 
-def in_short(camera_files: Sequence[Path | None]) -> str:
-    """Which cameras were used, in few words."""
-    if len(camera_files) == 1:
-        return f"camera {camera_files[0]}" if camera_files[0] else f"canonical camera {NO_FILE}"
-    each = list(dict.fromkeys(map(str, camera_files)))
-    return f"cameras of {', '.join(each) if len(each) < 3 else f'{len(each)} files'}"
-
-
-def load_points_scene(
-    cloud_file: Path,
-    mask_files: Path | Sequence[Path],
-    camera_file: Path | None = None,
-    invert: bool = False,
-    ignore_files: Sequence[Path] = (),
-    fit: bool = False,
-    depth_files: Sequence[Path] = (),
-    depth_scale: float = 1.0,
-    image_files: Sequence[Path] = (),
-) -> Scene:
-    """The scene of points mode; arguments and errors as `load_views` and `read_cloud`.
-
-    ``fit`` finds the camera of the one mask from mask and cloud (`fit_camera`) instead of reading it;
-    it goes without depth maps. These are one for each mask, or none; ``depth_scale`` is that of
-    `read_depth`. So are images, of a cloud that has colours.
-    """
-    masks = [mask_files] if isinstance(mask_files, Path) else mask_files
-    if fit and len(masks) != 1:
-        raise InputError(f"--camera fit finds the camera of one mask, found {len(masks)} masks; expected one, or a camera file")
-    cloud = read_cloud(cloud_file)
-    colours = cloud.colours() if image_files else None
-    scene = Scene(cloud.points, (), (), "", "input", cloud=cloud, colours=colours, faces=cloud.faces())
-    if fit:
-        from ..pose import fit_camera
-
-        view = _read_view(masks[0], None, None, invert, _ignores_of(masks, ignore_files)[0])
-        fitted = fit_camera(scene.moving, view.mask, view.known, name=view.name)
-        views: tuple[View, ...] = (replace(view, camera=fitted.camera),)
-        if image_files:
-            views = _with_images(views, image_files)
-        if not fitted.sure:
-            warnings.warn(f"{masks[0]}: the fitted camera is unsure: {fitted.doubt}", stacklevel=2)
-        short = f"camera fitted to cloud and mask ({'sure' if fitted.sure else 'unsure'})"
-        return replace(scene, views=views, camera_sources=(fitted.describe(),), camera_in_short=short)
-    views, camera_files = load_views(masks, camera_file, invert, ignore_files)
-    if depth_files:
-        views = _with_depths(views, depth_files, depth_scale)
-    if image_files:
-        views = _with_images(views, image_files)
-    for view in views:
-        _warn_of_scale(cloud.points, view, cloud_file)
-    for view, depth_file in zip(views, depth_files, strict=False):
-        _warn_of_depth(cloud.points, view, depth_file)
-    sources = tuple(map(said, camera_files))
-    return replace(scene, views=views, camera_sources=sources, camera_in_short=in_short(camera_files))
-
-
 def _warn_of_scale(points: Array, view: View, cloud_file: Path) -> None:
-    """Warn of a cloud that stands absurdly near or far for its size: the sign of another unit."""
+    """Warn of a cloud that is implausibly near or far for its size: its unit may differ from the camera's."""
     camera = view.camera
     size = float(np.ptp(points, axis=0).max())
     distance = float((camera.R @ ((points.min(0) + points.max(0)) / 2.0) + camera.t)[2])
@@ -281,13 +247,13 @@ def _warn_of_scale(points: Array, view: View, cloud_file: Path) -> None:
 
 
 def _warn_of_depth(points: Array, view: View, depth_file: Path) -> None:
-    """Warn of a depth map that shows the object nowhere near the cloud: the sign of another unit."""
+    """Warn of a depth map that disagrees with the cloud by a factor: its unit may be another."""
     assert view.depth is not None
-    found = float(np.nanmedian(np.where(view.mask > 0.5, view.depth, np.nan)))
+    observed = float(np.nanmedian(np.where(view.mask > 0.5, view.depth, np.nan)))
     depth = view.camera.project(points)[1]
-    if not 0.5 * depth.min() < found < 2.0 * depth.max():
+    if not 0.5 * depth.min() < observed < 2.0 * depth.max():
         warnings.warn(
-            f"{depth_file}: its median depth on the object is {found:.3g}, the cloud's depths are {depth.min():.3g} to "
+            f"{depth_file}: its median depth on the object is {observed:.3g}, the cloud's depths are {depth.min():.3g} to "
             f"{depth.max():.3g}; is --depth-scale right?",
             stacklevel=2,
         )

@@ -1,4 +1,4 @@
-"""The scene of the network modes: photo, mask and checkpoint -> cropped input, predicted cloud, and the camera that sees it."""
+"""The scene of the network modes: photo, mask and checkpoint -> the network's crop, its cloud and the camera of the crop."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..geometry.view import View
 from ..io.images import read_image
 from ..network.input import network_input
 from ..refinement.placement import mask_doubts, place_in_front, settle, view_to_world
-from .load import NO_FILE, Scene, load_view, said, same_size
+from .load import NO_FILE, Scene, ViewFiles, camera_source, load_views, require_same_size
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork, NetworkConfig
@@ -35,38 +35,37 @@ def load_network_scene(
     world: bool = False,
     placing: Placing = "silhouette",
 ) -> Scene:
-    """The scene of the network modes: the photo cropped as the checkpoint says, and the camera that sees the cloud in it.
+    """The scene of the network modes: the photo cropped as for training, and the camera that sees the predicted cloud in it.
 
-    A view-aligned network predicts in the axes of the camera: of a camera file only K counts, and the cloud is set before
-    the camera so that it fills the mask's box (`place_in_front`). Without a camera file, K is the
-    canonical one of the crop. A canonical-frame network predicts in the frame of its training objects: R and t of the camera
-    file lead from there to the picture.
+    A view-aligned network predicts in the axes of the camera. Of a camera file only K counts (of the crop's canonical camera,
+    without one), and the cloud is placed in front of it. A canonical-frame network predicts in the frame of its training
+    objects, from which R and t of the camera file lead to the picture.
 
     Parameters
     ----------
     world : give the output of a view-aligned network in the world coordinates of the camera file.
-    placing : of a view-aligned network's cloud: "silhouette" sets it where the silhouette agrees best with the mask
-        (`settle`), "box" where its box does, "camera" at the camera file's own t, which then is that of
-        an object whose middle is the world's origin and whose longest side is 1.
+    placing : of a view-aligned network's cloud: "silhouette" maximises the agreement with the mask (`settle`), "box" fits the
+        mask's box (`place_in_front`), "camera" takes t of the camera file, as for an object of longest side 1 at the origin.
 
     Raises
     ------
     InputError
-        A file cannot be used, image and mask differ in size, or the frame asked for needs a camera file.
+        A file cannot be used, image and mask differ in size, or the frame or placing needs a camera file.
     """
     from ..io.checkpoints import load_network
 
-    view, camera_file = load_view(mask_file, camera_file, invert, ignore_file)
+    files = ViewFiles([mask_file], camera_file, invert, [ignore_file] if ignore_file else [])
+    (view,), (camera_file,) = load_views(files)
     image = read_image(image_file)
-    same_size(image_file, image.shape, mask_file, view.mask.shape)
+    require_same_size(image_file, image.shape, mask_file, view.mask.shape)
     network, config = load_network(checkpoint)
-    if camera_file is None and config.frame != "view":
+    option = "--frame world" if world else f"--place {placing}" if placing != "silhouette" else None
+    if config.frame != "view" and camera_file is None:
         raise InputError(
             f"{checkpoint}: predicts in the canonical frame of its training objects, which needs the camera's R and t; "
             "found no camera file, expected --camera FILE"
         )
-    if config.frame != "view" and (world or placing != "silhouette"):
-        option = "--frame world" if world else f"--place {placing}"
+    if config.frame != "view" and option:
         raise InputError(f"{checkpoint}: predicts in the canonical frame, found {option}, which is for view-aligned networks")
     if camera_file is None and placing == "camera":
         raise InputError("--place camera needs the camera's t; found no camera file, expected --camera FILE")
@@ -74,7 +73,7 @@ def load_network_scene(
         raise InputError("--frame world needs the camera's R and t; found no camera file, expected --camera FILE")
     if config.frame == "view" and view.camera.model != "perspective":
         raise InputError(f"{camera_file}: model is {view.camera.model}, expected perspective for a view-aligned network")
-    return network_scene(image, view, network, config, said(camera_file), camera_file is not None, world, placing)
+    return network_scene(image, view, network, config, camera_source(camera_file), camera_file is not None, world, placing)
 
 
 def network_scene(
@@ -82,56 +81,49 @@ def network_scene(
     view: View,
     network: BaseNetwork,
     config: NetworkConfig,
-    camera_source: str = "given",
+    source: str = "given",
     known_camera: bool = True,
     world: bool = False,
     placing: Placing = "silhouette",
 ) -> Scene:
-    """The scene of a photo that is in memory already, with a network that may serve many of them.
+    """`load_network_scene` for a photo and a network in memory.
 
     Parameters
     ----------
     image : [H, W, 3] or [H, W, 4]; view : its mask and perspective camera.
-    known_camera : False lets the canonical camera see the crop; for view-aligned networks only.
-    world, placing : as in `load_network_scene`.
+    source : where the camera is from.
+    known_camera : False uses the canonical camera of the crop; for view-aligned networks only.
     """
     import torch
 
-    given = network_input(image, view, config.image_size, config.crop_share, config.background)
+    inputs = network_input(image, view, config.image_size, config.crop_share, config.background)
     with torch.no_grad():
-        predicted = network(torch.from_numpy(given.image).unsqueeze(0))[0].double().numpy()
-    # In the crop, which is enlarged, it no longer shows.
-    for doubt in mask_doubts(view, len(predicted)):
+        points = network(torch.from_numpy(inputs.image).unsqueeze(0))[0].double().numpy()
+    # Ask the photo: the crop is enlarged and hides that the mask is coarse.
+    for doubt in mask_doubts(view, len(points)):
         warnings.warn(doubt, stacklevel=2)
-    crop, to_output, frame = given.view(view.name), Scene.to_output, config.frame
-    short = f"camera {camera_source}" if known_camera else f"canonical camera {NO_FILE}"
+    crop, to_output, frame = inputs.view(view.name), Scene.to_output, config.frame
+    summary = f"camera {source}" if known_camera else f"canonical camera {NO_FILE}"
     if config.frame == "view":
-        if not known_camera and not config.crop_share:
-            warnings.warn(
-                f"{view.name}: the network tells sizes by the whole picture, which without a camera is taken for that of the "
-                "canonical one (--camera FILE)",
-                stacklevel=2,
-            )
         if not known_camera:
             crop = replace(crop, camera=Camera.canonical(config.image_size, config.image_size))
-        if placing == "camera":
-            if view.camera.t[2] <= 0.0:
-                raise InputError(
-                    f"{view.name}: the camera has the object at depth {view.camera.t[2]:g}, expected it in front (> 0)"
+            if not config.crop_share:
+                warnings.warn(
+                    f"{view.name}: the network tells sizes by the whole picture, which without a camera is taken for that of "
+                    "the canonical one (--camera FILE)",
+                    stacklevel=2,
                 )
-            placed = replace(crop.camera, R=CANONICAL_ROTATION, t=view.camera.t)
-            short += " (only its K and distance)"
-            camera_source += f"; the network's cloud is placed where it has the object, at distance {placed.t[2]:.3g}"
+        placed = _placed(points, crop, view, placing, config.sigma_sq)
+        distance = f"at distance {placed.t[2]:.3g}"
+        if placing == "camera":
+            summary += " (only its K and distance)"
+            source += f"; the network's cloud is placed where it has the object, {distance}"
         else:
-            placed = place_in_front(predicted, crop)
-            if placing == "silhouette":
-                placed = settle(predicted, replace(crop, camera=placed), config.sigma_sq)
-            # A picture that shows sizes is cut out by the place of the object too.
-            counts = "K" if config.crop_share else "K and t"
+            # Without a crop of fixed size, t decides which part of the picture the network sees.
+            used, verb = ("K", "counts") if config.crop_share else ("K and t", "count")
             if known_camera:
-                short += f" (only its {counts})"
-            fills = f"the network's cloud is placed to fill the mask, at distance {placed.t[2]:.3g}"
-            camera_source += f"; of it {counts} {'counts' if config.crop_share else 'count'}, {fills}"
+                summary += f" (only its {used})"
+            source += f"; of it {used} {verb}, the network's cloud is placed to fill the mask, {distance}"
         crop = replace(crop, camera=placed)
         if world:
             frame = "world"
@@ -139,14 +131,16 @@ def network_scene(
             def to_output(points: Array) -> Array:
                 return view_to_world(points, placed, view.camera)
 
-    return Scene(
-        predicted,
-        (crop,),
-        (camera_source,),
-        short,
-        frame,
-        network=network,
-        image=given.image,
-        sigma_sq=config.sigma_sq,
-        to_output=to_output,
-    )
+    about = (None, network, inputs.image, config.sigma_sq)
+    return Scene(points, (crop,), (source,), summary, frame, *about, to_output=to_output)
+
+
+def _placed(points: Array, crop: View, view: View, placing: Placing, sigma_sq: float) -> Camera:
+    """The camera of the crop, with R and t that place a view-aligned cloud in front of it."""
+    if placing == "camera":
+        depth = view.camera.t[2]
+        if depth <= 0.0:
+            raise InputError(f"{view.name}: the camera has the object at depth {depth:g}, expected it in front (> 0)")
+        return replace(crop.camera, R=CANONICAL_ROTATION, t=view.camera.t)
+    camera = place_in_front(points, crop)
+    return settle(points, replace(crop, camera=camera), sigma_sq) if placing == "silhouette" else camera

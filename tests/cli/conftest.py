@@ -1,0 +1,57 @@
+"""Folders to run commands in."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tso_cli import __version__
+from tso_cli.io.cameras import CameraRecord, read_camera, write_cameras
+from tso_cli.io.clouds import read_cloud
+
+from .run import CHAIR
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The working directory: a copy of the chair example."""
+    for name in ("initial.ply", "mask.png", "image.png", "camera.json", "target.ply"):
+        shutil.copy(CHAIR / name, tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def views(folder):
+    """views.json and the three masks that it names, of the chair seen from three sides, in three sizes."""
+    from tso_cli.silhouette.projection import silhouette_of
+
+    camera, target = read_camera("camera.json", 256, 256), read_cloud("target.ply").points
+    records = []
+    for name, degrees, size in (("front.png", 0.0, (64, 64)), ("side.png", 80.0, (96, 80)), ("back.png", 200.0, (128, 128))):
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        turned = replace(camera, R=camera.R @ [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]).resized(*size)
+        Image.fromarray((silhouette_of(target, turned) * 255.0).astype(np.uint8)).save(name)
+        records.append(CameraRecord(turned, Path(name)))
+    write_cameras("views.json", records)
+    return [record.mask for record in records]
+
+
+def save_untrained(path, frame="view"):
+    """A small network; untrained, which is enough to run the modes."""
+    from tso_cli.io.checkpoints import save_network
+    from tso_cli.network.model import NetworkConfig, build_network
+
+    save_network(path, build_network(points=128, seed=0), NetworkConfig(points=128, frame=frame, version=__version__))
+    return path
+
+
+@pytest.fixture(scope="session")
+def checkpoint(tmp_path_factory):
+    """A view-aligned network."""
+    return save_untrained(tmp_path_factory.mktemp("checkpoint") / "small.safetensors")

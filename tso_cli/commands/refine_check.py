@@ -1,0 +1,94 @@
+"""`tso refine --check`: where the cloud falls in each view, without refining it."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ..version import __version__
+from . import options
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from ..geometry.camera import Camera
+    from ..refinement.placement import Placement
+    from ..scene.load import Scene
+
+
+def check_scene(scene: Scene, as_json: bool, quiet: bool) -> None:
+    """Print cameras, scale and overlap; InputError where cloud and mask do not overlap."""
+    from ..refinement.placement import SMALLEST_BOX_IOU, mask_doubts, place, require_overlap
+
+    placements = [place(scene.moving, view) for view in scene.views]
+    for view in scene.views:
+        for doubt in mask_doubts(view, len(scene.moving)):
+            warnings.warn(doubt, stacklevel=1)
+    overlaps = [placement.box_iou > SMALLEST_BOX_IOU for placement in placements]
+    if as_json:
+        options.echo_json(_document(scene, placements, overlaps))
+    elif not quiet:
+        _print(scene, placements, overlaps)
+    for placement, view in zip(placements, scene.views, strict=True):
+        require_overlap(placement, view)
+
+
+def camera_document(camera: Camera, source: str) -> dict[str, Any]:
+    """A camera for JSON, and where it is from."""
+    shape = {"model": camera.model, "width": camera.width, "height": camera.height}
+    return {"source": source, **shape, **{name: getattr(camera, name).tolist() for name in ("K", "R", "t")}}
+
+
+def _document(scene: Scene, placements: list[Placement], overlaps: list[bool]) -> dict[str, Any]:
+    cameras = [camera_document(view.camera, source) for view, source in zip(scene.views, scene.camera_sources, strict=True)]
+    views = [
+        {"mask": view.name, "camera": camera, "placement": placement.as_dict(), "meets": overlap}
+        for view, camera, placement, overlap in zip(scene.views, cameras, placements, overlaps, strict=True)
+    ]
+    return {
+        "camera": views[0]["camera"],
+        "frame": scene.frame,
+        "extent": (scene.moving.max(0) - scene.moving.min(0)).tolist(),
+        "surface_samples": len(scene.moving) if scene.surface else None,
+        "placement": views[0]["placement"],
+        "meets": all(overlaps),
+        "views": views,
+        "version": __version__,
+    }
+
+
+def _print(scene: Scene, placements: list[Placement], overlaps: list[bool]) -> None:
+    size = scene.moving.max(0) - scene.moving.min(0)
+    if scene.surface:
+        click.echo(f"mesh        {len(scene.points):,} vertices; points sampled on its faces stand for it as a cloud")
+    for number, (view, placement) in enumerate(zip(scene.views, placements, strict=True)):
+        if len(placements) > 1:
+            click.echo(f"view        {number + 1} of {len(placements)}, {view.name}")
+        _print_view(view.camera, scene.camera_sources[number], size, placement, overlaps[number])
+
+
+def _print_view(camera: Camera, source: str, size: NDArray[np.float64], placement: Placement, overlap: bool) -> None:
+    from ..refinement.placement import SMALLEST_BOX_IOU, describe_box
+
+    K = camera.K
+    share = 100.0 / placement.points
+    depth = "all points lie behind the camera"
+    if placement.depth is not None:
+        depth = f"{placement.depth[0]:.4g} to {placement.depth[1]:.4g}, {placement.behind:,} points behind the camera"
+    click.echo(
+        f"camera      {camera.model}, {camera.width}x{camera.height}, from {source}\n"
+        f"            f {K[0, 0]:.4g} x {K[1, 1]:.4g} px, principal point ({K[0, 2]:.4g}, {K[1, 2]:.4g})\n"
+        f"            R {camera.R.round(4).tolist()}, t {camera.t.round(4).tolist()}\n"
+        f"cloud       {placement.points:,} points, extent {size[0]:.4g} x {size[1]:.4g} x {size[2]:.4g}\n"
+        f"depth       {depth}\n"
+        f"points fall {placement.inside_image:,} inside the image ({placement.inside_image * share:.0f} %), "
+        f"{placement.inside_mask:,} on the mask ({placement.inside_mask * share:.0f} %)\n"
+        f"mask        {describe_box(placement.mask_box)}"
+    )
+    if placement.points_box is not None:
+        click.echo(f"silhouette  {describe_box(placement.points_box)}")
+    verdict = "they meet" if overlap else f"they do not meet (expected over {SMALLEST_BOX_IOU})"
+    click.echo(f"boxes       IoU {placement.box_iou:.3f}: {verdict}")

@@ -1,0 +1,166 @@
+"""The files that `tso refine` reads and writes."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ..errors import InputError
+from ..io.output import atomic_output
+from ..io.shipped import DEFAULT, named_checkpoint
+from .options import FilePath, loading, require_output
+
+if TYPE_CHECKING:
+    from ..refinement import RefineResult
+    from ..scene.load import Scene
+    from ..scene.network import Placing
+
+FIT = Path("fit")
+"""What `--camera` takes instead of a file, to estimate the camera."""
+
+
+class CameraPath(FilePath):
+    """A camera file, or ``FIT``; a file of that name, written ./fit, becomes absolute."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        path = super().convert(value, param, ctx)
+        return path.absolute() if path == FIT and str(value) != str(FIT) else path
+
+
+@dataclass
+class RefineInputs:
+    """What is refined, and the images it is refined with; raises InputError for options that do not go together.
+
+    source : a cloud in points mode, else a photo.
+    masks : none given takes those that the camera file names.
+    checkpoint : in the network modes the shipped one unless given.
+    """
+
+    mode: str
+    preset: str
+    source: Path
+    masks: tuple[Path, ...]
+    camera: Path | None
+    invert_mask: bool
+    ignore: tuple[Path, ...]
+    depth: tuple[Path, ...]
+    depth_scale: float | None
+    image: tuple[Path, ...]
+    checkpoint: Path | None
+    frame: str | None
+    place: Placing | None
+
+    def __post_init__(self) -> None:
+        if self.mode == "points":
+            self._check_points_mode()
+        else:
+            for name, count in (("MASK", len(self.masks)), ("--ignore", max(1, len(self.ignore)))):
+                if count != 1:
+                    raise InputError(
+                        f"--mode {self.mode} predicts a cloud from one photo, {name} was given {count} times, expected once"
+                    )
+        for name, files in (("--depth", self.depth), ("--image", self.image)):
+            if files and (self.mode, self.preset) != ("points", "best"):
+                raise InputError(f"{name} is for --mode points --preset best, found --mode {self.mode} --preset {self.preset}")
+        if self.depth_scale is not None and not self.depth:
+            raise InputError(f"--depth-scale {self.depth_scale:g} says nothing without a depth map, expected --depth FILE")
+        if self.depth and self.fit:
+            raise InputError("--depth needs a camera whose distance is known, found --camera fit; expected a camera file")
+        self.network = None
+        if self.mode != "points":
+            shipped = self.checkpoint in (None, Path(DEFAULT))
+            self.network = "shipped network" if shipped else f"network {self.checkpoint}"
+            self.checkpoint = named_checkpoint(self.checkpoint or Path(DEFAULT))
+        if not self.masks:
+            if self.camera is None or self.fit:
+                raise InputError("no MASK was given, expected one or more, or --camera FILE whose views name their masks")
+            from ..io.pairing import named_masks
+
+            self.masks = tuple(named_masks(self.camera))
+
+    def _check_points_mode(self) -> None:
+        if self.checkpoint is not None:
+            raise InputError(
+                f"--mode points moves a cloud, found --checkpoint {self.checkpoint}; expected --mode encoder or encoder-decoder"
+            )
+        if self.source.suffix.lower() == ".safetensors":
+            raise InputError(
+                f"{self.source}: is a checkpoint, --mode points expects a cloud; to refine with a network: "
+                "tso refine --mode encoder IMAGE MASK --checkpoint FILE"
+            )
+        if self.frame is not None:
+            raise InputError("--frame is for the encoder modes; points mode keeps the frame of its cloud")
+        if self.place is not None:
+            raise InputError("--place is for the encoder modes; points mode takes its cloud to be where the camera file has it")
+
+    @property
+    def fit(self) -> bool:
+        """Whether the camera is estimated."""
+        return self.camera == FIT
+
+    @property
+    def files(self) -> list[Path]:
+        """All that are read, but for cameras found beside masks and the checkpoint."""
+        return [self.source, *self.masks, *([self.camera] if self.camera else []), *self.ignore, *self.depth, *self.image]
+
+    def load(self) -> Scene:
+        """Read everything."""
+        with loading():
+            from ..scene.load import ViewFiles, load_points_scene
+        camera = None if self.fit else self.camera
+        if self.checkpoint is None:
+            views = ViewFiles(
+                self.masks, camera, self.invert_mask, self.ignore, self.depth, self.depth_scale or 1.0, self.image
+            )
+            return load_points_scene(self.source, views, self.fit)
+        from ..scene.network import load_network_scene
+
+        ignore, world = self.ignore[0] if self.ignore else None, self.frame == "world"
+        return load_network_scene(
+            self.source, self.masks[0], self.checkpoint, camera, self.invert_mask, ignore, world, self.place or "silhouette"
+        )
+
+
+@dataclass(frozen=True)
+class RefineOutputs:
+    """What is written."""
+
+    output: Path
+    overlay: Path | None
+    write_camera: Path | None
+    overwrite: bool
+
+    def check(self, inputs: list[Path]) -> None:
+        """InputError for an output that cannot be written, or would replace another file of the command."""
+        require_output(self.output, ".ply", self.overwrite)
+        if self.overlay is not None:
+            require_output(self.overlay, ".png", self.overwrite)
+            if self.overlay.resolve() in [path.resolve() for path in inputs]:
+                raise InputError(f"{self.overlay}: is an input, expected another name for --overlay")
+        if self.write_camera is not None:
+            require_output(self.write_camera, ".json", self.overwrite)
+            others = [*inputs, self.output, *([self.overlay] if self.overlay else [])]
+            if self.write_camera.resolve() in [path.resolve() for path in others]:
+                raise InputError(
+                    f"{self.write_camera}: is another file of this command, expected another name for --write-camera"
+                )
+
+    def write(self, result: RefineResult, scene: Scene, masks: tuple[Path, ...]) -> None:
+        """Write all files, or none: the others take their names once the cloud is written."""
+        from ..io.clouds import write_cloud
+
+        with ExitStack() as stack:
+            if self.overlay is not None:
+                from ..plots.overlay import draw_overlay
+
+                draw_overlay(stack.enter_context(atomic_output(self.overlay)), result, scene.views)
+            if self.write_camera is not None:
+                from ..io.cameras import CameraRecord, write_cameras
+
+                records = [CameraRecord(camera, mask) for camera, mask in zip(result.cameras, masks, strict=True)]
+                write_cameras(stack.enter_context(atomic_output(self.write_camera)), records, overwrite=True)
+            write_cloud(self.output, scene.to_output(result.points), like=scene.cloud, overwrite=self.overwrite)

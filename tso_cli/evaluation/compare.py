@@ -1,0 +1,207 @@
+"""Comparing predicted shapes with ground truth under a stated convention."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..geometry.points import Array, farthest_point_sample, normalise_longest_side
+from ..geometry.view import View
+from ..io.shapes import read_shape, shape_kind
+from ..version import __version__
+from .footprint import IOU_MEANS, window_iou
+from .metrics import F_SCORE_SHARE, chamfer, emd, f_score, iou
+from .pairs import Pair
+
+METRICS = ("chamfer", "f_score", "emd", "iou")
+PROTOCOLS = ("plain", "capnet")
+# Size of every cloud in the paper's evaluation.
+CAPNET_POINTS = 1024
+# What a record holds of each metric, in the order of the table.
+FIELDS = {
+    "chamfer": ("forward", "backward", "chamfer"),
+    "f_score": ("precision", "recall", "f_score"),
+    "emd": ("emd",),
+    "iou": ("iou",),
+}
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class EvalConfig:
+    """What to measure, and how.
+
+    Parameters
+    ----------
+    metrics : some of `METRICS`.
+    protocol : "plain" takes coordinates as they are. "capnet" is the paper's: each cloud is thinned to ``points``, then centred
+        on its own bounding box and scaled to longest side 1, which hides errors of scale and place; EMD squares its distances.
+    points : thin every cloud first (`farthest_point_sample`). None: all points; under "capnet" at most 1,024.
+    samples, seed : of the surface of a mesh or voxel grid, independent for prediction and target.
+    threshold : of the F-score, in units of the clouds as compared; None for 1 % of the target's longest side.
+    sigma_sq : IoU of the paper's silhouette, Gaussians of this variance in px^2, instead of that of `footprint`.
+    as_vertices : of meshes take the vertices, not the surface.
+
+    Raises
+    ------
+    InputError
+        A value is out of range.
+    """
+
+    metrics: tuple[str, ...] = ("chamfer",)
+    protocol: str = "plain"
+    points: int | None = None
+    samples: int = 16384
+    threshold: float | None = None
+    sigma_sq: float | None = None
+    seed: int = 0
+    as_vertices: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.metrics or not set(self.metrics) <= set(METRICS):
+            raise InputError(f"metrics are {list(self.metrics)}, expected some of {', '.join(METRICS)}")
+        if self.protocol not in PROTOCOLS:
+            raise InputError(f"protocol is {self.protocol!r}, expected one of {', '.join(PROTOCOLS)}")
+        if self.points is not None and self.points < 2:
+            raise InputError(f"--points is {self.points}, expected at least 2")
+        if self.samples < max(2, self.points or 2):
+            raise InputError(f"--samples is {self.samples}, expected at least {max(2, self.points or 2)} (as many as --points)")
+        if self.seed < 0:
+            raise InputError(f"--seed is {self.seed}, expected 0 or more")
+        for name, value in (("--threshold", self.threshold), ("--sigma-sq", self.sigma_sq)):
+            if value is not None and not 0.0 < value < np.inf:
+                raise InputError(f"{name} is {value:g}, expected a number > 0")
+
+    @property
+    def capnet(self) -> bool:
+        """Whether the protocol is the paper's."""
+        return self.protocol == "capnet"
+
+
+def evaluate(pairs: Sequence[Pair], config: EvalConfig, progress: Progress | None = None) -> dict[str, Any]:
+    """Measure every pair; ``progress`` is called with (done, total) after each.
+
+    Returns
+    -------
+    JSON-able {"pairs": [{"name", ...}], "mean": {...}, "convention": {...}}; distances are raw, in units of the files or, under
+    the capnet protocol, of the longest side.
+
+    Raises
+    ------
+    InputError
+        A file cannot be used; the message names it.
+    """
+    if not pairs:
+        raise InputError("no pair to judge, expected at least one")
+    records = []
+    for done, pair in enumerate(pairs, 1):
+        records.append(_measure(pair, config))
+        if progress:
+            progress(done, len(pairs))
+    fields = [field for name in METRICS if name in config.metrics for field in FIELDS[name]]
+    mean = {field: float(np.mean([record[field] for record in records])) for field in fields}
+    return {"pairs": records, "mean": mean, "convention": _convention(config)}
+
+
+def _measure(pair: Pair, config: EvalConfig) -> dict[str, Any]:
+    """The metrics of one pair, and what was read from the two files."""
+    prediction = _read(pair.prediction, config, [config.seed, 1])
+    target = _read(pair.target, config, config.seed)
+    record: dict[str, Any] = {"name": pair.name}
+    with _prefixed(f"{pair.prediction} against {pair.target}"):
+        compared = prediction, target
+        if config.capnet:
+            compared = normalise_longest_side(prediction, "prediction"), normalise_longest_side(target, "target")
+        if "chamfer" in config.metrics:
+            distance = chamfer(*compared)
+            record.update(forward=distance.forward, backward=distance.backward, chamfer=distance.chamfer)
+        if "f_score" in config.metrics:
+            score = f_score(*compared, config.threshold)
+            record.update(precision=score.precision, recall=score.recall, f_score=score.f_score, threshold=score.threshold)
+        if "emd" in config.metrics:
+            record["emd"] = emd(*compared, squared=config.capnet)
+    if "iou" in config.metrics:
+        record.update(_measure_iou(prediction, pair, config.sigma_sq))
+    return record | {
+        "prediction": str(pair.prediction),
+        "target": str(pair.target),
+        "prediction_kind": shape_kind(pair.prediction),
+        "target_kind": shape_kind(pair.target),
+        "prediction_points": len(prediction),
+        "target_points": len(target),
+        "target_longest_side": float(np.ptp(target, axis=0).max()),
+        "centre_offset": float(np.linalg.norm(_centre(prediction) - _centre(target))),
+    }
+
+
+def _read(path: Path, config: EvalConfig, seed: int | list[int]) -> Array:
+    points = read_shape(path, config.samples, seed, config.as_vertices)
+    if config.points is None and (not config.capnet or len(points) <= CAPNET_POINTS):
+        return points
+    count = config.points or CAPNET_POINTS
+    if len(points) < count:
+        raise InputError(f"{path}: holds {len(points):,} points, expected at least the {count:,} of --points")
+    return points[farthest_point_sample(points, count)]
+
+
+def _centre(points: Array) -> Array:
+    return points.min(axis=0) / 2.0 + points.max(axis=0) / 2.0
+
+
+def _measure_iou(points: Array, pair: Pair, sigma_sq: float | None) -> dict[str, Any]:
+    """Mean IoU over the views of a pair."""
+    scores = []
+    for file, mask, camera in pair.views():
+        if sigma_sq is None:
+            scores.append(window_iou(points, View(mask, camera, name=str(file))))
+            continue
+        from ..silhouette.projection import silhouette_of
+
+        with _prefixed(f"{pair.prediction} against {file}"):
+            scores.append(iou(silhouette_of(points, camera, sigma_sq), mask))
+    return {"iou": float(np.mean(scores)), "views": len(scores)}
+
+
+def _convention(config: EvalConfig) -> dict[str, Any]:
+    count = config.points or (CAPNET_POINTS if config.capnet else None)
+    at_most = " at most" if config.points is None else ""
+    threshold = f"{config.threshold:g}" if config.threshold else f"{F_SCORE_SHARE:.0%} of the target's longest side"
+    metrics = {
+        "chamfer": "squared distances, mean over points; forward target -> prediction, backward prediction -> target, "
+        "chamfer their sum",
+        "f_score": f"distance < threshold, {threshold}",
+        "emd": f"optimal one-to-one assignment, mean {'squared' if config.capnet else 'Euclidean'} distance",
+        "iou": IOU_MEANS
+        if config.sigma_sq is None
+        else f"Gaussian silhouette (sigma^2 {config.sigma_sq:g} px^2) > 0.5 against mask > 0.5 over the image, mean over views",
+    }
+    return {
+        **{name: text for name, text in metrics.items() if name in config.metrics},
+        "protocol": config.protocol,
+        "normalisation": "each cloud, once thinned, centred on its bounding box, longest side 1" if config.capnet else "none",
+        "points": count,
+        "thinning": f"{count} points{at_most} (farthest-point)" if count else "all points",
+        "samples": config.samples,
+        "surfaces": ("vertices of meshes, of grids " if config.as_vertices else "")
+        + "points drawn from the surface, by prediction and target each for itself",
+        "seed": config.seed,
+        "device": "cpu",
+        "precision": "float64",
+        "version": __version__,
+    }
+
+
+@contextmanager
+def _prefixed(files: str) -> Iterator[None]:
+    """Name the files in errors about their arrays."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{files}: {error}") from None

@@ -1,0 +1,137 @@
+"""Which predictions, targets, masks and cameras belong together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..geometry.camera import Camera
+from ..io.cameras import find_camera, read_camera, read_cameras
+from ..io.images import read_mask
+from ..io.shapes import SUFFIXES
+
+# In a folder a .txt is more often a note than a cloud.
+FOLDER_SUFFIXES = tuple(suffix for suffix in SUFFIXES if suffix != ".txt")
+MASKS = (".png", ".mask.png", "/mask.png", ".npy", ".bmp", ".tif", ".tiff", ".webp", ".gif", ".jpg", ".jpeg")
+CAMERAS = (".camera.json", ".json", "/camera.json", "/cameras.json")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A prediction and its target; for IoU also the files of the masks and cameras."""
+
+    name: str
+    prediction: Path
+    target: Path
+    mask: Path | None = None
+    camera: Path | None = None
+
+    def views(self) -> Iterator[tuple[Path, NDArray[np.float32], Camera]]:
+        """Files of the masks, masks and cameras; InputError where files are missing or sizes differ."""
+        if self.mask is not None:
+            rows: list[tuple[Path, Camera | None]] = [(self.mask, None)]
+        elif self.camera is None:
+            raise InputError("IoU needs --mask, with --camera or a camera file beside the mask")
+        else:
+            rows = []
+            for number, record in enumerate(read_cameras(self.camera)):
+                if record.mask is None:
+                    raise InputError(f"{self.camera}: view {number} names no mask, expected one or --mask")
+                rows.append((record.mask, record.camera))
+        for file, camera in rows:
+            mask = read_mask(file)
+            height, width = mask.shape
+            if camera is None:
+                source = self.camera or find_camera(file)
+                if source is None:
+                    raise InputError(f"{file}: no {file.stem}.camera.json or camera.json beside it, expected one or --camera")
+                camera = read_camera(source, width, height, file)
+            if (camera.width, camera.height) != (width, height):
+                raise InputError(f"{self.camera}: a camera is for {camera.width}x{camera.height}, {file} is {width}x{height}")
+            yield file, mask, camera
+
+
+def find_pairs(
+    prediction: Path, target: Path, mask: Path | None = None, camera: Path | None = None, suffix: str = ""
+) -> list[Pair]:
+    """Two files, or the files of two folders matched by name: the path in the folder without its suffix.
+
+    Parameters
+    ----------
+    prediction, target : both files or both folders (with subfolders; without hidden files, and files of other kinds).
+    mask, camera : a file for all pairs, or a folder with one file for each name (NAME.png, NAME.camera.json and the like).
+    suffix : in folders, take only predictions whose names end in this, and match them without it: ".refined".
+
+    Raises
+    ------
+    InputError
+        A file and a folder; a folder without shapes; a name on one side only, or twice on a side; no mask or camera for a name.
+    """
+    for path in (prediction, target, *(extra for extra in (mask, camera) if extra is not None)):
+        if not path.exists():
+            raise InputError(f"{path}: no such file or folder")
+    if prediction.is_dir() != target.is_dir():
+        folder, file = (prediction, target) if prediction.is_dir() else (target, prediction)
+        raise InputError(f"{folder} is a folder and {file} a file, expected two files or two folders")
+    if prediction.is_dir():
+        predictions, targets = _by_name(prediction, suffix), _by_name(target)
+        _require_same_names(prediction, predictions, target, targets, suffix)
+    elif suffix:
+        raise InputError(f"--suffix {suffix} matches names in folders, but {prediction} is a file")
+    else:
+        predictions, targets = {prediction.stem: prediction}, {prediction.stem: target}
+    return [
+        Pair(name, path, targets[name], _companion(mask, name, MASKS, "mask"), _companion(camera, name, CAMERAS, "camera"))
+        for name, path in sorted(predictions.items())
+    ]
+
+
+def _by_name(folder: Path, suffix: str = "") -> dict[str, Path]:
+    paths: dict[str, Path] = {}
+    for path in sorted(folder.rglob("*")):
+        relative = path.relative_to(folder)
+        name = relative.with_suffix("").as_posix()
+        hidden = any(part.startswith(".") for part in relative.parts)
+        if hidden or path.suffix.lower() not in FOLDER_SUFFIXES or not name.endswith(suffix) or not path.is_file():
+            continue
+        name = name.removesuffix(suffix)
+        if name in paths:
+            raise InputError(f"{path} and {paths[name]} have the same name, expected one file for {name!r}")
+        paths[name] = path
+    if not paths:
+        ending = f"ending in {suffix} " if suffix else ""
+        raise InputError(f"{folder}: no file {ending}to judge in this folder or below, expected {', '.join(FOLDER_SUFFIXES)}")
+    return paths
+
+
+def _require_same_names(
+    prediction: Path, predictions: dict[str, Path], target: Path, targets: dict[str, Path], suffix: str
+) -> None:
+    parts = []
+    for folder, other, unmatched in (
+        (prediction, target, predictions.keys() - targets.keys()),
+        (target, prediction, targets.keys() - predictions.keys()),
+    ):
+        if names := sorted(unmatched):
+            listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+            parts.append(f"{folder} has {listed}, which {other} has not")
+    if parts:
+        refined = not suffix and any(name.endswith(".refined") for name in predictions)
+        advice = " (--suffix .refined takes the predictions that end so)" if refined else ""
+        raise InputError("; ".join(parts) + ": expected the same names in both" + advice)
+
+
+def _companion(path: Path | None, name: str, endings: Sequence[str], what: str) -> Path | None:
+    """``path``, or in a folder the file in it that belongs to ``name``."""
+    if path is None or not path.is_dir():
+        return path
+    for ending in endings:
+        file = Path(f"{path / name}{ending}")
+        if file.is_file():
+            return file
+    raise InputError(f"{path}: no {what} for {name!r}, expected {name}{endings[0]} or {name}{endings[1]}")
