@@ -13,7 +13,7 @@ from tests.lab.benching import QUICK, RATES
 from tso_cli.kernels.splat import splat
 from tso_cli.lab.bench import chamfer, peers, silhouette
 from tso_cli.lab.bench.material import SIGMA_SQ, projection, trajectory
-from tso_cli.silhouette.losses import ChamferToInitial
+from tso_cli.silhouette.chamfer import ChamferToInitial
 
 
 def test_the_scatter_is_the_same_loss_where_every_mask_pixel_is_reached():

@@ -20,9 +20,7 @@ from tso_cli.refinement import api as run
 from tso_cli.refinement import camera_correction as cameras
 from tso_cli.refinement import config
 from tso_cli.refinement import problem as batching
-from tso_cli.silhouette import losses as the_losses
-from tso_cli.silhouette import mask_chamfer as pull
-from tso_cli.silhouette import projection
+from tso_cli.silhouette import affinity, bce, chamfer, mask_chamfer, projection
 from tso_cli.train import losses
 
 from ..readme import FIGURES
@@ -63,7 +61,7 @@ CHANGES = {
     "points, best, four masks": lambda patch: patch.setattr(run, "BEST", replace(run.BEST, weighs=False, anchor=200.0)),
     "points, best, camera refined": lambda patch: patch.setattr(cameras, "LEFT", 0.0),
     "latent, paper": lambda patch: patch.setitem(config.PAPER_GAMMA, "latent", 1.1e6),
-    "training on masks": lambda patch: patch.setattr(losses, "affinity", lambda *of: 1.1 * the_losses.affinity(*of)),
+    "training on masks": lambda patch: patch.setattr(losses, "affinity", lambda *of: 1.1 * affinity.affinity(*of)),
 }
 
 
@@ -85,7 +83,7 @@ def test_the_same_method_has_the_same_fingerprint_in_plain_and_in_compiled_loops
     judged(part)
     record = stamped({"study": "points"})
     prints._known.clear()
-    for module in (splat, nearest, projection, the_losses, pull):
+    for module in (splat, nearest, projection, affinity, bce, chamfer, mask_chamfer):
         monkeypatch.setattr(module, "use_numba", lambda points: compiled)
     assert differences(record) == []
 

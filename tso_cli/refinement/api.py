@@ -17,7 +17,7 @@ from .. import device as devices
 from ..errors import InputError, TsoError
 from ..geometry.camera import Camera
 from ..kernels.dispatch import planned
-from ..silhouette.losses import ChamferToInitial
+from ..silhouette.chamfer import ChamferToInitial
 from .agreement import view_ious
 from .coarse_to_fine import BEST, coarse_to_fine_descent, mask_chamfer_with_prior
 from .config import PRESETS, RefineConfig, RefineResult, Settings, StopReason

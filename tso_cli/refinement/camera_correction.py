@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ..geometry.view import View
 from ..geometry.window import window_around, window_of
-from ..silhouette.losses import ChamferToInitial
+from ..silhouette.chamfer import ChamferToInitial
 from .camera_moves import CameraMoves, moved_camera
 from .config import PAPER_GAMMA, PAPER_LEARNING_RATE, PAPER_STEPS, Settings
 from .objective import MaskChamferObjective, SilhouetteObjective, resample_view

@@ -16,9 +16,9 @@ from ..geometry.camera import NEAR, Camera
 from ..geometry.resampling import area_resize
 from ..geometry.view import View
 from ..geometry.window import Array, Box, window_of
+from ..silhouette.bce import REFERENCE_PIXELS, PixelWeights, mask_loss
 from ..silhouette.depth import DepthTarget, depth_loss
-from ..silhouette.losses import REFERENCE_PIXELS, PixelWeights, mask_loss
-from ..silhouette.mask_chamfer import MaskTarget, mask_chamfer_loss, mask_chamfer_of_points, resolved, sides
+from ..silhouette.mask_chamfer import MaskTarget, mask_chamfer_loss, mask_chamfer_of_points, resolvability, sides
 from ..silhouette.projection import CameraBatch, Projected, project
 from .smooth_field import SmoothField
 
@@ -220,7 +220,10 @@ class MaskChamferObjective:
             found.append((share * pixels.view_as(share)).sum(1))
         self.pixels = torch.stack(found).sum(0)
         """[B] pixels of all views that ask, by mask or by depth, of images of 64, weighted like their losses."""
-        cut = [torch.zeros_like(s, dtype=torch.bool) if t.cut is None else t.cut.view_as(s) for t, _, s, _ in self._groups]
+        cut = [
+            torch.zeros_like(s, dtype=torch.bool) if t.truncated is None else t.truncated.view_as(s)
+            for t, _, s, _ in self._groups
+        ]
         self.cut = torch.cat(cut, 1).all(1)
         """[B] whether the border cuts the object in every view."""
 
@@ -232,7 +235,7 @@ class MaskChamferObjective:
             patches = field.patches.unsqueeze(1).expand(-1, share.shape[1], -1, -1)
             around = torch.take_along_dim(points_px.unsqueeze(2), patches.flatten(2).unsqueeze(2).unsqueeze(-1), 3)
             grain = target.grain.view(*share.shape, 1)
-            shown = resolved(around.squeeze(2).unflatten(2, patches.shape[2:]), grain)
+            shown = resolvability(around.squeeze(2).unflatten(2, patches.shape[2:]), grain)
             self._shown[number] = torch.stack([field.of_nearest_node(own) for own in shown.unbind(1)], 1).flatten(0, 1)
 
     def asked(self, points: Tensor) -> Tensor:
@@ -240,7 +243,7 @@ class MaskChamferObjective:
         found = torch.zeros_like(points[..., 0], dtype=torch.bool)
         for target, cameras, share, _ in self._groups:
             points_px, valid = project(points.detach(), cameras)
-            asked = target.asked(points_px.flatten(0, 1), valid.flatten(0, 1)).view_as(valid)
+            asked = target.observed(points_px.flatten(0, 1), valid.flatten(0, 1)).view_as(valid)
             found = found | (asked & (share > 0.0).unsqueeze(-1)).any(1)
         return found
 
@@ -265,7 +268,7 @@ class MaskChamferObjective:
                 each = points.repeat_interleave(share.shape[1], 0)
                 losses = losses + depth_loss(each, Projected(points_px, valid), depth, reach, counts)
             # A view that does not count may show no point either.
-            seen = target.asked(points_px.detach(), valid).any(1).view_as(share) | (share == 0.0)
+            seen = target.observed(points_px.detach(), valid).any(1).view_as(share) | (share == 0.0)
             total = total + torch.where(seen, share * losses.view_as(share), torch.inf).sum(1)
         return total
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..network.model import FRAMES, SUPERVISIONS
-from ..silhouette.losses import AFFINITIES
+from ..silhouette.affinity import AFFINITIES
 
 PRECISIONS = ("float32", "bfloat16")
 
@@ -29,7 +29,7 @@ class TrainConfig:
     views : V, supervising masks of each object a step ("masks" only); the paper's is 4.
     affinity_weight : lambda of Eq. 6, dropped to 0.02 of it when the loss saturates ("masks" only). With the form "points",
         of 0, 0.01, 0.1 and 1 the last gave the lowest Chamfer distance on the shipped shapes (150 steps at 3e-4).
-    affinity : form of Eq. 5, one of `losses.AFFINITIES`.
+    affinity : form of Eq. 5, one of `AFFINITIES`.
     saturation_steps : window of the running mean that decides on saturation: no improvement by 1 % over the window before. None
         for a sixth of ``steps``, from 10 to 500, so that lambda may drop from a third of the steps on.
     sigma_sq : variance of the projection kernel, px^2 of the 64x64 mask.

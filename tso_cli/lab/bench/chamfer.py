@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ...silhouette.losses import ChamferToInitial
+from ...silhouette.chamfer import ChamferToInitial
 from . import peers
 from .material import STEPS, trajectory
 from .timing import Setting, Work

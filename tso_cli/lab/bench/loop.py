@@ -17,7 +17,9 @@ from ...refinement.adam import Adam
 from ...refinement.api import SMALL_CLOUD
 from ...refinement.config import PAPER_GAMMA, PAPER_LEARNING_RATE
 from ...refinement.parameters import NetworkParameters
-from ...silhouette.losses import UNCOVERED, ChamferToInitial, PixelWeights, affinity, mask_loss, silhouette_bce
+from ...silhouette.affinity import affinity
+from ...silhouette.bce import UNCOVERED, PixelWeights, mask_loss, silhouette_bce
+from ...silhouette.chamfer import ChamferToInitial
 from ...silhouette.projection import project, silhouette_sums
 from .material import SIGMA_SQ, chair_view, cloud, mask_objective, projection, trajectory
 from .timing import Setting, Work, gradient

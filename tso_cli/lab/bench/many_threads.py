@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
-from ...silhouette.losses import ChamferToInitial
+from ...silhouette.chamfer import ChamferToInitial
 from . import silhouette
 from .loop import HALFWAY, many_clouds
 from .material import projection, trajectory

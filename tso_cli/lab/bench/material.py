@@ -21,7 +21,7 @@ from ...io.shipped import examples_folder
 from ...refinement.config import PAPER_GAMMA, PAPER_LEARNING_RATE
 from ...refinement.objective import SilhouetteObjective, resample_view
 from ...refinement.optimise import descend
-from ...silhouette.losses import ChamferToInitial
+from ...silhouette.chamfer import ChamferToInitial
 from ...silhouette.projection import CameraBatch, project
 
 # The example's own start is sampled from this shape.

@@ -6,9 +6,10 @@ from typing import Any
 
 import torch
 
-from ...kernels.losses_numba import WithSlope, cross_entropy, pull_to_pixels
+from ...kernels.jit import PrecomputedGradient
+from ...kernels.losses_numba import cross_entropy, pixels_to_points
 from ...kernels.splat import NEGLIGIBLE, splat
-from ...silhouette.losses import PixelWeights, mask_loss
+from ...silhouette.bce import PixelWeights, mask_loss
 from .material import SIGMA_SQ, Projection, projection
 from .silhouette import Sizes
 from .timing import Setting, Work, gradient
@@ -42,12 +43,12 @@ def _stages(scene: Projection) -> dict[str, Work]:
     leaf = points_px.detach().clone().requires_grad_()
     drawn = splat(leaf, valid, side, side, SIGMA_SQ, "compiled")
     sums, ones = drawn.detach(), torch.ones_like(drawn)
-    waiting = (sums <= NEGLIGIBLE) & (target.wanted > 0.0)
+    waiting = (sums <= NEGLIGIBLE) & (target.foreground > 0.0)
     return {
         "whole": gradient(lambda p: mask_loss(p, valid, target, SIGMA_SQ, "compiled"), points_px),
         "sums": lambda: splat(points_px, valid, side, side, SIGMA_SQ, "compiled"),
         "cross-entropy": lambda: cross_entropy(sums, *target, NEGLIGIBLE),
-        "far pixels": lambda: pull_to_pixels(waiting, target.wanted, points_px, valid, 1.0),
+        "far pixels": lambda: pixels_to_points(waiting, target.foreground, points_px, valid, 1.0),
         "back to the points": lambda: torch.autograd.grad(drawn, leaf, ones, retain_graph=True),
-        "empty function": gradient(lambda p: WithSlope.apply(p, p.new_zeros(1), points_px), points_px),
+        "empty function": gradient(lambda p: PrecomputedGradient.apply(p, p.new_zeros(1), points_px), points_px),
     }

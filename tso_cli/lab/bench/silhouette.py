@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ...kernels.dispatch import triton_runs
 from ...kernels.splat import window_radius
-from ...silhouette.losses import PixelWeights, mask_loss
+from ...silhouette.bce import PixelWeights, mask_loss
 from . import peers
 from .material import SIGMA_SQ, Projection, projection
 from .timing import Setting, Work, gradient, slope
