@@ -106,7 +106,7 @@ def test_only_the_borders_of_the_image_cut_an_object():
         seen = resample_view(view, 0.4, np.zeros(3), 1.0)
         known = None if seen.known is None else torch.from_numpy(seen.known)[None]
         target = MaskTarget.of(torch.from_numpy(seen.mask)[None], known, torch.tensor([seen.bounds], dtype=torch.float64))
-        assert (target.cut is not None) == expected
+        assert (target.truncated is not None) == expected
 
 
 def test_a_stray_beside_the_window_is_pulled_back_and_one_beside_the_photo_is_not():

@@ -1,4 +1,4 @@
-"""Compiled code that is kept on disk."""
+"""Compiled code on disk, its threads, and its gradients."""
 
 from __future__ import annotations
 
@@ -9,26 +9,53 @@ import time
 import pytest
 import torch
 
-from tso_cli.kernels.jit import forget_stale, share
-from tso_cli.kernels.losses_numba import WithSlope
+from tso_cli.kernels import jit
+from tso_cli.kernels.jit import PrecomputedGradient, forget_stale, share
 from tso_cli.kernels.projection_numba import project
 from tso_cli.kernels.splat import splat
 
 
-def test_what_was_compiled_before_any_source_changed_is_forgotten(tmp_path):
-    kept = tmp_path / "__pycache__"
-    kept.mkdir()
-    for age, name in ((30, "one.py"), (10, "other.py"), (20, "__pycache__/one.f.nbi"), (5, "__pycache__/other.g.nbi")):
+def test_machine_code_older_than_any_source_is_removed(tmp_path):
+    cache = tmp_path / "__pycache__"
+    cache.mkdir()
+    for age, name in ((30, "one.py"), (10, "two.py"), (20, "__pycache__/one.f.nbi"), (5, "__pycache__/two.g.nbi")):
         (tmp_path / name).touch()
         os.utime(tmp_path / name, (1e9 - age, 1e9 - age))
     forget_stale(tmp_path)
-    # a function of one.py may hold code of other.py, which is newer
-    assert [path.name for path in kept.iterdir()] == ["other.g.nbi"]
+    # a function of one.py may hold code of two.py, which is newer
+    assert [path.name for path in cache.iterdir()] == ["two.g.nbi"]
     forget_stale(tmp_path / "absent")
 
 
-def test_after_an_interrupt_no_thread_writes_any_more(monkeypatch):
+def test_without_a_writable_folder_the_loops_are_compiled_in_every_process(monkeypatch):
+    def njit(cache: bool = False, **settings: object):
+        if cache:
+            raise RuntimeError("cannot cache function: no locator available")
+        return lambda function: function
+
+    monkeypatch.setattr(jit, "njit", njit)
+    assert jit.compiled(lambda x: 2.0 * x)(2.0) == 4.0
+
+
+def test_a_full_disk_does_not_stop_the_work():
+    calls = []
+
+    def fill(first: int, last: int) -> None:
+        calls.append((first, last))
+        if len(calls) == 1:
+            raise OSError(28, "No space left on device")
+
+    share(3, 1, fill)
+    assert calls == [(0, 3), (0, 3)]
+
+
+@pytest.fixture
+def two_threads(monkeypatch):
     monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_after_an_interrupt_no_thread_writes():
     caller, begun, running = threading.get_ident(), threading.Event(), []
 
     def slow(first, last):
@@ -43,28 +70,43 @@ def test_after_an_interrupt_no_thread_writes_any_more(monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         share(100, 1 << 30, slow)
     done = list(running)
-    # the range at work was ended, and no other begun
+    # the range at work was ended, and no further one begun
     assert len(done) == 2
     time.sleep(0.1)
     assert running == done
 
 
-@pytest.mark.parametrize("kernel", ["windowed", "compiled"])
-def test_second_derivatives_are_refused_and_not_silently_dropped(kernel):
-    points = torch.rand(1, 5, 2, requires_grad=True)
-    sums = splat(points, torch.ones(1, 5, dtype=torch.bool), 8, 8, 0.4, kernel)
-    _assert_once(sums.square().sum(), points)
+@pytest.mark.usefixtures("two_threads")
+def test_an_error_in_another_thread_is_raised():
+    failed = threading.Event()
+
+    def fail(first: int, last: int) -> None:
+        if threading.current_thread() is threading.main_thread():
+            assert failed.wait(60)
+        else:
+            failed.set()
+            raise ValueError("no")
+
+    with pytest.raises(ValueError, match="no"):
+        share(16, 1 << 40, fail)
 
 
-def test_second_derivatives_of_losses_and_projection_are_refused():
+def _silhouette(kernel):
+    return lambda points: splat(points[..., :2], torch.ones(1, 5, dtype=torch.bool), 8, 8, 0.4, kernel).square().sum()
+
+
+def _loss(points):
+    return PrecomputedGradient.apply(points, points.detach().sum((1, 2)), torch.ones_like(points)).sum() * points.sum()
+
+
+def _projection(points):
+    eye = torch.eye(3).expand(1, 1, 3, 3)
+    return project(points, eye, eye, torch.ones(1, 1, 3), 0.01)[0].square().sum()
+
+
+@pytest.mark.parametrize("function", [_silhouette("windowed"), _silhouette("compiled"), _loss, _projection])
+def test_second_derivatives_are_refused_and_not_silently_dropped(function):
     points = torch.rand(1, 5, 3, requires_grad=True)
-    value = WithSlope.apply(points, points.detach().sum((1, 2)), torch.ones_like(points))
-    _assert_once(value.sum() * points.sum(), points)
-    K, R, t = torch.eye(3).expand(1, 1, 3, 3), torch.eye(3).expand(1, 1, 3, 3), torch.ones(1, 1, 3)
-    _assert_once(project(points, K, R, t, 0.01)[0].square().sum(), points)
-
-
-def _assert_once(value, variable):
-    (slope,) = torch.autograd.grad(value, variable, create_graph=True)
+    (gradient,) = torch.autograd.grad(function(points), points, create_graph=True)
     with pytest.raises(RuntimeError, match="once_differentiable"):
-        slope.sum().backward()
+        gradient.sum().backward()

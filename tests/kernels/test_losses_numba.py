@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from tso_cli.kernels import dispatch as choice
+from tso_cli.kernels import dispatch, losses_numba
 from tso_cli.kernels.splat import splat
-from tso_cli.silhouette import losses
-from tso_cli.silhouette.losses import affinity, chamfer, silhouette_bce
+from tso_cli.silhouette import bce
+from tso_cli.silhouette.affinity import affinity
+from tso_cli.silhouette.bce import PixelWeights, mask_loss, silhouette_bce
 
 
-def _clouds(seed: int, images: int, count: int, size: float, dtype: torch.dtype = torch.float32):
+def _clouds(seed: int, images: int, count: int, size: float, dtype: torch.dtype = torch.float64):
     generator = torch.Generator().manual_seed(seed)
     points = (torch.rand(images, count, 2, generator=generator, dtype=dtype) * 1.4 - 0.2) * size
     return points, torch.rand(images, count, generator=generator) > 0.1
@@ -20,9 +23,17 @@ def _clouds(seed: int, images: int, count: int, size: float, dtype: torch.dtype 
 def _masks(seed: int, images: int, height: int, width: int) -> torch.Tensor:
     """Blobs, of which the first is empty and the second everywhere."""
     noise = torch.rand(images, 1, 5, 6, generator=torch.Generator().manual_seed(seed))
-    masks = (torch.nn.functional.interpolate(noise, (height, width), mode="bilinear") > 0.55).float().squeeze(1)
+    masks = (torch.nn.functional.interpolate(noise, (height, width), mode="bilinear") > 0.55).double().squeeze(1)
     masks[0], masks[1] = 0.0, 1.0
     return masks
+
+
+def _value_and_gradient(loss, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Of the loss [M], weighted differently in each image."""
+    leaf = points.detach().clone().requires_grad_()
+    value = loss(leaf)
+    (value * torch.arange(1, len(value) + 1)).sum().backward()
+    return value.detach(), leaf.grad
 
 
 LOSSES = {
@@ -35,62 +46,147 @@ LOSSES = {
 @pytest.mark.parametrize("loss", LOSSES)
 @pytest.mark.parametrize("soft", [False, True])
 @pytest.mark.parametrize("count", [3, 400])
-def test_losses_and_their_gradients_are_those_of_the_plain_forms(monkeypatch, loss, soft, count):
-    points, valid = _clouds(10, 6, count, 30.0, torch.float64)
+def test_losses_and_their_gradients_are_those_of_the_plain_forms(both_forms, loss, soft, count):
+    points, valid = _clouds(10, 6, count, 30.0)
     points[2] = points[2, 0]  # stacked
     points[3] = points[3] + 100.0  # all uncovered
     valid[4] = False
-    masks = _masks(11, 6, 30, 33).double()
+    masks = _masks(11, 6, 30, 33)
     if soft:
         masks = masks * torch.rand(masks.shape, generator=torch.Generator().manual_seed(12), dtype=torch.float64)
     known = torch.rand(masks.shape, generator=torch.Generator().manual_seed(13), dtype=torch.float64)
     known[known < 0.3] = 0.0
     if loss == "affinity of points":
-        # Of equally near pixels either may pull; left of this edge one is nearest.
+        # Of equally near pixels either may attract; left of this edge one is nearest.
         masks[1:, :, :14] = 0.0
         masks[1:, :, 14:] = masks[1:, :, 14:].clamp(min=0.51)
-    weight = torch.arange(1.0, 7.0, dtype=torch.float64)
-    found = []
-    for least in (1 << 60, 0):
-        monkeypatch.setattr(choice, "POINTS_WORTH_COMPILING", least)
-        leaf = points.clone().requires_grad_()
-        sums = splat(leaf, valid, 30, 33, 0.4, "windowed")
-        value = LOSSES[loss](sums, masks, known, leaf, valid)
-        assert value.shape == (6,)
-        (value * weight).sum().backward()
-        # of stacked points any may be the nearest: what they get together counts
-        leaf.grad[2] = leaf.grad[2].sum(0)
-        found.append((value.detach(), leaf.grad))
-    (plain, plain_gradient), (fast, fast_gradient) = found
+
+    def total(leaf):
+        return LOSSES[loss](splat(leaf, valid, 30, 33, 0.4, "windowed"), masks, known, leaf, valid)
+
+    (plain, plain_gradient), (fast, fast_gradient) = both_forms(lambda: _value_and_gradient(total, points))
+    assert plain.shape == (6,)
+    # of stacked points any may be the nearest: only their sum counts
+    for gradient in (plain_gradient, fast_gradient):
+        gradient[2] = gradient[2].sum(0)
     torch.testing.assert_close(fast, plain, rtol=1e-7, atol=1e-9)
     torch.testing.assert_close(fast_gradient, plain_gradient, rtol=1e-6, atol=1e-7 * plain_gradient.abs().max().item())
 
 
-def test_a_stray_point_is_pulled_to_one_of_the_nearest_mask_pixels(monkeypatch):
-    monkeypatch.setattr(choice, "POINTS_WORTH_COMPILING", 0)
-    points, valid = _clouds(15, 5, 200, 33.0, torch.float64)
+@pytest.mark.parametrize("kernel", ["compiled", "windowed"])
+@pytest.mark.parametrize("sigma_sq", [0.1, 0.4, 6.4])
+@pytest.mark.parametrize("count", [1, 900])
+def test_the_mask_loss_is_that_of_the_exact_sums(both_forms, kernel, sigma_sq, count):
+    points, valid = _clouds(count, 4, count, 30.0)
+    valid[2] = False
+    target = PixelWeights.of(_masks(3, 4, 22, 30), torch.rand(4, 22, 30, dtype=torch.float64))
+
+    def of(kernel):
+        return _value_and_gradient(lambda leaf: mask_loss(leaf, valid, target, sigma_sq, kernel)[[0, 1, 3]], points)
+
+    exact, gradient = of("exact")
+    for value, fast_gradient in both_forms(lambda: of(kernel)):
+        # the window leaves out what is under 1e-8
+        torch.testing.assert_close(value, exact, rtol=1e-5, atol=1e-5)
+        torch.testing.assert_close(fast_gradient, gradient, rtol=1e-4, atol=1e-5 * gradient.abs().max().item())
+
+
+def test_in_single_precision_the_mask_loss_is_right_to_six_digits(both_forms):
+    points, valid = _clouds(4, 3, 700, 40.0)
+    mask = _masks(5, 3, 40, 50)
+
+    def of(dtype):
+        target = PixelWeights.of(mask.to(dtype))
+        return _value_and_gradient(lambda leaf: mask_loss(leaf, valid, target, 0.4), points.to(dtype))
+
+    (exact, exact_gradient), _ = both_forms(lambda: of(torch.float64))
+    _, (value, gradient) = both_forms(lambda: of(torch.float32))
+    torch.testing.assert_close(value.double(), exact, rtol=1e-6, atol=0.0)
+    torch.testing.assert_close(gradient.double(), exact_gradient, rtol=1e-4, atol=2e-6 * exact_gradient.abs().max().item())
+
+
+def test_losses_do_not_depend_on_the_number_of_threads_by_one_bit(assert_same_on_threads, monkeypatch):
+    monkeypatch.setattr(dispatch, "POINTS_WORTH_COMPILING", 0)
+    for images in (1, 5):
+        points, valid = _clouds(images, images, 3000, 64.0, torch.float32)
+        mask = _masks(6, 5, 150, 64)[-images:].float()
+        target = PixelWeights.of(mask)
+        assert_same_on_threads(lambda: _value_and_gradient(lambda p: mask_loss(p, valid, target, 0.4), points))  # noqa: B023
+        sums = splat(points, valid, 150, 64, 0.4)
+        assert_same_on_threads(lambda: _value_and_gradient(lambda p: affinity(sums, mask, p, valid), points))  # noqa: B023
+
+
+def _all_pairs(pixels, weight, points, valid):
+    """`pixels_to_points` by all pairs; of points equally near, the first."""
+    rows, columns = torch.meshgrid(torch.arange(pixels.shape[1]), torch.arange(pixels.shape[2]), indexing="ij")
+    centres = torch.stack([columns, rows], -1).view(-1, 1, 2)
+    squared = [
+        (centres - own).square().sum(-1).masked_fill(~there, torch.inf) for own, there in zip(points, valid, strict=True)
+    ]
+    least = torch.stack([pairs.gather(1, pairs.detach().argmin(1)[:, None])[:, 0] for pairs in squared])
+    used = pixels.flatten(1) & valid.any(1)[:, None]
+    return torch.where(used, torch.where(used, least, 0.0) * weight.flatten(1) * 0.7, 0.0).sum(1)
+
+
+def _assert_nearest(pixels, points, valid):
+    weight = torch.rand(pixels.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
+    expected, expected_gradient = _value_and_gradient(lambda leaf: _all_pairs(pixels, weight, leaf, valid), points)
+    found, gradient = _value_and_gradient(lambda p: losses_numba.pixels_to_points(pixels, weight, p, valid, 0.7), points)
+    torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(gradient, expected_gradient, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(("count", "height", "width"), [(1, 9, 9), (40, 64, 64), (800, 40, 30), (900, 10, 12), (60, 1, 200)])
+def test_pixels_attract_the_nearest_of_all_points_and_of_equally_near_ones_the_first(count, height, width):
+    points, valid = _clouds(7, 5, count, float(max(height, width)))
+    valid[1:, 0], valid[0] = True, False
+    points[2] = points[2, 0]  # stacked
+    points[3] = points[3] * 3.0 - width  # most of them beyond the image
+    points[4] = points[4].round()
+    pixels = torch.rand(5, height, width, generator=torch.Generator().manual_seed(8)) < 0.7
+    _assert_nearest(pixels, points, valid)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.tuples(st.floats(-30, 40), st.floats(-30, 40)), min_size=1, max_size=12))
+def test_pixels_attract_the_nearest_of_any_few_points(rows):
+    points = torch.tensor([rows], dtype=torch.float64)
+    _assert_nearest(torch.ones(1, 9, 13, dtype=torch.bool), points, torch.ones(1, len(rows), dtype=torch.bool))
+
+
+def test_points_that_are_nan_or_infinite_attract_no_pixel():
+    points = torch.tensor([[[float("nan"), 3.0], [3.0, float("inf")], [2.0, 2.0]]])
+    pixels, valid = torch.ones(1, 6, 6, dtype=torch.bool), torch.ones(1, 3, dtype=torch.bool)
+    value, gradient = (
+        _value_and_gradient(lambda p: losses_numba.pixels_to_points(pixels, pixels.float(), p, valid[:, : p.shape[1]], 1.0), p)
+        for p in (points, points[:, 2:])
+    )
+    assert torch.equal(value[0], gradient[0]) and torch.equal(value[1][:, 2:], gradient[1])
+
+
+def test_a_stray_point_is_attracted_by_one_of_the_nearest_mask_pixels():
+    points, valid = _clouds(15, 5, 200, 33.0)
     inside = _masks(16, 5, 30, 33) > 0.5
     leaf = points.clone().requires_grad_()
-    value = losses._stray_points(leaf, valid, inside)
+    value = losses_numba.points_to_mask(leaf, valid, inside)
     value.sum().backward()
     torch.testing.assert_close(value, leaf.grad.square().sum((1, 2)) / 4.0)
     pixel = points.round().long()
-    seen = valid & (pixel >= 0).all(-1) & (pixel[..., 0] < 33) & (pixel[..., 1] < 30)
+    in_image = valid & (pixel >= 0).all(-1) & (pixel[..., 0] < 33) & (pixel[..., 1] < 30)
     for i, n in torch.cartesian_prod(torch.arange(5), torch.arange(200)).tolist():
         column, row = pixel[i, n].tolist()
-        if i == 0 or not seen[i, n] or inside[i, row, column]:
+        if i == 0 or not in_image[i, n] or inside[i, row, column]:
             assert leaf.grad[i, n].abs().max() == 0.0
             continue
         goal = (points[i, n] - leaf.grad[i, n] / 2.0).round().long()
         assert inside[i, goal[1], goal[0]]
         rows, columns = torch.nonzero(inside[i], as_tuple=True)
-        least = ((rows - row) ** 2 + (columns - column) ** 2).min()
-        assert (goal - pixel[i, n]).square().sum() == least
+        assert (goal - pixel[i, n]).square().sum() == ((rows - row) ** 2 + (columns - column) ** 2).min()
 
 
 @pytest.mark.parametrize("loss", ["cross-entropy", "affinity of points"])
 def test_the_gradients_of_the_compiled_losses_are_those_of_finite_differences(monkeypatch, loss):
-    monkeypatch.setattr(choice, "POINTS_WORTH_COMPILING", 0)
+    monkeypatch.setattr(dispatch, "POINTS_WORTH_COMPILING", 0)
     points = torch.tensor([[[5.2, 5.1], [9.3, 2.2], [1.1, 8.7]]], dtype=torch.float64, requires_grad=True)
     valid = torch.ones(1, 3, dtype=torch.bool)
     mask = torch.zeros(1, 12, 12, dtype=torch.float64)
@@ -105,19 +201,11 @@ def test_the_gradients_of_the_compiled_losses_are_those_of_finite_differences(mo
 
 def test_the_cross_entropy_is_that_of_the_plain_form_from_the_faintest_to_the_largest_sums():
     sums = torch.logspace(-30, 4, 500, dtype=torch.float64).view(1, 20, 25).requires_grad_()
-    for mask in (torch.zeros(1, 20, 25), torch.ones(1, 20, 25), torch.full((1, 20, 25), 0.3)):
-        found = []
-        for compiled in (False, True):
-            value = losses._cross_entropy(sums, losses.PixelWeights.of(mask.double()), compiled)
-            found.append((value, torch.autograd.grad(value.sum(), sums)[0]))
-        torch.testing.assert_close(*(value for value, _ in found), rtol=1e-9, atol=1e-9)
-        torch.testing.assert_close(*(gradient for _, gradient in found), rtol=1e-6, atol=1e-7)
-
-
-def test_chamfer_of_a_batch_is_that_of_its_clouds_one_by_one(monkeypatch):
-    generator = torch.Generator().manual_seed(14)
-    a, b = torch.rand(4, 60, 3, generator=generator), torch.rand(4, 50, 3, generator=generator)
-    single = [chamfer(x[None], y[None]) for x, y in zip(a, b, strict=True)]
-    monkeypatch.setattr(choice, "POINTS_WORTH_COMPILING", 0)
-    for batch, alone in zip(chamfer(a, b), zip(*single, strict=True), strict=True):
-        torch.testing.assert_close(batch, torch.cat(alone))
+    for level in (0.0, 0.3, 1.0):
+        target = PixelWeights.of(torch.full((1, 20, 25), level, dtype=torch.float64))
+        plain, waiting = bce._cross_entropy(sums, target)
+        fast, fast_waiting = losses_numba.cross_entropy(sums, *target, bce.UNCOVERED)
+        torch.testing.assert_close(fast, plain, rtol=1e-9, atol=1e-9)
+        gradients = (torch.autograd.grad(value.sum(), sums)[0] for value in (fast, plain))
+        torch.testing.assert_close(*gradients, rtol=1e-6, atol=1e-7)
+        assert torch.equal(waiting, fast_waiting)

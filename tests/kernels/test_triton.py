@@ -17,12 +17,12 @@ from tso_cli.kernels import nearest as nearest_module
 from tso_cli.kernels import splat as splat_module
 from tso_cli.kernels.nearest import nearest_both_ways, nearest_in_rows, nearest_marked, nearest_points
 from tso_cli.kernels.splat import cheapest, splat
-from tso_cli.kernels.splat_reference import splat_exact
 from tso_cli.refinement.adam import Adam
 from tso_cli.refinement.objective import SilhouetteObjective
 from tso_cli.refinement.resampled_view import resample_view
-from tso_cli.silhouette import losses
-from tso_cli.silhouette.losses import ChamferToInitial, silhouette_bce
+from tso_cli.silhouette import chamfer as chamfer_module
+from tso_cli.silhouette.bce import silhouette_bce
+from tso_cli.silhouette.chamfer import ChamferToInitial
 
 ON_GPU = torch.cuda.is_available()
 DEVICE = "cuda" if ON_GPU else "cpu"
@@ -42,7 +42,7 @@ def triton_kernels(monkeypatch):
 
 
 def _as_on_a_gpu(monkeypatch) -> None:
-    for module in (nearest_module, losses):
+    for module in (nearest_module, chamfer_module):
         monkeypatch.setattr(module, "whole_batches", lambda tensor: True)
 
 
@@ -94,7 +94,7 @@ def test_points_that_are_no_numbers_or_far_away_add_nothing_and_get_no_gradient(
     points = torch.tensor([[*lost, [2.2, 2.1]]], device=DEVICE)
     valid = torch.ones(points.shape[:2], dtype=torch.bool, device=DEVICE)
     sums, gradient = _sums_and_gradient(points, valid, 6, 7, 0.4, "triton")
-    torch.testing.assert_close(sums, splat_exact(points[:, -1:].double(), valid[:, -1:], 6, 7, 0.4), atol=1e-6, rtol=1e-5)
+    torch.testing.assert_close(sums, splat(points[:, -1:].double(), valid[:, -1:], 6, 7, 0.4, "exact"), atol=1e-6, rtol=1e-5)
     assert (gradient[:, :-1] == 0.0).all()
     assert gradient[0, -1].abs().min() > 0.0
 

@@ -21,7 +21,7 @@ from tso_cli.lab.bench.timing import Setting, Timing
 from tso_cli.lab.charts.speed_chart import draw_speed
 from tso_cli.lab.charts.speed_table import left_out_lines, sections, speed_table
 from tso_cli.lab.commands.bench import PARTS
-from tso_cli.silhouette.losses import ChamferToInitial
+from tso_cli.silhouette.chamfer import ChamferToInitial
 
 CPU = torch.device("cpu")
 QUICK = Setting(budget=1e-4)

@@ -16,9 +16,7 @@ from tso_cli.lab.studies import evidence_questions
 from tso_cli.lab.studies import fingerprint as prints
 from tso_cli.lab.studies.fingerprint import BEST, JUDGED, PAPER, PARTS, differences, fingerprint, stamped
 from tso_cli.refinement import camera_correction, presets, problem, resampled_view
-from tso_cli.silhouette import losses as the_losses
-from tso_cli.silhouette import mask_chamfer as pull
-from tso_cli.silhouette import projection
+from tso_cli.silhouette import affinity, bce, chamfer, mask_chamfer, projection
 from tso_cli.train import losses
 
 from ..readme import FIGURES
@@ -64,7 +62,7 @@ CHANGES = {
     "points, best, four masks": lambda patch: _with_defaults(patch, weigh_views=False, prior_weight=200.0),
     "points, best, camera refined": lambda patch: patch.setattr(camera_correction, "MISFIT_LEFT", 0.0),
     "latent, paper": lambda patch: patch.setitem(presets.PAPER_GAMMA, "latent", 1.1e6),
-    "training on masks": lambda patch: patch.setattr(losses, "affinity", lambda *of: 1.1 * the_losses.affinity(*of)),
+    "training on masks": lambda patch: patch.setattr(losses, "affinity", lambda *of: 1.1 * affinity.affinity(*of)),
 }
 
 
@@ -86,7 +84,7 @@ def test_the_same_method_has_the_same_fingerprint_in_plain_and_in_compiled_loops
     judged(part)
     record = stamped({"study": "points"})
     prints._known.clear()
-    for module in (splat, nearest, projection, the_losses, pull):
+    for module in (splat, nearest, projection, affinity, bce, chamfer, mask_chamfer):
         monkeypatch.setattr(module, "use_numba", lambda points: compiled)
     assert differences(record) == []
 

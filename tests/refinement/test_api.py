@@ -28,7 +28,7 @@ from tso_cli.refinement.prior import position_prior
 from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.smooth_field import SmoothField
 from tso_cli.render import look_at
-from tso_cli.silhouette.losses import chamfer
+from tso_cli.silhouette.chamfer import chamfer
 from tso_cli.silhouette.projection import silhouette_of
 
 PAPER = RefineConfig(preset="paper")

@@ -1,4 +1,4 @@
-"""The pull of depth maps: what it asks, what it leaves alone, and its gradient."""
+"""The depth loss, its gradient, and refinements with depth maps."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ CAMERA = Camera.canonical(SIZE, SIZE)
 
 def wall(depth: float = 2.0) -> np.ndarray:
     """A depth map of a wall, square to the camera, known in its middle."""
-    found = np.full((SIZE, SIZE), np.nan)
-    found[24:40, 24:40] = depth
-    return found
+    wall = np.full((SIZE, SIZE), np.nan)
+    wall[24:40, 24:40] = depth
+    return wall
 
 
 def on(column: float, row: float, depth: float) -> list[float]:
@@ -34,17 +34,16 @@ def on(column: float, row: float, depth: float) -> list[float]:
     return [(column - 31.5) / 120.0 * depth, -(row - 31.5) / 120.0 * depth, 2.0 - depth]
 
 
-def pull(points: np.ndarray, depth: np.ndarray, reach: float = 3.0) -> torch.Tensor:
-    moved = torch.tensor(points, dtype=torch.float64).reshape(1, -1, 3)
-    return loss(moved, depth, reach)
+def cost(points: np.ndarray, depth: np.ndarray, robust_scale: float = 3.0) -> float:
+    return float(loss(torch.tensor(points, dtype=torch.float64).reshape(1, -1, 3), depth, robust_scale))
 
 
-def loss(points: torch.Tensor, depth: np.ndarray, reach: float = 3.0) -> torch.Tensor:
+def loss(points: torch.Tensor, depth: np.ndarray, robust_scale: float = 3.0) -> torch.Tensor:
     cameras = CameraBatch.of([CAMERA], points).one_each()
     inside = torch.ones(1, SIZE, SIZE, dtype=torch.bool)
     target = DepthTarget.of(torch.tensor(depth, dtype=points.dtype)[None], inside, cameras)
-    projected = Projected(*(found[:, 0] for found in project(points, cameras)))
-    return depth_loss(points, projected, target, reach, torch.tensor([points.shape[1]]))
+    projected = Projected(*(part[:, 0] for part in project(points, cameras)))
+    return depth_loss(points, projected, target, robust_scale, torch.tensor([points.shape[1]]))
 
 
 def grid(depth: float, step: float = 1.0) -> np.ndarray:
@@ -52,7 +51,7 @@ def grid(depth: float, step: float = 1.0) -> np.ndarray:
 
 
 def test_points_on_every_pixels_surface_cost_nothing():
-    assert float(pull(grid(2.0), wall())) == 0.0
+    assert cost(grid(2.0), wall()) == 0.0
 
 
 def test_a_surface_that_no_point_reaches_costs_the_robust_square_of_its_distance_in_pixels():
@@ -60,18 +59,18 @@ def test_a_surface_that_no_point_reaches_costs_the_robust_square_of_its_distance
     depth = np.full((SIZE, SIZE), np.nan)
     depth[30, 30] = 2.0
     behind = np.array([on(30, 30, 2.0 + 4.0 / 60.0)])
-    apart = np.linalg.norm(behind[0] - on(30, 30, 2.0)) * 60.0
-    assert float(pull(behind, depth, 3.0)) == pytest.approx(apart**2 * 9.0 / (9.0 + apart**2), rel=1e-9)
+    distance = np.linalg.norm(behind[0] - on(30, 30, 2.0)) * 60.0
+    assert cost(behind, depth, 3.0) == pytest.approx(distance**2 * 9.0 / (9.0 + distance**2), rel=1e-9)
 
 
 def test_what_is_hidden_behind_a_surface_that_is_reached_costs_nothing():
-    assert float(pull(np.concatenate([grid(2.0), grid(2.3)]), wall())) == 0.0
+    assert cost(np.concatenate([grid(2.0), grid(2.3)]), wall()) == 0.0
 
 
 def test_a_point_before_the_surface_is_pushed_back_and_counted_as_one_of_1024():
     points = np.concatenate([grid(2.0), [on(32, 32, 2.0 - 3.0 / 60.0)]])
     expected = 9.0 * 4.0 / (4.0 + 9.0) * 1024.0 / len(points)
-    assert float(pull(points, wall(), 2.0)) == pytest.approx(expected, rel=1e-9)
+    assert cost(points, wall(), 2.0) == pytest.approx(expected, rel=1e-9)
     moved = torch.tensor(points)[None].requires_grad_()
     loss(moved, wall(), 2.0).sum().backward()
     slope = moved.grad[0]
@@ -89,21 +88,21 @@ def test_a_point_on_the_nearer_side_of_an_edge_is_not_taken_to_be_in_front_of_th
     free[:] = np.nan
     free[30, 30:36] = depth[30, 30:36]
     reached = np.array([on(c, 30, free[30, c]) for c in range(30, 36)])
-    assert float(pull(np.concatenate([reached, near]), free)) == 0.0
-    assert float(pull(np.concatenate([reached, far]), free)) > 0.0
+    assert cost(np.concatenate([reached, near]), free) == 0.0
+    assert cost(np.concatenate([reached, far]), free) > 0.0
 
 
 def test_the_gradient_is_that_of_finite_differences():
     rng = np.random.default_rng(3)
     depth = wall() + 0.05 * rng.standard_normal((SIZE, SIZE))
     points = torch.tensor(rng.uniform(-0.2, 0.2, (1, 40, 3)), dtype=torch.float64, requires_grad=True)
-    assert float(loss(points, depth)) > 1.0
+    assert float(loss(points.detach(), depth)) > 1.0
     assert torch.autograd.gradcheck(lambda moved: loss(moved, depth), points, eps=1e-7, atol=1e-4, rtol=1e-4)
 
 
 def test_a_map_without_a_known_pixel_and_points_behind_the_camera_cost_nothing():
-    assert float(pull(grid(2.2), np.full((SIZE, SIZE), np.nan))) == 0.0
-    assert float(pull(np.array([[0.0, 0.0, 5.0]]), wall())) == 0.0
+    assert cost(grid(2.2), np.full((SIZE, SIZE), np.nan)) == 0.0
+    assert cost(np.array([[0.0, 0.0, 5.0]]), wall()) == 0.0
 
 
 def test_the_loop_samples_a_depth_map_and_never_averages_across_its_edges():

@@ -1,1 +1,1 @@
-"""The hot loops: sums of Gaussians over a pixel grid, nearest neighbours."""
+"""Sums of Gaussians over a pixel grid, nearest neighbours and losses: plain torch, numba on the CPU, Triton on GPUs."""

@@ -1,110 +1,95 @@
-"""Which form of a kernel is used: the one rule, for every kernel that has a compiled form or one for GPUs."""
+"""Which form of a kernel runs: plain torch, numba loops on the CPU, or Triton on a GPU (experimental).
+
+numba runs on float32 and float64 tensors on the CPU where plain torch would take longer than importing the compiler (half a
+second, once in a process). A refinement states its whole work by `planned`; elsewhere a batch of 8,192 points is taken to repay
+the import, as fifty steps of it do. Planned work that would not repay compiling either, ten seconds, runs in numba only if the
+machine code is on disk. The choice depends on the work and the disk alone, neither on what ran before in the process nor on the
+number of threads, so that a run can be repeated. Triton runs on float32 tensors on a GPU where it can be imported; builds of
+torch for GPUs bring it with them. All else is plain torch.
+"""
 
 from __future__ import annotations
 
 import functools
 import importlib
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
 import torch
 from torch import Tensor
 
-# Importing the compiler and loading compiled code takes half a second to a second, once in a process. Fifty steps (a
-# refinement) win back more than that from this many points a step on; a training always has them.
 POINTS_WORTH_COMPILING = 8192
-# The same for work that is known beforehand, in seconds of one core: what plain torch takes longer for a picture of a cloud and
-# for each point in it (measured: 3.1, 7.8 and 31 ms a step for 1,024, 4,096 and 16,384 points), and what loading (0.3 to 0.6)
-# and compiling take. On a slower machine all of them are larger.
+# Seconds that plain torch takes longer on one core for a picture of a cloud, and for each point in it (measured: 3.1, 7.8 and
+# 31 ms a step for 1,024, 4,096 and 16,384 points), and seconds that loading and compiling take.
 PER_PICTURE, PER_POINT = 1.2e-3, 1.8e-6
 LOADING, COMPILING = 0.5, 10.0
-TO_COMPILE = "tso compile"
+
+_plan: ContextVar[Callable[[], bool] | None] = ContextVar("plan", default=None)
 
 
 @contextmanager
 def planned(pictures: int, points: int) -> Iterator[None]:
-    """Inside, compiled loops are used if they pay for this much work, whatever the size of its parts.
-
-    What is not on disk yet must be compiled first, which takes many times longer than to load it: less work than that is left
-    to plain torch, with a warning that says how to compile beforehand. Of plans within plans the outermost counts.
+    """Inside, numba runs if it pays for all of this work. The outermost of nested plans counts.
 
     Parameters
     ----------
     pictures : how often a cloud is drawn and compared in all: clouds x views x steps.
-    points : how many points are in these pictures in all.
+    points : points in all these pictures.
+
+    Warns
+    -----
+    UserWarning
+        The work is left to plain torch because no machine code is on disk.
     """
     if _plan.get() is not None:
         yield
         return
-    token = _plan.set(_Plan(PER_PICTURE * pictures + PER_POINT * points))
+    # Decided when first asked, on the CPU alone: looking on the disk takes an import.
+    token = _plan.set(functools.cache(functools.partial(_pays, PER_PICTURE * pictures + PER_POINT * points)))
     try:
         yield
     finally:
         _plan.reset(token)
 
 
-class _Plan:
-    def __init__(self, saved: float) -> None:
-        self._saved = saved
-
-    @functools.cached_property
-    def compiled(self) -> bool:
-        """Asked for on the CPU alone; looking on the disk takes an import."""
-        if self._saved < LOADING or not _importable("numba"):
-            return False
-        if self._saved >= LOADING + COMPILING or _on_disk():
-            return True
-        warnings.warn(f"no compiled loops on disk, plain torch does this work; `{TO_COMPILE}` makes them once", stacklevel=2)
+def _pays(seconds: float) -> bool:
+    """Whether numba pays where it saves so many ``seconds``."""
+    if seconds < LOADING or not _importable("numba"):
         return False
-
-
-_plan: ContextVar[_Plan | None] = ContextVar("plan", default=None)
+    if seconds >= LOADING + COMPILING or _on_disk():
+        return True
+    warnings.warn("no compiled loops on disk, plain torch does this work; `tso compile` makes them once", stacklevel=2)
+    return False
 
 
 def _on_disk() -> bool:
-    from . import (
-        mask_bce_numba as compiled_mask,
-    )
-    from . import (
-        mask_chamfer_numba as compiled_pull,
-    )
-    from . import (
-        projection_numba as compiled_projection,
-    )
-    from . import (
-        static_chamfer_numba as compiled_static,
-    )
-    from .jit import kept
+    from .jit import on_disk
+    from .losses_numba import _cross_entropy
+    from .mask_chamfer_numba import _mask_chamfer
+    from .projection_numba import _project
+    from .static_chamfer_numba import _search
 
-    return kept(compiled_mask._run, compiled_projection._project, compiled_static._search, compiled_pull._pull)
+    return on_disk(_cross_entropy, _mask_chamfer, _project, _search)
 
 
 def use_numba(points: Tensor) -> bool:
-    """Whether compiled loops are to be used on ``points`` [M, N, D], in float32 or float64 on the CPU.
-
-    Inside `planned` they are if they pay for all that is planned, else if M N is 8,192 or more. It depends on nothing
-    else but what is on disk (neither on what ran before in the process nor on the number of threads), so that a run can be
-    repeated.
-    """
+    """Whether compiled loops run on ``points`` [M, N, D]."""
     if points.device.type != "cpu" or points.dtype not in (torch.float32, torch.float64):
         return False
-    if (plan := _plan.get()) is not None:
-        return plan.compiled
+    if (pays := _plan.get()) is not None:
+        return pays()
     return points.shape[0] * points.shape[1] >= POINTS_WORTH_COMPILING and _importable("numba")
 
 
 def whole_batches(tensor: Tensor) -> bool:
-    """Whether a batch is worked on as one, with nothing read back: everywhere but on the CPU, where trees know shorter ways."""
+    """Whether a batch is worked on as one, with nothing read back: on a GPU. On the CPU, single clouds search faster."""
     return tensor.device.type != "cpu"
 
 
 def triton_runs(points: Tensor) -> bool:
-    """Whether Triton kernels are used on ``points``: float32 on a GPU, where triton can be imported.
-
-    Builds of torch for GPUs bring triton with them. It is no dependency of this package, and is not imported on the CPU.
-    """
+    """Whether Triton kernels run on ``points``."""
     return points.device.type == "cuda" and points.dtype == torch.float32 and _importable("triton")
 
 

@@ -1,6 +1,6 @@
-"""Compiling with numba, and sharing compiled work between threads.
+"""Compiling with numba, sharing compiled work between threads, and handing its gradients to torch.
 
-Importing numba takes half a second: this is imported where compiled code runs, and nowhere else.
+Importing numba takes half a second: import this module only where compiled code runs.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ from typing import Any
 import torch
 from numba import njit
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
-# What a thread must have to do at least, in basic steps, for waking it to pay.
+# Fewest basic steps of a thread for which waking it pays.
 WORTH_A_THREAD = 1 << 18
-# Ranges handed out per thread, so that one with little to do takes over from another.
+# Ranges per thread, so that threads with little to do take over from others.
 RANGES_PER_THREAD = 4
 
 SETTINGS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz"}}
@@ -29,9 +30,9 @@ _pool: ThreadPoolExecutor | None = None
 
 
 def forget_stale(folder: Path) -> None:
-    """Remove what numba kept of the sources in ``folder`` if any of them changed since.
+    """Remove numba's cache of the sources in ``folder`` that is older than any of them.
 
-    numba looks at the file of a function alone, not at those of the functions that are compiled into it.
+    numba checks the file of a function alone, not those of the functions that are compiled into it.
     """
     with contextlib.suppress(OSError, ValueError):
         changed = max(source.stat().st_mtime for source in folder.glob("*.py"))
@@ -43,43 +44,43 @@ def forget_stale(folder: Path) -> None:
 forget_stale(Path(__file__).parent)
 
 
-def kept(*functions: Any) -> bool:
-    """Whether the machine code of all these `compiled` functions is on disk, made from the sources as they are."""
+def on_disk(*functions: Any) -> bool:
+    """Whether the machine code of all these `compiled` functions is on disk, newer than the sources."""
     try:
         changed = max(source.stat().st_mtime for source in Path(__file__).parent.glob("*.py"))
-        found = (Path(function.stats.cache_path).glob(f"*.{function.__name__}-*.nbi") for function in functions)
-        return all(any(index.stat().st_mtime >= changed for index in indices) for indices in found)
+        caches = (Path(function.stats.cache_path).glob(f"*.{function.__name__}-*.nbi") for function in functions)
+        return all(any(index.stat().st_mtime >= changed for index in cache) for cache in caches)
     except (AttributeError, OSError, TypeError, ValueError):
-        # none can be kept, or numba was told to compile nothing
+        # no folder can be written, or numba was told to compile nothing
         return False
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """``function`` compiled at its first call, with the machine code kept on disk where a folder for it can be written.
+    """``function`` compiled at its first call; the machine code is kept on disk where a folder can be written.
 
-    Sums are reordered within a statement and multiplied and added in one rounding, the same way at every call.
+    Sums are reordered within a statement, and multiply-adds rounded once: the same way at every call.
     """
     try:
         return njit(cache=True, **SETTINGS)(function)
     except RuntimeError:
-        # neither the package's own folder nor the user's cache folder can be written: compile in every process anew
+        # neither the package's folder nor the user's cache folder can be written: compile in every process
         return njit(**SETTINGS)(function)
 
 
 def part(function: Callable[..., Any]) -> Any:
-    """As `compiled`, for what compiled functions alone call.
-
-    It is kept inside them, and is compiled without the doors by which Python would come in: a tenth less to compile.
-    """
+    """As `compiled`, for functions that only compiled functions call: without wrappers for Python, a tenth less to compile."""
     return njit(**SETTINGS, **INSIDE)(function)
 
 
 def share(count: int, steps: int, function: Callable[..., None], *arguments: Any) -> None:
-    """Call the compiled ``function(first, last, *arguments)`` on ranges that cover 0 to ``count``.
+    """Call the compiled ``function(first, last, *arguments)`` on ranges that cover 0 to ``count``, on torch's threads.
 
-    As many threads as torch uses share the ranges. Whatever ranges it is called on, ``function`` must write the same: then
-    nothing depends on the number of threads. ``steps`` is roughly what there is to do in all, in basic steps. Tensors among the
-    arguments are on the CPU and are handed on as arrays; those that are written to must be contiguous.
+    Parameters
+    ----------
+    steps : work in all, roughly, in basic steps.
+    function : must write the same values however 0 to ``count`` is cut into ranges, so that results do not depend on
+        the number of threads.
+    arguments : tensors are on the CPU and passed as arrays; those written to must be contiguous.
     """
     arguments = tuple(a.detach().contiguous().numpy() if isinstance(a, Tensor) else a for a in arguments)
     threads = min(torch.get_num_threads(), count, max(1, steps // WORTH_A_THREAD))
@@ -93,22 +94,22 @@ def share(count: int, steps: int, function: Callable[..., None], *arguments: Any
         while (i := next(following)) < ranges:
             _call(function, i * count // ranges, (i + 1) * count // ranges, *arguments)
 
-    others = [_threads().submit(work) for _ in range(threads - 1)]
+    futures = [_threads().submit(work) for _ in range(threads - 1)]
     try:
         work()
     finally:
-        # After Ctrl-C nothing more is handed out, and nobody writes any more when the caller goes on.
+        # After Ctrl-C no further range begins, and no thread still writes when the caller goes on.
         following = itertools.repeat(ranges)
-        wait(others)
-    for other in others:
-        other.result()
+        wait(futures)
+    for future in futures:
+        future.result()
 
 
 def _call(function: Callable[..., None], *arguments: Any) -> None:
     try:
         function(*arguments)
     except OSError:
-        # The machine code could not be kept on disk (full, say). It is there in memory, and nothing has run yet.
+        # The machine code could not be written to disk (full, say). It is in memory, and nothing has run yet.
         function(*arguments)
 
 
@@ -127,3 +128,18 @@ def _forget_threads() -> None:
 if hasattr(os, "register_at_fork"):
     # A forked process has none of its parent's threads.
     os.register_at_fork(after_in_child=_forget_threads)
+
+
+class PrecomputedGradient(torch.autograd.Function):
+    """``value`` [M] as a function of ``variable`` [M, ., .] whose derivative is ``gradient`` [M, ., .]."""
+
+    @staticmethod
+    def forward(ctx: Any, variable: Tensor, value: Tensor, gradient: Tensor) -> Tensor:
+        ctx.save_for_backward(gradient)
+        return value
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor | None, ...]:
+        (gradient,) = ctx.saved_tensors
+        return grad_outputs[0].view(-1, 1, 1) * gradient, None, None

@@ -1,4 +1,4 @@
-"""The pull of masks as one compiled loop on the CPU; its twin in plain torch is in `tso_cli.silhouette.mask_chamfer`."""
+"""The mask Chamfer loss as one compiled loop on the CPU; its reference is in `tso_cli.silhouette.mask_chamfer`."""
 
 from __future__ import annotations
 
@@ -6,76 +6,45 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .jit import compiled, share
-from .losses_numba import WithSlope
+from .jit import PrecomputedGradient, compiled, share
 from .nearest_numba import cell_edge, nearest_in_cells, sort_into_cells
 
 
 def mask_chamfer_loss(
     points_px: Tensor,
     valid: Tensor,
-    asked: Tensor,
-    counted: Tensor,
-    inside: Tensor,
-    outside: Tensor,
-    rows: Tensor,
-    columns: Tensor,
-    bounds: Tensor,
-    grain: Tensor,
+    observed: Tensor,
+    weights: Tensor,
+    masks: tuple[Tensor, ...],
+    within: Tensor,
     scale: float,
-    covered: float,
-    reach: float,
-    weight: Tensor,
+    robust_scale: float,
 ) -> Tensor:
-    """As `mask_chamfer_loss`; ``asked`` [M, N] which points the masks tell something of, ``weight`` [M]
-    times ``counted`` [M, N] what a stray point counts, ``scale`` pixels of 64 to
-    one of the image."""
-    total, slope = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
-    edge = cell_edge(inside.shape[1], inside.shape[2], points_px.shape[1])
-    steps = 16 * inside.numel() + 16 * valid.numel()
-    arguments = (
-        points_px,
-        valid,
-        asked,
-        counted,
-        inside,
-        outside,
-        rows,
-        columns,
-        bounds.contiguous(),
-        edge,
-        scale,
-        covered * grain,
-        reach**2,
-        weight,
-        total,
-        slope,
-    )
-    share(len(inside), steps, _pull, *arguments)
-    return WithSlope.apply(points_px, total, slope)
+    """As `tso_cli.silhouette.mask_chamfer.mask_chamfer_loss`.
+
+    Parameters
+    ----------
+    points_px, valid : [M, N, 2], [M, N]
+    observed : [M, N] points that pixels may attract.
+    weights : [M, N] of each point if it strays.
+    masks : `MaskTarget`'s inside, outside, nearest_rows, nearest_columns and bounds.
+    within : [M] distance, px, within which a point covers a pixel.
+    scale : pixels of an image of 64 to one of this image.
+    robust_scale : px of an image of 64.
+    """
+    total, gradient = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
+    height, width = masks[0].shape[1:]
+    steps = 16 * masks[0].numel() + 16 * valid.numel()
+    share(len(valid), steps, _mask_chamfer, points_px, valid, observed, weights, *masks, within,
+          cell_edge(height, width, points_px.shape[1]), scale, robust_scale**2, total, gradient)  # fmt: skip
+    return PrecomputedGradient.apply(points_px, total, gradient)
 
 
 @compiled
-def _pull(  # type: ignore[no-untyped-def]
-    first,
-    last,
-    points,
-    valid,
-    asked,
-    counted,
-    inside,
-    outside,
-    rows,
-    columns,
-    bounds,
-    edge,
-    scale,
-    within,
-    reach,
-    weight,
-    sums,
-    slope,
-):
+def _mask_chamfer(  # type: ignore[no-untyped-def]
+    first, last, points, valid, observed, weights, inside, outside, rows, columns, bounds, within,
+    edge, scale, robust, total, gradient,
+):  # fmt: skip
     height, width = inside.shape[1:]
     area = scale * scale
     for image in range(first, last):
@@ -84,30 +53,29 @@ def _pull(  # type: ignore[no-untyped-def]
         for i in range(height):
             for j in range(width):
                 n = nearest_in_cells(float(j), float(i), edge, cells) if inside[image, i, j] else -1
-                if n < 0 or not asked[image, n]:
+                if n < 0 or not observed[image, n]:
                     continue
                 by_x, by_y = points[image, n, 0] - j, points[image, n, 1] - i
                 squared = (by_x * by_x + by_y * by_y) * area
                 if squared > covered:
-                    kept = reach / (reach + squared)
-                    loss += squared * kept * area
-                    slope[image, n, 0] += 2.0 * area * area * kept * kept * by_x
-                    slope[image, n, 1] += 2.0 * area * area * kept * kept * by_y
+                    inlier = robust / (robust + squared)
+                    loss += squared * inlier * area
+                    gradient[image, n, 0] += 2.0 * area * area * inlier * inlier * by_x
+                    gradient[image, n, 1] += 2.0 * area * area * inlier * inlier * by_y
+        left, top, right, bottom = bounds[image, 0], bounds[image, 1], bounds[image, 2], bounds[image, 3]
         for n in range(points.shape[1]):
-            x, y = points[image, n, 0], points[image, n, 1]
+            x, y, weight = points[image, n, 0], points[image, n, 1], weights[image, n]
             # What lies outside the image is unknown, not background.
-            left, top, right, bottom = bounds[image, 0], bounds[image, 1], bounds[image, 2], bounds[image, 3]
-            if not (counted[image, n] > 0.0 and x >= left and x <= right and y >= top and y <= bottom):
+            if not (weight > 0.0 and x >= left and x <= right and y >= top and y <= bottom):
                 continue
             # Beside the mask's part of the image it is background like that part's rim.
             i, j = int(np.rint(min(max(y, 0.0), height - 1.0))), int(np.rint(min(max(x, 0.0), width - 1.0)))
             if not outside[image, i, j] or rows[image, i, j] < 0:
                 continue
-            by_x, by_y = points[image, n, 0] - columns[image, i, j], points[image, n, 1] - rows[image, i, j]
+            by_x, by_y = x - columns[image, i, j], y - rows[image, i, j]
             squared = (by_x * by_x + by_y * by_y) * area
-            kept = reach / (reach + squared)
-            share = weight[image] * counted[image, n]
-            loss += share * squared * kept
-            slope[image, n, 0] += 2.0 * share * area * kept * kept * by_x
-            slope[image, n, 1] += 2.0 * share * area * kept * kept * by_y
-        sums[image] = loss
+            inlier = robust / (robust + squared)
+            loss += weight * squared * inlier
+            gradient[image, n, 0] += 2.0 * weight * area * inlier * inlier * by_x
+            gradient[image, n, 1] += 2.0 * weight * area * inlier * inlier * by_y
+        total[image] = loss

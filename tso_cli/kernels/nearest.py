@@ -1,4 +1,4 @@
-"""Exact nearest neighbours: all pairs of small clouds, else a k-d tree or compiled loops on the CPU, all pairs on a GPU."""
+"""Exact nearest neighbours: all pairs of small clouds, else a k-d tree or compiled loops on the CPU; all pairs on a GPU."""
 
 from __future__ import annotations
 
@@ -7,15 +7,12 @@ from torch import Tensor
 
 from .dispatch import triton_runs, use_numba, whole_batches
 
-# Clouds up to this size are compared pair by pair in compiled code; in larger ones a k-d tree finds its way faster.
+# Largest clouds whose pairs are all compared in compiled code; in larger ones a k-d tree is faster.
 COMPARE_ALL_UP_TO = 8192
-# Clouds up to this size are compared pair by pair by a matrix product: for one refinement of 1,024 points that is as fast as
-# k-d trees, whose import takes a quarter of a second.
+# Largest clouds whose pairs are all compared by a matrix product: at 1,024 points as fast as k-d trees, whose import takes a
+# quarter of a second.
 MULTIPLY_UP_TO = 1500
 PAIRS_PER_PRODUCT = 1 << 17
-# Images up to this wide are searched by torch alone, which takes some milliseconds; importing scipy takes a quarter of a
-# second.
-BY_COLUMNS_UP_TO = 128
 # Pairs compared at once in plain torch; bounds memory at about 400 MB.
 PAIRS_PER_CHUNK = 1 << 24
 
@@ -43,35 +40,35 @@ def nearest(queries: Tensor, data: Tensor) -> Tensor:
     return nearest_in_rows(queries.unsqueeze(0), data.unsqueeze(0))[0].clamp_min(0)
 
 
-def nearest_in_rows(queries: Tensor, data: Tensor, there: Tensor | None = None, asking: Tensor | None = None) -> Tensor:
-    """Nearest neighbours in B clouds at once by comparing all pairs, on any device.
+def nearest_in_rows(queries: Tensor, data: Tensor, valid: Tensor | None = None, active: Tensor | None = None) -> Tensor:
+    """Nearest neighbours in B clouds at once by all pairs, on any device.
 
     Parameters
     ----------
     queries : [B, Q, D], D = 2 or 3
     data : [B, N, D]
-    there : [B, N] bool: points that are False are not there. None: all are.
-    asking : [B, Q] bool: queries that are False are not searched for. None: all are.
+    valid : [B, N] bool, points that exist; None for all.
+    active : [B, Q] bool, queries to search for; None for all.
 
     Returns
     -------
-    [B, Q] int64 index into the row of ``data``; -1 where the query does not ask or no point is at a finite distance.
+    [B, Q] int64 index into the row of ``data``; -1 for other queries, and where no point is at a finite distance.
     """
     queries, data = queries.detach(), data.detach()
     if triton_runs(queries):
-        from .nearest_triton import nearest_in_rows as compare
+        from .nearest_triton import nearest_in_rows as on_gpu
 
-        return compare(queries, data, there, asking)
+        return on_gpu(queries, data, valid, active)
     index = torch.full(queries.shape[:2], -1, dtype=torch.int64, device=queries.device)
-    asked = torch.nonzero(torch.ones_like(index) if asking is None else asking)
-    for part in asked.split(max(1, PAIRS_PER_CHUNK // max(1, data.shape[1]))) if data.shape[1] else ():
+    places = torch.nonzero(torch.ones_like(index) if active is None else active)
+    for part in places.split(max(1, PAIRS_PER_CHUNK // max(1, data.shape[1]))) if data.shape[1] else ():
         row, place = part.unbind(1)
-        # Coordinates are subtracted: the product of matrices that cdist takes would lose digits.
-        apart = [queries[row, place, d, None] - data[row, :, d] for d in range(queries.shape[2])]
-        squared = torch.stack(apart).square_().sum(0)
-        reached = squared < torch.inf if there is None else (squared < torch.inf) & there[row]
-        closest, found = torch.where(reached, squared, torch.inf).min(1)
-        index[row, place] = torch.where(closest < torch.inf, found, -1)
+        # Coordinates are subtracted: cdist's product of matrices would lose digits.
+        differences = [queries[row, place, d, None] - data[row, :, d] for d in range(queries.shape[2])]
+        squared = torch.stack(differences).square_().sum(0)
+        finite = squared < torch.inf if valid is None else (squared < torch.inf) & valid[row]
+        least, neighbour = torch.where(finite, squared, torch.inf).min(1)
+        index[row, place] = torch.where(least < torch.inf, neighbour, -1)
     return index
 
 
@@ -90,11 +87,11 @@ def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     """
     smaller, larger = (a, b) if a.shape[1] <= b.shape[1] else (b, a)
     if use_numba(smaller) and larger.shape[1] <= COMPARE_ALL_UP_TO:
-        from .nearest_numba import nearest_both_ways as compare
+        from .nearest_numba import nearest_both_ways as compiled
 
-        return compare(a, b)
+        return compiled(a, b)
     if whole_batches(a):
-        # A cloud that is no number has no neighbours, but its row must hold indices: what they lead to is no number either.
+        # NaN has no neighbours, but its rows must hold indices: what these lead to is NaN either way.
         return nearest_in_rows(a, b).clamp_min_(0), nearest_in_rows(b, a).clamp_min_(0)
     pairs = list(zip(a, b, strict=True))
     return torch.stack([nearest(x, y) for x, y in pairs]), torch.stack([nearest(y, x) for x, y in pairs])
@@ -105,8 +102,8 @@ def nearest_points(pixels: Tensor, points_px: Tensor, valid: Tensor) -> Tensor:
 
     Parameters
     ----------
-    pixels : [M, H, W] bool, those that ask.
-    points_px, valid : [M, N, 2] column and row, [M, N] bool: points that are False are not there.
+    pixels : [M, H, W] bool.
+    points_px, valid : [M, N, 2] column and row, [M, N] bool, points that exist.
 
     Returns
     -------
@@ -118,31 +115,19 @@ def nearest_points(pixels: Tensor, points_px: Tensor, valid: Tensor) -> Tensor:
         return nearest_in_rows(centres, points_px, valid, pixels.flatten(1)).view(pixels.shape)
     index = torch.full(pixels.shape, -1, dtype=torch.int64, device=pixels.device)
     for i in range(len(pixels)):
-        alive = torch.nonzero(valid[i]).squeeze(1)
+        candidates = torch.nonzero(valid[i]).squeeze(1)
         rows, columns = torch.nonzero(pixels[i], as_tuple=True)
-        if len(alive) and len(rows):
+        if len(candidates) and len(rows):
             centres = torch.stack([columns, rows], 1).to(points_px.dtype)
-            index[i, rows, columns] = alive[nearest(centres, points_px[i, alive])]
+            index[i, rows, columns] = candidates[nearest(centres, points_px[i, candidates])]
     return index
 
 
 def nearest_marked(marked: Tensor) -> tuple[Tensor, Tensor]:
-    """Row and column [M, H, W] of the pixel ``marked`` [M, H, W] nearest to each pixel, -1 in images without one."""
-    if whole_batches(marked) or marked.shape[2] <= BY_COLUMNS_UP_TO:
-        return _nearest_marked_by_columns(marked)
-    from scipy.ndimage import distance_transform_edt
+    """Row and column [M, H, W] of the pixel ``marked`` [M, H, W] nearest to each pixel, -1 in images without one.
 
-    index = torch.full((2, *marked.shape), -1, dtype=torch.int64)
-    for i, image in enumerate(marked):
-        if image.any():
-            found = distance_transform_edt(~image.numpy(), return_distances=False, return_indices=True)
-            index[:, i] = torch.from_numpy(found)
-    rows, columns = index
-    return rows, columns
-
-
-def _nearest_marked_by_columns(marked: Tensor) -> tuple[Tensor, Tensor]:
-    """The nearest marked row in every column, then the nearest column in every row: O(W) per pixel, exact, on any device."""
+    The nearest marked row in every column, then the nearest column in every row: O(W) per pixel, exact, on any device.
+    """
     images, height, width = marked.shape
     row, column = torch.arange(height, device=marked.device).unsqueeze(1), torch.arange(width, device=marked.device)
     # further away than anything in the image
@@ -153,31 +138,30 @@ def _nearest_marked_by_columns(marked: Tensor) -> tuple[Tensor, Tensor]:
     vertical, horizontal = (near - row).square().flatten(0, 1), (column.unsqueeze(1) - column).square()
     lines = vertical.split(max(1, PAIRS_PER_CHUNK // width**2))
     columns = torch.cat([(line.unsqueeze(1) + horizontal).argmin(2) for line in lines]).view(marked.shape)
-    some = marked.flatten(1).any(1).view(-1, 1, 1)
-    return torch.where(some, near.gather(2, columns), -1), torch.where(some, columns, -1)
+    exists = marked.flatten(1).any(1).view(-1, 1, 1)
+    return torch.where(exists, near.gather(2, columns), -1), torch.where(exists, columns, -1)
 
 
 def _multiplied(queries: Tensor, data: Tensor) -> Tensor:
     """As `nearest`, by |q - d|^2 = |q|^2 - 2 q d + |d|^2 in float64."""
-    # about the centre, where the numbers are small and little of them cancels
+    # about the centre, where the numbers are small and little cancels
     data = data.double()
     centre = data.mean(0)
     data = data - centre
     # A product with ones adds a few columns many times as fast as `sum`.
     ones = data.new_ones(data.shape[1])
     half = data.square() @ ones / 2.0
-    found = []
+    indices = []
     for part in (queries.double() - centre).split(max(1, PAIRS_PER_PRODUCT // len(data))):
         # numpy's argmin is three times as fast as torch's
         index = torch.from_numpy(torch.addmm(half, part, data.T, alpha=-1.0).numpy().argmin(1))
-        # A distance of 0 is the least there is. Of others rounding moves the square by 2e-8 of it at most, less than float32
-        # can tell apart, unless they are this small.
+        # Rounding moves a squared distance by 2e-8 of it at most, less than float32 resolves, unless it is this small.
         squared = (part - data[index]).square() @ ones
         close = torch.nonzero((squared > 0.0) & (squared < 1e-7 * (part.square() @ ones))).squeeze(1)
         if len(close):
             index[close] = torch.cdist(part[close], data, compute_mode="donot_use_mm_for_euclid_dist").argmin(1)
-        found.append(index)
-    return torch.cat(found)
+        indices.append(index)
+    return torch.cat(indices)
 
 
 def _query(tree, queries: Tensor, k: int = 1):  # type: ignore[no-untyped-def]
@@ -186,20 +170,15 @@ def _query(tree, queries: Tensor, k: int = 1):  # type: ignore[no-untyped-def]
 
 
 class StaticNearest:
-    """Nearest neighbours between a cloud that stays and its own moved copy.
+    """Exact nearest neighbours between an initial cloud ``start`` [N, D] and its own moved copy.
 
-    Early in an optimisation a moved point is still nearest to its own start. Where the triangle inequality proves that, no
-    search is made; the answers are exact either way. Where a moved point is not finite, nothing is near: each then has its own,
-    and the distance that follows from it is not finite either.
-
-    Parameters
-    ----------
-    start : [N, D], the cloud that stays.
+    Early in an optimisation a moved point is still nearest to its own start; where the triangle inequality proves that, no
+    search is made. If a moved point is not finite, every point is paired with itself: the distance is not finite either.
     """
 
     def __init__(self, start: Tensor) -> None:
         self.start = start.detach()
-        self.own = torch.arange(len(start), device=start.device)
+        self.identity = torch.arange(len(start), device=start.device)
         self._tree = None
         self.spacing: Tensor | None = None
         if len(start) > 1:
@@ -211,7 +190,7 @@ class StaticNearest:
 
                 self._tree = cKDTree(self.start.numpy())
                 spacing = torch.from_numpy(_query(self._tree, self.start, k=2)[0][:, 1])
-            # A hair less than the true spacing, so that rounding cannot prove what is not so.
+            # Just under the true spacing, so that rounding cannot prove what is false.
             self.spacing = spacing.to(start.dtype) * (1.0 - 1e-5)
 
     def __call__(self, moved: Tensor) -> tuple[Tensor, Tensor]:
@@ -220,16 +199,16 @@ class StaticNearest:
         if self.spacing is None:
             return nearest(self.start, moved), nearest(moved, self.start)
         distance = (moved - self.start).norm(dim=1)
-        to_start, to_moved = self.own, self.own
+        to_start, to_moved = self.identity, self.identity
         # a k-d tree takes no such points
         if not torch.isfinite(distance.max()):
             return to_moved, to_start
         # |m_i - s_j| >= |s_i - s_j| - |m_i - s_i|, so s_i is nearest to m_i while m_i moved under half the spacing at s_i.
         doubtful = torch.nonzero(2.0 * distance >= self.spacing).squeeze(1)
         if len(doubtful):
-            asking = moved[doubtful]
-            found = nearest(asking, self.start) if self._tree is None else torch.from_numpy(_query(self._tree, asking)[1])
-            to_start = to_start.index_copy(0, doubtful, found)
+            queries = moved[doubtful]
+            index = nearest(queries, self.start) if self._tree is None else torch.from_numpy(_query(self._tree, queries)[1])
+            to_start = to_start.index_copy(0, doubtful, index)
         # |s_i - m_j| >= |s_i - s_j| - |m_j - s_j|, and no point moved further than the furthest.
         doubtful = torch.nonzero(distance + distance.max() >= self.spacing).squeeze(1)
         if len(doubtful):

@@ -1,4 +1,4 @@
-"""Exact nearest neighbours as compiled loops on the CPU: points to pixels, marked pixels, batches of small clouds."""
+"""Exact nearest neighbours as compiled loops on the CPU: points to pixels, pixels in a column, batches of small clouds."""
 
 from __future__ import annotations
 
@@ -10,20 +10,10 @@ from torch import Tensor
 
 from .jit import compiled, part, share
 
-# Points per cell of the grid that points are sorted into, on average over the image. Fastest from 1,000 to 100,000 points.
+# Points per cell of the grid, on average over the image. Fastest from 1,000 to 100,000 points.
 POINTS_PER_CELL = 1.0
-# Queries compared with a point at once: the compiler turns them into vector instructions, and they stay in the nearest cache.
+# Queries compared with a point at once: the compiler makes SIMD code of them, and they stay in the first-level cache.
 BLOCK = 256
-
-
-def nearest_points(pixels: Tensor, points_px: Tensor, valid: Tensor) -> Tensor:
-    """As `nearest_points`; among points equally near the first of the cloud."""
-    images, height, width = pixels.shape
-    out = torch.empty(images, height, width, dtype=torch.int64)
-    edge = cell_edge(height, width, points_px.shape[1])
-    steps = 8 * images * (height * width + points_px.shape[1])
-    share(images, steps, _nearest_points, pixels, points_px, valid, edge, out)
-    return out
 
 
 def cell_edge(height: int, width: int, count: int) -> float:
@@ -32,7 +22,7 @@ def cell_edge(height: int, width: int, count: int) -> float:
 
 
 def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
-    """As `nearest_both_ways`, by comparing all pairs."""
+    """As `tso_cli.kernels.nearest.nearest_both_ways`, by all pairs."""
     to_b, to_a = torch.empty(a.shape[:2], dtype=torch.int64), torch.empty(b.shape[:2], dtype=torch.int64)
     steps = len(a) * a.shape[1] * b.shape[1] // 8
     share(len(a), steps, _compare_all, a, b, to_b)
@@ -42,7 +32,7 @@ def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
 
 @part
 def _cell(x, y, edge, rows, columns):  # type: ignore[no-untyped-def]
-    """Row and column of the cell of the grid that holds (x, y), or of the cell at the border nearest to it."""
+    """Row and column of the cell that holds (x, y), clamped to the grid."""
     row = min(max((y + 0.5) / edge, 0.0), rows - 1.0)
     column = min(max((x + 0.5) / edge, 0.0), columns - 1.0)
     return int(row), int(column)
@@ -52,12 +42,12 @@ def _cell(x, y, edge, rows, columns):  # type: ignore[no-untyped-def]
 def sort_into_cells(points, valid, height, width, edge):  # type: ignore[no-untyped-def]
     """Sort the points [N, 2] of an image into a grid of cells.
 
-    Returns ``away`` [rows, columns], how many cells away the next one with a point is, also across corners; ``begin``, by which
-    the points of cell c are those from begin[c] to begin[c + 1]; and their coordinates and numbers in that order.
+    Returns ``empty_rings`` [rows, columns], rings of empty cells around each; ``begin``, the points of cell c being those from
+    begin[c] to begin[c + 1]; and their coordinates and numbers in that order.
     """
     count = len(points)
     rows, columns = int(math.ceil(height / edge)), int(math.ceil(width / edge))
-    # While points are put into their cells, the start of cell c stands one place further on.
+    # While points are sorted in, the start of cell c stands at c + 1.
     begin = np.zeros(rows * columns + 2, np.int64)
     xs, ys, order = np.empty(count, np.float64), np.empty(count, np.float64), np.empty(count, np.int64)
     cells = np.empty(count, np.int64)
@@ -68,10 +58,10 @@ def sort_into_cells(points, valid, height, width, edge):  # type: ignore[no-unty
             row, column = _cell(x, y, edge, rows, columns)
             cells[n] = row * columns + column
             begin[cells[n] + 2] += 1
-    away = np.empty((rows, columns), np.int32)
+    empty_rings = np.empty((rows, columns), np.int32)
     for i in range(rows):
         for j in range(columns):
-            away[i, j] = 0 if begin[i * columns + j + 2] else rows + columns
+            empty_rings[i, j] = 0 if begin[i * columns + j + 2] else rows + columns
     for cell in range(rows * columns):
         begin[cell + 2] += begin[cell + 1]
     for n in range(count):
@@ -83,44 +73,33 @@ def sort_into_cells(points, valid, height, width, edge):  # type: ignore[no-unty
         for j in range(columns):
             if i:
                 for k in range(max(j - 1, 0), min(j + 2, columns)):
-                    away[i, j] = min(away[i, j], away[i - 1, k] + 1)
+                    empty_rings[i, j] = min(empty_rings[i, j], empty_rings[i - 1, k] + 1)
             if j:
-                away[i, j] = min(away[i, j], away[i, j - 1] + 1)
+                empty_rings[i, j] = min(empty_rings[i, j], empty_rings[i, j - 1] + 1)
     for i in range(rows - 1, -1, -1):
         for j in range(columns - 1, -1, -1):
             if i < rows - 1:
                 for k in range(max(j - 1, 0), min(j + 2, columns)):
-                    away[i, j] = min(away[i, j], away[i + 1, k] + 1)
+                    empty_rings[i, j] = min(empty_rings[i, j], empty_rings[i + 1, k] + 1)
             if j < columns - 1:
-                away[i, j] = min(away[i, j], away[i, j + 1] + 1)
-    return away, begin, xs, ys, order
-
-
-@compiled
-def _nearest_points(first, last, pixels, points, valid, edge, out):  # type: ignore[no-untyped-def]
-    """Fill ``out`` [M, H, W] for the images ``first`` to ``last``."""
-    height, width = pixels.shape[1:]
-    for image in range(first, last):
-        cells = sort_into_cells(points[image], valid[image], height, width, edge)
-        for i in range(height):
-            for j in range(width):
-                out[image, i, j] = nearest_in_cells(float(j), float(i), edge, cells) if pixels[image, i, j] else -1
+                empty_rings[i, j] = min(empty_rings[i, j], empty_rings[i, j + 1] + 1)
+    return empty_rings, begin, xs, ys, order
 
 
 @part
 def nearest_in_cells(x, y, edge, cells):  # type: ignore[no-untyped-def]
-    """The first of the points nearest to (x, y), which lies inside the image, by cells ring by ring; -1 without points."""
-    away, begin, xs, ys, order = cells
-    rows, columns = away.shape
+    """The first of the points nearest to the pixel (x, y), searching cells ring by ring; -1 without points."""
+    empty_rings, begin, xs, ys, order = cells
+    rows, columns = empty_rings.shape
     row, column = _cell(x, y, edge, rows, columns)
     best, chosen = np.inf, -1
-    ring = away[row, column]
+    ring = empty_rings[row, column]
     if ring >= rows + columns:
         return -1
     while True:
         left, right = max(column - ring, 0), min(column + ring, columns - 1)
         for i in range(max(row - ring, 0), min(row + ring, rows - 1) + 1):
-            # The cells of a row lie one after another: whole rows of the ring's top and bottom, else its two sides.
+            # Cells of a row are contiguous: all of the ring's top and bottom rows, else its two sides.
             whole = i == row - ring or i == row + ring
             for side in range(1 if whole else 2):
                 if not whole and not (0 <= (column - ring if side == 0 else column + ring) < columns):
@@ -131,7 +110,7 @@ def nearest_in_cells(x, y, edge, cells):  # type: ignore[no-untyped-def]
                     squared = (xs[n] - x) * (xs[n] - x) + (ys[n] - y) * (ys[n] - y)
                     if squared < best or (squared == best and order[n] < chosen):
                         best, chosen = squared, order[n]
-        # How far it is to the nearest cell that was not searched. A point beyond the image is even further than its cell.
+        # Distance to the nearest cell not yet searched. A point beyond the image is even further than its cell.
         beyond = np.inf
         if column - ring > 0:
             beyond = min(beyond, x + 0.5 - (column - ring) * edge)
@@ -164,7 +143,7 @@ def nearest_in_column(marked, near):  # type: ignore[no-untyped-def]
 
 @compiled
 def _compare_all(first, last, queries, data, out):  # type: ignore[no-untyped-def]
-    """Fill ``out`` [B, Q] for the clouds ``first`` to ``last``: index into data [B, N, 3] of the nearest to each query."""
+    """Fill ``out`` [B, Q] with the index into ``data`` [B, N, 3] of the point nearest to each query."""
     xs, ys, zs = (np.empty(BLOCK, data.dtype), np.empty(BLOCK, data.dtype), np.empty(BLOCK, data.dtype))
     least, chosen = np.empty(BLOCK, data.dtype), np.empty(BLOCK, np.int32)
     for cloud in range(first, last):
@@ -174,11 +153,11 @@ def _compare_all(first, last, queries, data, out):  # type: ignore[no-untyped-de
                 xs[k], ys[k], zs[k] = queries[cloud, start + k]
                 least[k], chosen[k] = np.inf, 0
             for n in range(data.shape[1]):
-                x, y, z, own = data[cloud, n, 0], data[cloud, n, 1], data[cloud, n, 2], np.int32(n)
+                x, y, z, number = data[cloud, n, 0], data[cloud, n, 1], data[cloud, n, 2], np.int32(n)
                 for k in range(size):
                     squared = (xs[k] - x) ** 2 + (ys[k] - y) ** 2 + (zs[k] - z) ** 2
                     nearer = squared < least[k]
                     least[k] = squared if nearer else least[k]
-                    chosen[k] = own if nearer else chosen[k]
+                    chosen[k] = number if nearer else chosen[k]
             for k in range(size):
                 out[cloud, start + k] = chosen[k]

@@ -1,4 +1,4 @@
-"""Exact nearest neighbours as a Triton kernel on a GPU, for batches: every query is compared with every point of its row.
+"""Exact nearest neighbours of batches by all pairs, as a Triton kernel on a GPU. Experimental.
 
 Importing this imports triton: see `tso_cli.kernels.splat_triton`.
 """
@@ -15,8 +15,8 @@ QUERIES = 32
 DATA = 64
 
 
-def nearest_in_rows(queries: Tensor, data: Tensor, there: Tensor | None = None, asking: Tensor | None = None) -> Tensor:
-    """As `nearest_in_rows`, for float32 on a GPU; among points equally near the first."""
+def nearest_in_rows(queries: Tensor, data: Tensor, valid: Tensor | None = None, active: Tensor | None = None) -> Tensor:
+    """As `tso_cli.kernels.nearest.nearest_in_rows`, for float32 on a GPU; among points equally near the first."""
     rows, count, dimensions = queries.shape
     index = torch.empty(rows, count, dtype=torch.int64, device=queries.device)
     if not index.numel():
@@ -25,9 +25,9 @@ def nearest_in_rows(queries: Tensor, data: Tensor, there: Tensor | None = None, 
     # Triton launches on the current GPU, which need not be the one that holds the points.
     with torch.cuda.device_of(queries):
         _nearest[rows * blocks,](
-            queries.contiguous(), data.contiguous(), _flags(there, index), _flags(asking, index), index,
+            queries.contiguous(), data.contiguous(), _flags(valid, index), _flags(active, index), index,
             count, data.shape[1], blocks,
-            DIMENSIONS=dimensions, SOME_THERE=there is not None, SOME_ASK=asking is not None, QUERIES=QUERIES, DATA=DATA,
+            DIMENSIONS=dimensions, SOME_VALID=valid is not None, SOME_ACTIVE=active is not None, QUERIES=QUERIES, DATA=DATA,
         )  # fmt: skip
     return index
 
@@ -38,42 +38,42 @@ def _flags(flags: Tensor | None, unused: Tensor) -> Tensor:
 
 @triton.jit
 def _nearest(  # type: ignore[no-untyped-def]
-    queries, data, there, asking, index, query_count, data_count, blocks,
-    DIMENSIONS: tl.constexpr, SOME_THERE: tl.constexpr, SOME_ASK: tl.constexpr, QUERIES: tl.constexpr, DATA: tl.constexpr,
+    queries, data, valid, active, index, query_count, data_count, blocks,
+    DIMENSIONS: tl.constexpr, SOME_VALID: tl.constexpr, SOME_ACTIVE: tl.constexpr, QUERIES: tl.constexpr, DATA: tl.constexpr,
 ):  # fmt: skip
     row = tl.program_id(0).to(tl.int64) // blocks
     place = tl.program_id(0) % blocks * QUERIES + tl.arange(0, QUERIES)
     exists = place < query_count
-    asks = exists
-    if SOME_ASK:
-        asks = exists & (tl.load(asking + row * query_count + place, mask=exists, other=0) != 0)
+    searches = exists
+    if SOME_ACTIVE:
+        searches = exists & (tl.load(active + row * query_count + place, mask=exists, other=0) != 0)
     query = queries + (row * query_count + place) * DIMENSIONS
-    x = tl.load(query, mask=asks, other=0.0)[:, None]
-    y = tl.load(query + 1, mask=asks, other=0.0)[:, None]
+    x = tl.load(query, mask=searches, other=0.0)[:, None]
+    y = tl.load(query + 1, mask=searches, other=0.0)[:, None]
     if DIMENSIONS == 3:
-        z = tl.load(query + 2, mask=asks, other=0.0)[:, None]
-    # Each lane keeps the nearest of the points that it has seen, and at which start; lanes are compared once, at the end.
+        z = tl.load(query + 2, mask=searches, other=0.0)[:, None]
+    # Each lane keeps its nearest point so far, and the start of its tile; lanes are compared once, at the end.
     lane = tl.arange(0, DATA)
     nearest = tl.full([QUERIES, DATA], float("inf"), tl.float32)
     when = tl.full([QUERIES, DATA], 0, tl.int32)
-    # Where no query of this program asks, there is nothing to go through.
-    for start in range(0, data_count * tl.max(asks.to(tl.int32), 0), DATA):
+    # Nothing to do where no query of this program searches.
+    for start in range(0, data_count * tl.max(searches.to(tl.int32), 0), DATA):
         number = start + lane
-        here = number < data_count
-        if SOME_THERE:
-            here = here & (tl.load(there + row * data_count + number, mask=here, other=0) != 0)
+        loaded = number < data_count
+        if SOME_VALID:
+            loaded = loaded & (tl.load(valid + row * data_count + number, mask=loaded, other=0) != 0)
         point = data + (row * data_count + number) * DIMENSIONS
-        # What is not there is infinitely far; what is no number passes no comparison.
-        by_x = x - tl.load(point, mask=here, other=float("inf"))[None, :]
-        by_y = y - tl.load(point + 1, mask=here, other=float("inf"))[None, :]
+        # Points that are not loaded are infinitely far; NaN passes no comparison.
+        by_x = x - tl.load(point, mask=loaded, other=float("inf"))[None, :]
+        by_y = y - tl.load(point + 1, mask=loaded, other=float("inf"))[None, :]
         squared = by_x * by_x + by_y * by_y
         if DIMENSIONS == 3:
-            by_z = z - tl.load(point + 2, mask=here, other=float("inf"))[None, :]
+            by_z = z - tl.load(point + 2, mask=loaded, other=float("inf"))[None, :]
             squared += by_z * by_z
         closer = squared < nearest
         nearest = tl.where(closer, squared, nearest)
         when = tl.where(closer, start, when)
     closest = tl.min(nearest, 1)
     first = tl.min(tl.where(nearest == closest[:, None], when + lane[None, :], 2147483647), 1)
-    found = asks & (closest < float("inf"))
+    found = searches & (closest < float("inf"))
     tl.store(index + row * query_count + place, tl.where(found, first, -1).to(tl.int64), mask=exists)

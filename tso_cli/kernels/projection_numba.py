@@ -16,10 +16,9 @@ PER_POINT = 32
 
 
 def project(points: Tensor, K: Tensor, R: Tensor, t: Tensor, near: float) -> tuple[Tensor, Tensor]:
-    """Columns and rows [B, V, N, 2] of ``points`` [B, N, 3] in V views, and which of them [B, V, N] lie in front of the camera.
+    """As `tso_cli.silhouette.projection.project`, with ``K``, ``R`` [B, V, 3, 3] and ``t`` [B, V, 3].
 
-    ``K``, ``R`` [B, V, 3, 3] and ``t`` [B, V, 3] are the cameras. Points whose depth is at most ``near`` fall on the principal
-    point and get no gradient; minus infinity stands for orthographic cameras, whose points are not divided by their depth.
+    Points whose depth is at most ``near`` fall on the principal point; minus infinity stands for orthographic cameras.
     """
     points_px, valid = _Project.apply(points, K, R, t, near)
     return points_px, valid
@@ -48,7 +47,7 @@ class _Project(torch.autograd.Function):
 
 
 @part
-def _seen(point, R, t):  # type: ignore[no-untyped-def]
+def _in_camera(point, R, t):  # type: ignore[no-untyped-def]
     """The point in the frame of a camera."""
     x = R[0, 0] * point[0] + R[0, 1] * point[1] + R[0, 2] * point[2] + t[0]
     y = R[1, 0] * point[0] + R[1, 1] * point[1] + R[1, 2] * point[2] + t[1]
@@ -65,7 +64,7 @@ def _project(first, last, points, K, R, t, near, points_px, valid):  # type: ign
         for view in range(views):
             k = K[cloud, view]
             for n in range(max(first - cloud * count, 0), min(last - cloud * count, count)):
-                x, y, z = _seen(points[cloud, n], R[cloud, view], t[cloud, view])
+                x, y, z = _in_camera(points[cloud, n], R[cloud, view], t[cloud, view])
                 ahead = z > near or near == -np.inf
                 inverse = one if near == -np.inf else (one / z if ahead else zero)
                 x, y = x * inverse, y * inverse
@@ -84,7 +83,7 @@ def _gradient(first, last, points, K, R, t, near, grad_px, slope):  # type: igno
             slope[cloud, n, 0] = slope[cloud, n, 1] = slope[cloud, n, 2] = zero
             for view in range(views):
                 k, r = K[cloud, view], R[cloud, view]
-                x, y, z = _seen(points[cloud, n], r, t[cloud, view])
+                x, y, z = _in_camera(points[cloud, n], r, t[cloud, view])
                 u, v = grad_px[cloud, view, n, 0], grad_px[cloud, view, n, 1]
                 by_x, by_y, by_z = k[0, 0] * u + k[1, 0] * v, k[0, 1] * u + k[1, 1] * v, zero
                 if near != -np.inf:

@@ -1,6 +1,6 @@
-"""Vector instructions for the compiled loops: what the compiler does not make of plain loops by itself.
+"""SIMD code for the compiled loops that numba does not vectorise by itself.
 
-Sixteen numbers are worked on at once. The compiler splits them into whatever registers the machine has.
+Sixteen numbers are worked on at once; the compiler splits them into the registers of the machine.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numba.np.arrayobj import make_array
 
 f32 = types.float32
 LANES = 16
-# what compiled code calls is not what Python calls
+# numba's decorators are not typed
 intrinsic: Any = extending.intrinsic
 overload: Any = extending.overload
 # exp() of float32 is right down to here, and 0 is not far.
@@ -24,14 +24,13 @@ LOWEST = -80.0
 
 @intrinsic
 def add_rows(context, out, at, stride, rows, down, start, across, begin):  # type: ignore[no-untyped-def]
-    """Add to ``rows`` rows r of 16 numbers each, ``out[at + r stride]`` and on, the product of two vectors of weights.
+    """Add the outer product of ``down[start :]`` and ``across[begin :]`` to rows of 16 numbers, ``out[at + r stride :]``.
 
-    ``down[start + r]`` is the weight of the row, ``across[begin]`` and on those of its numbers. Nothing checks that it lies
-    inside the arrays.
+    Bounds are not checked.
     """
 
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        lanes = _Lanes(context, builder, out.dtype)
+        lanes = _Vectors(context, builder, out.dtype)
 
         def at_place(argument: int, index: Any, one: bool = False) -> Any:
             return lanes.place(signature.args[argument], arguments[argument], index, one)
@@ -50,14 +49,14 @@ def add_rows(context, out, at, stride, rows, down, start, across, begin):  # typ
 
 @intrinsic
 def project_rows(context, source, at, stride, rows, down, left, start, across, right, begin):  # type: ignore[no-untyped-def]
-    """Two weighted sums over ``rows`` rows r of 16 numbers each, ``source[at + r stride]`` and on.
+    """Two weighted sums over ``rows`` rows of 16 numbers, ``source[at + r stride :]``.
 
-    The first weighs the rows by ``down[start]`` and on, their numbers by ``right[begin]`` and on; the second by ``left`` and
-    ``across``. Nothing checks that it lies inside the arrays.
+    The first weighs rows by ``down[start :]`` and numbers by ``right[begin :]``, the second by ``left`` and ``across``. Bounds
+    are not checked.
     """
 
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        lanes = _Lanes(context, builder, source.dtype)
+        lanes = _Vectors(context, builder, source.dtype)
 
         def at_place(argument: int, index: Any, one: bool = False) -> Any:
             return lanes.place(signature.args[argument], arguments[argument], index, one)
@@ -84,14 +83,14 @@ def project_rows(context, source, at, stride, rows, down, left, start, across, r
 
 @intrinsic
 def keep_nearest(context, queries, at, data, place, best, chosen):  # type: ignore[no-untyped-def]
-    """Hold the points ``data`` [3, D], ``place`` and the seven after it, against eight ``queries`` [3, Q] from ``at`` on.
+    """Compare eight points ``data`` [3, D] from ``place`` on with eight ``queries`` [3, Q] from ``at`` on.
 
-    Where one is nearer than ``best`` [8], squared, that becomes its distance and ``chosen`` [8] its place. Nothing checks that
-    it lies inside the arrays.
+    Where a point is nearer than ``best`` [8], squared, that becomes its distance and ``chosen`` [8] its place. Bounds are not
+    checked.
     """
 
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        own = _Lanes(context, builder, queries.dtype, 8)
+        lanes = _Vectors(context, builder, queries.dtype, 8)
         arrays = dict(zip("qdbc", (0, 2, 4, 5), strict=True))
 
         def pointer(name: str, index: Any, axis: int = 0, one: bool = False) -> Any:
@@ -103,18 +102,18 @@ def keep_nearest(context, queries, at, data, place, best, chosen):  # type: igno
             return data if one else builder.bitcast(data, ir.VectorType(data.type.pointee, 8).as_pointer())
 
         zero = ir.Constant(ir.IntType(64), 0)
-        squares = [own.load(pointer("q", arguments[1], axis)) for axis in range(3)]
-        least, number = own.load(pointer("b", zero)), builder.load(pointer("c", zero), align=8)
+        coordinates = [lanes.load(pointer("q", arguments[1], axis)) for axis in range(3)]
+        least, number = lanes.load(pointer("b", zero)), builder.load(pointer("c", zero), align=8)
         for k in range(8):
             index = builder.add(arguments[3], ir.Constant(ir.IntType(64), k))
-            total = own.zeros
+            total = lanes.zeros
             for axis in range(3):
-                there = own.spread(builder.load(pointer("d", index, axis, one=True)))
-                away = builder.fsub(squares[axis], there)
-                total = own.multiply_add(away, away, total) if axis else builder.fmul(away, away)
+                coordinate = lanes.spread(builder.load(pointer("d", index, axis, one=True)))
+                difference = builder.fsub(coordinates[axis], coordinate)
+                total = lanes.multiply_add(difference, difference, total) if axis else builder.fmul(difference, difference)
             nearer = builder.fcmp_ordered("<", total, least)
             least = builder.select(nearer, total, least)
-            number = builder.select(nearer, own.spread(index, number.type), number)
+            number = builder.select(nearer, lanes.spread(index, number.type), number)
         builder.store(least, pointer("b", zero), align=8)
         builder.store(number, pointer("c", zero), align=8)
         return context.get_dummy_value()
@@ -123,8 +122,8 @@ def keep_nearest(context, queries, at, data, place, best, chosen):  # type: igno
     return types.void(queries, number, data, number, best, chosen), build
 
 
-class _Lanes:
-    """Vectors of 16 numbers of one type, and what is done with them."""
+class _Vectors:
+    """LLVM code for vectors of numbers of one type."""
 
     def __init__(self, context: Any, builder: Any, number: Any, lanes: int = LANES) -> None:
         self._builder = builder
@@ -178,8 +177,7 @@ def _as_bits(context, number):  # type: ignore[no-untyped-def]
 def exp(x: float) -> float:
     """e^x for -80 <= x <= 0, in compiled code.
 
-    In float32 it is a polynomial with a relative error of 3e-7 near 0 to 4e-6 at -80, which a loop computes for many x at once;
-    math.exp cannot be. In float64 it is math.exp.
+    In float32 a polynomial with a relative error of 3e-7 near 0 to 4e-6 at -80, which unlike math.exp loops can vectorise.
     """
     return math.exp(x)
 

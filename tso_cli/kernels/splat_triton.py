@@ -1,6 +1,6 @@
 """The windowed sums of Gaussians as Triton kernels on a GPU: each tap is touched once forward and once backward.
 
-Importing this imports triton, which builds of torch for GPUs bring with them: it is done where a kernel runs, and nowhere else.
+Experimental. Importing this imports triton, which builds of torch for GPUs bring with them: import it only where a kernel runs.
 """
 
 from __future__ import annotations
@@ -10,17 +10,14 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-# Columns of a window that are worked on at once; a wider one is gone through in strips.
+# Columns of a window worked on at once; wider windows are cut into strips.
 WIDEST = 128
 # Taps held by one program: a row of the windows of some points.
 TILE = 512
 
 
 def sums(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float, radius: int) -> Tensor:
-    """As `splat`, for float32 on a GPU.
-
-    Windows are added up by atomic additions, whose order differs between runs: so do the last bits.
-    """
+    """As `tso_cli.kernels.splat.splat`, for float32 on a GPU; the order of atomic additions, and so the last bits, vary."""
     images, count = valid.shape
     out = torch.zeros(images, height, width, dtype=points_px.dtype, device=points_px.device)
     _launch(_add, points_px, valid, out, sigma_sq, radius)
@@ -50,8 +47,7 @@ def _launch(kernel, points_px: Tensor, valid: Tensor, image: Tensor, sigma_sq: f
 
 @triton.jit
 def _axis(coordinate, reached):  # type: ignore[no-untyped-def]
-    """Nearest whole number to each coordinate and how far it lies beyond it; 0 where the image is not reached."""
-    # Only what lies near the image is turned into integers: others could overflow.
+    """Nearest integer to each coordinate and the rest; 0 where the image is not reached, whose integers could overflow."""
     kept = tl.where(reached, coordinate, 0.0)
     nearest = tl.floor(kept + 0.5)
     return nearest.to(tl.int32), kept - nearest
@@ -59,13 +55,13 @@ def _axis(coordinate, reached):  # type: ignore[no-untyped-def]
 
 @triton.jit
 def _placed(points, valid, total, per_image, height, width, radius, POINTS: tl.constexpr):  # type: ignore[no-untyped-def]
-    """The points of this program: their number, image, whether their window touches it, and their place in it."""
+    """The points of this program: number, whether the window touches the image, start of the image, pixel, offset from it."""
     number = tl.program_id(0).to(tl.int64) * POINTS + tl.arange(0, POINTS)
     there = number < total
     there = there & (tl.load(valid + number, mask=there, other=0) != 0)
     x = tl.load(points + 2 * number, mask=there, other=0.0)
     y = tl.load(points + 2 * number + 1, mask=there, other=0.0)
-    # Nothing that is no number passes a comparison.
+    # NaN passes no comparison.
     reached = there & (x >= -radius - 0.5) & (x < width + radius - 0.5) & (y >= -radius - 0.5) & (y < height + radius - 0.5)
     column, offset_x = _axis(x, reached)
     row, offset_y = _axis(y, reached)

@@ -1,9 +1,9 @@
-"""Chamfer distance between clouds that stay and their own moved copies, exact, as compiled loops on the CPU.
+"""Chamfer distance between initial clouds and their own moved copies, exact, as compiled loops on the CPU.
 
-Start and copy of a cloud are kept in one order, that of a balanced k-d tree of the start, in leaves of eight points; over
-both lies the same tree of boxes. While points move only the boxes are made anew, in one pass. The points of a leaf search
-together, outward from the same leaf of the other cloud, beginning with the neighbours of the step before; those for which
-the triangle inequality proves the neighbour do not search at all.
+Initial and moved points share one order, that of a balanced k-d tree of the initial cloud with leaves of eight points; the same
+tree of boxes lies over both. In each step only the boxes are refitted, in one pass. The points of a leaf search together,
+outward from the same leaf of the other cloud, starting from the neighbours of the previous step; points whose neighbour the
+triangle inequality proves do not search.
 """
 
 from __future__ import annotations
@@ -12,70 +12,59 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .jit import compiled, part, share
-from .losses_numba import WithSlope
+from .jit import PrecomputedGradient, compiled, part, share
 from .simd import keep_nearest
 
 # Points that search together. Fastest from 1,000 to 100,000 points.
 LEAF = 8
 # Basic steps for a leaf to find its neighbours, both ways.
 PER_LEAF = 4096
-# A hair less than the true spacing, so that rounding cannot prove what is not so.
+# Just under the true spacing, so that rounding cannot prove what is false.
 SAFE = 1.0 - 1e-9
-# Nodes put aside at once: at most one a level.
+# Nodes on the stack: at most one a level.
 DEPTH = 64
 
 
 class StaticTrees:
-    """B clouds that stay, ready to be compared with their moved copies.
+    """B initial clouds, ready to be compared with their moved copies.
 
     Parameters
     ----------
     start : [B, N, 3] float32 or float64.
-    counts : [B], how many points of each row are there; None for all. What lies behind them is not looked at.
+    counts : [B] points of each row that exist.
     """
 
-    def __init__(self, start: Tensor, counts: Tensor | None = None) -> None:
+    def __init__(self, start: Tensor, counts: Tensor) -> None:
         clouds, size, _ = start.shape
-        self.counts = np.full(clouds, size) if counts is None else counts.numpy().astype(np.int64)
+        self._counts = counts.numpy().astype(np.int64)
         leaves = 1
         while leaves * LEAF < size:
             leaves *= 2
         self._leaves, slots = leaves, leaves * LEAF
         self._order = np.tile(np.arange(slots, dtype=np.int32), (clouds, 1))
-        share(clouds, 64 * clouds * size, _sort, start, self.counts, self._order)
-        # In the tree's order, [B, 3, slots]; what is no point lies infinitely far away.
+        share(clouds, 64 * clouds * size, _sort, start, self._counts, self._order)
+        # In the tree's order, [B, 3, slots]; empty slots lie infinitely far away.
         self._start, self._moved = (np.full((clouds, 3, slots), np.inf) for _ in range(2))
-        self._still, self._moving = (np.empty((clouds, 2 * leaves, 6)) for _ in range(2))
-        share(clouds, 16 * clouds * size, _fit, start, self.counts, self._order, self._start, self._still)
+        self._start_boxes, self._moved_boxes = (np.empty((clouds, 2 * leaves, 6)) for _ in range(2))
+        share(clouds, 16 * clouds * size, _fit, start, self._counts, self._order, self._start, self._start_boxes)
         self._spacing = np.full((clouds, slots), np.inf)
-        share(clouds * leaves, PER_LEAF * clouds * leaves, _space, self.counts, self._start, self._still, self._spacing)
-        self._own, self._furthest = np.zeros((clouds, slots)), np.zeros(clouds)
+        share(clouds * leaves, PER_LEAF * clouds * leaves, _space, self._counts, self._start, self._start_boxes, self._spacing)
+        self._shift, self._largest_shift = np.zeros((clouds, slots)), np.zeros(clouds)
         self._to_start, self._to_moved = (np.tile(np.arange(slots, dtype=np.int32), (clouds, 1)) for _ in range(2))
-
-    def nearest(self, moved: Tensor) -> tuple[Tensor, Tensor]:
-        """Index of the nearest moved point for each start [B, N], and of the nearest start for each moved point [B, N]."""
-        self._search(moved)
-        to_moved, to_start = (torch.full(moved.shape[:2], -1, dtype=torch.int64) for _ in range(2))
-        for found, out in ((self._to_moved, to_moved), (self._to_start, to_start)):
-            share(len(found), 4 * found.size, _unsort, self.counts, self._order, found, out)
-        return to_moved, to_start
 
     def chamfer(self, moved: Tensor) -> Tensor:
         """Both directions summed [B], squared distances, mean over points; differentiable in ``moved`` [B, N, 3]."""
-        self._search(moved)
-        total, slope = moved.new_empty(len(moved)), torch.zeros_like(moved, memory_format=torch.contiguous_format)
-        share(len(moved), 16 * moved.numel(), _chamfer, self.counts, self._order, self._start, self._moved, self._to_start,
-              self._to_moved, total, slope)  # fmt: skip
-        value: Tensor = WithSlope.apply(moved, total, slope)
-        return value
-
-    def _search(self, moved: Tensor) -> None:
         clouds, size, _ = moved.shape
-        share(clouds, 16 * clouds * size, _fit, moved, self.counts, self._order, self._moved, self._moving)
-        share(clouds, 8 * clouds * size, _measure, self.counts, self._start, self._moved, self._own, self._furthest)
-        share(clouds * self._leaves, PER_LEAF * clouds * self._leaves, _search, self.counts, self._start, self._moved,
-              self._still, self._moving, self._spacing, self._own, self._furthest, self._to_start, self._to_moved)  # fmt: skip
+        share(clouds, 16 * clouds * size, _fit, moved, self._counts, self._order, self._moved, self._moved_boxes)
+        share(clouds, 8 * clouds * size, _measure, self._counts, self._start, self._moved, self._shift, self._largest_shift)
+        share(clouds * self._leaves, PER_LEAF * clouds * self._leaves, _search, self._counts, self._start, self._moved,
+              self._start_boxes, self._moved_boxes, self._spacing, self._shift, self._largest_shift, self._to_start,
+              self._to_moved)  # fmt: skip
+        total, gradient = moved.new_empty(clouds), torch.zeros_like(moved, memory_format=torch.contiguous_format)
+        share(clouds, 16 * moved.numel(), _chamfer, self._counts, self._order, self._start, self._moved, self._to_start,
+              self._to_moved, total, gradient)  # fmt: skip
+        value: Tensor = PrecomputedGradient.apply(moved, total, gradient)
+        return value
 
 
 @compiled
@@ -83,8 +72,8 @@ def _sort(first, last, points, counts, order):  # type: ignore[no-untyped-def]
     """Put the points of each cloud into the order of its tree: slots are halved along the longest side of what they hold."""
     stack = np.empty((DEPTH, 2), np.int64)
     for cloud in range(first, last):
-        own, coordinates = order[cloud], points[cloud]
-        stack[0, 0], stack[0, 1] = 0, len(own)
+        numbers, coordinates = order[cloud], points[cloud]
+        stack[0, 0], stack[0, 1] = 0, len(numbers)
         size = 1
         while size:
             size -= 1
@@ -95,10 +84,10 @@ def _sort(first, last, points, counts, order):  # type: ignore[no-untyped-def]
                 for k in range(3):
                     low, high = np.inf, -np.inf
                     for place in range(start, end):
-                        low, high = min(low, coordinates[own[place], k]), max(high, coordinates[own[place], k])
+                        low, high = min(low, coordinates[numbers[place], k]), max(high, coordinates[numbers[place], k])
                     if high - low > longest:
                         axis, longest = k, high - low
-                _select(own, coordinates, axis, start, end - 1, middle)
+                _select(numbers, coordinates, axis, start, end - 1, middle)
             if middle - start > LEAF:
                 stack[size, 0], stack[size, 1] = start, middle
                 size += 1
@@ -108,18 +97,18 @@ def _sort(first, last, points, counts, order):  # type: ignore[no-untyped-def]
 
 
 @part
-def _select(own, coordinates, axis, low, high, middle):  # type: ignore[no-untyped-def]
-    """Reorder ``own`` from low to high: nothing above what comes to stand at ``middle`` stays before it."""
+def _select(numbers, coordinates, axis, low, high, middle):  # type: ignore[no-untyped-def]
+    """Quickselect from low to high: nothing before ``middle`` is larger than what comes to stand there."""
     while low < high:
-        pivot = coordinates[own[(low + high) // 2], axis]
+        pivot = coordinates[numbers[(low + high) // 2], axis]
         i, j = low, high
         while i <= j:
-            while coordinates[own[i], axis] < pivot:
+            while coordinates[numbers[i], axis] < pivot:
                 i += 1
-            while coordinates[own[j], axis] > pivot:
+            while coordinates[numbers[j], axis] > pivot:
                 j -= 1
             if i <= j:
-                own[i], own[j] = own[j], own[i]
+                numbers[i], numbers[j] = numbers[j], numbers[i]
                 i += 1
                 j -= 1
         if middle <= j:
@@ -132,9 +121,9 @@ def _select(own, coordinates, axis, low, high, middle):  # type: ignore[no-untyp
 
 @compiled
 def _fit(first, last, points, counts, order, ordered, boxes):  # type: ignore[no-untyped-def]
-    """Put the coordinates into the tree's order, and make the boxes [2 L, 6] from the last level up.
+    """Put the coordinates into the tree's order, and fit the boxes [2 L, 6] from the leaves up.
 
-    Node k has the children 2 k and 2 k + 1, node 1 holds all; a node without points is a box that nothing comes near.
+    Node k has the children 2 k and 2 k + 1, node 1 is the root; the box of a node without points is infinitely far away.
     """
     leaves = boxes.shape[1] // 2
     for cloud in range(first, last):
@@ -154,30 +143,30 @@ def _fit(first, last, points, counts, order, ordered, boxes):  # type: ignore[no
 
 
 @part
-def _between(one, i, other, j):  # type: ignore[no-untyped-def]
+def _point_distance(a, i, b, j):  # type: ignore[no-untyped-def]
     """Squared distance between two points."""
-    dx, dy, dz = one[0, i] - other[0, j], one[1, i] - other[1, j], one[2, i] - other[2, j]
+    dx, dy, dz = a[0, i] - b[0, j], a[1, i] - b[1, j], a[2, i] - b[2, j]
     return dx * dx + dy * dy + dz * dz
 
 
 @part
-def _apart(one, other):  # type: ignore[no-untyped-def]
+def _box_distance(a, b):  # type: ignore[no-untyped-def]
     """Squared distance between two boxes."""
-    dx = max(one[0] - other[3], other[0] - one[3], 0.0)
-    dy = max(one[1] - other[4], other[1] - one[4], 0.0)
-    dz = max(one[2] - other[5], other[2] - one[5], 0.0)
+    dx = max(a[0] - b[3], b[0] - a[3], 0.0)
+    dy = max(a[1] - b[4], b[1] - a[4], 0.0)
+    dz = max(a[2] - b[5], b[2] - a[5], 0.0)
     return dx * dx + dy * dy + dz * dz
 
 
 @part
-def _compare(queries, at, data, place, best, chosen, alone):  # type: ignore[no-untyped-def]
-    """Hold a leaf of ``data`` against a leaf of queries; no query against its own number if they are to be ``alone``."""
-    if not alone or at != place:
+def _compare(queries, at, data, place, best, chosen, distinct):  # type: ignore[no-untyped-def]
+    """Compare a leaf of queries with one of ``data``; if ``distinct``, no query with the point of its own number."""
+    if not distinct or at != place:
         keep_nearest(queries, at, data, place, best, chosen)
         return
     for q in range(LEAF):
         for k in range(LEAF):
-            squared = _between(queries, at + q, data, place + k)
+            squared = _point_distance(queries, at + q, data, place + k)
             if squared < best[q] and q != k:
                 best[q], chosen[q] = squared, place + k
 
@@ -191,8 +180,8 @@ def _largest(values):  # type: ignore[no-untyped-def]
 
 
 @part
-def _outward(leaf, queries, box, data, boxes, best, chosen, alone, stack):  # type: ignore[no-untyped-def]
-    """Find what is nearer to the queries of a leaf than the squared distances ``best``, and put it into ``chosen``.
+def _outward(leaf, queries, box, data, boxes, best, chosen, distinct, stack):  # type: ignore[no-untyped-def]
+    """Put into ``chosen`` what is nearer to the queries of a leaf than the squared distances ``best``.
 
     The same leaf of the data comes first, then its sibling, then the sibling of both, and so on.
     """
@@ -200,7 +189,7 @@ def _outward(leaf, queries, box, data, boxes, best, chosen, alone, stack):  # ty
     bound = _largest(best)
     if bound <= 0.0:
         return
-    _compare(queries, leaf * LEAF, data, leaf * LEAF, best, chosen, alone)
+    _compare(queries, leaf * LEAF, data, leaf * LEAF, best, chosen, distinct)
     bound = _largest(best)
     above = leaves + leaf
     while above > 1 and bound > 0.0:
@@ -209,15 +198,15 @@ def _outward(leaf, queries, box, data, boxes, best, chosen, alone, stack):  # ty
         while size:
             size -= 1
             node = stack[size]
-            # What was put aside may lie too far by the time it is taken up.
-            if _apart(box, boxes[node]) >= bound:
+            # The bound may have shrunk since the node was put on the stack.
+            if _box_distance(box, boxes[node]) >= bound:
                 continue
             if node >= leaves:
-                _compare(queries, leaf * LEAF, data, (node - leaves) * LEAF, best, chosen, alone)
+                _compare(queries, leaf * LEAF, data, (node - leaves) * LEAF, best, chosen, distinct)
                 bound = _largest(best)
                 continue
             near = 2 * node
-            if _apart(box, boxes[near + 1]) < _apart(box, boxes[near]):
+            if _box_distance(box, boxes[near + 1]) < _box_distance(box, boxes[near]):
                 near += 1
             stack[size], stack[size + 1] = near ^ 1, near
             size += 2
@@ -226,7 +215,7 @@ def _outward(leaf, queries, box, data, boxes, best, chosen, alone, stack):  # ty
 
 @compiled
 def _space(first, last, counts, start, boxes, spacing):  # type: ignore[no-untyped-def]
-    """Distance from each point to the nearest other of its cloud; infinite where there is no other."""
+    """Distance from each point to the nearest of the rest of its cloud; infinite for a single point."""
     leaves = boxes.shape[1] // 2
     stack, best, chosen = np.empty(DEPTH, np.int64), np.empty(LEAF), np.empty(LEAF, np.int64)
     for task in range(first, last):
@@ -236,27 +225,29 @@ def _space(first, last, counts, start, boxes, spacing):  # type: ignore[no-untyp
             continue
         for q in range(LEAF):
             best[q] = np.inf if q < count else 0.0
-        own = start[cloud]
-        _outward(leaf, own, boxes[cloud, leaves + leaf], own, boxes[cloud], best, chosen, True, stack)
+        points = start[cloud]
+        _outward(leaf, points, boxes[cloud, leaves + leaf], points, boxes[cloud], best, chosen, True, stack)
         for q in range(count):
             spacing[cloud, leaf * LEAF + q] = np.sqrt(best[q]) * SAFE
 
 
 @compiled
-def _measure(first, last, counts, start, moved, own, furthest):  # type: ignore[no-untyped-def]
-    """How far each point moved, squared, and the furthest of each cloud."""
+def _measure(first, last, counts, start, moved, shift, largest):  # type: ignore[no-untyped-def]
+    """How far each point moved, squared, and the largest distance of each cloud."""
     for cloud in range(first, last):
         most = 0.0
         for n in range(counts[cloud]):
-            own[cloud, n] = _between(moved[cloud], n, start[cloud], n)
-            most = max(most, own[cloud, n])
-        furthest[cloud] = np.sqrt(most)
+            shift[cloud, n] = _point_distance(moved[cloud], n, start[cloud], n)
+            most = max(most, shift[cloud, n])
+        largest[cloud] = np.sqrt(most)
 
 
 @compiled
-def _search(first, last, counts, start, moved, still, moving, spacing, own, furthest, to_start, to_moved):  # type: ignore[no-untyped-def]
-    """Bring ``to_start`` and ``to_moved``, the neighbours of the step before, up to date."""
-    leaves = still.shape[1] // 2
+def _search(  # type: ignore[no-untyped-def]
+    first, last, counts, start, moved, start_boxes, moved_boxes, spacing, shift, largest, to_start, to_moved
+):
+    """Update ``to_start`` and ``to_moved``, the neighbours of the previous step."""
+    leaves = start_boxes.shape[1] // 2
     stack, best, chosen = np.empty(DEPTH, np.int64), np.empty(LEAF), np.empty(LEAF, np.int64)
     for task in range(first, last):
         cloud, leaf = task // leaves, task % leaves
@@ -267,43 +258,37 @@ def _search(first, last, counts, start, moved, still, moving, spacing, own, furt
         best[:] = 0.0
         for q in range(count):
             before = to_start[cloud, at + q]
-            squared, chosen[q] = _between(moved[cloud], at + q, start[cloud], before), before
+            squared, chosen[q] = _point_distance(moved[cloud], at + q, start[cloud], before), before
             # |m - s_k| >= |s_j - s_k| - |m - s_j|: no s_k is nearer than s_j within half the spacing of s_j.
             best[q] = squared if 4.0 * squared >= spacing[cloud, before] ** 2 else 0.0
-        _outward(leaf, moved[cloud], moving[cloud, leaves + leaf], start[cloud], still[cloud], best, chosen, False, stack)
+        box, boxes = moved_boxes[cloud, leaves + leaf], start_boxes[cloud]
+        _outward(leaf, moved[cloud], box, start[cloud], boxes, best, chosen, False, stack)
         for q in range(count):
             to_start[cloud, at + q] = chosen[q]
             best[q] = 0.0
-            # |s_i - m_k| >= |s_i - s_k| - |m_k - s_k|, and no point moved further than the furthest.
-            if np.sqrt(own[cloud, at + q]) + furthest[cloud] < spacing[cloud, at + q]:
+            # |s_i - m_k| >= |s_i - s_k| - |m_k - s_k|, and no point moved further than the largest shift.
+            if np.sqrt(shift[cloud, at + q]) + largest[cloud] < spacing[cloud, at + q]:
                 chosen[q] = at + q
             else:
                 chosen[q] = to_moved[cloud, at + q]
-                best[q] = _between(start[cloud], at + q, moved[cloud], chosen[q])
-        _outward(leaf, start[cloud], still[cloud, leaves + leaf], moved[cloud], moving[cloud], best, chosen, False, stack)
+                best[q] = _point_distance(start[cloud], at + q, moved[cloud], chosen[q])
+        box, boxes = start_boxes[cloud, leaves + leaf], moved_boxes[cloud]
+        _outward(leaf, start[cloud], box, moved[cloud], boxes, best, chosen, False, stack)
         for q in range(count):
             to_moved[cloud, at + q] = chosen[q]
 
 
 @compiled
-def _unsort(first, last, counts, order, found, out):  # type: ignore[no-untyped-def]
-    """From places in the tree's order to places in the cloud."""
-    for cloud in range(first, last):
-        for n in range(counts[cloud]):
-            out[cloud, order[cloud, n]] = order[cloud, found[cloud, n]]
-
-
-@compiled
-def _chamfer(first, last, counts, order, start, moved, to_start, to_moved, total, slope):  # type: ignore[no-untyped-def]
+def _chamfer(first, last, counts, order, start, moved, to_start, to_moved, total, gradient):  # type: ignore[no-untyped-def]
     """Both directions of the Chamfer distance of each cloud, and the derivative by its moved points."""
     for cloud in range(first, last):
-        share, value = 1.0 / counts[cloud], 0.0
+        mean, value = 1.0 / counts[cloud], 0.0
         for n in range(counts[cloud]):
             i, j = to_start[cloud, n], to_moved[cloud, n]
             here, there = order[cloud, n], order[cloud, j]
             for k in range(3):
                 ahead, back = moved[cloud, k, n] - start[cloud, k, i], moved[cloud, k, j] - start[cloud, k, n]
                 value += ahead * ahead + back * back
-                slope[cloud, here, k] += 2.0 * share * ahead
-                slope[cloud, there, k] += 2.0 * share * back
-        total[cloud] = share * value
+                gradient[cloud, here, k] += 2.0 * mean * ahead
+                gradient[cloud, there, k] += 2.0 * mean * back
+        total[cloud] = mean * value

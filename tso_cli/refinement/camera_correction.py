@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..geometry.view import View
 from ..geometry.window import window_around, window_of
-from ..silhouette.losses import ChamferToInitial
+from ..silhouette.chamfer import ChamferToInitial
 from .adam import Adam
 from .camera_moves import CameraMoves, moved_camera
 from .config import Settings

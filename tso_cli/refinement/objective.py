@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from ..geometry.window import Array
+from ..silhouette.bce import PixelWeights, mask_loss
 from ..silhouette.depth import DepthTarget, depth_loss
-from ..silhouette.losses import PixelWeights, mask_loss
-from ..silhouette.mask_chamfer import MaskTarget, mask_chamfer_loss, mask_chamfer_of_points, resolved
+from ..silhouette.mask_chamfer import MaskTarget, mask_chamfer_loss, mask_chamfer_of_points, resolvability
 from ..silhouette.projection import CameraBatch, Projected, project
 from .camera_moves import CameraMoves
 from .resampled_view import ResampledView
@@ -113,8 +113,8 @@ class ViewTargets:
         for target, _, of_group, _, depth in self.groups:
             total = target.pixels() if depth is None else target.pixels() + depth.pixels()
             pixels.append((of_group * total.view_as(of_group)).sum(1))
-            cut = torch.zeros_like(of_group, dtype=torch.bool) if target.cut is None else target.cut.view_as(of_group)
-            truncated.append(cut)
+            none = torch.zeros_like(of_group, dtype=torch.bool)
+            truncated.append(none if target.truncated is None else target.truncated.view_as(of_group))
         self.pixels = torch.stack(pixels).sum(0)
         self.truncated = torch.cat(truncated, 1).all(1)
 
@@ -127,7 +127,7 @@ class ViewTargets:
             patches = field.patches.unsqueeze(1).expand(-1, weights.shape[1], -1, -1)
             patches_px = torch.take_along_dim(points_px.unsqueeze(2), patches.flatten(2).unsqueeze(2).unsqueeze(-1), 3)
             grain = target.grain.view(*weights.shape, 1)
-            of_nodes = resolved(patches_px.squeeze(2).unflatten(2, patches.shape[2:]), grain)
+            of_nodes = resolvability(patches_px.squeeze(2).unflatten(2, patches.shape[2:]), grain)
             of_groups.append(torch.stack([field.of_nearest_node(of_view) for of_view in of_nodes.unbind(1)], 1).flatten(0, 1))
         return tuple(of_groups)
 
@@ -136,7 +136,7 @@ class ViewTargets:
         seen = torch.zeros_like(points[..., 0], dtype=torch.bool)
         for target, cameras, weights, _, _ in self.groups:
             points_px, valid = project(points.detach(), cameras)
-            by_view = target.asked(points_px.flatten(0, 1), valid.flatten(0, 1)).view_as(valid)
+            by_view = target.observed(points_px.flatten(0, 1), valid.flatten(0, 1)).view_as(valid)
             seen = seen | (by_view & (weights > 0.0).unsqueeze(-1)).any(1)
         return seen
 
@@ -157,26 +157,26 @@ class MaskChamferObjective:
     def __call__(self, points: Tensor) -> Tensor:
         """The loss [B] of the clouds ``points`` [B, N, 3]; infinite where a view shows no point at all."""
         total = points.new_zeros(len(points))
-        for group, resolvability in self._groups():
+        for group, resolved in self._groups():
             target, cameras, weights, counts, depth = group
             points_px, valid = project(points, cameras)
             points_px, valid = points_px.flatten(0, 1), (valid & self.targets.is_point).flatten(0, 1)
-            losses = mask_chamfer_loss(points_px, valid, target, self.robust_scale, counts, resolvability)
+            losses = mask_chamfer_loss(points_px, valid, target, self.robust_scale, counts, resolved)
             if depth is not None:
                 each = points.repeat_interleave(weights.shape[1], 0)
                 losses = losses + depth_loss(each, Projected(points_px, valid), depth, self.robust_scale, counts)
             # A view without weight may show no point.
-            shown = target.asked(points_px.detach(), valid).any(1).view_as(weights) | (weights == 0.0)
+            shown = target.observed(points_px.detach(), valid).any(1).view_as(weights) | (weights == 0.0)
             total = total + torch.where(shown, weights * losses.view_as(weights), torch.inf).sum(1)
         return total
 
     def per_point(self, points: Tensor) -> Tensor:
         """[B, N] what each point adds to the masks' part of the loss."""
         total = torch.zeros_like(points[..., 0])
-        for (target, cameras, weights, counts, _), resolvability in self._groups():
+        for (target, cameras, weights, counts, _), resolved in self._groups():
             points_px, valid = project(points.detach(), cameras)
             valid = (valid & self.targets.is_point).flatten(0, 1)
-            each = mask_chamfer_of_points(points_px.flatten(0, 1), valid, target, self.robust_scale, counts, resolvability)
+            each = mask_chamfer_of_points(points_px.flatten(0, 1), valid, target, self.robust_scale, counts, resolved)
             total += (weights.unsqueeze(-1) * each.view(*weights.shape, -1)).sum(1)
         return total
 

@@ -194,7 +194,7 @@ def settle(points: Array, view: View, sigma_sq: float | None = None, steps: int 
     """
     import torch
 
-    from ..silhouette.losses import PixelWeights, mask_loss
+    from ..silhouette.bce import PixelWeights, mask_loss
     from ..silhouette.projection import CameraBatch, default_sigma_sq, project
     from .adam import Adam
 

@@ -13,7 +13,7 @@ from ..geometry.camera import NEAR, Camera
 from ..geometry.resampling import area_resize
 from ..geometry.view import View
 from ..geometry.window import Array, Box, window_of
-from ..silhouette.losses import REFERENCE_PIXELS
+from ..silhouette.bce import REFERENCE_PIXELS
 from ..silhouette.mask_chamfer import sides
 
 # Cells along the side of a resampled view; `fine_cells` says where there are more.

@@ -16,7 +16,7 @@ from ..device import one_thread
 from ..errors import TsoError
 from ..evaluation.footprint import common_window, window_iou
 from ..geometry.view import View
-from ..silhouette.losses import ChamferToInitial
+from ..silhouette.chamfer import ChamferToInitial
 from .adam import Adam
 from .camera_correction import corrected_cameras
 from .cloud import Array, MovedCloud

@@ -1,1 +1,1 @@
-"""What pictures ask of points: projection, silhouette losses, mask and depth distances."""
+"""Projection, and the losses of projected points against masks and depth maps."""

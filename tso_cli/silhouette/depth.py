@@ -1,4 +1,4 @@
-"""What a depth map asks of a cloud: reach the surface that it shows, and leave the space before it empty."""
+"""Depth loss: points reach the surface of a depth map and leave the space before it empty."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from ..kernels.nearest import nearest, nearest_in_rows
 from .mask_chamfer import REFERENCE_POINTS, REFERENCE_SIDE, robust
 from .projection import CameraBatch, Projected, pixels_under
 
-# A pixel's surface is reached once a point is this near to it, and a point is in front of a surface that is further than
-# this behind it: pixels of an image whose longer side has 64, at the surface's depth.
-REACHED_WITHIN = 0.7
+# Tolerance of both terms, pixels of an image of 64 at the surface's depth: a point this near reaches a pixel's surface, and one
+# less than this before a surface is not in front of it.
+TOLERANCE = 0.7
 
 
 class DepthTarget(NamedTuple):
-    """What M depth maps ask of clouds.
+    """M depth maps, prepared for the depth loss.
 
     Attributes
     ----------
     known : [M, H, W] bool, foreground pixels that have a depth.
-    surface : [M, H, W, 3] where their surface lies, in the frame of the cloud.
-    front : [M, H, W] the least depth of the pixel and its eight neighbours; minus infinity where the pixel has none.
+    surface : [M, H, W, 3] their points in the frame of the cloud.
+    front : [M, H, W] least depth of the pixel and its eight neighbours; minus infinity where the pixel has none.
     per_unit : [M, H, W] pixels, of an image of 64, to a unit of length at that depth.
     cameras : [M, 1].
     """
@@ -56,18 +56,17 @@ class DepthTarget(NamedTuple):
         return self.known.flatten(1).sum(1) * (REFERENCE_SIDE / max(self.known.shape[1:])) ** 2
 
 
-def depth_loss(points: Tensor, projected: Projected, target: DepthTarget, reach: float, counts: Tensor) -> Tensor:
-    """Pull points to surfaces that none has reached, and push back what lies in front of a surface.
+def depth_loss(points: Tensor, projected: Projected, target: DepthTarget, robust_scale: float, counts: Tensor) -> Tensor:
+    """Attract points to surfaces that none has reached, and push back points in front of a surface.
 
-    A pixel whose surface is further than 0.7 px from the nearest point, in space, pulls that point; a point that lies more
-    than that before the least depth around its pixel is pushed back to it. Lengths are counted in pixels at the surface's
-    depth, and each pair costs what it does in `mask_chamfer_loss`. What lies behind a surface is hidden: the map
-    says nothing of it.
+    A pixel whose surface is further than 0.7 px from the nearest point, in space, attracts that point; a point that lies more
+    than that before the least depth around its pixel is pushed back to it. Lengths are in pixels at the surface's depth, and
+    pairs cost what they do in `mask_chamfer_loss`. Points behind a surface are hidden and cost nothing.
 
     Parameters
     ----------
     points : [M, N, 3]; projected : where they fall. counts : [M] points of each cloud.
-    reach : pixels of an image of 64.
+    robust_scale : pixels of an image of 64.
 
     Returns
     -------
@@ -76,19 +75,19 @@ def depth_loss(points: Tensor, projected: Projected, target: DepthTarget, reach:
     pixel_area = (REFERENCE_SIDE / max(target.known.shape[1:])) ** 2
     index = _nearest(target, points, projected.valid)
     image, row, column = torch.nonzero(index >= 0, as_tuple=True)
-    apart = points[image, index[image, row, column]] - target.surface[image, row, column]
-    squared = apart.square().sum(1) * target.per_unit[image, row, column] ** 2
-    asked = torch.where(squared.detach() > REACHED_WITHIN**2, robust(squared, reach), 0.0) * pixel_area
-    missed = points.new_zeros(len(points)).index_add(0, image, asked)
+    offsets = points[image, index[image, row, column]] - target.surface[image, row, column]
+    squared = offsets.square().sum(1) * target.per_unit[image, row, column] ** 2
+    cost = torch.where(squared.detach() > TOLERANCE**2, robust(squared, robust_scale), 0.0) * pixel_area
+    unreached = points.new_zeros(len(points)).index_add(0, image, cost)
 
-    place, seen = pixels_under(*projected, *target.known.shape[1:])
-    front, per_unit = (image.flatten(1).gather(1, place) for image in (target.front, target.per_unit))
+    pixel, in_image = pixels_under(*projected, *target.known.shape[1:])
+    front, per_unit = (image.flatten(1).gather(1, pixel) for image in (target.front, target.per_unit))
     R, t = target.cameras.R[:, 0], target.cameras.t[:, 0]
     depth = (points * R[:, 2].unsqueeze(1)).sum(-1) + t[:, 2].unsqueeze(1)
     ahead = (front - depth) * per_unit
-    before = seen & (ahead.detach() > REACHED_WITHIN)
-    pushed = robust(torch.where(before, ahead, 0.0).square(), reach).sum(1)
-    return missed + pushed * (REFERENCE_POINTS / counts).to(points)
+    before = in_image & (ahead.detach() > TOLERANCE)
+    pushed = robust(torch.where(before, ahead, 0.0).square(), robust_scale).sum(1)
+    return unreached + pushed * (REFERENCE_POINTS / counts).to(points)
 
 
 def _nearest(target: DepthTarget, points: Tensor, valid: Tensor) -> Tensor:
@@ -98,7 +97,7 @@ def _nearest(target: DepthTarget, points: Tensor, valid: Tensor) -> Tensor:
         return nearest_in_rows(target.surface.flatten(1, 2), points, valid, target.known.flatten(1)).view(shape)
     index = torch.full(shape, -1, dtype=torch.int64)
     for i, (known, surface) in enumerate(zip(target.known, target.surface, strict=True)):
-        alive = torch.nonzero(valid[i]).squeeze(1)
-        if len(alive) and known.any() and bool(torch.isfinite(points[i, alive].detach()).all()):
-            index[i, known] = alive[nearest(surface[known], points[i, alive])]
+        candidates = torch.nonzero(valid[i]).squeeze(1)
+        if len(candidates) and known.any() and bool(torch.isfinite(points[i, candidates].detach()).all()):
+            index[i, known] = candidates[nearest(surface[known], points[i, candidates])]
     return index

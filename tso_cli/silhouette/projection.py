@@ -18,7 +18,7 @@ from ..kernels.splat import splat
 
 # A silhouette blurred by this variance (px^2) changes little from one pixel to the next.
 SMOOTH_SIGMA_SQ = 6.4
-# Points projected at once when a silhouette is judged; bounds its memory.
+# Points that `silhouette_of` projects at once; bounds its memory.
 POINTS_AT_ONCE = 1 << 16
 
 
@@ -29,7 +29,7 @@ def default_sigma_sq(width: int, height: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CameraBatch:
-    """Cameras as tensors. ``K``, ``R`` [..., V, 3, 3], ``t`` [..., V, 3]; a leading batch axis, if any, is the clouds'."""
+    """Cameras as tensors. ``K``, ``R`` [..., V, 3, 3], ``t`` [..., V, 3]; a leading axis, if any, is that of the clouds."""
 
     K: Tensor
     R: Tensor
@@ -51,11 +51,11 @@ class CameraBatch:
         return cls(K, R, t, first.width, first.height, first.model)
 
     def one_each(self) -> CameraBatch:
-        """V cameras as those of V clouds, which have one each: [V, 1, ...]."""
+        """V cameras as one for each of V clouds: [V, 1, ...]."""
         return replace(self, K=self.K.unsqueeze(1), R=self.R.unsqueeze(1), t=self.t.unsqueeze(1))
 
     def grouped(self, views: int) -> CameraBatch:
-        """Cameras of B V clouds with one each as those of B clouds with V ``views``: [B, V, ...]."""
+        """One camera for each of B V clouds as V ``views`` of B clouds: [B, V, ...]."""
         K, R, t = (part.flatten(0, 1).unflatten(0, (-1, views)) for part in (self.K, self.R, self.t))
         return replace(self, K=K, R=R, t=t)
 
@@ -79,11 +79,11 @@ def project(points: Tensor, cameras: CameraBatch, near: float = NEAR) -> Project
     """
     near = -math.inf if cameras.model == "orthographic" else near
     if use_numba(points) and not any(tensor.requires_grad for tensor in (cameras.K, cameras.R, cameras.t)):
-        from ..kernels.projection_numba import project as compiled_project
+        from ..kernels.projection_numba import project as compiled
 
-        every = (len(points), cameras.K.shape[-3])
-        K, R, t = cameras.K.expand(*every, 3, 3), cameras.R.expand(*every, 3, 3), cameras.t.expand(*every, 3)
-        return Projected(*compiled_project(points, K, R, t, near))
+        batch = (len(points), cameras.K.shape[-3])
+        K, R, t = cameras.K.expand(*batch, 3, 3), cameras.R.expand(*batch, 3, 3), cameras.t.expand(*batch, 3)
+        return Projected(*compiled(points, K, R, t, near))
     camera = points.unsqueeze(-3) @ cameras.R.transpose(-1, -2) + cameras.t.unsqueeze(-2)  # [B, V, N, 3]
     plane, depth = camera[..., :2], camera[..., 2]
     if near == -math.inf:
@@ -96,18 +96,18 @@ def project(points: Tensor, cameras: CameraBatch, near: float = NEAR) -> Project
 
 
 def pixels_under(points_px: Tensor, valid: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
-    """On which pixels points fall: their numbers ``row * width + column`` [M, N], and whether they fall on any [M, N].
+    """The pixels ``row * width + column`` that points fall on [M, N], 0 outside the image, and whether they fall inside [M, N].
 
-    What lies outside the image is unknown, not background, and has number 0. ``points_px`` [M, N, 2], ``valid`` [M, N].
+    ``points_px`` [M, N, 2], ``valid`` [M, N].
     """
     pixel = points_px.detach().round()
-    seen = valid & (pixel >= 0).all(-1) & (pixel < pixel.new_tensor([width, height])).all(-1)
-    column, row = torch.where(seen.unsqueeze(-1), pixel, 0.0).long().unbind(-1)
-    return row * width + column, seen
+    in_image = valid & (pixel >= 0).all(-1) & (pixel < pixel.new_tensor([width, height])).all(-1)
+    column, row = torch.where(in_image.unsqueeze(-1), pixel, 0.0).long().unbind(-1)
+    return row * width + column, in_image
 
 
 def silhouette_sums(projected: Projected, cameras: CameraBatch, sigma_sq: float, kernel: str = "auto") -> Tensor:
-    """The sums s [B, V, H, W] whose tanh is the silhouette (Eq. 2). Losses take s: it keeps what tanh rounds away."""
+    """The sums s [B, V, H, W] whose tanh is the silhouette (Eq. 2); losses take s, which keeps what tanh rounds away."""
     points_px, valid = projected
     sums = splat(points_px.flatten(0, 1), valid.flatten(0, 1), cameras.height, cameras.width, sigma_sq, kernel)
     return sums.view(*points_px.shape[:2], cameras.height, cameras.width)
@@ -116,8 +116,8 @@ def silhouette_sums(projected: Projected, cameras: CameraBatch, sigma_sq: float,
 def silhouette_of(points: NDArray[np.floating], camera: Camera, sigma_sq: float | None = None) -> NDArray[np.float32]:
     """The silhouette [H, W] in [0, 1] of a cloud [N, 3] in world units as the paper's projector draws it (Eq. 2).
 
-    Where the kernel spans many pixels the sums are computed on a grid still fine against it (variance 6.4 of its cells)
-    and interpolated: within 0.04 of every pixel's own, at a cost that does not grow with the photo.
+    Where the Gaussian spans many pixels, the sums are computed on a coarser grid (variance 6.4 cells^2) and interpolated:
+    within 0.04 of the value at each pixel, at a cost that does not grow with the photo.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def silhouette_of(points: NDArray[np.floating], camera: Camera, sigma_sq: float 
     cloud = np.asarray(points, dtype=np.float64)
     centre = (cloud.min(0) + cloud.max(0)) / 2.0
     scale = float((cloud.max(0) - cloud.min(0)).max()) or 1.0
-    coarse, sigma_sq = coarsened(camera, sigma_sq, SMOOTH_SIGMA_SQ)
+    coarse, sigma_sq = _coarsened(camera, sigma_sq)
     local = torch.as_tensor(((cloud - centre) / scale)[None], dtype=torch.float32)
     batch = CameraBatch.of([coarse.for_normalised(centre, scale)], local)
     with torch.no_grad():
@@ -142,14 +142,11 @@ def silhouette_of(points: NDArray[np.floating], camera: Camera, sigma_sq: float 
     return silhouette
 
 
-def coarsened(camera: Camera, sigma_sq: float, wanted: float) -> tuple[Camera, float]:
-    """The camera on a grid so much coarser that ``sigma_sq`` is about ``wanted`` (px^2) there, and its value there.
-
-    Both are returned as they are where sigma_sq is smaller: nothing is ever scaled up.
-    """
-    if sigma_sq <= wanted:
+def _coarsened(camera: Camera, sigma_sq: float) -> tuple[Camera, float]:
+    """The camera on a grid so coarse that ``sigma_sq`` (px^2) is at most about 6.4 there, and its value there."""
+    if sigma_sq <= SMOOTH_SIGMA_SQ:
         return camera, sigma_sq
-    shrink = math.sqrt(wanted / sigma_sq)
+    shrink = math.sqrt(SMOOTH_SIGMA_SQ / sigma_sq)
     coarse = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
     if (coarse.width, coarse.height) == (camera.width, camera.height):
         return camera, sigma_sq

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..network.model import FRAMES, SUPERVISIONS
-from ..silhouette.losses import AFFINITIES
+from ..silhouette.affinity import AFFINITIES
 
 PRECISIONS = ("float32", "bfloat16")
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from .. import device as devices
 from ..errors import InputError, TsoError
 from ..network.model import BaseNetwork, NetworkConfig, build_network
-from ..silhouette.losses import chamfer
+from ..silhouette.chamfer import chamfer
 from ..version import __version__
 from .batches import Batch, Draw, assemble
 from .config import TrainConfig

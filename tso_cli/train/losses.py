@@ -12,7 +12,9 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ..silhouette.losses import affinity, chamfer, silhouette_bce
+from ..silhouette.affinity import affinity
+from ..silhouette.bce import silhouette_bce
+from ..silhouette.chamfer import chamfer
 from ..silhouette.projection import CameraBatch, Projected, project, silhouette_sums
 from .batches import Batch
 

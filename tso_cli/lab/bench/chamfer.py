@@ -9,7 +9,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from ...silhouette.losses import ChamferToInitial
+from ...silhouette.chamfer import ChamferToInitial
 from . import peers
 from .material import STEPS, trajectory
 from .timing import Setting, Work

@@ -20,7 +20,7 @@ from ...refinement.adam import Adam
 from ...refinement.objective import SilhouetteObjective
 from ...refinement.presets import PAPER_GAMMA, PAPER_LEARNING_RATE
 from ...refinement.resampled_view import resample_view
-from ...silhouette.losses import ChamferToInitial
+from ...silhouette.chamfer import ChamferToInitial
 from ...silhouette.projection import CameraBatch, project
 
 # The shipped example of a chair starts from points of this shape.

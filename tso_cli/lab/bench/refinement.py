@@ -16,7 +16,9 @@ from ...refinement import PRESETS, RefineConfig, refine, refine_batch
 from ...refinement.adam import Adam
 from ...refinement.parameters import NetworkParameters
 from ...refinement.presets import PAPER_GAMMA, PAPER_LEARNING_RATE
-from ...silhouette.losses import UNCOVERED, ChamferToInitial, PixelWeights, affinity, mask_loss, silhouette_bce
+from ...silhouette.affinity import affinity
+from ...silhouette.bce import UNCOVERED, PixelWeights, mask_loss, silhouette_bce
+from ...silhouette.chamfer import ChamferToInitial
 from ...silhouette.projection import project, silhouette_sums
 from . import silhouette
 from .material import SIGMA_SQ, chair_view, cloud, mask_objective, projection, trajectory

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ...kernels.dispatch import triton_runs
-from ...silhouette.losses import PixelWeights, mask_loss
+from ...silhouette.bce import PixelWeights, mask_loss
 from . import peers
 from .chamfer import left_out
 from .material import SIGMA_SQ, Projection, projection

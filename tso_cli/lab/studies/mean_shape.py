@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ...silhouette.losses import chamfer
+from ...silhouette.chamfer import chamfer
 from ...train.batches import Draw, assemble
 from ...train.data import TrainingData
 from .judging import Predicted, predict

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ...io.checkpoints import load_network
 from ...network.model import NetworkConfig
-from ...silhouette.losses import chamfer
+from ...silhouette.chamfer import chamfer
 from ...train.batches import Draw, assemble
 from ...version import __version__
 from .material import Material, Source

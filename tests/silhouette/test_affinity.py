@@ -1,0 +1,96 @@
+"""The affinity loss in both forms."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from tests import oracles
+from tso_cli.kernels.splat import splat
+from tso_cli.silhouette.affinity import affinity
+
+from .common import SIGMA_SQ, disc, value_and_gradient
+
+
+def _affinity(points: torch.Tensor, mask: torch.Tensor, form: str) -> torch.Tensor:
+    valid = torch.ones(1, len(points), dtype=torch.bool)
+    return affinity(splat(points[None], valid, *mask.shape, SIGMA_SQ), mask[None], points[None], valid, form)[0]
+
+
+def test_points_outside_the_image_are_not_background():
+    mask = disc()
+    inside = torch.tensor([[31.0, 31.0]], dtype=torch.float64)
+    outside = torch.tensor([[-20.0, 30.0]], dtype=torch.float64)
+    with_outside = _affinity(torch.cat([inside, outside]), mask, "points")
+    assert with_outside.item() == pytest.approx(_affinity(inside, mask, "points").item())
+
+
+def test_the_printed_affinity_loss_is_that_of_all_pairs_of_pixels():
+    generator = torch.Generator().manual_seed(4)
+    points = torch.rand(40, 2, generator=generator, dtype=torch.float64) * 20
+    mask = disc(20, 6.0)
+    valid = torch.ones(1, 40, dtype=torch.bool)
+    silhouette = torch.tanh(splat(points[None], valid, 20, 20, SIGMA_SQ, "exact"))[0]
+    soft = 0.9 * mask + 0.1 * torch.rand(20, 20, generator=generator, dtype=torch.float64)
+    for target in (mask, soft):
+        assert _affinity(points, target, "paper").item() == pytest.approx(
+            oracles.affinity_paper(silhouette, target).item(), rel=1e-6
+        )
+
+
+def test_the_printed_affinity_of_a_batch_is_that_of_its_pictures_one_by_one():
+    generator = torch.Generator().manual_seed(17)
+    points = torch.rand(4, 60, 2, generator=generator, dtype=torch.float64) * 18
+    points[3] += 100.0  # no silhouette
+    masks = (torch.rand(4, 18, 20, generator=generator) > 0.8).double()
+    valid = torch.ones(4, 60, dtype=torch.bool)
+    sums = splat(points, valid, 18, 20, SIGMA_SQ)
+    values = affinity(sums, masks, points, valid, "paper")
+    for i in range(3):
+        assert values[i].item() == pytest.approx(oracles.affinity_paper(torch.tanh(sums[i]), masks[i]).item(), rel=1e-9)
+    assert values[3].item() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_over_all_pixels_that_are_not_zero_the_printed_loss_of_an_uncovered_mask_would_nearly_vanish():
+    """The rim of a Gaussian is not zero: the least product is found there, however far the mask pixel is."""
+    mask = torch.zeros(40, 40, dtype=torch.float64)
+    mask[20, 30] = 1.0
+    point = torch.tensor([[[8.0, 20.0]]], dtype=torch.float64)
+    silhouette = torch.tanh(splat(point, torch.ones(1, 1, dtype=torch.bool), 40, 40, SIGMA_SQ))[0]
+    over_half = oracles.affinity_paper(silhouette, mask, 0.5) - oracles.affinity_paper(silhouette, mask, 0.0)
+    assert over_half > 300.0 * (4096.0 / 1600.0) ** 2
+
+
+def test_a_step_down_the_points_affinity_moves_a_lone_point_toward_an_uncovered_pixel():
+    mask = torch.zeros(64, 64)
+    mask[30:34, 50:54] = 1.0
+    point = torch.tensor([[20.0, 31.0]])
+    _, gradient = value_and_gradient(lambda p: _affinity(p, mask, "points"), point)
+    goal = torch.tensor([51.5, 31.5])
+    moved = point - 1e-4 * gradient
+    assert (moved[0] - goal).norm() < (point[0] - goal).norm()
+
+
+def test_a_stray_point_is_attracted_by_the_mask_and_a_covered_mask_costs_nothing():
+    mask = disc(32, 6.0)
+    rows, columns = torch.nonzero(mask, as_tuple=True)
+    covering = torch.stack([columns, rows], 1).double()
+    value, gradient = value_and_gradient(lambda p: _affinity(p, mask, "points"), covering)
+    assert value == 0.0
+    assert gradient.abs().max() == 0.0
+    stray = torch.cat([covering, torch.tensor([[3.0, 16.0]], dtype=torch.float64)])
+    _, gradient = value_and_gradient(lambda p: _affinity(p, mask, "points"), stray)
+    assert gradient[-1, 0] < 0.0
+    assert gradient[:-1].abs().max() == 0.0
+
+
+@pytest.mark.parametrize("form", ["paper", "points"])
+def test_the_gradient_of_the_affinity_loss_is_that_of_finite_differences(form):
+    points = torch.tensor([[5.2, 5.1], [9.3, 2.2], [1.1, 8.7]], dtype=torch.float64, requires_grad=True)
+    mask = disc(12, 3.0)
+    assert torch.autograd.gradcheck(lambda p: _affinity(p, mask, form), (points,), eps=1e-6, atol=1e-3, rtol=1e-4)
+
+
+def test_an_unknown_form_is_refused():
+    with pytest.raises(ValueError, match="form is 'printed', expected one of"):
+        _affinity(torch.zeros(1, 2), disc(8, 2.0).float(), "printed")
