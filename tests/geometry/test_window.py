@@ -16,7 +16,7 @@ from tso_cli.lab.studies.evidence_cases import framed
 from tso_cli.refinement import PRESETS
 from tso_cli.refinement.objective import resample_view
 from tso_cli.refinement.parameters import Cloud
-from tso_cli.refinement.problem import Item, finest_grid
+from tso_cli.refinement.problem import Problem, finest_grid
 from tso_cli.scene.load import load_view
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -132,8 +132,8 @@ def test_the_window_follows_a_cloud_that_starts_far_from_its_mask():
     _, target, view = _example("chair")
     photo = _in_canvas(view, 4)
     start = target + [0.0, 0.3, 0.0] @ view.camera.R
-    item = Item.of(Cloud(start, "points"), (photo,), RefineConfig(symmetry="none").settings())
-    first, last = (each.working[0].box for each in (item, item.followed(target, finest=False)))
+    problem = Problem.of(Cloud(start, "points"), (photo,), RefineConfig(symmetry="none").settings())
+    first, last = (each.working[0].box for each in (problem, problem.followed(target, finest=False)))
     assert first[2] - first[0] > 1.1 * (last[2] - last[0])
     np.testing.assert_allclose(last, window_of(photo, target))
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .output import atomic_output, check_output, reason
+from .ply import new_ply
 from .reading import read_bytes
 from .textures import Pictures, Texture
 
@@ -178,13 +179,5 @@ def write_mesh(path: Path | str, mesh: Mesh, overwrite: bool = False) -> None:
     if path.suffix.lower() != ".ply":
         raise InputError(f"{path}: ends in {path.suffix or 'nothing'!r}, expected .ply (the mesh format written here)")
     check_output(path, overwrite)
-    header = (
-        "ply\nformat binary_little_endian 1.0\n"
-        f"element vertex {len(mesh.vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
-        f"element face {len(mesh.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    rows = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
-    rows["count"] = 3
-    rows["corners"] = mesh.faces
     with atomic_output(path) as temporary:
-        temporary.write_bytes(header.encode("ascii") + mesh.vertices.astype("<f4").tobytes() + rows.tobytes())
+        temporary.write_bytes(new_ply(mesh.vertices, "float32", faces=mesh.faces))
