@@ -13,7 +13,7 @@ from .pix3d import TABLE, open_pix3d
 from .r2n2 import PICTURES, open_r2n2
 from .r2n2 import RENDERED as R2N2
 from .rendered import holds_object, open_rendered
-from .scale import OWN, normalised, of_unit_diagonal
+from .scale import AS_READ, normalised, of_unit_diagonal
 from .shapenet import RENDERED as SHAPENET
 from .shapenet import open_shapenet
 from .splits import read_part, read_split
@@ -64,7 +64,7 @@ def open_dataset(
         layout, opener = fitting[0]
         dataset = opener(folder, strict, progress)
         if layout != TABLE:
-            return replace(dataset, scale=OWN) if own_scale else normalised(dataset)
+            return replace(dataset, scale=AS_READ) if own_scale else normalised(dataset)
         return of_unit_diagonal(dataset) if own_scale else dataset
     if not holds_object(folder):
         raise InputError(f"{folder}: has no layout known here, expected {LAYOUTS}")

@@ -195,7 +195,7 @@ def _view(root: str, entries: list[_Entry], models: _Models, index: int) -> View
 def _load(picture: Path, mask_path: Path, camera: Camera) -> tuple[Pixels, Floats]:
     image, mask = read_image(picture)[..., :3], read_mask(mask_path)
     for path, pixels in ((picture, image), (mask_path, mask)):
-        common.sized(path, pixels, camera, f"as {TABLE} says")
+        common.require_size(path, pixels, camera, f"as {TABLE} says")
     return image, mask
 
 

@@ -233,7 +233,7 @@ def _files(record: CameraRecord, number: int, path: Path) -> tuple[Path, Path]:
 def _load(image_path: Path, mask_path: Path, camera: Camera) -> tuple[Pixels, Floats]:
     image, mask = read_image(image_path), read_mask(mask_path)
     for path, pixels in ((image_path, image), (mask_path, mask)):
-        common.sized(path, pixels, camera, f"as its camera in {CAMERAS}")
+        common.require_size(path, pixels, camera, f"as its camera in {CAMERAS}")
     return image[..., :3], mask
 
 
