@@ -50,25 +50,21 @@ def open_dataset(
     folder = Path(folder)
     common.require_folder(folder, f"a data set: {LAYOUTS}")
     folders, files = common.listed(folder)
-    own = folder.resolve().name
-    fitting: list[tuple[str, Opener]] = []
+    layouts: dict[str, Opener] = {}
     if TABLE in files:
-        fitting.append((TABLE, open_pix3d))  # normalises by its models
-    if SHAPENET in folders or (own == SHAPENET and R2N2 not in folders):
-        fitting.append((SHAPENET, open_shapenet))
-    if R2N2 in folders or (not fitting and _is_r2n2(folder, folders)):
-        fitting.append((R2N2, open_r2n2))
-    if len(fitting) > 1:
-        raise InputError(f"{folder}: holds {fitting[0][0]} and {fitting[1][0]}, expected one data set")
-    if fitting:
-        layout, opener = fitting[0]
-        dataset = opener(folder, strict, progress)
-        if layout != TABLE:
-            return replace(dataset, scale=AS_READ) if own_scale else normalised(dataset)
-        return of_unit_diagonal(dataset) if own_scale else dataset
-    if not holds_object(folder):
+        layouts[TABLE] = open_pix3d
+    if SHAPENET in folders or (folder.resolve().name == SHAPENET and R2N2 not in folders):
+        layouts[SHAPENET] = open_shapenet
+    if R2N2 in folders or (not layouts and _is_r2n2(folder, folders)):
+        layouts[R2N2] = open_r2n2
+    if len(layouts) > 1:
+        raise InputError(f"{folder}: holds {' and '.join(list(layouts)[:2])}, expected one data set")
+    layout, opener = next(iter(layouts.items()), ("", open_rendered))
+    if not layout and not holds_object(folder):
         raise InputError(f"{folder}: has no layout known here, expected {LAYOUTS}")
-    dataset = open_rendered(folder, strict, progress)
+    dataset = opener(folder, strict, progress)
+    if layout in (SHAPENET, R2N2):
+        return replace(dataset, scale=AS_READ) if own_scale else normalised(dataset)
     return of_unit_diagonal(dataset) if own_scale else dataset
 
 

@@ -41,16 +41,7 @@ _PICTURE = re.compile(r"([0-9]{2,9})\.png")
 def open_r2n2(folder: Path | str, strict: bool = False, progress: common.Progress | None = None) -> Dataset:
     """The objects of this layout; they are named SYNSET/MODEL, in the frame and scale of ShapeNet's models.
 
-    Parameters
-    ----------
-    folder : ROOT, or the folder that holds ShapeNetRendering.
-    strict : the first object or view that cannot be used is an error.
-    progress : called after every model.
-
-    Raises
-    ------
-    InputError
-        There is no usable object; or, with ``strict``, one is not.
+    ``folder`` is ROOT, or the folder that holds ShapeNetRendering; the rest is as for `opening.open_dataset`.
     """
     root = Path(folder)
     if (root / RENDERED).is_dir():

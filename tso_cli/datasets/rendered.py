@@ -22,7 +22,7 @@ import shutil
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -45,34 +45,24 @@ _LEFT = re.compile(r"\.(.{1,40})\.[0-9a-f]{8}\.(partial|old)", re.DOTALL)
 def open_rendered(folder: Path | str, strict: bool = False, progress: common.Progress | None = None) -> Dataset:
     """The objects of a rendered folder as a data set; the category of CATEGORY/NAME is CATEGORY, of NAME "".
 
-    Parameters
-    ----------
-    folder : as `tso render` wrote it, or one object of it.
-    strict : the first object that lacks its target or has no usable cameras is an error.
-    progress : called after every object.
-
-    Raises
-    ------
-    InputError
-        It is not a folder or has no usable object; or, with ``strict``, one is not usable.
+    ``folder`` is as `tso render` wrote it, or one object of it; the rest is as for `opening.open_dataset`.
     """
     root = Path(folder)
     common.require_folder(root, "one that tso render wrote")
-    skipped, objects, views = common.Skipped(strict), [], _Views()
-    found = sorted(_walk(root))
-    for number, (name, path, complete) in enumerate(found):
+    skipped, objects = common.Skipped(strict), []
+    folders = sorted(_walk(root))
+    for number, (name, path, complete) in enumerate(folders):
         try:
             if not complete:
-                raise InputError(_no_target(path))
-            count = len(views.records(str(path)))
+                raise InputError(f"{path / TARGET}: does not exist, expected the points of this object")
             category = name.split("/")[0] if "/" in name else ""
-            target = partial(common.cloud_target, str(path / TARGET))
-            objects.append(ObjectItem(name, category, common.LazyViews(count, partial(views.view, str(path))), target))
+            views = common.LazyViews(len(_records(path)), partial(_view, str(path)))
+            objects.append(ObjectItem(name, category, views, partial(common.cloud_target, str(path / TARGET))))
         except InputError as error:
             skipped.add(name, str(error))
         if progress is not None:
-            progress(number + 1, len(found), name)
-    return common.finished(objects, root.resolve().name, skipped, _EXPECTED)
+            progress(number + 1, len(folders), name)
+    return common.finished(objects, root.resolve().name, skipped, f"NAME/{CAMERAS} and so on as tso render writes them")
 
 
 def holds_object(folder: Path) -> bool:
@@ -168,7 +158,7 @@ def sweep(folders: Iterable[Path]) -> None:
             match = _LEFT.fullmatch(path.name)
             if match is None or match[1] not in objects or path.is_symlink() or (lock := _lock(path)) is None:
                 continue
-            # Of names that begin alike it is not known which one this was.
+            # Names longer than 40 characters may begin alike.
             replaced = objects[match[1]][0] if len(objects[match[1]]) == 1 else None
             # Another run may sweep too.
             with suppress(OSError):
@@ -197,37 +187,28 @@ def _lock(folder: Path) -> int | None:
     return handle
 
 
-class _Views:
-    """Views made from the camera files; those of the objects last used are kept."""
-
-    def __init__(self, limit: int = 256) -> None:
-        self.limit = limit
-        self._kept: dict[str, list[CameraRecord]] = {}
-
-    def records(self, folder: str) -> list[CameraRecord]:
-        """All views of the object in ``folder``; InputError if one lacks its image or mask."""
-        records = self._kept.get(folder)
-        if records is None:
-            path = Path(folder) / CAMERAS
-            records = read_cameras(path)
-            for number, record in enumerate(records):
-                _files(record, number, path)
-            if len(self._kept) >= self.limit:
-                self._kept.clear()
-            self._kept[folder] = records
-        return records
-
-    def view(self, folder: str, index: int) -> ViewItem:
-        record = self.records(folder)[index]
-        image, mask = _files(record, index, Path(folder) / CAMERAS)
-        return ViewItem(str(mask), record.camera, partial(_load, image, mask, record.camera))
+def _records(folder: Path) -> list[CameraRecord]:
+    """All views of the object in ``folder``; InputError if one lacks its image or mask."""
+    path = folder / CAMERAS
+    return _read_records(path, path.stat().st_mtime_ns if path.exists() else 0)
 
 
-def _files(record: CameraRecord, number: int, path: Path) -> tuple[Path, Path]:
-    if record.image is None or record.mask is None:
-        missing = "image" if record.image is None else "mask"
-        raise InputError(f"{path}: views[{number}] names no {missing}, expected one for training")
-    return record.image, record.mask
+@lru_cache(maxsize=256)
+def _read_records(path: Path, changed: int) -> list[CameraRecord]:
+    """The views in a camera file that was last ``changed`` then."""
+    records = read_cameras(path)
+    for number, record in enumerate(records):
+        if record.image is None or record.mask is None:
+            missing = "image" if record.image is None else "mask"
+            raise InputError(f"{path}: views[{number}] names no {missing}, expected one for training")
+    return records
+
+
+def _view(folder: str, index: int) -> ViewItem:
+    record = _records(Path(folder))[index]
+    assert record.image is not None
+    assert record.mask is not None
+    return ViewItem(str(record.mask), record.camera, partial(_load, record.image, record.mask, record.camera))
 
 
 def _load(image_path: Path, mask_path: Path, camera: Camera) -> tuple[Pixels, Floats]:
@@ -235,13 +216,6 @@ def _load(image_path: Path, mask_path: Path, camera: Camera) -> tuple[Pixels, Fl
     for path, pixels in ((image_path, image), (mask_path, mask)):
         common.require_size(path, pixels, camera, f"as its camera in {CAMERAS}")
     return image[..., :3], mask
-
-
-_EXPECTED = f"NAME/{CAMERAS} and so on as tso render writes them"
-
-
-def _no_target(path: Path) -> str:
-    return f"{path / TARGET}: does not exist, expected the points of this object"
 
 
 def _walk(folder: Path) -> Iterator[tuple[str, Path, bool]]:

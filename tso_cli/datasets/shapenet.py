@@ -43,16 +43,7 @@ _IMAGE_AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 def open_shapenet(folder: Path | str, strict: bool = False, progress: common.Progress | None = None) -> Dataset:
     """The objects of this layout; they are named SYNSET/MODEL, in the frame and scale of their clouds.
 
-    Parameters
-    ----------
-    folder : ROOT, or ROOT/ShapeNet_rendered.
-    strict : the first object or view that cannot be used is an error.
-    progress : called after every model.
-
-    Raises
-    ------
-    InputError
-        There is no usable object; or, with ``strict``, one is not.
+    ``folder`` is ROOT, or ROOT/ShapeNet_rendered; the rest is as for `opening.open_dataset`.
     """
     root = Path(folder)
     if not (root / RENDERED).is_dir() and root.resolve().name == RENDERED:

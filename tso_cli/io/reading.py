@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import stat
 from pathlib import Path
+from typing import Any
 
 from ..errors import InputError
 from .output import reason
@@ -39,6 +41,14 @@ def read_bytes(path: Path, expected: str, limit: int | None = None) -> bytes:
         raise InputError(f"{path}: does not fit into memory") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read ({reason(error)}), expected {expected}") from None
+
+
+def read_json(path: Path, expected: str, form: str, limit: int | None = None) -> Any:
+    """The JSON document in ``path``; InputError as `read_bytes`, or if it is not JSON, naming the ``form`` expected."""
+    try:
+        return json.loads(read_bytes(path, expected, limit))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is not JSON ({shown(str(error))}), expected {form}") from None
 
 
 def shown(value: object) -> str:
