@@ -11,13 +11,13 @@ from ..errors import InputError
 from .output import reason
 
 
-def read_bytes(path: Path, expected: str, limit: int | None = None) -> bytes:
-    """The bytes of the regular file ``path``.
+def read_bytes(path: Path, expected: str, limit: int | None = None, most: int = -1) -> bytes:
+    """The bytes of the regular file ``path``, or the first ``most`` of them.
 
     Parameters
     ----------
     expected : what the file should be, for the messages: "a point cloud".
-    limit : the most bytes to accept, or None for any number.
+    limit : the largest file to accept, in bytes.
 
     Raises
     ------
@@ -34,7 +34,8 @@ def read_bytes(path: Path, expected: str, limit: int | None = None) -> bytes:
             raise InputError(f"{path}: is empty, expected {expected}")
         if limit is not None and about.st_size > limit:
             raise InputError(f"{path}: holds {about.st_size:,} bytes, expected {expected} of at most {limit:,}")
-        return path.read_bytes()
+        with path.open("rb") as stream:
+            return stream.read(most)
     except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"{path}: does not exist, expected {expected}") from None
     except MemoryError:
