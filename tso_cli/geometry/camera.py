@@ -97,11 +97,7 @@ class Camera:
         return self.cropped((-0.5, -0.5, self.width - 0.5, self.height - 0.5), width, height, (sx, sy))
 
     def cropped(
-        self,
-        box: tuple[float, float, float, float],
-        width: int,
-        height: int,
-        scale: tuple[float, float] | None = None,
+        self, box: tuple[float, float, float, float], width: int, height: int, scale: tuple[float, float] | None = None
     ) -> Camera:
         """The camera of the image region ``box`` (left, top, right, bottom edges) resampled to ``width`` x ``height``.
 
@@ -113,10 +109,7 @@ class Camera:
         return replace(self, K=change @ self.K, width=width, height=height)
 
     def for_normalised(self, centre: Array, scale: float) -> Camera:
-        """The camera that sees ``(X - centre) / scale`` exactly where this one sees ``X``.
-
-        Done in float64, so that a scan with coordinates in the millions keeps its precision.
-        """
+        """The camera that sees ``(X - centre) / scale`` exactly where this one sees ``X``."""
         K = self.K
         if self.model == "orthographic":
             K = K @ np.diag([scale, scale, 1.0])
