@@ -127,6 +127,7 @@ def test_arrays_are_masks_too(tmp_path):
     ("array", "message"),
     [
         (np.array([[0.0, np.nan]]), "values span nan to nan, expected 0 to 1"),
+        (np.array([[0x3F800000, 0x7F800001]], np.uint32).view(np.float32), "values span nan to nan"),  # a signalling NaN
         (np.array([[0.0, 1.5]]), "values span 0 to 1.5, expected 0 to 1"),
         (np.array([[0, -1]]), "smallest value is -1"),
         (np.array([[0, 70000]]), "largest value is 70000"),
@@ -218,9 +219,12 @@ def test_a_billion_pixels_in_a_kilobyte_are_refused_without_decoding(tmp_path, m
     assert_one_line(str(caught.value))
 
 
-def test_a_large_picture_within_the_limit_passes_without_warning(tmp_path):
-    path = saved(tmp_path, Image.new("1", (9990, 9990)))
-    assert read_mask(path).shape == (9990, 9990)
+def test_a_large_picture_within_the_limit_passes_without_warning(tmp_path, monkeypatch):
+    """Pillow warns of pictures over a limit of its own, which is lower."""
+    assert Image.MAX_IMAGE_PIXELS < PIXEL_LIMIT
+    path = saved(tmp_path, HARD["8-bit"]())
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 50)
+    assert np.array_equal(read_mask(path), SHAPE)
 
 
 @pytest.mark.parametrize("read", [read_mask, read_image])
@@ -246,13 +250,6 @@ def test_files_that_are_no_images_are_refused(tmp_path, read):
         with pytest.raises(InputError, match=rf"{name}: .*{message}") as caught:
             read(tmp_path / name)
         assert_one_line(str(caught.value))
-
-
-def test_numbers_that_signal_are_no_mask(tmp_path):
-    values = np.array([[0x3F800000, 0x7F800001]], dtype=np.uint32).view(np.float32)
-    np.save(tmp_path / "m.npy", values)
-    with pytest.raises(InputError, match="values span nan to nan"):
-        read_mask(tmp_path / "m.npy")
 
 
 def test_of_an_animation_the_first_frame_counts(tmp_path):
@@ -296,10 +293,9 @@ def test_any_damage_is_read_or_refused_in_one_line(tmp_path, read, name):
             assert array.shape[2:] in ((3,), (4,))
 
     repair = repair_png if name.endswith(".png") else None
-    was_read, refused = assert_reads_or_refuses(checked, tmp_path / name, count=500, repair=repair)
-    if (name == "array.npy") is (read is read_mask) or name != "array.npy":
-        assert was_read > 10
-    assert refused > 50
+    was_read, refused = assert_reads_or_refuses(checked, tmp_path / name, count=120, repair=repair)
+    assert was_read > 3 or (name == "array.npy" and read is read_image)
+    assert refused > 10
 
 
 def test_a_depth_map_keeps_sixteen_bits_and_its_scale_and_what_is_unknown_becomes_nan(tmp_path):
