@@ -41,11 +41,8 @@ def open_dataset(
     own_scale : keep the sizes of objects. Those that have lost it, rendered here or of Pix3D, get a unit diagonal as ShapeNet's
         have. Else every object is centred and of longest side 1.
 
-    Raises
-    ------
-    InputError
-        ``folder`` is none, has no layout known here or two of them, or no object of it can be used; or, with ``strict``, one
-        cannot.
+    Raises InputError if ``folder`` is none, has no layout known here or two of them, or no object of it can be used; or, with
+    ``strict``, one cannot.
     """
     folder = Path(folder)
     common.require_folder(folder, f"a data set: {LAYOUTS}")

@@ -29,10 +29,7 @@ _LIMIT = 1 << 28
 def read_split(path: Path | str) -> dict[str, list[str]]:
     """Names of the objects of each part, in the order of the JSON file or folder ``path``, each once.
 
-    Raises
-    ------
-    InputError
-        It cannot be read, has another form, has no names, or has an object in two parts.
+    Raises InputError if it cannot be read, has another form, has no names, or has an object in two parts.
     """
     path = Path(path)
     split = _from_folder(path) if path.is_dir() else _from_json(path)

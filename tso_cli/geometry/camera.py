@@ -35,10 +35,7 @@ class Camera:
     width, height : size of the image in pixels.
     model : "perspective" (u = fx X/Z + cx) or "orthographic" (u = fx X + cx).
 
-    Raises
-    ------
-    InputError
-        A shape is wrong, a number is not finite, K is singular or R is not a rotation.
+    Raises InputError if a shape is wrong, a number is not finite, K is singular or R is not a rotation.
     """
 
     K: Array

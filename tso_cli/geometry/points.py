@@ -137,10 +137,7 @@ def draw_surface(
     drawn : [count] int64, the triangle of each.
     barycentric : [count, 2], its coordinates of the second and the third corner.
 
-    Raises
-    ------
-    InputError
-        ``count`` is under 1, there are no triangles, or they have no area.
+    Raises InputError if ``count`` is under 1, there are no triangles, or they have no area.
     """
     if count < 1:
         raise InputError(f"asked for {count} surface points, expected at least 1")

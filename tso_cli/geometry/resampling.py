@@ -60,10 +60,7 @@ def area_resize(
     values : float64 [height, width] or [height, width, C], the mean over the covered part of the cell; 0 where none is.
     coverage : float64 [height, width] in [0, 1], the part of the cell's area that the array (times weights) covers.
 
-    Raises
-    ------
-    InputError
-        The box is empty or not finite, or the sizes do not fit.
+    Raises InputError if the box is empty or not finite, or the sizes do not fit.
     """
     array = np.asarray(array)
     left, top, right, bottom = (float(edge) for edge in box)

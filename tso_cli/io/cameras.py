@@ -63,10 +63,7 @@ def find_camera(mask_path: str | Path) -> Path | None:
 def read_cameras(path: str | Path) -> list[CameraRecord]:
     """Read all views of a camera file; at least one.
 
-    Raises
-    ------
-    InputError
-        The file is not JSON of this form, or a camera in it is impossible; the message names file and key.
+    Raises InputError if the file is not JSON of this form, or a camera in it is impossible; the message names file and key.
     """
     path = Path(path)
     document = _load(path)
@@ -97,10 +94,7 @@ def read_camera(path: str | Path, width: int, height: int, mask: str | Path | No
     width, height : size of the mask in pixels; the camera's must be the same.
     mask : the mask's file, for the message, and to choose from a file with several views.
 
-    Raises
-    ------
-    InputError
-        As `read_cameras`; or the size differs; or there are several views and none, or more than one, names ``mask``.
+    Raises InputError as `read_cameras`, or if the size differs, or not just one of several views names ``mask``.
     """
     path = Path(path)
     records = read_cameras(path)
@@ -133,10 +127,7 @@ def check_size(path: str | Path, camera: Camera, width: int, height: int, mask: 
 def write_cameras(path: str | Path, records: Sequence[CameraRecord], overwrite: bool = False) -> None:
     """Write a camera file that reads back exactly; one record without files in the flat form, others as views.
 
-    Raises
-    ------
-    InputError
-        ``path`` cannot be written.
+    Raises InputError if ``path`` cannot be written.
     """
     path = Path(path)
     check_output(path, overwrite)

@@ -64,10 +64,8 @@ def save_tensors(
 def load_network(path: Path | str) -> tuple[BaseNetwork, NetworkConfig]:
     """Read a network, as float32 on the CPU in evaluation mode whatever type the file stores.
 
-    Raises
-    ------
-    InputError
-        The file is not a whole checkpoint, or its tensors are not those of the network that its configuration describes.
+    Raises InputError if the file is not a whole checkpoint, or its tensors are not those of the network that its configuration
+    describes.
     """
     import torch
 

@@ -61,10 +61,7 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
     ----------
     extended : refuse a cloud without extent: a single point, or equal ones.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, is damaged, holds no point or one that is not finite, or has no extent.
+    Raises InputError if the file cannot be read, is damaged, holds no point or one that is not finite, or has no extent.
     """
     path = Path(path)
     suffix = path.suffix.lower()

@@ -39,10 +39,7 @@ def read_mask(path: str | Path, invert: bool = False) -> NDArray[np.float32]:
 
     `View` checks that there is both inside and outside.
 
-    Raises
-    ------
-    InputError
-        The file is not a readable image, has over 100 megapixels, or values outside [0, 1].
+    Raises InputError if the file is not a readable image, has over 100 megapixels, or values outside [0, 1].
     """
     path = Path(path)
     mask = _to_unit(_read_values(path, "a mask image", "a mask [H, W]", "bfiu", _mask_values), path)
@@ -59,10 +56,7 @@ def read_depth(path: str | Path, scale: float = 1.0) -> NDArray[np.float64]:
     ----------
     scale : units of the camera to a step of the file: 0.001 for a file in millimetres and a camera in metres.
 
-    Raises
-    ------
-    InputError
-        The file is not such a map, or a depth is negative.
+    Raises InputError if the file is not such a map, or a depth is negative.
     """
     path = Path(path)
     with np.errstate(invalid="ignore"):  # signalling NaN
@@ -91,10 +85,7 @@ def _read_values(path: Path, what: str, form: str, kinds: str, convert: Convert)
 def read_image(path: str | Path) -> NDArray[np.uint8]:
     """Read a picture as [H, W, 3], or [H, W, 4] where it has an alpha channel.
 
-    Raises
-    ------
-    InputError
-        The file is not a readable image or has over 100 megapixels.
+    Raises InputError if the file is not a readable image or has over 100 megapixels.
     """
     path = Path(path)
     return _decode(read_bytes(path, "an image", _FILE_LIMIT), path, "an image", _colours)
@@ -109,10 +100,7 @@ def as_colours(image: Image.Image, path: Path) -> NDArray[np.uint8]:
 def write_image(path: str | Path, array: NDArray[np.uint8], overwrite: bool = False) -> None:
     """Write ``array`` ([H, W], [H, W, 3] or [H, W, 4], uint8 or bool) in the format of the suffix, .png for instance.
 
-    Raises
-    ------
-    InputError
-        ``path`` cannot be written, or its suffix is not that of an image format that can hold ``array``.
+    Raises InputError if ``path`` cannot be written, or its suffix is not that of an image format that can hold ``array``.
     """
     path = Path(path)
     suffix = path.suffix.lower()

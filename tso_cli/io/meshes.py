@@ -70,11 +70,8 @@ def read_mesh(path: Path | str, textures: bool = True, within: Path | None = Non
         file or in the folder ``within`` or below; of one that cannot be read a warning says so, the material's colour stays.
     within : a folder above the file, such as the one that a user named; None for the file's own.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, is of another format, damaged, or without a face; a coordinate is not finite; a face names a
-        vertex that does not exist; all faces together have no area.
+    Raises InputError if the file cannot be read, is of another format, damaged, or without a face; a coordinate is not finite;
+    a face names a vertex that does not exist; all faces together have no area.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES and path.is_file():

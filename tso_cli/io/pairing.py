@@ -27,10 +27,7 @@ def pair_with_masks(path: str | Path, masks: Sequence[str | Path]) -> list[Camer
     ----------
     masks : files, two or more. A view names one by its path, or failing that by the last part of the path.
 
-    Raises
-    ------
-    InputError
-        As `read_cameras`; or the views do not name all masks, and are not as many or name one of them at another place.
+    Raises InputError as `read_cameras`, or if the views do not name all masks, and are not as many or contradict the order.
     """
     records = read_cameras(path)
     naming: list[list[int]] = []  # views, of each mask

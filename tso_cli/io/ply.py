@@ -29,11 +29,8 @@ class PlyFile:
     data : the whole file.
     path : for messages.
 
-    Raises
-    ------
-    InputError
-        It is not a PLY file, has no x, y, z, or its body is shorter or longer than the header says: with a count that is too
-        low, points would be lost.
+    Raises InputError if it is not a PLY file, has no x, y, z, or its body is shorter or longer than the header says: with a
+    count that is too low, points would be lost.
     """
 
     def __init__(self, data: bytes, path: Path) -> None:

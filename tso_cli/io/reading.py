@@ -19,10 +19,7 @@ def read_bytes(path: Path, expected: str, limit: int | None = None, most: int = 
     expected : what the file should be, for the messages: "a point cloud".
     limit : the largest file to accept, in bytes.
 
-    Raises
-    ------
-    InputError
-        The file is missing, a folder, a device, unreadable, empty or larger than ``limit``.
+    Raises InputError if the file is missing, a folder, a device, unreadable, empty or larger than ``limit``.
     """
     try:
         about = path.stat()

@@ -31,7 +31,6 @@ from .reading import read_bytes, shown
 
 MESH_SUFFIXES = (".obj", ".off", ".stl", ".glb")
 SUFFIXES = (*CLOUD_SUFFIXES, *MESH_SUFFIXES, ".binvox")
-KINDS = ("cloud", "mesh", "voxels")
 
 # A grid of 512 a side already takes gigabytes on its way to a surface.
 MAX_VOXELS = 512**3
@@ -74,10 +73,7 @@ def read_shape(path: Path | str, samples: int = 16384, seed: int | Sequence[int]
     -------
     [N, 3] float64, finite.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, is damaged, or describes no points and no surface.
+    Raises InputError if the file cannot be read, is damaged, or describes no points and no surface.
     """
     path = Path(path)
     kind = shape_kind(path)
