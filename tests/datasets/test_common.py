@@ -85,12 +85,6 @@ def test_views_are_a_sequence_that_can_go_to_another_process(layout: Layout, tmp
     assert pickle.loads(pickle.dumps(views))[1].name == views[1].name
 
 
-def test_progress_is_reported_for_every_model(layout: Layout, tmp_path: Path) -> None:
-    reports: list[tuple[int, int, str]] = []
-    layout.open(tmp_path, progress=lambda *report: reports.append(report))
-    assert reports == [(1, 2, f"{CHAIR}/abc"), (2, 2, f"{CHAIR}/def")]
-
-
 BROKEN = [
     (AUTHORS, ["10 20", "10 up", "10 20"], "", r"view\.txt: line 2 has 'up'"),
     (AUTHORS, ["10 20", "10", "10 20"], "", r"view\.txt: line 2 has 1 numbers, expected 2 or more"),

@@ -22,8 +22,6 @@ from ..io.output import reason
 from ..io.reading import read_bytes, shown
 from .items import Dataset, Floats, ObjectItem, ViewItem
 
-Progress = Callable[[int, int, str], None]
-"""Called with how much is done, of how much, and a note."""
 Targets = tuple[Path, str, Callable[[str], Floats]]
 """The folder that has SYNSET/MODEL/FILE, FILE, and what reads it."""
 
@@ -133,26 +131,21 @@ class ModelLayout:
     not_a_category: str = ""
 
 
-def open_models(
-    name: str, folder: Path, layout: ModelLayout, targets: Targets | None, strict: bool, progress: Progress | None
-) -> Dataset:
+def open_models(name: str, folder: Path, layout: ModelLayout, targets: Targets | None, strict: bool) -> Dataset:
     """The data set ``name`` of the models in ``folder``; what cannot be used is skipped, or an error with ``strict``.
 
     All pictures of a category have the size of its first that can be read: no other is opened here. A model without its 3D
     file keeps its views: masks can teach it.
     """
-    skipped, objects, done = Skipped(strict), [], 0
-    categories = {name: listed(folder / name)[0] for name in listed(folder)[0] if name != layout.not_a_category}
-    for category, models in categories.items():
+    skipped, objects = Skipped(strict), []
+    for category in listed(folder)[0]:
         usable: dict[str, list[Picture]] = {}
+        models = listed(folder / category)[0] if category != layout.not_a_category else []
         for model in (f"{category}/{model}" for model in models):
             try:
                 usable[model] = _usable(model, folder / model / layout.inside, layout, skipped)
             except InputError as error:
                 skipped.add(model, str(error))
-            done += 1
-            if progress is not None:
-                progress(done, sum(map(len, categories.values())), model)
         size = _first_size(folder / model / layout.inside / picture.measured for model in usable for picture in usable[model])
         for model, pictures in usable.items():
             if size is None:

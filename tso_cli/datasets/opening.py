@@ -20,16 +20,14 @@ from .splits import read_part, read_split
 
 __all__ = ["open_dataset", "read_part", "read_split"]
 
-Opener = Callable[[Path, bool, common.Progress | None], Dataset]
+Opener = Callable[[Path, bool], Dataset]
 LAYOUTS = (
     f"ShapeNet of the CAPNet authors ({SHAPENET}/SYNSET/MODEL/render_0.png), renders of 3D-R2N2 "
     f"({R2N2}/SYNSET/MODEL/{PICTURES}/00.png), Pix3D ({TABLE}), or what tso render writes (NAME/cameras.json)"
 )
 
 
-def open_dataset(
-    folder: Path | str, strict: bool = False, progress: common.Progress | None = None, own_scale: bool = False
-) -> Dataset:
+def open_dataset(folder: Path | str, strict: bool = False, own_scale: bool = False) -> Dataset:
     """Open the data set in ``folder``; its layout shows in the names of the folders and files in it.
 
     Parameters
@@ -37,7 +35,6 @@ def open_dataset(
     folder : see `shapenet`, `r2n2`, `pix3d` and `rendered` for the layouts.
     strict : what cannot be used is an error; else it is named in ``skipped`` and left out. Pictures are read, and found to be
         damaged, only when they are loaded.
-    progress : called now and then with how much is done, of how much, and a note.
     own_scale : keep the sizes of objects. Those that have lost it, rendered here or of Pix3D, get a unit diagonal as ShapeNet's
         have. Else every object is centred and of longest side 1.
 
@@ -59,7 +56,7 @@ def open_dataset(
     layout, opener = next(iter(layouts.items()), ("", open_rendered))
     if not layout and not holds_object(folder):
         raise InputError(f"{folder}: has no layout known here, expected {LAYOUTS}")
-    dataset = opener(folder, strict, progress)
+    dataset = opener(folder, strict)
     if layout in (SHAPENET, R2N2):
         return replace(dataset, scale=AS_READ) if own_scale else normalised(dataset)
     return of_unit_diagonal(dataset) if own_scale else dataset

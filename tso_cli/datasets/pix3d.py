@@ -48,7 +48,7 @@ class _Entry:
     camera: Camera
 
 
-def open_pix3d(folder: Path | str, strict: bool = False, progress: common.Progress | None = None) -> Dataset:
+def open_pix3d(folder: Path | str, strict: bool = False) -> Dataset:
     """The objects of Pix3D; they are named after their models, CATEGORY/FOLDER/FILE, and every photo is a view.
 
     ``folder`` is ROOT; the rest is as for `opening.open_dataset`. No picture and no model is read yet. With ``strict`` the
@@ -76,8 +76,6 @@ def open_pix3d(folder: Path | str, strict: bool = False, progress: common.Progre
                 entries.setdefault(_name(entry.model, entry.category), []).append(entry)
         except InputError as error:
             skipped.add(title, str(error))
-        if progress is not None:
-            progress(number + 1, len(document), title)
     objects = []
     for name, photos in entries.items():
         views = common.LazyViews(len(photos), partial(_view, str(root), photos))

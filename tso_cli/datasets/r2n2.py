@@ -38,7 +38,7 @@ LENS_MM, SENSOR_MM = 35.0, 32.0
 _PICTURE = re.compile(r"([0-9]{2,9})\.png")
 
 
-def open_r2n2(folder: Path | str, strict: bool = False, progress: common.Progress | None = None) -> Dataset:
+def open_r2n2(folder: Path | str, strict: bool = False) -> Dataset:
     """The objects of this layout; they are named SYNSET/MODEL, in the frame and scale of ShapeNet's models.
 
     ``folder`` is ROOT, or the folder that holds ShapeNetRendering; the rest is as for `opening.open_dataset`.
@@ -51,7 +51,7 @@ def open_r2n2(folder: Path | str, strict: bool = False, progress: common.Progres
     targets, voxels = common.clouds_beside(place), place.with_name(VOXELS)
     if targets is None and voxels.is_dir():
         targets = voxels, "model.binvox", voxel_target
-    return common.open_models(place.name, root, _LAYOUT, targets, strict, progress)
+    return common.open_models(place.name, root, _LAYOUT, targets, strict)
 
 
 def r2n2_camera(azimuth: float, elevation: float, ratio: float, size: tuple[int, int], rotation: float = 0.0) -> Camera:

@@ -42,7 +42,7 @@ CAMERAS, TARGET, RECORD = "cameras.json", "target.ply", "render.json"
 _LEFT = re.compile(r"\.(.{1,40})\.[0-9a-f]{8}\.(partial|old)", re.DOTALL)
 
 
-def open_rendered(folder: Path | str, strict: bool = False, progress: common.Progress | None = None) -> Dataset:
+def open_rendered(folder: Path | str, strict: bool = False) -> Dataset:
     """The objects of a rendered folder as a data set; the category of CATEGORY/NAME is CATEGORY, of NAME "".
 
     ``folder`` is as `tso render` wrote it, or one object of it; the rest is as for `opening.open_dataset`.
@@ -50,8 +50,7 @@ def open_rendered(folder: Path | str, strict: bool = False, progress: common.Pro
     root = Path(folder)
     common.require_folder(root, "one that tso render wrote")
     skipped, objects = common.Skipped(strict), []
-    folders = sorted(_walk(root))
-    for number, (name, path, complete) in enumerate(folders):
+    for name, path, complete in sorted(_walk(root)):
         try:
             if not complete:
                 raise InputError(f"{path / TARGET}: does not exist, expected the points of this object")
@@ -60,8 +59,6 @@ def open_rendered(folder: Path | str, strict: bool = False, progress: common.Pro
             objects.append(ObjectItem(name, category, views, partial(common.cloud_target, str(path / TARGET))))
         except InputError as error:
             skipped.add(name, str(error))
-        if progress is not None:
-            progress(number + 1, len(folders), name)
     return common.finished(objects, root.resolve().name, skipped, f"NAME/{CAMERAS} and so on as tso render writes them")
 
 

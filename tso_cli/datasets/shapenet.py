@@ -40,7 +40,7 @@ _CLOUD_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 _IMAGE_AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
-def open_shapenet(folder: Path | str, strict: bool = False, progress: common.Progress | None = None) -> Dataset:
+def open_shapenet(folder: Path | str, strict: bool = False) -> Dataset:
     """The objects of this layout; they are named SYNSET/MODEL, in the frame and scale of their clouds.
 
     ``folder`` is ROOT, or ROOT/ShapeNet_rendered; the rest is as for `opening.open_dataset`.
@@ -50,7 +50,7 @@ def open_shapenet(folder: Path | str, strict: bool = False, progress: common.Pro
         root = root.resolve().parent
     models = root / RENDERED
     common.require_folder(models, "the pictures of the ShapeNet models")
-    return common.open_models(root.resolve().name, models, _LAYOUT, common.clouds_beside(models), strict, progress)
+    return common.open_models(root.resolve().name, models, _LAYOUT, common.clouds_beside(models), strict)
 
 
 def shapenet_camera(azimuth: float, elevation: float, size: tuple[int, int], distance: float = CANONICAL_DISTANCE) -> Camera:

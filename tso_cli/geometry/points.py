@@ -29,25 +29,23 @@ def as_points(points: ArrayLike, name: str = "cloud") -> Array:
     return array
 
 
-def farthest_point_sample(points: ArrayLike, count: int, start: int = 0) -> NDArray[np.int64]:
+def farthest_point_sample(points: ArrayLike, count: int) -> NDArray[np.int64]:
     """Indices [count] of a subset spread out greedily, in the order of choice: the first k are the sample of size k.
 
     Each new point is the one farthest from all chosen so far; among equals the first in file order. Exact and deterministic:
-    O(N count) time, O(N) memory. Points [N, 3] may coincide; no index is chosen twice. Raises InputError where ``points`` is
-    not a finite [N, 3], or ``count`` or ``start`` (the first index) is out of range.
+    O(N count) time, O(N) memory. The first index is 0. Points [N, 3] may coincide; no index is chosen twice. Raises InputError
+    where ``points`` is not a finite [N, 3] or ``count`` is out of range.
     """
     array = as_points(points)
     total = len(array)
     if not 1 <= count <= total:
         raise InputError(f"asked for {count} of {total} points, expected 1 to {total}")
-    if not 0 <= start < total:
-        raise InputError(f"the first point is number {start} of {total}, expected 0 to {total - 1}")
     # Contiguous columns, and no allocation inside the loop over all points.
     x, y, z = (np.ascontiguousarray(column) for column in array.T)
     squared, step = np.empty(total), np.empty(total)
     nearest = np.full(total, np.inf)  # squared distance to the chosen set
     chosen = np.empty(count, dtype=np.int64)
-    index = start
+    index = 0
     for i in range(count):
         chosen[i] = index
         np.subtract(x, x[index], out=squared)
