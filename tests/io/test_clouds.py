@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import re
 import struct
 import warnings
@@ -145,7 +146,7 @@ def test_integer_coordinates_become_double_when_they_move(save, tmp_path, form, 
 @every_form
 @pytest.mark.parametrize("kind", ["float", "int"])
 def test_coordinates_may_stand_in_any_order(save, tmp_path, form, kind):
-    """x, y, z are told by name: here z comes first and y last."""
+    """x, y, z are known by name: here z comes first and y last."""
     letter = "<>"[form.endswith("big_endian")] + CODES[kind]
 
     def body(points, letter):
@@ -328,6 +329,7 @@ def test_a_header_without_end_is_given_up_on(save):
 
 def test_files_that_cannot_be_opened_are_refused(save, tmp_path):
     (tmp_path / "folder.ply").mkdir()
+    os.mkfifo(tmp_path / "pipe.ply")
     for path, message in {
         tmp_path / "none.ply": r"none\.ply: does not exist",
         tmp_path / "folder.ply": r"folder\.ply: is a folder",
@@ -336,12 +338,10 @@ def test_files_that_cannot_be_opened_are_refused(save, tmp_path):
         save("cloud.las", b"x"): r"'\.las' .*expected \.ply, \.npy, \.xyz, \.txt",
         tmp_path / ("a" * 3000 + ".ply"): "cannot be read",
         tmp_path / "nul\0.ply": "cannot be read",
+        tmp_path / "pipe.ply": "not a regular file",
     }.items():
         with pytest.raises(InputError, match=message):
             read_cloud(path)
-    os.mkfifo(tmp_path / "pipe.ply")
-    with pytest.raises(InputError, match="not a regular file"):
-        read_cloud(tmp_path / "pipe.ply")
 
 
 def npy(kind, shape, size):
@@ -371,13 +371,12 @@ def test_arrays_that_are_no_clouds_are_refused(save, content, message):
     assert_one_line(str(caught.value))
 
 
+class Trap:
+    def __reduce__(self):
+        return pytest.fail, ("unpickled",)
+
+
 def test_a_pickle_is_never_opened(save):
-    import pickle
-
-    class Trap:
-        def __reduce__(self):
-            return pytest.fail, ("unpickled",)
-
     with pytest.raises(InputError, match=r"p\.npy: is not a readable \.npy"):
         read_cloud(save("p.npy", pickle.dumps(Trap())))
 
