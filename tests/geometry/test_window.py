@@ -34,9 +34,7 @@ def _in_canvas(view, times, across=0.5, down=0.3):
     return framed(view, times, across, down)
 
 
-@pytest.mark.parametrize(
-    ("name", "preset"), [("chair", "paper"), ("car", "paper"), ("airplane", "paper"), ("airplane", "best")]
-)
+@pytest.mark.parametrize(("name", "preset"), [("chair", "paper"), ("car", "paper"), ("airplane", "best")])
 def test_an_object_comes_as_near_to_the_truth_in_a_large_photo_as_in_a_small_one(name, preset):
     initial, target, view = _example(name)
     config = RefineConfig(preset=preset)
@@ -52,9 +50,9 @@ def test_an_object_comes_as_near_to_the_truth_in_a_large_photo_as_in_a_small_one
 def test_where_in_a_photo_the_object_is_and_how_large_that_is_changes_nothing():
     initial, _, view = _example("airplane")
     config = RefineConfig(steps=3)
-    expected = refine(initial, _in_canvas(view, 2), config=config)
+    expected = refine(initial[::4], _in_canvas(view, 2), config=config)
     for photo in (_in_canvas(view, 8), _in_canvas(view, 5, 0.2, 0.7)):
-        np.testing.assert_allclose(refine(initial, photo, config=config).points, expected.points, atol=1e-6)
+        np.testing.assert_allclose(refine(initial[::4], photo, config=config).points, expected.points, atol=1e-6)
 
 
 def test_the_window_is_a_square_around_mask_and_cloud():
@@ -155,7 +153,7 @@ def test_stray_foreground_far_from_the_object_is_left_out_with_a_warning():
     mask[-40:-38, 30:32] = 1.0
     strayed = View(mask, photo.camera)
     assert (strayed.box(), strayed.specks, photo.specks) == (photo.box(), 4, 0)
-    result, expected = (refine(initial, view, config=RefineConfig(steps=2)) for view in (strayed, photo))
+    result, expected = (refine(initial[::4], view, config=RefineConfig(steps=2)) for view in (strayed, photo))
     np.testing.assert_array_equal(result.points, expected.points)
     assert result.iou_after == expected.iou_after
     assert result.warnings == ("mask: foreground far from the object is left out (4 px)",)
@@ -195,6 +193,7 @@ def test_a_fine_mask_of_a_dense_cloud_gets_a_fine_grid():
 
 def test_objects_of_different_size_give_the_same_results_in_one_batch_and_alone():
     initial, _, view = _example("chair")
+    initial = initial[::4]
     scenes = [(initial, view), (initial, View(view.mask[::4, ::4], view.camera.resized(64, 64)))]
     config = RefineConfig(steps=3)
     for (points, view), result in zip(scenes, refine_batch(scenes, config), strict=True):
