@@ -99,43 +99,38 @@ def write_object(
     samples, target : [S, 3] and [P, 3].
     record : the settings, to be found again by `stored_record`.
 
-    Raises
-    ------
-    InputError
-        The folder exists (without ``overwrite``), or is not an object (with it).
-    TsoError
-        Writing failed.
+    Raises InputError if the folder exists (without ``overwrite``) or is not an object (with it), TsoError if writing failed.
     """
     token = secrets.token_hex(4)
-    partial, old = (folder.with_name(f".{folder.name[:40]}.{token}.{kind}") for kind in ("partial", "old"))
+    staging, old = (folder.with_name(f".{folder.name[:40]}.{token}.{kind}") for kind in ("partial", "old"))
     if stored_record(folder) is not None and not overwrite:
         raise InputError(f"{folder}: exists already, expected a new name or --overwrite")
     locks = []
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        partial.mkdir()
-        locks.append(_lock(partial))
+        staging.mkdir()
+        locks.append(_lock(staging))
         records = []
         for number, (image, mask, camera) in enumerate(views):
-            paths = partial / f"{number:03d}.png", partial / f"{number:03d}.mask.png"
+            paths = staging / f"{number:03d}.png", staging / f"{number:03d}.mask.png"
             write_image(paths[0], image)
             write_image(paths[1], mask)
             records.append(CameraRecord(camera, mask=paths[1], image=paths[0]))
-        write_cameras(partial / CAMERAS, records)
-        write_cloud(partial / f"target_{len(samples)}.ply", samples.astype(np.float64), dtype="float32")
-        write_cloud(partial / TARGET, target.astype(np.float64), dtype="float32")
-        with atomic_output(partial / RECORD) as temporary:
+        write_cameras(staging / CAMERAS, records)
+        write_cloud(staging / f"target_{len(samples)}.ply", samples.astype(np.float64), dtype="float32")
+        write_cloud(staging / TARGET, target.astype(np.float64), dtype="float32")
+        with atomic_output(staging / RECORD) as temporary:
             temporary.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
         if folder.exists():
             locks.append(_lock(folder))
             folder.rename(old)
-        partial.rename(folder)
+        staging.rename(folder)
     except OSError as error:
         raise TsoError(f"{folder}: cannot be written ({reason(error)})") from None
     finally:
         if old.exists() and not folder.exists():
             old.rename(folder)
-        for path in (partial, old):
+        for path in (staging, old):
             shutil.rmtree(path, ignore_errors=True)
         for lock in locks:
             if lock is not None:

@@ -31,7 +31,7 @@ class PointCloud:
     points : [N, 3] float64, in the file's order and units.
     path : where it came from.
     precision : "float32" or "float64", the type to write coordinates with.
-    ply : what is needed to write the same PLY file with other coordinates.
+    ply : the PLY file it came from, to write it again with other coordinates.
     """
 
     points: Points
@@ -102,12 +102,8 @@ def write_cloud(
     dtype : of the coordinates, without a ``like`` from PLY. By default the precision of ``like``; without it float32 where
         that moves no point by over a millionth of the cloud's extent.
 
-    Raises
-    ------
-    InputError
-        ``path`` is not a .ply or cannot be written, or ``points`` are not as many as those of ``like``.
-    TsoError
-        A coordinate is not finite or too large for its type. Nothing is written then.
+    Raises InputError if ``path`` is not a .ply or cannot be written, or ``points`` are not as many as those of ``like``;
+    TsoError if a coordinate is not finite or too large for its type. Nothing is written then.
     """
     path = Path(path)
     if path.suffix.lower() != ".ply":
