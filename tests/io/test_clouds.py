@@ -184,7 +184,9 @@ def test_numbers_that_signal_are_not_finite_like_any_other(save):
 def test_text_is_written_in_the_digits_of_its_type_or_in_as_many_as_it_has(save, tmp_path):
     head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty double z\nend_header\n"
     cloud = read_cloud(save("a.ply", head + "0.5 1 2\n0.25 1.50 3"))
-    write_cloud(tmp_path / "b.ply", cloud.points + np.array([0.1, 0, 0.1]), like=cloud)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_cloud(tmp_path / "b.ply", cloud.points + np.array([0.1, 0, 0.1]), like=cloud)
     assert (tmp_path / "b.ply").read_text() == head + "0.6 1 2.1\n0.35 1.50 3.1"
     cloud = read_cloud(save("scan.ply", head + "4000000.123456 1 2\n4000001.123456 1 2\n"))
     moved = cloud.points + np.array([0.000001, 0, 0])
