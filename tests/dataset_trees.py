@@ -1,7 +1,7 @@
 """Small data sets in the layouts people have, pictured by each layout's own formulas, and how to judge what is read back.
 
-Every formula here is written from the definition of its data set, in the terms used there, so that agreement with the program's
-cameras means something. The object is seen from the middle of its camera's frame: its vertices are moved, not the camera.
+Every formula follows the definition of its data set, in the terms used there, independently of the program's cameras. The
+vertices are moved into the frame of the camera, not the camera.
 """
 
 from __future__ import annotations
@@ -129,9 +129,8 @@ def write_shapenet(
             (folder / f"camera_{k}.mat").write_bytes(b"MATLAB 5.0 MAT-file, never read")
             rows.append(" ".join(map(str, (int(azimuth), int(elevation), 0, 2.0)[:columns])))
         (folder / "view.txt").write_text("\n".join(rows) + "\n")
-        if clouds is not None:
-            (root / clouds / CHAIR / model).mkdir(parents=True)
-            np.save(root / clouds / CHAIR / model / "pcl_1024_fps_trimesh.npy", lopsided_points())
+    if clouds is not None:
+        write_clouds(root, *models, folder=clouds)
     return root
 
 
@@ -175,10 +174,10 @@ def write_r2n2(
     return root
 
 
-def write_clouds(beside: Path, *models: str) -> None:
+def write_clouds(beside: Path, *models: str, folder: str = "ShapeNet_pcl") -> None:
     for model in models:
-        (beside / "ShapeNet_pcl" / CHAIR / model).mkdir(parents=True)
-        np.save(beside / "ShapeNet_pcl" / CHAIR / model / "pcl_1024_fps_trimesh.npy", lopsided_points())
+        (beside / folder / CHAIR / model).mkdir(parents=True)
+        np.save(beside / folder / CHAIR / model / "pcl_1024_fps_trimesh.npy", lopsided_points())
 
 
 def write_binvox(path: Path, in_the_middle: bool, side: int = 32) -> None:
@@ -221,22 +220,10 @@ def write_pix3d(root: Path, count: int = 3) -> list[dict[str, Any]]:
         image, mask = pictured(seen, lopsided().faces, focal / 32.0 * PIX3D_SIZE[0], PIX3D_SIZE)
         write_image(root / f"img/chair/{k:04d}.png", image)
         write_image(root / f"mask/chair/{k:04d}.png", mask)
-        entries.append(
-            {
-                "img": f"img/chair/{k:04d}.png",
-                "mask": f"mask/chair/{k:04d}.png",
-                "model": "model/chair/IKEA_X/model.obj",
-                "category": "chair",
-                "img_size": list(PIX3D_SIZE),
-                "rot_mat": rotation.tolist(),
-                "trans_mat": shift.tolist(),
-                "focal_length": focal,
-                "bbox": [0, 0, *PIX3D_SIZE],
-                "truncated": False,
-                "occluded": False,
-                "slightly_occluded": False,
-            }
-        )
+        files = {"img": f"img/chair/{k:04d}.png", "mask": f"mask/chair/{k:04d}.png", "model": "model/chair/IKEA_X/model.obj"}
+        camera = {"rot_mat": rotation.tolist(), "trans_mat": shift.tolist(), "focal_length": focal}
+        size = {"category": "chair", "img_size": list(PIX3D_SIZE), "bbox": [0, 0, *PIX3D_SIZE]}
+        entries.append({**files, **camera, **size, "truncated": False, "occluded": False, "slightly_occluded": False})
     write_entries(root, entries)
     return entries
 

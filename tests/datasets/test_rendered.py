@@ -120,15 +120,17 @@ def test_as_a_data_set_an_object_has_its_views_target_and_category(folder: Path)
         assert view.name.endswith(f"{number:03d}.mask.png")
 
 
-def test_camera_files_are_kept_for_few_objects_at_a_time(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_camera_file_is_read_once_until_it_changes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     reads: list[Path] = []
     original = rendered.read_cameras
     monkeypatch.setattr(rendered, "read_cameras", lambda path: (reads.append(path), original(path))[1])
-    views = rendered._Views(limit=1)
-    for _ in range(2):
-        for name in ("a/chair", "b"):
-            assert [views.view(str(folder / name), index).camera.width for index in (0, 1)] == [12, 12]
-    assert len(reads) == 4 and len(views._kept) == 1
+    views = open_rendered(folder / "b").objects[0].views
+    assert [views[index].camera.width for index in (0, 1, 0, 1)] == [12] * 4
+    assert len(reads) == 1
+    path = folder / "b/cameras.json"
+    path.write_text(path.read_text())
+    assert views[0].camera.width == 12
+    assert len(reads) == 2
 
 
 @pytest.mark.parametrize(

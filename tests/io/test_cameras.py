@@ -33,16 +33,9 @@ def without(key):
     return {k: v for k, v in GOOD.items() if k != key}
 
 
-@pytest.fixture
-def save(tmp_path):
-    def write(content, name="camera.json"):
-        path = tmp_path / name
-        if not isinstance(content, (str, bytes)):
-            content = json.dumps(content)
-        path.write_bytes(content if isinstance(content, bytes) else content.encode())
-        return path
-
-    return write
+@pytest.fixture(name="save")
+def save_camera(save):
+    return lambda content, name="camera.json": save(name, content)
 
 
 def assert_same(a, b):
@@ -211,6 +204,6 @@ def test_any_damage_is_read_or_refused_in_one_line(save, form):
             assert np.isfinite(record.camera.K).all()
             assert np.abs(record.camera.R @ record.camera.R.T - np.eye(3)).max() < 2e-3
 
-    was_read, refused = assert_reads_or_refuses(read, path, count=600)
-    assert was_read > 10
-    assert refused > 200
+    was_read, refused = assert_reads_or_refuses(read, path, count=200)
+    assert was_read > 5
+    assert refused > 60

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import re
 import struct
 import warnings
@@ -67,44 +68,32 @@ SHAPES = [
 ]
 
 
-@pytest.fixture
-def save(tmp_path):
-    def write(name, data):
-        path = tmp_path / name
-        path.write_bytes(data if isinstance(data, bytes) else data.encode())
-        return path
-
-    return write
+every_shape = pytest.mark.parametrize("shape", SHAPES, ids=str)
+every_form = pytest.mark.parametrize("form", FORMS)
 
 
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("kind", ["float", "double"])
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_vertices_are_read_wherever_they_stand(save, form, kind, shape):
-    cloud = read_cloud(save("a.ply", a_ply(form, kind, **shape)))
+@every_form
+@pytest.mark.parametrize("kind", ["float", "double", "int"])
+@every_shape
+def test_vertices_are_read_wherever_they_stand_and_unmoved_give_the_same_bytes(save, tmp_path, form, kind, shape):
+    source = save("a.ply", a_ply(form, kind, **shape))
+    cloud = read_cloud(source)
     exact = POINTS if kind == "double" or form == "ascii" else POINTS.astype(np.float32)
-    assert np.array_equal(cloud.points, exact)
+    assert np.array_equal(cloud.points, np.trunc(POINTS) if kind == "int" else exact)
     assert cloud.points.dtype == np.float64
+    write_cloud(tmp_path / "b.ply", cloud.points.copy(), like=cloud)
+    assert (tmp_path / "b.ply").read_bytes() == source.read_bytes()
 
 
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_faces_are_read_as_triangles_wherever_they_stand(save, form, shape):
-    found = read_cloud(save("a.ply", a_ply(form, **shape))).faces()
-    polygons = shape.get("faces", FACES)
-    if not polygons:
-        assert found is None
-        return
-    fans = [[face[0], *face[k : k + 2]] for face in polygons for k in range(1, len(face) - 1)]
-    assert sorted(found.tolist()) == sorted(fans)
+@every_form
+@pytest.mark.parametrize("faces", [FACES, FACES[:1], [[2, 1, 0], [1, 2, 3]], [], [[], [1], [0, 3]]], ids=str)
+def test_faces_are_read_as_triangles(save, form, faces):
+    triangles = read_cloud(save("a.ply", a_ply(form, faces=faces, extra_first=True))).faces()
+    fans = [[face[0], *face[k : k + 2]] for face in faces for k in range(1, len(face) - 1)]
+    assert triangles is None if not faces else sorted(triangles.tolist()) == sorted(fans)
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_faces_of_less_than_three_corners_are_no_triangles(save, form):
-    assert read_cloud(save("a.ply", a_ply(form, faces=[[], [1], [0, 3]]))).faces().shape == (0, 3)
-
-
-@pytest.mark.parametrize("form", FORMS)
+@every_form
 @pytest.mark.parametrize("wrong", [4, -1])
 def test_a_face_of_a_point_that_is_not_there_is_refused(save, form, wrong):
     cloud = read_cloud(save("a.ply", a_ply(form, faces=[[0, 1, 2], [0, 1, 2, wrong]])))
@@ -112,37 +101,23 @@ def test_a_face_of_a_point_that_is_not_there_is_refused(save, form, wrong):
         cloud.faces()
 
 
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("kind", ["float", "double", "int"])
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_writing_unmoved_points_gives_the_same_bytes(save, tmp_path, form, kind, shape):
-    source = save("a.ply", a_ply(form, kind, **shape))
-    cloud = read_cloud(source)
-    write_cloud(tmp_path / "b.ply", cloud.points.copy(), like=cloud)
-    assert (tmp_path / "b.ply").read_bytes() == source.read_bytes()
-
-
-@pytest.mark.parametrize("form", FORMS)
+@every_form
 @pytest.mark.parametrize("kind", ["float", "double"])
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
+@every_shape
 def test_moved_points_change_their_coordinates_and_nothing_else(save, tmp_path, form, kind, shape):
-    """The file expected is the one built from scratch with the moved points; text is compared word by word."""
+    """The file expected is the one built from scratch with the moved points; of text, blanks, words and numbers."""
     cloud = read_cloud(save("a.ply", a_ply(form, kind, **shape)))
     moved = (POINTS * 1.5 + 0.1).astype(np.float32).astype(np.float64)
     write_cloud(tmp_path / "b.ply", moved, like=cloud)
     written, expected = (tmp_path / "b.ply").read_bytes(), a_ply(form, kind, points=moved, **shape)
     if form == "ascii":
-        assert re.sub(rb"\S+", b"w", written) == re.sub(rb"\S+", b"w", expected)  # blanks and line ends stay
-        assert [w for w in written.split() if not w[-1:].isdigit()] == [w for w in expected.split() if not w[-1:].isdigit()]
-        assert np.array_equal(
-            *(read_cloud(save(f"{i}.ply", data)).points.astype(np.float32) for i, data in enumerate((written, expected)))
-        )
-    else:
-        assert written == expected
+        assert np.array_equal(read_cloud(tmp_path / "b.ply").points.astype(np.float32), moved.astype(np.float32))
+        written, expected = (re.sub(rb"[0-9.][0-9.e-]*", b"0", data) for data in (written, expected))
+    assert written == expected
 
 
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
+@every_form
+@every_shape
 def test_moving_one_point_rewrites_that_point_alone(save, tmp_path, form, shape):
     source = a_ply(form, **shape)
     cloud = read_cloud(save("a.ply", source))
@@ -156,8 +131,8 @@ def test_moving_one_point_rewrites_that_point_alone(save, tmp_path, form, shape)
     assert written == source.replace(old, new)
 
 
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
+@every_form
+@every_shape
 def test_integer_coordinates_become_double_when_they_move(save, tmp_path, form, shape):
     cloud = read_cloud(save("a.ply", a_ply(form, "int", **shape)))
     assert np.array_equal(cloud.points, np.trunc(POINTS))
@@ -168,10 +143,10 @@ def test_integer_coordinates_become_double_when_they_move(save, tmp_path, form, 
     assert written.split() == expected.split() if form == "ascii" else written == expected
 
 
-@pytest.mark.parametrize("form", FORMS)
+@every_form
 @pytest.mark.parametrize("kind", ["float", "int"])
 def test_coordinates_may_stand_in_any_order(save, tmp_path, form, kind):
-    """x, y, z are told by name: here z comes first and y last."""
+    """x, y, z are known by name: here z comes first and y last."""
     letter = "<>"[form.endswith("big_endian")] + CODES[kind]
 
     def body(points, letter):
@@ -206,21 +181,18 @@ def test_numbers_that_signal_are_not_finite_like_any_other(save):
             read_cloud(save("a.ply", head + bytes(20) + b"\x7f\x80\0\x01"))
 
 
-def test_text_with_more_digits_than_its_type_keeps_them(save, tmp_path):
-    text = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
-    cloud = read_cloud(save("scan.ply", text + "4000000.123456 1 2\n4000001.123456 1 2\n"))
-    moved = cloud.points + np.array([0.000001, 0, 0])
-    write_cloud(tmp_path / "b.ply", moved, like=cloud)
-    assert np.array_equal(read_cloud(tmp_path / "b.ply").points, moved)
-
-
-def test_text_is_written_in_the_digits_of_its_type(save, tmp_path):
-    text = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty double z\nend_header\n"
-    cloud = read_cloud(save("a.ply", text + "0.5 1 2\n0.25 1.50 3"))
+def test_text_is_written_in_the_digits_of_its_type_or_in_as_many_as_it_has(save, tmp_path):
+    head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty double z\nend_header\n"
+    cloud = read_cloud(save("a.ply", head + "0.5 1 2\n0.25 1.50 3"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         write_cloud(tmp_path / "b.ply", cloud.points + np.array([0.1, 0, 0.1]), like=cloud)
-    assert (tmp_path / "b.ply").read_text() == text + "0.6 1 2.1\n0.35 1.50 3.1"
+    assert (tmp_path / "b.ply").read_text() == head + "0.6 1 2.1\n0.35 1.50 3.1"
+    cloud = read_cloud(save("scan.ply", head + "4000000.123456 1 2\n4000001.123456 1 2\n"))
+    moved = cloud.points + np.array([0.000001, 0, 0])
+    with pytest.warns(UserWarning, match="its coordinates are stored as float, as in .*: rounding moves points by up to"):
+        write_cloud(tmp_path / "c.ply", moved, like=cloud)
+    assert np.array_equal(read_cloud(tmp_path / "c.ply").points, moved)
 
 
 def test_a_scan_far_from_the_origin_keeps_its_precision(save, tmp_path):
@@ -329,11 +301,11 @@ def test_what_is_not_a_cloud_is_refused_in_one_line(save, case):
 
 
 @pytest.mark.parametrize("form", FORMS[1:])
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
+@every_shape
 def test_a_binary_body_of_another_length_than_the_header_says_is_refused(save, form, shape):
     data = a_ply(form, **shape)
     start = data.index(b"end_header") + len("end_header" + shape.get("eol", "\n"))
-    for end in range(start, len(data)):
+    for end in range(start, len(data), 3):
         with pytest.raises(InputError, match=r"a\.ply: ends after \d of \d rows of element"):
             read_cloud(save("a.ply", data[:end]))
     with pytest.raises(InputError, match=r"3 bytes follow the data"):
@@ -341,7 +313,7 @@ def test_a_binary_body_of_another_length_than_the_header_says_is_refused(save, f
     assert len(read_cloud(save("a.ply", data + b"\n")).points) == 4
 
 
-@pytest.mark.parametrize("form", FORMS)
+@every_form
 def test_a_count_that_lies_allocates_nothing(save, form):
     data = a_ply(form).replace(b"element vertex 4", b"element vertex 900000000000000000")
     with pytest.raises(InputError, match=r"of 900000000000000000 rows of element 'vertex'"):
@@ -359,6 +331,7 @@ def test_a_header_without_end_is_given_up_on(save):
 
 def test_files_that_cannot_be_opened_are_refused(save, tmp_path):
     (tmp_path / "folder.ply").mkdir()
+    os.mkfifo(tmp_path / "pipe.ply")
     for path, message in {
         tmp_path / "none.ply": r"none\.ply: does not exist",
         tmp_path / "folder.ply": r"folder\.ply: is a folder",
@@ -367,16 +340,21 @@ def test_files_that_cannot_be_opened_are_refused(save, tmp_path):
         save("cloud.las", b"x"): r"'\.las' .*expected \.ply, \.npy, \.xyz, \.txt",
         tmp_path / ("a" * 3000 + ".ply"): "cannot be read",
         tmp_path / "nul\0.ply": "cannot be read",
+        tmp_path / "pipe.ply": "not a regular file",
     }.items():
         with pytest.raises(InputError, match=message):
             read_cloud(path)
-    os.mkfifo(tmp_path / "pipe.ply")
-    with pytest.raises(InputError, match="not a regular file"):
-        read_cloud(tmp_path / "pipe.ply")
 
 
-def test_arrays_that_are_no_clouds_are_refused(save, tmp_path):
-    for array, message in [
+def npy(kind, shape, size):
+    """A .npy file with a header of our own and ``size`` zero bytes."""
+    header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}}}\n".encode()
+    return np.lib.format.magic(1, 0) + len(header).to_bytes(2, "little") + header + bytes(size)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
         (np.zeros((4, 2)), r"float64 \[4, 2\], expected numbers \[N, 3\]"),
         (np.zeros(3), r"\[3\], expected"),
         (np.zeros((2, 3), dtype=complex), "complex128"),
@@ -384,32 +362,23 @@ def test_arrays_that_are_no_clouds_are_refused(save, tmp_path):
         (np.array([[{}] * 3] * 2), "object"),
         (np.zeros((0, 3)), "0 points"),
         (np.full((5, 3), np.nan), "5 of 5 points .* first is point 0"),
-    ]:
-        np.save(tmp_path / "a.npy", array, allow_pickle=True)
-        with pytest.raises(InputError, match=rf"a\.npy: .*{message}"):
-            read_cloud(tmp_path / "a.npy")
-    np.save(tmp_path / "a.npy", np.zeros((2, 3)))
-    lying = (tmp_path / "a.npy").read_bytes().replace(b"(2, 3), }          ", b"(2000000000000, 3)}")
-    assert b"2000000000000" in lying
-    with pytest.raises(InputError, match=r"has 48 bytes of values, expected .*2000000000000, 3"):
-        read_cloud(save("a.npy", lying))
-    np.save(tmp_path / "a.npy", POINTS)
-    with pytest.raises(InputError, match="has 104 bytes of values, expected .4, 3. of float64"):
-        read_cloud(save("a.npy", (tmp_path / "a.npy").read_bytes() + bytes(8)))
-    np.save(tmp_path / "a.npy", POINTS)
-    odd = (tmp_path / "a.npy").read_bytes().replace(b"'<f8'", b"'<\x1b['")
-    with pytest.raises(InputError, match=r"a\.npy: is not a readable") as caught:
-        read_cloud(save("a.npy", odd))
+        (npy("<f8", (2000000000000, 3), 48), "has 48 bytes of values, expected .2000000000000, 3"),
+        (npy("<f8", (2, 3), 56), "has 56 bytes of values, expected .2, 3. of float64"),
+        (npy("<\x1b[", (2, 3), 48), "is not a readable"),
+    ],
+)
+def test_arrays_that_are_no_clouds_are_refused(save, content, message):
+    with pytest.raises(InputError, match=rf"a\.npy: .*{message}") as caught:
+        read_cloud(save("a.npy", content))
     assert_one_line(str(caught.value))
 
 
+class Trap:
+    def __reduce__(self):
+        return pytest.fail, ("unpickled",)
+
+
 def test_a_pickle_is_never_opened(save):
-    import pickle
-
-    class Trap:
-        def __reduce__(self):
-            return pytest.fail, ("unpickled",)
-
     with pytest.raises(InputError, match=r"p\.npy: is not a readable \.npy"):
         read_cloud(save("p.npy", pickle.dumps(Trap())))
 
@@ -464,16 +433,14 @@ DAMAGED = {
     "big.ply": a_ply("binary_big_endian", "double", eol="\r\n", faces=FACES[:1]),
     "integers.ply": a_ply("binary_big_endian", "short", eol="\r"),
     "table.xyz": b"# table\n" + b"0.5 -1e-3 7\n1 2 3\n" * 4,
+    "array.npy": POINTS.astype(np.float32),
+    "fortran.npy": np.asfortranarray(POINTS),
 }
 
 
-@pytest.mark.parametrize("name", [*DAMAGED, "array.npy", "fortran.npy"])
+@pytest.mark.parametrize("name", DAMAGED)
 def test_any_damage_is_read_or_refused_in_one_line(save, tmp_path, name):
-    if name.endswith(".npy"):
-        array = POINTS.astype(np.float32) if name == "array.npy" else np.asfortranarray(POINTS)
-        np.save(tmp_path / name, array)
-    else:
-        save(name, DAMAGED[name])
+    save(name, DAMAGED[name])
 
     def read_and_rewrite(path):
         cloud = read_cloud(path)
@@ -483,42 +450,25 @@ def test_any_damage_is_read_or_refused_in_one_line(save, tmp_path, name):
         again = read_cloud(tmp_path / "rewritten.ply").points
         assert np.allclose(again, cloud.points * 0.5, rtol=1e-6, atol=1e-40)
 
-    was_read, refused = assert_reads_or_refuses(read_and_rewrite, tmp_path / name, count=600)
-    assert was_read > 20
-    assert refused > 100
+    was_read, refused = assert_reads_or_refuses(read_and_rewrite, tmp_path / name, count=200)
+    assert was_read > 5
+    assert refused > 30
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_colours_are_read_as_shares_of_what_their_type_can_hold(tmp_path, form):
-    (tmp_path / "a.ply").write_bytes(a_ply(form))
+@every_form
+def test_colours_are_read_as_shares_of_what_their_type_can_hold(save, form):
     with pytest.raises(InputError, match="its points have no colours, expected red, green and blue"):
-        read_cloud(tmp_path / "a.ply").colours()
-    data = a_ply(form, extra_first=True).replace(b"float32 quality", b"float32 green\nproperty ushort blue")
-    values = [(0.25 * i, 65535 - i) for i in range(4)]
-    order = {"binary_big_endian": ">", "binary_little_endian": "<"}.get(form)
-    if order is None:
-        for i, (_, blue) in enumerate(values):
-            line = next(one for one in data.split(b"\n") if one.split()[1:2] == [str(200 + i).encode()])
-            data = data.replace(line, line.rstrip() + f" {blue}".encode())
-    else:
-        data = _with_blue(data, order, values)
-    (tmp_path / "b.ply").write_bytes(data)
-    cloud = read_cloud(tmp_path / "b.ply")
-    wanted = [[(200 + i) / 255.0, green, blue / 65535.0] for i, (green, blue) in enumerate(values)]
-    assert np.array_equal(cloud.points, read_cloud(tmp_path / "a.ply").points)
-    assert np.allclose(cloud.colours(), wanted, rtol=0.0, atol=1e-12)
-
-
-def _with_blue(data, order, values):
-    """The bytes of each green, followed by a blue of two bytes."""
-    # behind the rows before: their last bytes are the double 2.5
-    at = data.index(struct.pack(f"{order}d", 2.5))
-    for i, (green, blue) in enumerate(values):
-        row = struct.pack(f"{order}B", 200 + i)
-        at = data.index(row, at)
-        at = data.index(struct.pack(f"{order}f", green), at + 9) + 4
-        data = data[:at] + struct.pack(f"{order}H", blue) + data[at:]
-    return data
+        read_cloud(save("a.ply", a_ply(form))).colours()
+    kinds = {"blue": "ushort", "x": "float", "red": "uchar", "y": "float", "z": "double", "green": "float"}
+    rows = [(65535, 0.5, 200, 1.0, 2.0, 0.25), (13, 1.5, 0, 1.0, 2.0, 1.0)]
+    header = "".join(f"property {kind} {name}\n" for name, kind in kinds.items())
+    order = {"ascii": None, "binary_big_endian": ">", "binary_little_endian": "<"}[form]
+    codes = "".join(CODES[kind] for kind in kinds.values())
+    body = [struct.pack(order + codes, *row) if order else " ".join(map(str, row)).encode() + b"\n" for row in rows]
+    head = f"ply\nformat {form} 1.0\nelement vertex 2\n{header}end_header\n".encode()
+    cloud = read_cloud(save("b.ply", head + b"".join(body)))
+    assert np.array_equal(cloud.points, [[0.5, 1.0, 2.0], [1.5, 1.0, 2.0]])
+    assert np.allclose(cloud.colours(), [[200 / 255, 0.25, 1.0], [0.0, 1.0, 13 / 65535]], rtol=0.0, atol=1e-12)
 
 
 def test_floating_point_colours_outside_0_to_1_are_refused(tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import struct
 import warnings
 import zlib
@@ -111,10 +110,9 @@ def test_a_colour_declared_transparent_is_outside(tmp_path):
     assert np.array_equal(read_mask(path), SHAPE)
 
 
-def test_a_mask_of_one_value_is_left_to_the_scene_to_refuse(tmp_path):
-    for value in (0, 255):
-        assert (read_mask(saved(tmp_path, Image.new("L", (3, 2), value))) == value / 255).all()
-    assert (read_mask(saved(tmp_path, Image.new("RGBA", (3, 2), (255, 255, 255, 0)))) == 0).all()
+def test_a_mask_of_one_value_is_left_to_the_view_to_refuse(tmp_path):
+    for image, value in ((Image.new("L", (3, 2)), 0), (Image.new("L", (3, 2), 255), 1), (Image.new("RGBA", (3, 2)), 0)):
+        assert (read_mask(saved(tmp_path, image)) == value).all()
 
 
 def test_arrays_are_masks_too(tmp_path):
@@ -127,6 +125,7 @@ def test_arrays_are_masks_too(tmp_path):
     ("array", "message"),
     [
         (np.array([[0.0, np.nan]]), "values span nan to nan, expected 0 to 1"),
+        (np.array([[0x3F800000, 0x7F800001]], np.uint32).view(np.float32), "values span nan to nan"),  # a signalling NaN
         (np.array([[0.0, 1.5]]), "values span 0 to 1.5, expected 0 to 1"),
         (np.array([[0, -1]]), "smallest value is -1"),
         (np.array([[0, 70000]]), "largest value is 70000"),
@@ -175,9 +174,9 @@ def test_what_is_written_reads_back(tmp_path):
     for array in (rgba, rgba[..., :3]):
         write_image(tmp_path / "a.png", array, overwrite=True)
         assert np.array_equal(read_image(tmp_path / "a.png"), array)
-    for array in (SHAPE, SOFT):
+    for array, mask in ((SHAPE, SHAPE), (SOFT, SOFT / np.float32(255))):
         write_image(tmp_path / "m.png", array, overwrite=True)
-        assert np.array_equal(read_mask(tmp_path / "m.png"), (array if array is SHAPE else SOFT / np.float32(255)))
+        assert np.array_equal(read_mask(tmp_path / "m.png"), mask)
 
 
 def test_nothing_is_written_for_what_is_no_image(tmp_path):
@@ -218,41 +217,35 @@ def test_a_billion_pixels_in_a_kilobyte_are_refused_without_decoding(tmp_path, m
     assert_one_line(str(caught.value))
 
 
-def test_a_large_picture_within_the_limit_passes_without_warning(tmp_path):
-    path = saved(tmp_path, Image.new("1", (9990, 9990)))
-    assert read_mask(path).shape == (9990, 9990)
+def test_a_large_picture_within_the_limit_passes_without_warning(tmp_path, monkeypatch):
+    """Pillow warns of pictures over a limit of its own, which is lower."""
+    assert Image.MAX_IMAGE_PIXELS < PIXEL_LIMIT
+    path = saved(tmp_path, HARD["8-bit"]())
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 50)
+    assert np.array_equal(read_mask(path), SHAPE)
 
 
 @pytest.mark.parametrize("read", [read_mask, read_image])
-def test_files_that_are_no_images_are_refused(tmp_path, read):
-    whole = io.BytesIO()
-    Image.fromarray(np.random.default_rng(0).integers(0, 256, (40, 40), dtype=np.uint8)).save(whole, "PNG")
-    (tmp_path / "cut.png").write_bytes(whole.getvalue()[:800])
-    (tmp_path / "empty.png").write_bytes(b"")
-    (tmp_path / "text.png").write_bytes(b"hello")
-    (tmp_path / "none.png").write_bytes(png_of(0, 5))
-    (tmp_path / "folder.png").mkdir()
-    # A format whose reader would start another program.
-    (tmp_path / "page.eps").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n")
-    for name, message in {
-        "cut.png": "is not readable as",
-        "empty.png": "is empty",
-        "text.png": "is not a readable image",
-        "none.png": "is not",
-        "folder.png": "is a folder",
-        "missing.png": "does not exist",
-        "page.eps": "is not a readable image",
-    }.items():
-        with pytest.raises(InputError, match=rf"{name}: .*{message}") as caught:
-            read(tmp_path / name)
-        assert_one_line(str(caught.value))
-
-
-def test_numbers_that_signal_are_no_mask(tmp_path):
-    values = np.array([[0x3F800000, 0x7F800001]], dtype=np.uint32).view(np.float32)
-    np.save(tmp_path / "m.npy", values)
-    with pytest.raises(InputError, match="values span nan to nan"):
-        read_mask(tmp_path / "m.npy")
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("cut.png", png_of(40, 40, zlib.compress(bytes(1640))[:-9]), "is not readable as"),
+        ("empty.png", b"", "is empty"),
+        ("text.png", b"hello", "is not a readable image"),
+        ("none.png", png_of(0, 5), "is not"),
+        # A format whose reader would start another program.
+        ("page.eps", b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n", "is not a readable image"),
+        ("missing.png", None, "does not exist"),
+        ("", None, "is a folder"),
+    ],
+)
+def test_files_that_are_no_images_are_refused(tmp_path, read, name, content, message):
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=rf"{path.name}: .*{message}") as caught:
+        read(path)
+    assert_one_line(str(caught.value))
 
 
 def test_of_an_animation_the_first_frame_counts(tmp_path):
@@ -296,10 +289,9 @@ def test_any_damage_is_read_or_refused_in_one_line(tmp_path, read, name):
             assert array.shape[2:] in ((3,), (4,))
 
     repair = repair_png if name.endswith(".png") else None
-    was_read, refused = assert_reads_or_refuses(checked, tmp_path / name, count=500, repair=repair)
-    if (name == "array.npy") is (read is read_mask) or name != "array.npy":
-        assert was_read > 10
-    assert refused > 50
+    was_read, refused = assert_reads_or_refuses(checked, tmp_path / name, count=120, repair=repair)
+    assert was_read > 3 or (name == "array.npy" and read is read_image)
+    assert refused > 10
 
 
 def test_a_depth_map_keeps_sixteen_bits_and_its_scale_and_what_is_unknown_becomes_nan(tmp_path):

@@ -1,13 +1,15 @@
-"""What the readers of data sets share: lazy views, folders, tables of cameras, targets, and a list of what was left out."""
+"""What the readers of data sets share: lazy views, tables of cameras, targets, and a list of what was left out."""
 
 from __future__ import annotations
 
 import math
 import os
+import sys
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TypeVar, overload
+from typing import NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +22,8 @@ from ..io.output import reason
 from ..io.reading import read_bytes, shown
 from .items import Dataset, Floats, ObjectItem, ViewItem
 
-Known = TypeVar("Known")
-"""What a reader knows of the views of one model."""
-Progress = Callable[[int, int, str], None]
-"""Called with how much is done, of how much, and a note."""
+Targets = tuple[Path, str, Callable[[str], Floats]]
+"""The folder that has SYNSET/MODEL/FILE, FILE, and what reads it."""
 
 SAMPLES, POINTS = 16384, 1024
 """Points drawn from a surface, and how many of them farthest-point sampling keeps, as in the paper."""
@@ -39,13 +39,7 @@ _TABLE_LIMIT = 1 << 24
 
 
 class LazyViews(Sequence[ViewItem]):
-    """Views made when they are asked for: a data set of a million pictures keeps only what ``build`` needs.
-
-    Parameters
-    ----------
-    count : how many.
-    build : gives view number i, 0 <= i < count.
-    """
+    """``count`` views that ``build`` makes when they are asked for: a data set may have a million pictures."""
 
     __slots__ = ("_build", "_count")
 
@@ -60,11 +54,8 @@ class LazyViews(Sequence[ViewItem]):
     @overload
     def __getitem__(self, index: slice) -> list[ViewItem]: ...
     def __getitem__(self, index: int | slice) -> ViewItem | list[ViewItem]:
-        if isinstance(index, slice):
-            return [self._build(i) for i in range(*index.indices(self._count))]
-        if not -self._count <= index < self._count:
-            raise IndexError(f"view {index} of {self._count}")
-        return self._build(index % self._count)
+        numbers = range(self._count)[index]
+        return [self._build(i) for i in numbers] if isinstance(numbers, range) else self._build(numbers)
 
 
 class Skipped:
@@ -85,8 +76,8 @@ def finished(objects: list[ObjectItem], description: str, skipped: Skipped, expe
     """The data set; InputError saying what was ``expected`` if it has no object."""
     if not objects:
         first = next(iter(skipped.reasons.values()), None)
-        found = f"no object can be used, the first: {first}" if first else f"holds no object, expected {expected}"
-        raise InputError(f"{description}: {found}")
+        what = f"no object can be used, the first: {first}" if first else f"holds no object, expected {expected}"
+        raise InputError(f"{description}: {what}")
     return Dataset(sorted(objects, key=lambda item: item.name), description, skipped.reasons)
 
 
@@ -94,10 +85,10 @@ def listed(folder: Path) -> tuple[list[str], set[str]]:
     """Names of the folders, sorted, and of the files in ``folder``; hidden ones are left out. InputError if unreadable."""
     try:
         with os.scandir(folder) as entries:
-            seen = [(entry.name, entry.is_dir()) for entry in entries if not entry.name.startswith(".")]
+            kinds = {entry.name: entry.is_dir() for entry in entries if not entry.name.startswith(".")}
     except (OSError, ValueError) as error:
         raise InputError(f"{folder}: cannot be listed ({reason(error)}), expected a folder") from None
-    return sorted(name for name, is_folder in seen if is_folder), {name for name, is_folder in seen if not is_folder}
+    return sorted(name for name in kinds if kinds[name]), {name for name in kinds if not kinds[name]}
 
 
 def require_folder(folder: Path, what: str) -> None:
@@ -106,69 +97,105 @@ def require_folder(folder: Path, what: str) -> None:
         raise InputError(f"{folder}: {'is a file' if folder.exists() else 'does not exist'}, expected {what}")
 
 
-def models_in(folder: Path, apart_from: str = "") -> list[tuple[str, list[str]]]:
-    """Category folders of ``folder``, each with the names of its model folders, all sorted."""
-    return [(category, listed(folder / category)[0]) for category in listed(folder)[0] if category != apart_from]
+class Picture(NamedTuple):
+    """A picture of a model.
 
-
-def objects_of(
-    folder: Path,
-    skipped: Skipped,
-    progress: Progress | None,
-    look: Callable[[str], Known],
-    pictures: Callable[[str, Known], Iterable[Path]],
-    build: Callable[[str, Known, tuple[int, int]], LazyViews],
-    shape: Callable[[str], tuple[Path, Callable[[str], Floats]]] | None,
-    apart_from: str = "",
-) -> list[ObjectItem]:
-    """The models of ``folder``/SYNSET/MODEL, named so; those that cannot be used are noted in ``skipped``.
-
-    Parameters
-    ----------
-    look : what is known of a model's views; InputError where it cannot be used.
-    pictures : those of a model whose size is that of all pictures of its category.
-    build : views of a model whose pictures are of a size (width, height).
-    shape : the 3D file of a model and what reads it; None where the data set has no such files. A model without its file keeps
-        its views: masks can teach it.
-    apart_from : a folder that is no category.
+    file, row : its name, and its row of the table of cameras [1, columns].
+    problem : why it cannot be used, "" if it can.
+    measured : the file whose size is that of the view.
     """
-    objects, done = [], 0
-    categories = models_in(folder, apart_from)
-    total = sum(len(models) for _, models in categories)
-    for category, models in categories:
-        found: list[tuple[str, Known]] = []
-        for model in models:
-            name, done = f"{category}/{model}", done + 1
+
+    file: str
+    row: Array
+    problem: str
+    measured: str
+
+
+@dataclass(frozen=True)
+class ModelLayout:
+    """A layout with the pictures of each model in SYNSET/MODEL.
+
+    Attributes
+    ----------
+    title : what the data set is called. expected : what messages expect in its folder.
+    pictures : the pictures in the folder of a model; InputError where the model cannot be used.
+    view : from that folder, the file of a picture, its row and the size (width, height).
+    inside : folder inside that of the model. not_a_category : a folder beside the categories.
+    """
+
+    title: str
+    expected: str
+    pictures: Callable[[Path], list[Picture]]
+    view: Callable[[Path, str, list[float], tuple[int, int]], ViewItem]
+    inside: str = ""
+    not_a_category: str = ""
+
+
+def open_models(name: str, folder: Path, layout: ModelLayout, targets: Targets | None, strict: bool) -> Dataset:
+    """The data set ``name`` of the models in ``folder``; what cannot be used is skipped, or an error with ``strict``.
+
+    All pictures of a category have the size of its first that can be read: no other is opened here. A model without its 3D
+    file keeps its views: masks can teach it.
+    """
+    skipped, objects = Skipped(strict), []
+    for category in listed(folder)[0]:
+        usable: dict[str, list[Picture]] = {}
+        models = listed(folder / category)[0] if category != layout.not_a_category else []
+        for model in (f"{category}/{model}" for model in models):
             try:
-                found.append((name, look(name)))
+                usable[model] = _usable(model, folder / model / layout.inside, layout, skipped)
             except InputError as error:
-                skipped.add(name, str(error))
-            if progress is not None:
-                progress(done, total, name)
-        size = first_size(path for name, known in found for path in pictures(name, known))
-        for name, known in found:
+                skipped.add(model, str(error))
+        size = _first_size(folder / model / layout.inside / picture.measured for model in usable for picture in usable[model])
+        for model, pictures in usable.items():
             if size is None:
-                skipped.add(name, f"{folder / name}: no picture of the category can be read")
+                skipped.add(model, f"{folder / model}: no picture of the category can be read")
                 continue
-            objects.append(ObjectItem(name, SYNSETS.get(category, category), build(name, known, size), *_target(name, shape)))
-    return objects
+            # The same few names in every folder: one string each.
+            files, rows = [sys.intern(picture.file) for picture in pictures], np.concatenate([p.row for p in pictures])
+            build = partial(_view, layout.view, str(folder / model / layout.inside), files, rows, size)
+            views = LazyViews(len(files), build)
+            objects.append(ObjectItem(model, SYNSETS.get(category, category), views, *_target(model, targets)))
+    return finished(objects, f"{name} ({layout.title})", skipped, layout.expected)
 
 
-def _target(
-    name: str, shape: Callable[[str], tuple[Path, Callable[[str], Floats]]] | None
-) -> tuple[Callable[[], Floats] | None, str]:
+def _usable(model: str, folder: Path, layout: ModelLayout, skipped: Skipped) -> list[Picture]:
+    pictures = layout.pictures(folder)
+    for picture in pictures:
+        if picture.problem:
+            skipped.add(f"{model}/{picture.file}", picture.problem)
+    usable = [picture for picture in pictures if not picture.problem]
+    if not usable:
+        raise InputError(f"{folder}: none of its {len(pictures)} pictures can be used")
+    return usable
+
+
+def _view(
+    view: Callable[[Path, str, list[float], tuple[int, int]], ViewItem],
+    folder: str,
+    files: list[str],
+    rows: Array,
+    size: tuple[int, int],
+    index: int,
+) -> ViewItem:
+    return view(Path(folder), files[index], rows[index].tolist(), size)
+
+
+def _target(model: str, targets: Targets | None) -> tuple[Callable[[], Floats] | None, str]:
     """What reads the points of a model, or None and, if it should have them, which file is missing."""
-    if shape is None:
+    if targets is None:
         return None, ""
-    path, read = shape(name)
+    folder, file, read = targets
+    path = folder / model / file
     if not path.is_file():
         return None, f"{path}: does not exist, expected the shape of this object"
     return partial(read, str(path)), ""
 
 
-def cloud_folder(beside: Path) -> Path | None:
-    """The folder of point clouds that stands beside the pictures, if there is one."""
-    return next((beside / name for name in CLOUD_FOLDERS if (beside / name).is_dir()), None)
+def clouds_beside(pictures: Path) -> Targets | None:
+    """The point clouds that stand beside the folder of the pictures, if there are any."""
+    folders = (pictures.parent / name for name in CLOUD_FOLDERS)
+    return next(((folder, CLOUD, cloud_target) for folder in folders if folder.is_dir()), None)
 
 
 def read_table(path: Path, least: int, most: int, what: str) -> Array:
@@ -194,7 +221,7 @@ def read_table(path: Path, least: int, most: int, what: str) -> Array:
     return np.array(rows, dtype=np.float64).reshape(-1, most)
 
 
-def first_size(paths: Iterable[Path]) -> tuple[int, int] | None:
+def _first_size(paths: Iterable[Path]) -> tuple[int, int] | None:
     """Width and height of the first picture that can be read, None if none can."""
     for path in paths:
         try:
@@ -205,7 +232,7 @@ def first_size(paths: Iterable[Path]) -> tuple[int, int] | None:
     return None
 
 
-def sized(path: Path, pixels: NDArray[np.generic], camera: Camera, expected: str) -> None:
+def require_size(path: Path, pixels: NDArray[np.generic], camera: Camera, expected: str) -> None:
     """Raise InputError unless ``pixels`` [H, W, ...], read from ``path``, are of the camera's size; ``expected`` says why."""
     height, width = pixels.shape[:2]
     if (width, height) != (camera.width, camera.height):

@@ -39,8 +39,7 @@ class ObjectItem:
 
     Attributes
     ----------
-    name : unique in its data set, CATEGORY/NAME as a rule.
-    category : of its type; "" where the data set knows none.
+    name : unique in its data set, CATEGORY/NAME as a rule. category : "" where the data set knows none.
     views : at least one.
     target : gives points of the surface [P, 3] float32 in the object's own frame; None where there is no such file.
     lacking : one line naming the 3D file that is missing, where other objects of the data set have theirs.
@@ -55,12 +54,11 @@ class ObjectItem:
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Objects that can be used, and why the others cannot.
+    """Objects that can be used, sorted by name, and why the others cannot.
 
     Attributes
     ----------
-    objects : sorted by name.
-    description : what it is, in words; it travels in checkpoints.
+    description : what it is, in words; it is stored in checkpoints.
     skipped : item -> why it was left out.
     scale : that of all clouds and cameras, in words.
     """
@@ -75,9 +73,9 @@ class Dataset:
 
         Raises InputError naming ``source``, the file of the split, if it names an object that is neither here nor skipped.
         """
-        wanted = set(names)
-        chosen = [item for item in self.objects if original(item.name) in wanted]
-        missing = sorted(wanted - {original(item.name) for item in chosen} - set(self.skipped))
+        listed = set(names)
+        chosen = [item for item in self.objects if original(item.name) in listed]
+        missing = sorted(listed - {original(item.name) for item in chosen} - set(self.skipped))
         if missing:
             more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
             raise InputError(f"{source}: names {missing[0]}{more}, expected objects of {self.description}")
@@ -86,10 +84,7 @@ class Dataset:
         return replace(self, objects=chosen)
 
     def with_points(self, strict: bool = False) -> Dataset:
-        """The objects that have a 3D file, for what learns from points; the others are skipped, all of them kept if none has.
-
-        Raises InputError with ``strict`` where one lacks its file.
-        """
+        """The objects that have a 3D file, or all if none has; the others are skipped, with ``strict`` an InputError."""
         chosen = [item for item in self.objects if item.target is not None]
         if not chosen:
             return self

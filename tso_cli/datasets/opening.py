@@ -13,23 +13,21 @@ from .pix3d import TABLE, open_pix3d
 from .r2n2 import PICTURES, open_r2n2
 from .r2n2 import RENDERED as R2N2
 from .rendered import holds_object, open_rendered
-from .scale import OWN, normalised, of_unit_diagonal
+from .scale import AS_READ, normalised, of_unit_diagonal
 from .shapenet import RENDERED as SHAPENET
 from .shapenet import open_shapenet
 from .splits import read_part, read_split
 
 __all__ = ["open_dataset", "read_part", "read_split"]
 
-Opener = Callable[[Path, bool, common.Progress | None], Dataset]
+Opener = Callable[[Path, bool], Dataset]
 LAYOUTS = (
     f"ShapeNet of the CAPNet authors ({SHAPENET}/SYNSET/MODEL/render_0.png), renders of 3D-R2N2 "
     f"({R2N2}/SYNSET/MODEL/{PICTURES}/00.png), Pix3D ({TABLE}), or what tso render writes (NAME/cameras.json)"
 )
 
 
-def open_dataset(
-    folder: Path | str, strict: bool = False, progress: common.Progress | None = None, own_scale: bool = False
-) -> Dataset:
+def open_dataset(folder: Path | str, strict: bool = False, own_scale: bool = False) -> Dataset:
     """Open the data set in ``folder``; its layout shows in the names of the folders and files in it.
 
     Parameters
@@ -37,38 +35,30 @@ def open_dataset(
     folder : see `shapenet`, `r2n2`, `pix3d` and `rendered` for the layouts.
     strict : what cannot be used is an error; else it is named in ``skipped`` and left out. Pictures are read, and found to be
         damaged, only when they are loaded.
-    progress : called now and then with how much is done, of how much, and a note.
     own_scale : keep the sizes of objects. Those that have lost it, rendered here or of Pix3D, get a unit diagonal as ShapeNet's
         have. Else every object is centred and of longest side 1.
 
-    Raises
-    ------
-    InputError
-        ``folder`` is none, has no layout known here or two of them, or no object of it can be used; or, with ``strict``, one
-        cannot.
+    Raises InputError if ``folder`` is none, has no layout known here or two of them, or no object of it can be used; or, with
+    ``strict``, one cannot.
     """
     folder = Path(folder)
     common.require_folder(folder, f"a data set: {LAYOUTS}")
     folders, files = common.listed(folder)
-    own = folder.resolve().name
-    fitting: list[tuple[str, Opener]] = []
+    layouts: dict[str, Opener] = {}
     if TABLE in files:
-        fitting.append((TABLE, open_pix3d))  # normalises by its models
-    if SHAPENET in folders or (own == SHAPENET and R2N2 not in folders):
-        fitting.append((SHAPENET, open_shapenet))
-    if R2N2 in folders or (not fitting and _is_r2n2(folder, folders)):
-        fitting.append((R2N2, open_r2n2))
-    if len(fitting) > 1:
-        raise InputError(f"{folder}: holds {fitting[0][0]} and {fitting[1][0]}, expected one data set")
-    if fitting:
-        layout, opener = fitting[0]
-        dataset = opener(folder, strict, progress)
-        if layout != TABLE:
-            return replace(dataset, scale=OWN) if own_scale else normalised(dataset)
-        return of_unit_diagonal(dataset) if own_scale else dataset
-    if not holds_object(folder):
+        layouts[TABLE] = open_pix3d
+    if SHAPENET in folders or (folder.resolve().name == SHAPENET and R2N2 not in folders):
+        layouts[SHAPENET] = open_shapenet
+    if R2N2 in folders or (not layouts and _is_r2n2(folder, folders)):
+        layouts[R2N2] = open_r2n2
+    if len(layouts) > 1:
+        raise InputError(f"{folder}: holds {' and '.join(list(layouts)[:2])}, expected one data set")
+    layout, opener = next(iter(layouts.items()), ("", open_rendered))
+    if not layout and not holds_object(folder):
         raise InputError(f"{folder}: has no layout known here, expected {LAYOUTS}")
-    dataset = open_rendered(folder, strict, progress)
+    dataset = opener(folder, strict)
+    if layout in (SHAPENET, R2N2):
+        return replace(dataset, scale=AS_READ) if own_scale else normalised(dataset)
     return of_unit_diagonal(dataset) if own_scale else dataset
 
 

@@ -15,19 +15,19 @@ or hidden in part are left out: their masks are not its silhouette.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.camera import Array, Camera
 from ..geometry.points import bounding_box_normalisation
 from ..io.images import read_image, read_mask
-from ..io.reading import read_bytes, shown
+from ..io.reading import read_json, shown
 from . import common
 from .items import Dataset, Floats, ObjectItem, Pixels, ViewItem
 
@@ -48,82 +48,38 @@ class _Entry:
     camera: Camera
 
 
-class _Models:
-    """Centre and scale of every model that was needed so far; a damaged one says so each time."""
-
-    def __init__(self) -> None:
-        self._known: dict[str, tuple[Array, float]] = {}
-
-    def normalisation(self, path: str) -> tuple[Array, float]:
-        if path not in self._known:
-            vertices, faces = _read(path)
-            self._known[path] = bounding_box_normalisation(vertices[np.unique(faces)], path)
-        return self._known[path]
-
-    def target(self, path: str) -> Floats:
-        """Points of the surface [POINTS, 3], centred and of longest side 1."""
-        vertices, faces = _read(path)
-        centre, scale = self.normalisation(path)
-        return common.surface_target((vertices - centre) / scale, faces)
-
-
-def open_pix3d(folder: Path | str, strict: bool = False, progress: common.Progress | None = None) -> Dataset:
+def open_pix3d(folder: Path | str, strict: bool = False) -> Dataset:
     """The objects of Pix3D; they are named after their models, CATEGORY/FOLDER/FILE, and every photo is a view.
 
-    Parameters
-    ----------
-    folder : ROOT.
-    strict : the first entry that cannot be used is an error; entries with part of the object out of sight are not meant.
-    progress : called after every entry.
-
-    Returns
-    -------
-    No picture and no model is read yet. A view whose model cannot be read says so when it is loaded.
-
-    Raises
-    ------
-    InputError
-        pix3d.json cannot be read, or there is no usable entry; or, with ``strict``, one is not.
+    ``folder`` is ROOT; the rest is as for `opening.open_dataset`. No picture and no model is read yet. With ``strict`` the
+    first entry that cannot be used is an error, but not one with part of the object out of sight.
     """
     root = Path(folder)
     table = root / TABLE
-    try:
-        document = json.loads(read_bytes(table, "the entries of Pix3D"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{table}: is not JSON ({shown(str(error))}), expected the entries of Pix3D") from None
+    document = read_json(table, "the entries of Pix3D", "the entries of Pix3D")
     if not isinstance(document, list):
         raise InputError(f"{table}: holds a {type(document).__name__}, expected a list of entries")
-    skipped, there = common.Skipped(strict), dict[str, bool]()
+    skipped, exists = common.Skipped(strict), lru_cache(maxsize=None)(Path.is_file)
     entries: dict[str, list[_Entry]] = {}
     for number, values in enumerate(document):
-        called = _called(values, number)
-        where = f"{table}: entry {number} ({called})"
+        title = _title(values, number)
+        where = f"{table}: entry {number} ({title})"
         try:
             entry = _entry(values, where)
             for path in (entry.image, entry.mask, entry.model):
-                if path not in there:
-                    there[path] = (root / path).is_file()
-                if not there[path]:
+                if not exists(root / path):
                     raise InputError(f"{root / path}: does not exist, {where} names it")
             flags = [flag for flag in PARTIAL if values.get(flag) in (True, "true", "True")]
             if flags:
-                skipped.reasons[called] = f"{where}: the object is {flags[0].replace('_', ' ')}"
+                skipped.reasons[title] = f"{where}: the object is {flags[0].replace('_', ' ')}"
             else:
                 entries.setdefault(_name(entry.model, entry.category), []).append(entry)
         except InputError as error:
-            skipped.add(called, str(error))
-        if progress is not None:
-            progress(number + 1, len(document), called)
-    models = _Models()
-    objects = [
-        ObjectItem(
-            name,
-            own[0].category,
-            common.LazyViews(len(own), partial(_view, str(root), own, models)),
-            partial(models.target, str(root / own[0].model)),
-        )
-        for name, own in entries.items()
-    ]
+            skipped.add(title, str(error))
+    objects = []
+    for name, photos in entries.items():
+        views = common.LazyViews(len(photos), partial(_view, str(root), photos))
+        objects.append(ObjectItem(name, photos[0].category, views, partial(_target, str(root / photos[0].model))))
     return common.finished(objects, f"{root.resolve().name} (Pix3D)", skipped, "entries with img, mask and model")
 
 
@@ -162,7 +118,7 @@ def _numbers(values: dict[str, Any], key: str, shape: tuple[int, ...], where: st
     return array
 
 
-def _called(values: Any, number: int) -> str:
+def _title(values: Any, number: int) -> str:
     """What messages call an entry: its picture."""
     name = values.get("img") if isinstance(values, dict) else None
     return name if isinstance(name, str) and name.isprintable() and name else f"entry {number}"
@@ -175,18 +131,31 @@ def _name(path: str, category: str) -> str:
     return "/".join(parts)
 
 
-def _read(path: str) -> tuple[Array, np.ndarray[Any, np.dtype[np.int64]]]:
+def _read(path: str) -> tuple[Array, NDArray[np.int64]]:
     from ..io.meshes import read_mesh
 
     mesh = read_mesh(path, textures=False)
     return mesh.vertices, mesh.faces
 
 
-def _view(root: str, entries: list[_Entry], models: _Models, index: int) -> ViewItem:
-    entry = entries[index]
-    image, mask = Path(root) / entry.image, Path(root) / entry.mask
+@lru_cache(maxsize=4096)
+def _normalisation(path: str) -> tuple[Array, float]:
+    """Centre and scale of a model."""
+    vertices, faces = _read(path)
+    return bounding_box_normalisation(vertices[np.unique(faces)], path)
+
+
+def _target(path: str) -> Floats:
+    vertices, faces = _read(path)
+    centre, scale = _normalisation(path)
+    return common.surface_target((vertices - centre) / scale, faces)
+
+
+def _view(root: str, photos: list[_Entry], index: int) -> ViewItem:
+    entry = photos[index]
+    image, mask, model = (Path(root) / path for path in (entry.image, entry.mask, entry.model))
     try:
-        camera = entry.camera.for_normalised(*models.normalisation(str(Path(root) / entry.model)))
+        camera = entry.camera.for_normalised(*_normalisation(str(model)))
     except InputError as error:
         return ViewItem(str(image), entry.camera, partial(_fail, str(error)))
     return ViewItem(str(image), camera, partial(_load, image, mask, camera))
@@ -195,7 +164,7 @@ def _view(root: str, entries: list[_Entry], models: _Models, index: int) -> View
 def _load(picture: Path, mask_path: Path, camera: Camera) -> tuple[Pixels, Floats]:
     image, mask = read_image(picture)[..., :3], read_mask(mask_path)
     for path, pixels in ((picture, image), (mask_path, mask)):
-        common.sized(path, pixels, camera, f"as {TABLE} says")
+        common.require_size(path, pixels, camera, f"as {TABLE} says")
     return image, mask
 
 

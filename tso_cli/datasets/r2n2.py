@@ -12,21 +12,19 @@ Facts about the data, from the code that rendered it: the camera stands at 1.75 
 origin; in the axes of the models (y up) its direction is (cos el cos az, sin el, cos el sin az). The lens is Blender's default,
 35 mm on a sensor of 32 mm, whatever the last column says. The in-plane rotation, 0 in the published files, turns the picture.
 
-The models of ShapeNet are centred at the origin, and so are the grids of .binvox files as `files.shapes` reads them.
+The models of ShapeNet are centred at the origin, and so are the grids of .binvox files as `io.shapes` reads them.
 """
 
 from __future__ import annotations
 
 import re
-import sys
-from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError
-from ..geometry.camera import Array, Camera
+from ..geometry.camera import Camera
 from ..io.images import read_image
 from ..io.reading import read_bytes, shown
 from . import common
@@ -37,55 +35,23 @@ PICTURES = "rendering"
 TABLE, LIST = "rendering_metadata.txt", "renderings.txt"
 FARTHEST = 1.75
 LENS_MM, SENSOR_MM = 35.0, 32.0
-# File names of a model's pictures, and a row of the table for each.
-Views = tuple[list[str], Array]
 _PICTURE = re.compile(r"([0-9]{2,9})\.png")
 
 
-def open_r2n2(folder: Path | str, strict: bool = False, progress: common.Progress | None = None) -> Dataset:
+def open_r2n2(folder: Path | str, strict: bool = False) -> Dataset:
     """The objects of this layout; they are named SYNSET/MODEL, in the frame and scale of ShapeNet's models.
 
-    Parameters
-    ----------
-    folder : ROOT, or the folder that holds ShapeNetRendering.
-    strict : the first object or view that cannot be used is an error.
-    progress : called after every model.
-
-    Returns
-    -------
-    Targets are clouds or points of the voxels' boundary; None where an object has no such file. All pictures of a category
-    have the size of its first that can be read: no other is opened here.
-
-    Raises
-    ------
-    InputError
-        There is no usable object; or, with ``strict``, one is not.
+    ``folder`` is ROOT, or the folder that holds ShapeNetRendering; the rest is as for `opening.open_dataset`.
     """
     root = Path(folder)
     if (root / RENDERED).is_dir():
         root = root / RENDERED
     common.require_folder(root, "the renders of 3D-R2N2")
-    beside = root.resolve().parent
-    clouds, voxels = common.cloud_folder(beside), beside / VOXELS
-    target_of: Callable[[str], tuple[Path, Callable[[str], Floats]]] | None = None
-    if clouds is not None:
-        target_of = partial(_file_and_reader, clouds, common.CLOUD, common.cloud_target)
-    elif voxels.is_dir():
-        target_of = partial(_file_and_reader, voxels, "model.binvox", voxel_target)
-    skipped = common.Skipped(strict)
-
-    def look(name: str) -> Views:
-        return _views_of(root / name / PICTURES, name, skipped)
-
-    def pictures(name: str, known: Views) -> Iterator[Path]:
-        return (root / name / PICTURES / file for file in known[0])
-
-    def build(name: str, known: Views, size: tuple[int, int]) -> common.LazyViews:
-        return common.LazyViews(len(known[0]), partial(_view, str(root / name / PICTURES), *known, size))
-
-    objects = common.objects_of(root, skipped, progress, look, pictures, build, target_of)
-    described = f"{root.resolve().name} (renders of 3D-R2N2)"
-    return common.finished(objects, described, skipped, f"SYNSET/MODEL/{PICTURES} with 00.png and {TABLE}")
+    place = root.resolve()
+    targets, voxels = common.clouds_beside(place), place.with_name(VOXELS)
+    if targets is None and voxels.is_dir():
+        targets = voxels, "model.binvox", voxel_target
+    return common.open_models(place.name, root, _LAYOUT, targets, strict)
 
 
 def r2n2_camera(azimuth: float, elevation: float, ratio: float, size: tuple[int, int], rotation: float = 0.0) -> Camera:
@@ -115,12 +81,7 @@ def voxel_target(path: str) -> Floats:
     return common.surface_target(*grid_surface(path))
 
 
-def _file_and_reader(folder: Path, file: str, read: Callable[[str], Floats], name: str) -> tuple[Path, Callable[[str], Floats]]:
-    return folder / name / file, read
-
-
-def _views_of(folder: Path, name: str, skipped: common.Skipped) -> Views:
-    """File names of the usable pictures of a model, and the first four columns of the table for each [V, 4]."""
+def _pictures(folder: Path) -> list[common.Picture]:
     if not folder.is_dir():
         raise InputError(f"{folder}: does not exist, expected the pictures of this object")
     files = common.listed(folder)[1]
@@ -132,35 +93,32 @@ def _views_of(folder: Path, name: str, skipped: common.Skipped) -> Views:
     if not numbered:
         raise InputError(f"{folder}: holds no picture, expected 00.png and so on")
     rows = common.read_table(folder / TABLE, 4, 4, "azimuth, elevation, rotation and distance ratio")
-    kept, chosen = [], []
+    pictures = []
     for line, file in numbered:
+        problem = ""
         if file not in files:
-            why = f"{folder / LIST}: names {shown(file)}, expected a picture in this folder"
+            file, problem = shown(file), f"{folder / LIST}: names {shown(file)}, expected a picture in this folder"
         elif line >= len(rows):
-            why = f"{folder / TABLE}: has {len(rows)} rows, expected one for {file}"
+            problem = f"{folder / TABLE}: has {len(rows)} rows, expected one for {file}"
         elif rows[line, 3] <= 0.0:
-            why = f"{folder / TABLE}: line {line + 1} has a distance ratio of {rows[line, 3]:g}, expected more than 0"
-        else:
-            # The same few names in every folder: one string each.
-            kept.append(sys.intern(file))
-            chosen.append(rows[line])
-            continue
-        skipped.add(f"{name}/{file if file in files else shown(file)}", why)
-    if not kept:
-        raise InputError(f"{folder}: none of its {len(numbered)} pictures can be used")
-    return kept, np.array(chosen)
+            problem = f"{folder / TABLE}: line {line + 1} has a distance ratio of {rows[line, 3]:g}, expected more than 0"
+        pictures.append(common.Picture(file, rows[line : line + 1], problem, file))
+    return pictures
 
 
-def _view(folder: str, files: list[str], rows: Array, size: tuple[int, int], index: int) -> ViewItem:
-    azimuth, elevation, rotation, ratio = rows[index].tolist()
+def _view(folder: Path, file: str, row: list[float], size: tuple[int, int]) -> ViewItem:
+    azimuth, elevation, rotation, ratio = row
     camera = r2n2_camera(azimuth, elevation, ratio, size, rotation)
-    picture = Path(folder) / files[index]
-    return ViewItem(str(picture), camera, partial(_load, picture, camera))
+    return ViewItem(str(folder / file), camera, partial(_load, folder / file, camera))
 
 
 def _load(picture: Path, camera: Camera) -> tuple[Pixels, Floats]:
     pixels = read_image(picture)
-    common.sized(picture, pixels, camera, "as the first picture of its category")
+    common.require_size(picture, pixels, camera, "as the first picture of its category")
     if pixels.shape[2] != 4:
         raise InputError(f"{picture}: has no alpha channel, expected the mask there")
     return np.ascontiguousarray(pixels[..., :3]), pixels[..., 3].astype(np.float32) / np.float32(255.0)
+
+
+_EXPECTED = f"SYNSET/MODEL/{PICTURES} with 00.png and {TABLE}"
+_LAYOUT = common.ModelLayout("renders of 3D-R2N2", _EXPECTED, _pictures, _view, inside=PICTURES)

@@ -22,7 +22,7 @@ import shutil
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -42,37 +42,24 @@ CAMERAS, TARGET, RECORD = "cameras.json", "target.ply", "render.json"
 _LEFT = re.compile(r"\.(.{1,40})\.[0-9a-f]{8}\.(partial|old)", re.DOTALL)
 
 
-def open_rendered(folder: Path | str, strict: bool = False, progress: common.Progress | None = None) -> Dataset:
+def open_rendered(folder: Path | str, strict: bool = False) -> Dataset:
     """The objects of a rendered folder as a data set; the category of CATEGORY/NAME is CATEGORY, of NAME "".
 
-    Parameters
-    ----------
-    folder : as `tso render` wrote it, or one object of it.
-    strict : the first object that lacks its target or has no usable cameras is an error.
-    progress : called after every object.
-
-    Raises
-    ------
-    InputError
-        It is not a folder or has no usable object; or, with ``strict``, one is not usable.
+    ``folder`` is as `tso render` wrote it, or one object of it; the rest is as for `opening.open_dataset`.
     """
     root = Path(folder)
     common.require_folder(root, "one that tso render wrote")
-    skipped, objects, views = common.Skipped(strict), [], _Views()
-    found = sorted(_walk(root))
-    for number, (name, path, complete) in enumerate(found):
+    skipped, objects = common.Skipped(strict), []
+    for name, path, complete in sorted(_walk(root)):
         try:
             if not complete:
-                raise InputError(_no_target(path))
-            count = len(views.records(str(path)))
+                raise InputError(f"{path / TARGET}: does not exist, expected the points of this object")
             category = name.split("/")[0] if "/" in name else ""
-            target = partial(common.cloud_target, str(path / TARGET))
-            objects.append(ObjectItem(name, category, common.LazyViews(count, partial(views.view, str(path))), target))
+            views = common.LazyViews(len(_records(path)), partial(_view, str(path)))
+            objects.append(ObjectItem(name, category, views, partial(common.cloud_target, str(path / TARGET))))
         except InputError as error:
             skipped.add(name, str(error))
-        if progress is not None:
-            progress(number + 1, len(found), name)
-    return common.finished(objects, root.resolve().name, skipped, _EXPECTED)
+    return common.finished(objects, root.resolve().name, skipped, f"NAME/{CAMERAS} and so on as tso render writes them")
 
 
 def holds_object(folder: Path) -> bool:
@@ -112,43 +99,38 @@ def write_object(
     samples, target : [S, 3] and [P, 3].
     record : the settings, to be found again by `stored_record`.
 
-    Raises
-    ------
-    InputError
-        The folder exists (without ``overwrite``), or is not an object (with it).
-    TsoError
-        Writing failed.
+    Raises InputError if the folder exists (without ``overwrite``) or is not an object (with it), TsoError if writing failed.
     """
     token = secrets.token_hex(4)
-    partial, old = (folder.with_name(f".{folder.name[:40]}.{token}.{kind}") for kind in ("partial", "old"))
+    staging, old = (folder.with_name(f".{folder.name[:40]}.{token}.{kind}") for kind in ("partial", "old"))
     if stored_record(folder) is not None and not overwrite:
         raise InputError(f"{folder}: exists already, expected a new name or --overwrite")
     locks = []
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        partial.mkdir()
-        locks.append(_lock(partial))
+        staging.mkdir()
+        locks.append(_lock(staging))
         records = []
         for number, (image, mask, camera) in enumerate(views):
-            paths = partial / f"{number:03d}.png", partial / f"{number:03d}.mask.png"
+            paths = staging / f"{number:03d}.png", staging / f"{number:03d}.mask.png"
             write_image(paths[0], image)
             write_image(paths[1], mask)
             records.append(CameraRecord(camera, mask=paths[1], image=paths[0]))
-        write_cameras(partial / CAMERAS, records)
-        write_cloud(partial / f"target_{len(samples)}.ply", samples.astype(np.float64), dtype="float32")
-        write_cloud(partial / TARGET, target.astype(np.float64), dtype="float32")
-        with atomic_output(partial / RECORD) as temporary:
+        write_cameras(staging / CAMERAS, records)
+        write_cloud(staging / f"target_{len(samples)}.ply", samples.astype(np.float64), dtype="float32")
+        write_cloud(staging / TARGET, target.astype(np.float64), dtype="float32")
+        with atomic_output(staging / RECORD) as temporary:
             temporary.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
         if folder.exists():
             locks.append(_lock(folder))
             folder.rename(old)
-        partial.rename(folder)
+        staging.rename(folder)
     except OSError as error:
         raise TsoError(f"{folder}: cannot be written ({reason(error)})") from None
     finally:
         if old.exists() and not folder.exists():
             old.rename(folder)
-        for path in (partial, old):
+        for path in (staging, old):
             shutil.rmtree(path, ignore_errors=True)
         for lock in locks:
             if lock is not None:
@@ -168,7 +150,7 @@ def sweep(folders: Iterable[Path]) -> None:
             match = _LEFT.fullmatch(path.name)
             if match is None or match[1] not in objects or path.is_symlink() or (lock := _lock(path)) is None:
                 continue
-            # Of names that begin alike it is not known which one this was.
+            # Names longer than 40 characters may begin alike.
             replaced = objects[match[1]][0] if len(objects[match[1]]) == 1 else None
             # Another run may sweep too.
             with suppress(OSError):
@@ -197,51 +179,35 @@ def _lock(folder: Path) -> int | None:
     return handle
 
 
-class _Views:
-    """Views made from the camera files; those of the objects last used are kept."""
-
-    def __init__(self, limit: int = 256) -> None:
-        self.limit = limit
-        self._kept: dict[str, list[CameraRecord]] = {}
-
-    def records(self, folder: str) -> list[CameraRecord]:
-        """All views of the object in ``folder``; InputError if one lacks its image or mask."""
-        records = self._kept.get(folder)
-        if records is None:
-            path = Path(folder) / CAMERAS
-            records = read_cameras(path)
-            for number, record in enumerate(records):
-                _files(record, number, path)
-            if len(self._kept) >= self.limit:
-                self._kept.clear()
-            self._kept[folder] = records
-        return records
-
-    def view(self, folder: str, index: int) -> ViewItem:
-        record = self.records(folder)[index]
-        image, mask = _files(record, index, Path(folder) / CAMERAS)
-        return ViewItem(str(mask), record.camera, partial(_load, image, mask, record.camera))
+def _records(folder: Path) -> list[CameraRecord]:
+    """All views of the object in ``folder``; InputError if one lacks its image or mask."""
+    path = folder / CAMERAS
+    return _read_records(path, path.stat().st_mtime_ns if path.exists() else 0)
 
 
-def _files(record: CameraRecord, number: int, path: Path) -> tuple[Path, Path]:
-    if record.image is None or record.mask is None:
-        missing = "image" if record.image is None else "mask"
-        raise InputError(f"{path}: views[{number}] names no {missing}, expected one for training")
-    return record.image, record.mask
+@lru_cache(maxsize=256)
+def _read_records(path: Path, changed: int) -> list[CameraRecord]:
+    """The views in a camera file that was last ``changed`` then."""
+    records = read_cameras(path)
+    for number, record in enumerate(records):
+        if record.image is None or record.mask is None:
+            missing = "image" if record.image is None else "mask"
+            raise InputError(f"{path}: views[{number}] names no {missing}, expected one for training")
+    return records
+
+
+def _view(folder: str, index: int) -> ViewItem:
+    record = _records(Path(folder))[index]
+    assert record.image is not None
+    assert record.mask is not None
+    return ViewItem(str(record.mask), record.camera, partial(_load, record.image, record.mask, record.camera))
 
 
 def _load(image_path: Path, mask_path: Path, camera: Camera) -> tuple[Pixels, Floats]:
     image, mask = read_image(image_path), read_mask(mask_path)
     for path, pixels in ((image_path, image), (mask_path, mask)):
-        common.sized(path, pixels, camera, f"as its camera in {CAMERAS}")
+        common.require_size(path, pixels, camera, f"as its camera in {CAMERAS}")
     return image[..., :3], mask
-
-
-_EXPECTED = f"NAME/{CAMERAS} and so on as tso render writes them"
-
-
-def _no_target(path: Path) -> str:
-    return f"{path / TARGET}: does not exist, expected the points of this object"
 
 
 def _walk(folder: Path) -> Iterator[tuple[str, Path, bool]]:

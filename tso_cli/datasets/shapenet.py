@@ -20,15 +20,13 @@ The renderer writes tilt 0 and distance 2 into columns 3 and 4. The distance is 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..geometry.camera import CANONICAL_DISTANCE, Array, Camera
+from ..geometry.camera import CANONICAL_DISTANCE, Camera
 from ..io.images import read_image
 from . import common
 from .items import Dataset, Floats, Pixels, ViewItem
@@ -36,58 +34,23 @@ from .items import Dataset, Floats, Pixels, ViewItem
 RENDERED = "ShapeNet_rendered"
 SPLITS = "splits"
 BACKGROUND = 254
-# Numbers of a model's pictures, and azimuth, elevation, distance of each.
-Views = tuple[NDArray[np.int32], Array]
 _PICTURE = re.compile(r"render_(0|[1-9][0-9]{0,8})\.png")
 # (a, b, c) of the cloud -> p; X -> OpenCV axes.
 _CLOUD_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 _IMAGE_AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
-def open_shapenet(folder: Path | str, strict: bool = False, progress: common.Progress | None = None) -> Dataset:
+def open_shapenet(folder: Path | str, strict: bool = False) -> Dataset:
     """The objects of this layout; they are named SYNSET/MODEL, in the frame and scale of their clouds.
 
-    Parameters
-    ----------
-    folder : ROOT, or ROOT/ShapeNet_rendered.
-    strict : the first object or view that cannot be used is an error.
-    progress : called after every model.
-
-    Returns
-    -------
-    Targets are the clouds; None where an object has none. All pictures of a category have the size of its
-    first that can be read: no other is opened here.
-
-    Raises
-    ------
-    InputError
-        There is no usable object; or, with ``strict``, one is not.
+    ``folder`` is ROOT, or ROOT/ShapeNet_rendered; the rest is as for `opening.open_dataset`.
     """
     root = Path(folder)
     if not (root / RENDERED).is_dir() and root.resolve().name == RENDERED:
         root = root.resolve().parent
     models = root / RENDERED
     common.require_folder(models, "the pictures of the ShapeNet models")
-    clouds = common.cloud_folder(root)
-    skipped = common.Skipped(strict)
-
-    def depths(name: str, known: Views) -> Iterator[Path]:
-        return (models / name / f"depth_{number}.png" for number in known[0].tolist())
-
-    def build(name: str, known: Views, size: tuple[int, int]) -> common.LazyViews:
-        return common.LazyViews(len(known[0]), partial(_view, str(models / name), *known, size))
-
-    def look(name: str) -> Views:
-        return _views_of(models / name, name, skipped)
-
-    def cloud(name: str) -> tuple[Path, Callable[[str], Floats]]:
-        assert clouds is not None
-        return clouds / name / common.CLOUD, common.cloud_target
-
-    shape = None if clouds is None else cloud
-    objects = common.objects_of(models, skipped, progress, look, depths, build, shape, apart_from=SPLITS)
-    described = f"{root.resolve().name} (ShapeNet of the CAPNet authors)"
-    return common.finished(objects, described, skipped, f"{RENDERED}/SYNSET/MODEL with render_0.png, depth_0.png, view.txt")
+    return common.open_models(root.resolve().name, models, _LAYOUT, common.clouds_beside(models), strict)
 
 
 def shapenet_camera(azimuth: float, elevation: float, size: tuple[int, int], distance: float = CANONICAL_DISTANCE) -> Camera:
@@ -107,45 +70,41 @@ def shapenet_camera(azimuth: float, elevation: float, size: tuple[int, int], dis
     return Camera(K, rotation, np.array([0.0, 0.0, distance]), *size)
 
 
-def _views_of(folder: Path, name: str, skipped: common.Skipped) -> Views:
-    """Numbers [V] of the usable pictures of a model, and azimuth, elevation, distance of each [V, 3]."""
+def _pictures(folder: Path) -> list[common.Picture]:
     files = common.listed(folder)[1]
     numbers = sorted(int(match[1]) for match in map(_PICTURE.fullmatch, files) if match)
     if not numbers:
         raise InputError(f"{folder}: holds no picture, expected render_0.png and so on")
-    rows = common.read_table(folder / "view.txt", 2, 4, "azimuth and elevation in degrees")
-    kept, angles = [], []
+    table = folder / "view.txt"
+    rows = common.read_table(table, 2, 4, "azimuth and elevation in degrees")
+    pictures = []
     for number in numbers:
-        row = rows[number] if number < len(rows) else None
-        if row is None:
-            why = f"{folder / 'view.txt'}: has {len(rows)} rows, expected one for render_{number}.png"
-        elif f"depth_{number}.png" not in files:
-            why = f"{folder / f'depth_{number}.png'}: does not exist, expected the depth of render_{number}.png"
-        elif row[2] != 0.0 and not np.isnan(row[2]):
-            why = f"{folder / 'view.txt'}: line {number + 1} has a tilt of {row[2]:g} degrees, expected 0"
-        elif row[3] <= 0.0:
-            why = f"{folder / 'view.txt'}: line {number + 1} has a distance of {row[3]:g}, expected more than 0"
-        else:
-            kept.append(number)
-            angles.append((row[0], row[1], CANONICAL_DISTANCE if np.isnan(row[3]) else row[3]))
-            continue
-        skipped.add(f"{name}/render_{number}.png", why)
-    if not kept:
-        raise InputError(f"{folder}: none of its {len(numbers)} pictures can be used")
-    return np.array(kept, dtype=np.int32), np.array(angles)
+        file, depth, problem = f"render_{number}.png", f"depth_{number}.png", ""
+        if number >= len(rows):
+            problem = f"{table}: has {len(rows)} rows, expected one for {file}"
+        elif depth not in files:
+            problem = f"{folder / depth}: does not exist, expected the depth of {file}"
+        elif rows[number, 2] != 0.0 and not np.isnan(rows[number, 2]):
+            problem = f"{table}: line {number + 1} has a tilt of {rows[number, 2]:g} degrees, expected 0"
+        elif rows[number, 3] <= 0.0:
+            problem = f"{table}: line {number + 1} has a distance of {rows[number, 3]:g}, expected more than 0"
+        pictures.append(common.Picture(file, rows[number : number + 1], problem, depth))
+    return pictures
 
 
-def _view(folder: str, numbers: NDArray[np.int32], angles: Array, size: tuple[int, int], index: int) -> ViewItem:
-    number = int(numbers[index])
-    azimuth, elevation, distance = angles[index].tolist()
-    camera = shapenet_camera(azimuth, elevation, size, distance)
-    picture, depth = (Path(folder) / f"{kind}_{number}.png" for kind in ("render", "depth"))
-    return ViewItem(str(picture), camera, partial(_load, picture, depth, camera))
+def _view(folder: Path, file: str, row: list[float], size: tuple[int, int]) -> ViewItem:
+    azimuth, elevation, _, distance = row
+    camera = shapenet_camera(azimuth, elevation, size, CANONICAL_DISTANCE if np.isnan(distance) else distance)
+    return ViewItem(str(folder / file), camera, partial(_load, folder / file, folder / file.replace("render", "depth"), camera))
 
 
 def _load(picture: Path, depth: Path, camera: Camera) -> tuple[Pixels, Floats]:
     image, far = read_image(picture)[..., :3], read_image(depth)
     for path, pixels in ((picture, image), (depth, far)):
-        common.sized(path, pixels, camera, "as the first picture of its category")
+        common.require_size(path, pixels, camera, "as the first picture of its category")
     # The authors' code looks at the blue channel; 16-bit depth comes in steps of 1/255 too.
     return image, (far[..., 2] < BACKGROUND).astype(np.float32)
+
+
+_EXPECTED = f"{RENDERED}/SYNSET/MODEL with render_0.png, depth_0.png, view.txt"
+_LAYOUT = common.ModelLayout("ShapeNet of the CAPNet authors", _EXPECTED, _pictures, _view, not_a_category=SPLITS)

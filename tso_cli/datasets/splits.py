@@ -9,16 +9,15 @@
 
 from __future__ import annotations
 
-import io
-import json
 import re
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError
+from ..io.arrays import array_type, read_array
 from ..io.output import reason
-from ..io.reading import read_bytes, shown
+from ..io.reading import read_bytes, read_json, shown
 from . import common
 from .shapenet import RENDERED, SPLITS
 
@@ -28,16 +27,9 @@ _LIMIT = 1 << 28
 
 
 def read_split(path: Path | str) -> dict[str, list[str]]:
-    """Names of the objects of each part, in the order of the file; a name that stands twice counts once.
+    """Names of the objects of each part, in the order of the JSON file or folder ``path``, each once.
 
-    Parameters
-    ----------
-    path : JSON file or folder.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, has another form, has no names, or has an object in two parts.
+    Raises InputError if it cannot be read, has another form, has no names, or has an object in two parts.
     """
     path = Path(path)
     split = _from_folder(path) if path.is_dir() else _from_json(path)
@@ -63,10 +55,7 @@ def read_part(path: Path | str, part: str) -> list[str]:
 
 def _from_json(path: Path) -> dict[str, list[str]]:
     form = '{"train": [...], "validation": [...], "test": [...]}'
-    try:
-        document = json.loads(read_bytes(path, "a split (JSON, or a folder of lists)", limit=_LIMIT))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is not JSON ({shown(str(error))}), expected {form}") from None
+    document = read_json(path, "a split (JSON, or a folder of lists)", form, _LIMIT)
     if not isinstance(document, dict) or not document:
         raise InputError(f"{path}: holds {shown(document)}, expected {form}")
     for part, names in document.items():
@@ -80,19 +69,16 @@ def _from_json(path: Path) -> dict[str, list[str]]:
 def _from_folder(folder: Path) -> dict[str, list[str]]:
     # The authors keep the lists inside the folder of the pictures.
     folder = next((place for place in (folder / SPLITS, folder / RENDERED / SPLITS) if place.is_dir()), folder)
+    matches = filter(None, map(_FILE.fullmatch, sorted(common.listed(folder)[1])))
     # Where a list is there in both forms, text comes last and counts.
-    found = {
-        (match["category"], match["part"]): folder / match[0]
-        for match in map(_FILE.fullmatch, sorted(common.listed(folder)[1]))
-        if match
-    }
-    if not found:
+    lists = {(match["category"], match["part"]): folder / match[0] for match in matches}
+    if not lists:
         raise InputError(f"{folder}: holds no list, expected SYNSET_train_list.txt or .npy and so on")
     split: dict[str, list[str]] = {}
-    for (category, part), path in found.items():
+    for (category, part), path in lists.items():
         names = _array(path) if path.suffix == ".npy" else _lines(path)
-        own = split.setdefault("validation" if part == "val" else part, [])
-        own.extend(name if "/" in name else f"{category}/{name}" for name in names)
+        models = split.setdefault("validation" if part == "val" else part, [])
+        models.extend(name if "/" in name else f"{category}/{name}" for name in names)
     return split
 
 
@@ -106,24 +92,17 @@ def _lines(path: Path) -> list[str]:
 
 def _array(path: Path) -> list[str]:
     data = read_bytes(path, "an array of texts", limit=_LIMIT)
+    dtype, shape = array_type(data, path)
+    if dtype.hasobject:
+        raise InputError(
+            f"{path}: holds pickled Python objects, which are not loaded because that could run anything; "
+            "expected texts: numpy.save(path, array.astype(str)), or a .txt with a name a line"
+        )
+    if dtype.kind not in "US" or len(shape) != 1:
+        raise InputError(f"{path}: holds {shown(str(dtype))} {list(shape)}, expected an array of texts [N]")
+    array = read_array(data, path, "US", "texts")
     try:
-        if data[:6] != b"\x93NUMPY":
-            raise ValueError("it does not start as one")
-        version = np.lib.format.read_magic(stream := io.BytesIO(data))
-        headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-        shape, _, dtype = headers[version](stream)
-        if dtype.hasobject:
-            raise InputError(
-                f"{path}: holds pickled Python objects, which are not loaded because that could run anything; "
-                "expected texts: numpy.save(path, array.astype(str)), or a .txt with a name a line"
-            )
-        if dtype.kind not in "US" or len(shape) != 1:
-            raise InputError(f"{path}: holds {shown(str(dtype))} {list(shape)}, expected an array of texts [N]")
-        array = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
         names = array.astype(str) if dtype.kind == "U" else np.char.decode(array, "utf-8")
-    except InputError:
-        raise
-    # numpy evaluates the header as a Python literal, so that a damaged one can raise nearly anything.
-    except Exception as error:
+    except ValueError as error:
         raise InputError(f"{path}: is not a readable .npy file ({reason(error)})") from None
     return [str(name).strip() for name in names if str(name).strip()]

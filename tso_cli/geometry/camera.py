@@ -35,10 +35,7 @@ class Camera:
     width, height : size of the image in pixels.
     model : "perspective" (u = fx X/Z + cx) or "orthographic" (u = fx X + cx).
 
-    Raises
-    ------
-    InputError
-        A shape is wrong, a number is not finite, K is singular or R is not a rotation.
+    Raises InputError if a shape is wrong, a number is not finite, K is singular or R is not a rotation.
     """
 
     K: Array
@@ -93,30 +90,20 @@ class Camera:
 
     def resized(self, width: int, height: int) -> Camera:
         """The same camera for its image resized to ``width`` x ``height`` (pixel centres at integers)."""
-        sx, sy = width / self.width, height / self.height
-        return self.cropped((-0.5, -0.5, self.width - 0.5, self.height - 0.5), width, height, (sx, sy))
+        return self.cropped((-0.5, -0.5, self.width - 0.5, self.height - 0.5), width, height)
 
-    def cropped(
-        self,
-        box: tuple[float, float, float, float],
-        width: int,
-        height: int,
-        scale: tuple[float, float] | None = None,
-    ) -> Camera:
+    def cropped(self, box: tuple[float, float, float, float], width: int, height: int) -> Camera:
         """The camera of the image region ``box`` (left, top, right, bottom edges) resampled to ``width`` x ``height``.
 
         Edges are in pixel coordinates, where the whole image spans -0.5 to width - 0.5.
         """
         left, top, right, bottom = box
-        sx, sy = scale or (width / (right - left), height / (bottom - top))
+        sx, sy = width / (right - left), height / (bottom - top)
         change = np.array([[sx, 0.0, -left * sx - 0.5], [0.0, sy, -top * sy - 0.5], [0.0, 0.0, 1.0]])
         return replace(self, K=change @ self.K, width=width, height=height)
 
     def for_normalised(self, centre: Array, scale: float) -> Camera:
-        """The camera that sees ``(X - centre) / scale`` exactly where this one sees ``X``.
-
-        Done in float64, so that a scan with coordinates in the millions keeps its precision.
-        """
+        """The camera that sees ``(X - centre) / scale`` exactly where this one sees ``X``."""
         K = self.K
         if self.model == "orthographic":
             K = K @ np.diag([scale, scale, 1.0])

@@ -9,7 +9,7 @@ from ..errors import InputError
 
 Array = NDArray[np.float64]
 
-# Enough that a thousand of them lie evenly.
+# Points among which farthest-point sampling chooses about a thousand.
 CANDIDATES = 16_384
 
 
@@ -29,39 +29,23 @@ def as_points(points: ArrayLike, name: str = "cloud") -> Array:
     return array
 
 
-def farthest_point_sample(points: ArrayLike, count: int, start: int = 0) -> NDArray[np.int64]:
-    """Indices of a subset spread out as evenly as a greedy choice can make it.
+def farthest_point_sample(points: ArrayLike, count: int) -> NDArray[np.int64]:
+    """Indices [count] of a subset spread out greedily, in the order of choice: the first k are the sample of size k.
 
     Each new point is the one farthest from all chosen so far; among equals the first in file order. Exact and deterministic:
-    O(N count) time, O(N) memory.
-
-    Parameters
-    ----------
-    points : [N, 3], any unit. Points may coincide; an index is never chosen twice.
-    count : how many to choose, 1 to N.
-    start : index of the first point.
-
-    Returns
-    -------
-    [count] int64, in the order of choice: the first k are the sample of size k.
-
-    Raises
-    ------
-    InputError
-        ``points`` is not a finite [N, 3], or ``count`` or ``start`` is out of range.
+    O(N count) time, O(N) memory. The first index is 0. Points [N, 3] may coincide; no index is chosen twice. Raises InputError
+    where ``points`` is not a finite [N, 3] or ``count`` is out of range.
     """
     array = as_points(points)
     total = len(array)
     if not 1 <= count <= total:
         raise InputError(f"asked for {count} of {total} points, expected 1 to {total}")
-    if not 0 <= start < total:
-        raise InputError(f"the first point is number {start} of {total}, expected 0 to {total - 1}")
-    # One contiguous column per axis, and no allocation inside the loop: it runs `count` times over all points.
+    # Contiguous columns, and no allocation inside the loop over all points.
     x, y, z = (np.ascontiguousarray(column) for column in array.T)
     squared, step = np.empty(total), np.empty(total)
     nearest = np.full(total, np.inf)  # squared distance to the chosen set
     chosen = np.empty(count, dtype=np.int64)
-    index = start
+    index = 0
     for i in range(count):
         chosen[i] = index
         np.subtract(x, x[index], out=squared)
@@ -71,51 +55,37 @@ def farthest_point_sample(points: ArrayLike, count: int, start: int = 0) -> NDAr
             np.multiply(step, step, out=step)
             np.add(squared, step, out=squared)
         np.minimum(nearest, squared, out=nearest)
-        # Below every distance, so that coinciding points do not bring the same index back.
+        # Below every distance: where points coincide, no index is chosen again.
         nearest[index] = -1.0
         index = int(nearest.argmax())
     return chosen
 
 
 def spread_subset(points: ArrayLike, count: int) -> NDArray[np.int64]:
-    """Indices of at most ``count`` points [N, 3] that lie evenly; all of them where there are no more.
+    """Indices of at most ``count`` evenly spread points [N, 3]; all of them where there are no more.
 
-    Of a large cloud every so many-th point is a candidate of `farthest_point_sample`, 16,384 at most: the time does
-    not grow with the cloud.
+    Of a large cloud, at most 16,384 points at equal steps are candidates of `farthest_point_sample`, which bounds the time.
     """
     array = as_points(points)
-    every = np.arange(len(array))
+    indices = np.arange(len(array))
     if len(array) <= count:
-        return every
-    candidates = every[:: -(-len(array) // CANDIDATES)]
+        return indices
+    candidates = indices[:: -(-len(array) // CANDIDATES)]
     return candidates[farthest_point_sample(array[candidates], min(count, len(candidates)))]
 
 
 def bounding_box_normalisation(points: ArrayLike, name: str = "cloud") -> tuple[Array, float]:
-    """What centres a cloud on its bounding box and makes the longest side 1: ``(points - centre) / scale``.
+    """Centre [3] and longest side of a cloud's bounding box: ``(points - centre) / scale`` is centred, of longest side 1.
 
-    Parameters
-    ----------
-    points : [N, 3], any unit.
-    name : what messages call the cloud.
-
-    Returns
-    -------
-    centre : [3] of the bounding box.
-    scale : its longest side, > 0, in the unit of the points.
-
-    Raises
-    ------
-    InputError
-        All points are equal (one point included), or coordinates are so large that the box has no finite size.
+    Raises InputError naming ``name`` where all points are equal (one point included), or the box has no finite size.
     """
     array = as_points(points, name)
     low, high = array.min(0), array.max(0)
     with np.errstate(over="ignore"):
         scale = float((high - low).max())
     if scale == 0.0:
-        found = "holds a single point" if len(array) == 1 else f"all {len(array)} points are equal"
-        raise InputError(f"{name}: {found}, expected a cloud of some extent")
+        problem = "holds a single point" if len(array) == 1 else f"all {len(array)} points are equal"
+        raise InputError(f"{name}: {problem}, expected a cloud of some extent")
     if not np.isfinite(scale):
         raise InputError(f"{name}: coordinates reach {np.abs(array).max():.3g}, too large to measure")
     return low / 2.0 + high / 2.0, scale
@@ -128,29 +98,15 @@ def normalise_longest_side(points: ArrayLike, name: str = "cloud") -> Array:
 
 
 def sample_surface(vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.random.Generator) -> Array:
-    """Points drawn uniformly by area from a triangle mesh.
+    """Points [count, 3] drawn uniformly by area from the triangles ``faces`` [F, 3] between ``vertices`` [V, 3].
 
-    Parameters
-    ----------
-    vertices : [V, 3], any unit.
-    faces : [F, 3] whole numbers, indices into ``vertices``. Triangles without area are never drawn from.
-    count : how many points, >= 1.
-    rng : where the randomness comes from: the same state gives the same points.
-
-    Returns
-    -------
-    [count, 3] float64, in the unit of the vertices.
-
-    Raises
-    ------
-    InputError
-        There are no faces, a face names a vertex that does not exist, or the whole surface has no area.
+    Raises InputError where there are no faces, a face names a vertex that does not exist, or the surface has no area.
     """
     corners = as_points(vertices, "mesh")
     triangles = as_triangles(faces, len(corners), "mesh")
-    drawn, shares = draw_surface(corners, triangles, count, rng)
+    drawn, barycentric = draw_surface(corners, triangles, count, rng)
     origin, first, second = (corners[triangles[drawn, k]] for k in range(3))
-    return origin + shares[:, :1] * (first - origin) + shares[:, 1:] * (second - origin)
+    return origin + barycentric[:, :1] * (first - origin) + barycentric[:, 1:] * (second - origin)
 
 
 def as_triangles(faces: ArrayLike, count: int, name: str) -> NDArray[np.int64]:
@@ -172,18 +128,14 @@ def as_triangles(faces: ArrayLike, count: int, name: str) -> NDArray[np.int64]:
 def draw_surface(
     corners: Array, triangles: NDArray[np.int64], count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], Array]:
-    """Where ``count`` points lie that are drawn uniformly by area, arguments as of `sample_surface`.
+    """Places of ``count`` points drawn uniformly by area, arguments as of `sample_surface`.
 
     Returns
     -------
     drawn : [count] int64, the triangle of each.
-    shares : [count, 2], how far it lies from the triangle's first corner toward the second and the third; the first's own
-        share is what is left of 1.
+    barycentric : [count, 2], its coordinates of the second and the third corner.
 
-    Raises
-    ------
-    InputError
-        ``count`` is under 1, there are no triangles, or they have no area.
+    Raises InputError if ``count`` is under 1, there are no triangles, or they have no area.
     """
     if count < 1:
         raise InputError(f"asked for {count} surface points, expected at least 1")

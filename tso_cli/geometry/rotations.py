@@ -1,4 +1,4 @@
-"""Rotations as matrices [..., 3, 3]: from rotation vectors, spread evenly, and how far apart."""
+"""Rotations as matrices [..., 3, 3]: from rotation vectors, spread evenly, and the angle between two."""
 
 from __future__ import annotations
 
@@ -8,23 +8,18 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def cross_matrix(vectors: Array) -> Array:
-    """[..., 3, 3] matrices whose product with w is ``vectors`` [..., 3] x w."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    rows = [np.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
-    return np.stack(rows, -2)
-
-
 def from_vectors(vectors: Array) -> Array:
     """Rotations about ``vectors`` [..., 3] by their lengths, radians (Rodrigues)."""
     angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
-    cross = cross_matrix(vectors)
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    rows = [np.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
+    cross = np.stack(rows, -2)  # cross @ w is vectors x w
     # sinc keeps small angles exact: numpy's is sin(pi x) / (pi x).
     first = np.sinc(angle / np.pi)
     second = 0.5 * np.square(np.sinc(angle / (2.0 * np.pi)))
-    turned: Array = np.eye(3) + first * cross + second * (cross @ cross)
-    return turned
+    rotation: Array = np.eye(3) + first * cross + second * (cross @ cross)
+    return rotation
 
 
 def spread(directions: int, turns: int) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from .camera import Camera
 
-# The most that is a speck of a mask, as a share of its foreground; and how far beside the object it lies, in its sizes.
+# A speck has at most this part of the foreground, and lies at least so far beside the object, in units of the object's size.
 SPECK, BESIDE = 0.01, 0.25
 
 
@@ -24,10 +24,10 @@ class View:
     mask : [H, W] float in [0, 1], inside 1; foreground is > 0.5. Soft values are kept.
     camera : its width and height are the mask's.
     known : [H, W] bool, False where the mask says nothing, or None when every pixel counts.
-    depth : [H, W] how far the surface lies along the camera's z, in the units of its t; 0 and what is not finite are
-        unknown. It says something of foreground pixels alone. None: there is no depth map.
     name : what messages call it, usually the file.
-    image : [H, W, 3] red, green, blue in [0, 1], the photo that the mask is of. It says something to clouds that have colours.
+    depth : [H, W] depth of the surface along the camera's z axis, in the units of its t; 0 and what is not finite are unknown.
+        It counts for foreground pixels alone.
+    image : [H, W, 3] red, green, blue in [0, 1], the photo that the mask is of, for clouds with colours.
     """
 
     mask: NDArray[np.float32]
@@ -68,15 +68,10 @@ class View:
         if inside == counted.size:
             raise InputError(f"{self.name}: every pixel is foreground, expected some background (try --invert-mask?)")
 
-    def _checked_depth(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The depth map, NaN where nothing is known."""
-        depth: NDArray[np.float64] = np.array(given, dtype=np.float64)
-        if depth.shape != self.mask.shape:
-            height, width = self.mask.shape
-            raise InputError(
-                f"{self.name}: the depth map has shape {list(depth.shape)}, the mask is {width}x{height}, "
-                f"expected [{height}, {width}]"
-            )
+    def _checked_depth(self, depth: NDArray[np.float64]) -> NDArray[np.float64]:
+        """A copy of the depth map, NaN where nothing is known."""
+        depth = np.array(depth, dtype=np.float64)
+        self._require_shape("depth map", depth, list(self.mask.shape))
         if self.camera.model != "perspective":
             raise InputError(f"{self.name}: its camera is {self.camera.model}, expected perspective for a depth map")
         depth[~np.isfinite(depth) | (depth == 0.0)] = np.nan
@@ -87,18 +82,18 @@ class View:
             raise InputError(f"{self.name}: no foreground pixel has a depth, expected some > 0")
         return depth
 
-    def _checked_image(self, given: NDArray[np.float32]) -> NDArray[np.float32]:
-        image: NDArray[np.float32] = np.asarray(given, dtype=np.float32)
-        if image.shape != (*self.mask.shape, 3):
-            height, width = self.mask.shape
-            raise InputError(
-                f"{self.name}: the image has shape {list(image.shape)}, the mask is {width}x{height}, "
-                f"expected [{height}, {width}, 3]"
-            )
+    def _checked_image(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        image = np.asarray(image, dtype=np.float32)
+        self._require_shape("image", image, [*self.mask.shape, 3])
         # NaN is not between 0 and 1 either.
         if not (image.min() >= 0.0 and image.max() <= 1.0):
             raise InputError(f"{self.name}: the image's values span {image.min():g} to {image.max():g}, expected 0 to 1")
         return image
+
+    def _require_shape(self, what: str, array: NDArray[np.generic], shape: list[int]) -> None:
+        if list(array.shape) != shape:
+            size = f"{self.camera.width}x{self.camera.height}"
+            raise InputError(f"{self.name}: the {what} has shape {list(array.shape)}, the mask is {size}, expected {shape}")
 
     @cached_property
     def inside(self) -> NDArray[np.bool_]:
@@ -107,49 +102,47 @@ class View:
         return inside if self.known is None else inside & self.known
 
     @cached_property
-    def _edges(self) -> tuple[float, float, float, float]:
-        left, top, right, bottom = object_box(self.inside)
-        return left - 0.5, top - 0.5, right - 0.5, bottom - 0.5
+    def _object(self) -> tuple[int, int, int, int]:
+        return object_box(self.inside)
 
     def box(self) -> tuple[float, float, float, float]:
         """Left, top, right, bottom edges of the object in pixel coordinates: of the foreground, but for specks far off."""
-        return self._edges
+        left, top, right, bottom = self._object
+        return left - 0.5, top - 0.5, right - 0.5, bottom - 0.5
 
     @property
     def specks(self) -> int:
         """How many foreground pixels lie outside the object's box."""
-        left, top, right, bottom = (round(edge + 0.5) for edge in self._edges)
+        left, top, right, bottom = self._object
         return int(self.inside.sum()) - int(self.inside[top:bottom, left:right].sum())
 
 
 def object_box(inside: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """First column and row of the object in [H, W], and those behind its last.
+    """First column and row of the object in ``inside`` [H, W], and those behind its last, without specks far off.
 
-    A speck is a part, joined to no other, of at most 1 % of the foreground; those that lie more than a quarter of the object's
-    size beside it are left out, if together they are no more than that either. A stray pixel of a segmentation would
-    otherwise stretch the object's window over half the photo.
+    A speck is a connected part of at most 1 % of the foreground, more than a quarter of the object's size beside it. Specks
+    are left out if together they are at most 1 % too: a stray pixel of a segmentation would otherwise stretch the object's
+    window over half the photo.
     """
     counts = inside.sum(0), inside.sum(1)
-    whole = [(int(np.flatnonzero(count)[0]), int(np.flatnonzero(count)[-1]) + 1) for count in counts]
-    few = SPECK * int(counts[0].sum())
-    # Edges of a box that leaves out no more than that at each of its sides.
-    ends = [[int(np.searchsorted(np.cumsum(count), few, "right")) for count in (own, own[::-1])] for own in counts]
-    bulk = [(first, len(own) - last) for (first, last), own in zip(ends, counts, strict=True)]
-    beside = BESIDE * max(last - first for first, last in bulk)
-    if all(first - beside <= a and b <= last + beside for (first, last), (a, b) in zip(bulk, whole, strict=True)):
-        return whole[0][0], whole[1][0], whole[0][1], whole[1][1]
-    from scipy.ndimage import find_objects, label
+    limit = SPECK * int(counts[0].sum())
+    low, high = np.array([np.flatnonzero(count)[[0, -1]] for count in counts]).T + np.array([[0], [1]])
+    # A box that leaves out at most the limit at each of its sides: often it shows that no speck is far off.
+    bulk_low = np.array([np.searchsorted(np.cumsum(count), limit, "right") for count in counts])
+    bulk_high = np.array([len(count) - np.searchsorted(np.cumsum(count[::-1]), limit, "right") for count in counts])
+    beside = BESIDE * (bulk_high - bulk_low).max()
+    if (low < bulk_low - beside).any() or (high > bulk_high + beside).any():
+        from scipy.ndimage import find_objects, label
 
-    parts, _ = label(inside, np.ones((3, 3)))
-    sizes = np.bincount(parts.ravel())[1:]
-    boxes = np.array([[across.start, down.start, across.stop, down.stop] for down, across in find_objects(parts)])
-    large = sizes > few
-    if not large.any():
-        return whole[0][0], whole[1][0], whole[0][1], whole[1][1]
-    low, high = boxes[large, :2].min(0), boxes[large, 2:].max(0)
-    beside = BESIDE * (high - low).max()
-    far = ~large & ((boxes[:, :2] < low - beside) | (boxes[:, 2:] > high + beside)).any(1)
-    if sizes[far].sum() > few:
-        far[:] = False
-    (left, top), (right, bottom) = boxes[~far, :2].min(0).tolist(), boxes[~far, 2:].max(0).tolist()
+        parts, _ = label(inside, np.ones((3, 3)))
+        sizes = np.bincount(parts.ravel())[1:]
+        boxes = np.array([[across.start, down.start, across.stop, down.stop] for down, across in find_objects(parts)])
+        large = sizes > limit
+        if large.any():
+            first, last = boxes[large, :2].min(0), boxes[large, 2:].max(0)
+            beside = BESIDE * (last - first).max()
+            far = ~large & ((boxes[:, :2] < first - beside) | (boxes[:, 2:] > last + beside)).any(1)
+            if sizes[far].sum() <= limit:
+                low, high = boxes[~far, :2].min(0), boxes[~far, 2:].max(0)
+    (left, top), (right, bottom) = low.tolist(), high.tolist()
     return left, top, right, bottom

@@ -1,4 +1,4 @@
-"""The part of a picture that a refinement looks at: the square around the object, however large the photo is."""
+"""The window: the square region of a picture around the object, however large the photo is."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from .camera import NEAR
 from .resampling import Array, Box
 from .view import View
 
-# Background on every side of the object, in units of the longer side of its box. Chosen on training and validation shapes: with
-# half as much single clouds get worse, with more all gain less.
+# Background on every side of the object, in units of the longer side of its box. Chosen on training and validation shapes:
+# with half as much some clouds get worse, with more all improve less.
 MARGIN = 1.0 / 8.0
-# The share of the points at either end of an axis that does not stretch the window: strays would cost the object resolution.
+# Part of the points at either end of an axis that does not widen the window: outliers would cost the object resolution.
 STRAYS = 0.005
 
 
 def window_of(view: View, points: Array | None = None) -> Box:
     """The square that holds the mask's foreground and the projected cloud, with a margin.
 
-    It depends on the object alone: in a larger photo it covers the same pixels. A few stray points may lie outside. Where
-    the object is close to a border of the image it ends there along that axis; the other axis may reach beyond the image.
+    It depends on the object alone: in a larger photo it covers the same pixels. A few outliers may lie outside. Close to a
+    border of the image it ends there along that axis; the other axis may reach beyond the image.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def window_of(view: View, points: Array | None = None) -> Box:
 
 
 def window_around(*boxes: Box) -> Box:
-    """The square that holds several windows, in which what is seen in each can be compared."""
+    """The square around several windows, a common region to compare them in."""
     edges = np.array(boxes)
     return _squared(edges[:, :2].min(0), edges[:, 2:].max(0))
 

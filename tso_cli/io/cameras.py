@@ -29,7 +29,7 @@ FILE_LIMIT = 64 << 20
 _REQUIRED = ("width", "height", "K", "R", "t")
 _OPTIONAL = ("model", "mask", "image")
 _LARGEST = 1e15  # beyond it products of the entries say nothing any more
-# In small letters, the names above and those that others give to the same: to ignore one would silently use another camera.
+# Keys, in small letters, that other programs give to a camera: ignoring one would silently use another camera.
 _MEANT = {key.casefold(): key for key in (*_REQUIRED, *_OPTIONAL, "views")} | {
     "intrinsics": "K", "intrinsic": "K", "intrinsic_matrix": "K", "camera_matrix": "K", "rotation": "R",
     "rotation_matrix": "R", "translation": "t", "tvec": "t", "w": "width", "h": "height", "camera_model": "model",
@@ -63,31 +63,26 @@ def find_camera(mask_path: str | Path) -> Path | None:
 def read_cameras(path: str | Path) -> list[CameraRecord]:
     """Read all views of a camera file; at least one.
 
-    Raises
-    ------
-    InputError
-        The file is not JSON of this form, or a camera in it is impossible; the message names file and key.
+    Raises InputError if the file is not JSON of this form, or a camera in it is impossible; the message names file and key.
     """
     path = Path(path)
     document = _load(path)
     if not isinstance(document, dict):
         raise InputError(f"{path}: holds {_kind(document)}, expected an object with width, height, K, R, t or views")
-    ignored: set[str] = set()
+    views, ignored = {"": document}, set()
     if "views" in document:
-        views = document["views"]
-        if not isinstance(views, list) or not views:
-            raise InputError(f"{path}: views is {_kind(views)}, expected a list of at least one camera")
-        _check_keys(path, "", document, ("views",), ignored)
-        records = []
-        for i, view in enumerate(views):
-            if not isinstance(view, dict):
-                raise InputError(f"{path}: views[{i}] is {_kind(view)}, expected an object with width, height, K, R, t")
-            records.append(_record(path, f"views[{i}].", view, ignored))
-    else:
-        records = [_record(path, "", document, ignored)]
+        if not isinstance(document["views"], list) or not document["views"]:
+            raise InputError(f"{path}: views is {_kind(document['views'])}, expected a list of at least one camera")
+        ignored |= _unknown_keys(path, "", document, ("views",))
+        views = {f"views[{i}].": view for i, view in enumerate(document["views"])}
+    records = []
+    for where, view in views.items():
+        if not isinstance(view, dict):
+            raise InputError(f"{path}: {where[:-1]} is {_kind(view)}, expected an object with width, height, K, R, t")
+        ignored |= _unknown_keys(path, where, view, _REQUIRED + _OPTIONAL)
+        records.append(_record(path, where, view))
     if ignored:
-        names = ", ".join(sorted(ignored))
-        warnings.warn(f"{path}: unknown keys are ignored: {shown(names)}", stacklevel=2)
+        warnings.warn(f"{path}: unknown keys are ignored: {shown(', '.join(sorted(ignored)))}", stacklevel=2)
     return records
 
 
@@ -99,24 +94,20 @@ def read_camera(path: str | Path, width: int, height: int, mask: str | Path | No
     width, height : size of the mask in pixels; the camera's must be the same.
     mask : the mask's file, for the message, and to choose from a file with several views.
 
-    Raises
-    ------
-    InputError
-        As `read_cameras`; or the size differs; or there are several views and none, or more than one, names ``mask``.
+    Raises InputError as `read_cameras`, or if the size differs, or not just one of several views names ``mask``.
     """
     path = Path(path)
     records = read_cameras(path)
     if len(records) > 1:
-        fitting = [r for r in records if r.mask is not None and mask is not None and same_file(r.mask, mask)]
-        if len(fitting) != 1:
+        naming = [r for r in records if r.mask is not None and mask is not None and same_file(r.mask, mask)]
+        if len(naming) != 1:
             named = f"the mask {mask}" if mask is not None else "a mask"
-            raise InputError(f"{path}: {len(fitting)} of its {len(records)} views name {named}, expected one")
-        records = fitting
+            raise InputError(f"{path}: {len(naming)} of its {len(records)} views name {named}, expected one")
+        records = naming
     elif mask is not None and records[0].mask is not None and not same_file(records[0].mask, mask):
         warnings.warn(f"{path}: its one view names the mask {records[0].mask}, used for {mask}", stacklevel=2)
-    camera = records[0].camera
-    check_size(path, camera, width, height, mask)
-    return camera
+    check_size(path, records[0].camera, width, height, mask)
+    return records[0].camera
 
 
 def same_file(a: str | Path, b: str | Path) -> bool:
@@ -136,10 +127,7 @@ def check_size(path: str | Path, camera: Camera, width: int, height: int, mask: 
 def write_cameras(path: str | Path, records: Sequence[CameraRecord], overwrite: bool = False) -> None:
     """Write a camera file that reads back exactly; one record without files in the flat form, others as views.
 
-    Raises
-    ------
-    InputError
-        ``path`` cannot be written.
+    Raises InputError if ``path`` cannot be written.
     """
     path = Path(path)
     check_output(path, overwrite)
@@ -161,15 +149,13 @@ def _lines(view: dict[str, Any], indent: str) -> str:
 
 
 def _as_json(record: CameraRecord, path: Path) -> dict[str, Any]:
-    view: dict[str, Any] = {}
-    folder = os.path.realpath(path.parent)
-    for key, file in (("mask", record.mask), ("image", record.image)):
-        if file is not None:
-            view[key] = Path(os.path.relpath(os.path.realpath(file), folder)).as_posix()
-    camera = record.camera
-    view.update(width=camera.width, height=camera.height, model=camera.model)
-    view.update(K=camera.K.tolist(), R=camera.R.tolist(), t=camera.t.tolist())
-    return view
+    files = {"mask": record.mask, "image": record.image}
+    folder, camera = os.path.realpath(path.parent), record.camera
+    return {
+        **{key: Path(os.path.relpath(os.path.realpath(file), folder)).as_posix() for key, file in files.items() if file},
+        **{"width": camera.width, "height": camera.height, "model": camera.model},
+        **{"K": camera.K.tolist(), "R": camera.R.tolist(), "t": camera.t.tolist()},
+    }
 
 
 def _load(path: Path) -> Any:
@@ -187,7 +173,8 @@ def _load(path: Path) -> Any:
 def _unique(pairs: list[tuple[str, Any]], path: Path) -> dict[str, Any]:
     values = dict(pairs)
     if len(values) < len(pairs):
-        twice = next(key for i, (key, _) in enumerate(pairs) if key in dict(pairs[:i]))
+        keys = [key for key, _ in pairs]
+        twice = next(key for i, key in enumerate(keys) if key in keys[:i])
         raise InputError(f"{path}: the key {shown(twice)} appears twice in one object, expected once")
     return values
 
@@ -198,35 +185,33 @@ def _kind(value: Any) -> str:
     return shown(value)
 
 
-def _check_keys(path: Path, where: str, view: dict[str, Any], known: Sequence[str], ignored: set[str]) -> None:
+def _unknown_keys(path: Path, where: str, view: dict[str, Any], known: Sequence[str]) -> set[str]:
+    """Keys to ignore; InputError for one that other programs give to a camera."""
+    unknown = {key for key in view if key not in known}
     for key in view:
-        if key in known:
-            continue
         meant = _MEANT.get(key.casefold())
-        if meant == key:
+        if key in unknown and meant == key:
             raise InputError(f"{path}: the key {where}{key} is out of place, expected views or a single camera")
-        if meant is not None:
+        if key in unknown and meant is not None:
             raise InputError(f"{path}: the key {where}{shown(key)} is not one of camera files, expected {meant}")
-        ignored.add(key)
+    return unknown
 
 
-def _record(path: Path, where: str, view: dict[str, Any], ignored: set[str]) -> CameraRecord:
-    _check_keys(path, where, view, _REQUIRED + _OPTIONAL, ignored)
+def _record(path: Path, where: str, view: dict[str, Any]) -> CameraRecord:
     for key in _REQUIRED:
         if key not in view:
             raise InputError(f"{path}: {where}{key} is missing, expected width, height, K, R and t")
-    sizes = [_size(path, where + key, view[key]) for key in ("width", "height")]
-    if sizes[0] * sizes[1] > PIXEL_LIMIT:
-        size = f"{sizes[0]}x{sizes[1]}"
-        raise InputError(f"{path}: {where}width x height is {size}, expected at most {PIXEL_LIMIT:,} pixels")
-    K, R = (_matrix(path, where + key, view[key]) for key in ("K", "R"))
-    t = _vector(path, where + "t", view["t"], "[3]")
+    width, height = (_size(path, where + key, view[key]) for key in ("width", "height"))
+    if width * height > PIXEL_LIMIT:
+        raise InputError(f"{path}: {where}width x height is {width}x{height}, expected at most {PIXEL_LIMIT:,} pixels")
+    K, R = (_numbers(path, where + key, view[key], "3x3") for key in ("K", "R"))
+    t = _numbers(path, where + "t", view["t"], "[3]")
     model = view.get("model", "perspective")
     if not isinstance(model, str) or model not in MODELS:
         raise InputError(f"{path}: {where}model is {shown(model)}, expected one of {', '.join(MODELS)}")
     try:
         with np.errstate(all="ignore"):
-            camera = Camera(np.array(K), np.array(R), np.array(t), sizes[0], sizes[1], model)
+            camera = Camera(np.array(K), np.array(R), np.array(t), width, height, model)
     except InputError as error:
         raise InputError(f"{path}: {where}{error}") from None
     return CameraRecord(camera, _file(path, where, view, "mask"), _file(path, where, view, "image"))
@@ -244,27 +229,24 @@ def _number(path: Path, where: str, value: Any) -> float:
 
 def _size(path: Path, where: str, value: Any) -> int:
     number = _number(path, where, value)
-    if number != int(number) or number < 1:
+    if number % 1 or number < 1:
         raise InputError(f"{path}: {where} is {shown(value)}, expected a whole number of pixels, 1 or more")
     return int(number)
 
 
-def _vector(path: Path, where: str, value: Any, shape: str) -> list[float]:
+def _numbers(path: Path, where: str, value: Any, shape: str) -> list[Any]:
+    """A vector, "[3]", or a matrix, "3x3"."""
     if not isinstance(value, list) or len(value) != 3:
         raise InputError(f"{path}: {where} is {_kind(value)}, expected {shape} numbers")
+    if shape == "3x3":
+        return [_numbers(path, f"{where}[{i}]", row, "[3]") for i, row in enumerate(value)]
     return [_number(path, f"{where}[{i}]", entry) for i, entry in enumerate(value)]
-
-
-def _matrix(path: Path, where: str, value: Any) -> list[list[float]]:
-    if not isinstance(value, list) or len(value) != 3:
-        raise InputError(f"{path}: {where} is {_kind(value)}, expected 3x3 numbers")
-    return [_vector(path, f"{where}[{i}]", row, "[3]") for i, row in enumerate(value)]
 
 
 def _file(path: Path, where: str, view: dict[str, Any], key: str) -> Path | None:
     value = view.get(key)
     if value is None:
         return None
-    if not isinstance(value, str) or not value or any(ord(letter) < 32 for letter in value):
+    if not isinstance(value, str) or not value or min(value) < " ":
         raise InputError(f"{path}: {where}{key} is {_kind(value)}, expected the path of a file")
     return path.parent / value

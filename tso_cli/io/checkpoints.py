@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
 from .output import atomic_output, check_output, reason
-from .reading import shown
+from .reading import read_bytes, shown
 
 if TYPE_CHECKING:
     import torch
@@ -29,18 +31,11 @@ MOST_POINTS = 1_000_000
 
 
 def save_network(
-    path: Path | str,
-    network: BaseNetwork,
-    config: NetworkConfig,
-    overwrite: bool = False,
-    dtype: torch.dtype | None = None,
+    path: Path | str, network: BaseNetwork, config: NetworkConfig, overwrite: bool = False, dtype: torch.dtype | None = None
 ) -> None:
-    """Write ``network`` and ``config`` as one safetensors file, whole or not at all.
+    """Write ``network`` and ``config`` as one safetensors file; ``dtype`` is the type to store the weights in.
 
-    ``dtype`` is the type to store the weights in, such as torch.float16; None keeps the network's own.
-
-    Raises InputError when the folder is missing, the file exists and ``overwrite`` is False, or a weight is too large for
-    ``dtype``.
+    Raises InputError when the file cannot or must not be written, or a weight is too large for ``dtype``.
     """
     tensors = network.state_dict()
     if dtype is not None:
@@ -69,11 +64,8 @@ def save_tensors(
 def load_network(path: Path | str) -> tuple[BaseNetwork, NetworkConfig]:
     """Read a network, as float32 on the CPU in evaluation mode whatever type the file stores.
 
-    Raises
-    ------
-    InputError
-        The file is missing, empty, truncated, a pickle, not a checkpoint, or its tensors are not those of the network
-        that its configuration describes (missing, unknown, other shape or type, NaN or infinite).
+    Raises InputError if the file is not a whole checkpoint, or its tensors are not those of the network that its configuration
+    describes.
     """
     import torch
 
@@ -93,10 +85,9 @@ def load_network(path: Path | str) -> tuple[BaseNetwork, NetworkConfig]:
 
 def load_state(path: Path | str, expected: dict[str, tuple[int, ...]]) -> dict[str, Tensor]:
     """Read the ``training.*`` tensors of ``path``, names without that prefix; refused unless they are as expected."""
-    path = Path(path)
-    wanted = {STATE_PREFIX + name: shape for name, shape in expected.items()}
-    tensors = _read_tensors(path, wanted, lambda name: name.startswith(STATE_PREFIX))
-    return {name[len(STATE_PREFIX) :]: tensor for name, tensor in tensors.items()}
+    state = {STATE_PREFIX + name: shape for name, shape in expected.items()}
+    tensors = _read_tensors(Path(path), state, lambda name: name.startswith(STATE_PREFIX))
+    return {name.removeprefix(STATE_PREFIX): tensor for name, tensor in tensors.items()}
 
 
 def read_metadata(path: Path | str) -> tuple[NetworkConfig, dict[str, Any]]:
@@ -116,9 +107,11 @@ def read_metadata(path: Path | str) -> tuple[NetworkConfig, dict[str, Any]]:
         about = json.loads(metadata[METADATA_KEY])
     except (ValueError, RecursionError):
         raise InputError(f"{path}: the metadata is {shown(metadata[METADATA_KEY])}, expected JSON") from None
-    if not isinstance(about, dict) or about.get("format") != FORMAT:
-        found = shown(about.get("format")) if isinstance(about, dict) else shown(about)
-        raise InputError(f"{path}: the format in the metadata is {found}, expected {FORMAT!r} (as tso train writes it)")
+    version = about.get("format") if isinstance(about, dict) else about
+    if version != FORMAT:
+        raise InputError(
+            f"{path}: the format in the metadata is {shown(version)}, expected {FORMAT!r} (as tso train writes it)"
+        )
     for key in ("config", "training"):
         if not isinstance(about.get(key, {}), dict):
             raise InputError(f"{path}: {key!r} in the metadata is {shown(about[key])}, expected a JSON object")
@@ -129,36 +122,22 @@ def read_metadata(path: Path | str) -> tuple[NetworkConfig, dict[str, Any]]:
 
 def _refuse_other_files(path: Path) -> None:
     """Name what the file is when it is plainly no safetensors file."""
-    expected = "expected a checkpoint (.safetensors)"
-    try:
-        if path.is_dir():
-            raise InputError(f"{path}: is a folder, {expected}")
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: is not a regular file, {expected}")
-        with path.open("rb") as stream:
-            start = stream.read(16)
-            size = path.stat().st_size
-    except (FileNotFoundError, NotADirectoryError):
-        raise InputError(f"{path}: does not exist, {expected}") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read ({reason(error)}), {expected}") from None
-    if size == 0:
-        raise InputError(f"{path}: is empty, {expected}")
+    expected = "a checkpoint (.safetensors)"
+    start = read_bytes(path, expected, most=16)
     # The header's length comes first and may begin like a pickle; the brace behind it tells the two apart.
     if start[8:9] == b"{":
         return
-    is_zip = start[:4] == b"PK\x03\x04"
-    is_pickle = start[:1] == b"\x80" and start[1:2] in (b"\x02", b"\x03", b"\x04", b"\x05")
-    if is_zip or is_pickle:
+    if start[:4] == b"PK\x03\x04" or start[:2] in (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"):
         raise InputError(f"{path}: is a pickled PyTorch file; loading it could run code; expected safetensors")
-    raise InputError(f"{path}: is no safetensors file ({size:,} bytes, starts with {start[:8]!r}), {expected}")
+    size = path.stat().st_size
+    raise InputError(f"{path}: is no safetensors file ({size:,} bytes, starts with {start[:8]!r}), expected {expected}")
 
 
 def _damage(error: Exception) -> str:
     """A short reason for a file that safetensors cannot open."""
     text = reason(error).removeprefix("Error while deserializing header: ")
-    cut = "incomplete metadata" in text or "invalid header length" in text
-    return f"{'truncated or ' if cut else ''}damaged ({shown(text)})"
+    truncated = "incomplete metadata" in text or "invalid header length" in text
+    return f"{'truncated or ' if truncated else ''}damaged ({shown(text)})"
 
 
 def _config(path: Path, values: dict[str, Any]) -> NetworkConfig:
@@ -167,38 +146,39 @@ def _config(path: Path, values: dict[str, Any]) -> NetworkConfig:
     from ..network.model import FRAMES, IMAGE_SIZE, SUPERVISIONS, NetworkConfig
 
     names = [field.name for field in dataclasses.fields(NetworkConfig)]
-    missing = [name for name in names if name not in values]
-    unknown = [name for name in values if name not in names]
-    if missing or unknown:
-        found = f"lacks {missing[0]!r}" if missing else f"holds the unknown {shown(unknown[0])}"
-        raise InputError(f"{path}: the configuration {found}, expected {', '.join(names)}")
+    missing = next((name for name in names if name not in values), None)
+    unknown = next((name for name in values if name not in names), None)
+    if missing or unknown is not None:
+        problem = f"lacks {missing!r}" if missing else f"holds the unknown {shown(unknown)}"
+        raise InputError(f"{path}: the configuration {problem}, expected {', '.join(names)}")
 
-    def check(name: str, fits: bool, expected: str) -> None:
-        if not fits:
+    def whole(value: object, low: float = -math.inf, high: float = math.inf) -> bool:
+        return isinstance(value, int) and number(value, low, high)
+
+    def number(value: object, low: float, high: float) -> bool:
+        return isinstance(value, (int, float)) and not isinstance(value, bool) and low <= value <= high
+
+    checks: dict[str, tuple[Callable[[Any], bool], str]] = {
+        "points": (lambda value: whole(value, 1, MOST_POINTS), f"1 to {MOST_POINTS:,}"),
+        "image_size": (lambda value: whole(value, IMAGE_SIZE, IMAGE_SIZE), str(IMAGE_SIZE)),
+        "frame": (FRAMES.__contains__, " or ".join(FRAMES)),
+        "sigma_sq": (lambda value: number(value, 0.0, 1e6) and value > 0.0, "a number above 0"),
+        "crop_share": (lambda value: number(value, 0.0, 1.0), "a number from 0 to 1"),
+        "background": (BACKGROUNDS.__contains__, " or ".join(BACKGROUNDS)),
+        "supervision": (SUPERVISIONS.__contains__, " or ".join(SUPERVISIONS)),
+        "seed": (whole, "a whole number"),
+        "steps": (lambda value: whole(value, 0), "a whole number, 0 or more"),
+        "training_set": (lambda value: isinstance(value, str), "text"),
+        "version": (lambda value: isinstance(value, str), "text"),
+        "settings": (lambda value: isinstance(value, dict), "a JSON object"),
+    }
+    for name, (fits, expected) in checks.items():
+        if not fits(values[name]):
             raise InputError(f"{path}: {name} in the configuration is {shown(values[name])}, expected {expected}")
-
-    def whole(name: str) -> bool:
-        return isinstance(values[name], int) and not isinstance(values[name], bool)
-
-    def number(name: str, low: float, high: float) -> bool:
-        return isinstance(values[name], (int, float)) and not isinstance(values[name], bool) and low < values[name] <= high
-
-    check("points", whole("points") and 1 <= values["points"] <= MOST_POINTS, f"1 to {MOST_POINTS:,}")
-    check("image_size", whole("image_size") and values["image_size"] == IMAGE_SIZE, str(IMAGE_SIZE))
-    check("frame", values["frame"] in FRAMES, " or ".join(FRAMES))
-    check("sigma_sq", number("sigma_sq", 0.0, 1e6), "a number above 0")
-    check("crop_share", values["crop_share"] == 0 or number("crop_share", 0.0, 1.0), "a number from 0 to 1")
-    check("background", values["background"] in BACKGROUNDS, " or ".join(BACKGROUNDS))
-    check("supervision", values["supervision"] in SUPERVISIONS, " or ".join(SUPERVISIONS))
-    check("seed", whole("seed"), "a whole number")
-    check("steps", whole("steps") and values["steps"] >= 0, "a whole number, 0 or more")
-    for name in ("training_set", "version"):
-        check(name, isinstance(values[name], str), "text")
-    check("settings", isinstance(values["settings"], dict), "a JSON object")
     return NetworkConfig(**values)
 
 
-def _read_tensors(path: Path, expected: dict[str, tuple[int, ...]], belongs: Any) -> dict[str, Tensor]:
+def _read_tensors(path: Path, expected: dict[str, tuple[int, ...]], belongs: Callable[[str], bool]) -> dict[str, Tensor]:
     """The tensors of ``path`` whose names belong, after a check of names, shapes, types and values."""
     import torch
     from safetensors import SafetensorError, safe_open
@@ -206,21 +186,19 @@ def _read_tensors(path: Path, expected: dict[str, tuple[int, ...]], belongs: Any
     tensors = {}
     try:
         with safe_open(path, framework="pt") as file:
-            found = {name: tuple(file.get_slice(name).get_shape()) for name in file.keys() if belongs(name)}  # noqa: SIM118
+            shapes = {name: file.get_slice(name).get_shape() for name in file.keys() if belongs(name)}  # noqa: SIM118
             for name, shape in expected.items():
-                if name not in found:
+                if name not in shapes:
                     raise InputError(f"{path}: tensor {name} is missing, expected shape {list(shape)}")
-                if found[name] != shape:
-                    raise InputError(
-                        f"{path}: tensor {name} has shape {list(found[name])}, expected {list(shape)} "
-                        "(a network of another size?)"
-                    )
-            unknown = sorted(set(found) - set(expected))
+                if tuple(shapes[name]) != shape:
+                    problem = f"has shape {list(shapes[name])}, expected {list(shape)} (a network of another size?)"
+                    raise InputError(f"{path}: tensor {name} {problem}")
+            unknown = sorted(set(shapes) - set(expected))
             if unknown:
-                raise InputError(f"{path}: unknown tensor {shown(unknown[0])} of shape {list(found[unknown[0]])}")
+                raise InputError(f"{path}: unknown tensor {shown(unknown[0])} of shape {list(shapes[unknown[0]])}")
             for name in expected:
-                # A copy: the tensor itself is a view of the file, which may be changed while it is in use; and where it
-                # lies in the file, off the boundaries torch aligns to, would change the last bits of what is computed.
+                # A copy: the tensor is a view of the file, which may change while it is in use, and is not aligned as torch's
+                # own are, which would change the last bits of results.
                 tensors[name] = file.get_tensor(name).clone()
     except (SafetensorError, OSError, ValueError, TypeError, KeyError, RuntimeError, AttributeError) as error:
         raise InputError(f"{path}: {_damage(error)}, expected a whole safetensors file") from None

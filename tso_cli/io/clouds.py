@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +13,13 @@ from numpy.typing import NDArray
 from ..errors import InputError, TsoError
 from .arrays import read_array
 from .output import atomic_output, check_output
-from .ply import PlyFile
+from .ply import PlyFile, new_ply
 from .reading import read_bytes
 from .text import TextTable
 
 Points = NDArray[np.float64]
 SUFFIXES = (".ply", ".npy", ".xyz", ".txt")
 _LARGEST = 1e100  # beyond it squares of coordinates overflow
-_WHAT = "a point cloud"
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class PointCloud:
     points : [N, 3] float64, in the file's order and units.
     path : where it came from.
     precision : "float32" or "float64", the type to write coordinates with.
-    ply : what is needed to write the same PLY file with other coordinates.
+    ply : the PLY file it came from, to write it again with other coordinates.
     """
 
     points: Points
@@ -41,10 +41,10 @@ class PointCloud:
 
     def colours(self) -> Points:
         """Red, green and blue [N, 3] of the points, in [0, 1]; InputError where the file has none or no such numbers."""
-        found = self.ply.read_colours() if self.ply else None
-        if found is None:
+        colours = self.ply.read_colours() if self.ply else None
+        if colours is None:
             raise InputError(f"{self.path}: its points have no colours, expected red, green and blue of a PLY file")
-        return found
+        return colours
 
     def faces(self) -> NDArray[np.int64] | None:
         """Triangles [F, 3] of the points; None where the file has no faces, InputError where they name other points."""
@@ -61,16 +61,13 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
     ----------
     extended : refuse a cloud without extent: a single point, or equal ones.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, is damaged, holds no point or one that is not finite, or is not ``extended`` as asked.
+    Raises InputError if the file cannot be read, is damaged, holds no point or one that is not finite, or has no extent.
     """
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES and not path.is_dir():
         raise InputError(f"{path}: the suffix {suffix!a} is not that of a point cloud, expected {', '.join(SUFFIXES)}")
-    data = read_bytes(path, _WHAT)
+    data = read_bytes(path, "a point cloud")
     try:
         if suffix == ".ply":
             ply = PlyFile(data, path)
@@ -91,7 +88,7 @@ def write_cloud(
     like: PointCloud | None = None,
     colours: NDArray[np.uint8] | None = None,
     overwrite: bool = False,
-    dtype: str | None = None,
+    dtype: Literal["float32", "float64"] | None = None,
 ) -> None:
     """Write a .ply file.
 
@@ -102,15 +99,11 @@ def write_cloud(
         form, order, precision, colours, faces and every other attribute stay as they are, byte for byte. Normals stay
         too, with a warning that they are those of the old points.
     colours : [N, 3] uint8 red, green, blue; not together with ``like``.
-    dtype : "float32" or "float64", without a ``like`` from PLY. By default the precision of ``like``; without it
-        float32 where that moves no point by over a millionth of the cloud's extent.
+    dtype : of the coordinates, without a ``like`` from PLY. By default the precision of ``like``; without it float32 where
+        that moves no point by over a millionth of the cloud's extent.
 
-    Raises
-    ------
-    InputError
-        ``path`` is not a .ply or cannot be written, or ``points`` are not as many as those of ``like``.
-    TsoError
-        A coordinate is not finite or too large for its type. Nothing is written then.
+    Raises InputError if ``path`` is not a .ply or cannot be written, or ``points`` are not as many as those of ``like``;
+    TsoError if a coordinate is not finite or too large for its type. Nothing is written then.
     """
     path = Path(path)
     if path.suffix.lower() != ".ply":
@@ -119,68 +112,34 @@ def write_cloud(
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f"{path}: the points to write have shape {list(points.shape)}, expected [N, 3]")
-    if not np.isfinite(points).all():
-        index = int((~np.isfinite(points)).any(axis=1).argmax())
-        raise TsoError(f"{path}: point {index} is not finite, nothing was written")
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        raise TsoError(f"{path}: point {finite.argmin()} is not finite, nothing was written")
     if like is not None and len(points) != len(like.points):
         raise InputError(f"{path}: {len(points)} points to write, expected {len(like.points)} as in {like.path}")
     if like is not None and colours is not None:
         raise InputError(f"{path}: colours come from {like.path}, expected no others")
-    narrow = set(like.ply.kinds) if like is not None and like.ply is not None else set()
-    if "f4" in narrow and np.abs(points).max(initial=0.0) > np.finfo(np.float32).max:
-        raise TsoError(f"{path}: a coordinate does not fit into the float of {like.path if like else path}")
-    if "f4" in narrow:
-        lost, extent = _rounding(points)
-        if lost > 1e-4 * extent:
-            warnings.warn(
-                f"{path}: its coordinates are stored as float, as in {like.path if like else path}: rounding moves points by "
-                f"up to {lost:.2g}, the cloud's longest side is {extent:.3g}; store the input as double to keep the result",
-                stacklevel=2,
-            )
+    with np.errstate(over="ignore", invalid="ignore"):
+        rounding = np.abs(points.astype(np.float32) - points).max(initial=0.0)
+    extent = np.ptp(points, axis=0).max() if len(points) else 0.0
     if like is not None and like.ply is not None:
+        if "f4" in like.ply.kinds:
+            if np.isinf(rounding):
+                raise TsoError(f"{path}: a coordinate does not fit into the float of {like.path}")
+            if rounding > 1e-4 * extent:
+                warnings.warn(
+                    f"{path}: its coordinates are stored as float, as in {like.path}: rounding moves points by up to "
+                    f"{rounding:.2g}, the cloud's longest side is {extent:.3g}; store the input as double to keep the result",
+                    stacklevel=2,
+                )
         data = like.ply.with_points(points)
         if like.ply.has_normals and data is not like.ply.data:
             warnings.warn(f"{path}: the normals are those of {like.path}, before the points moved", stacklevel=2)
     else:
-        data = _new_file(path, points, dtype or (like.precision if like is not None else _precision(points)), colours)
+        precise = "float32" if rounding <= 1e-6 * extent else "float64"
+        data = new_ply(points, dtype or (like.precision if like is not None else precise), colours)
     with atomic_output(path) as temporary:
         temporary.write_bytes(data)
-
-
-def _rounding(points: Points) -> tuple[float, float]:
-    """How far float32 moves the worst coordinate, and the longest side."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        loss = np.abs(points.astype(np.float32) - points).max(initial=0.0)
-    return float(loss), float(np.ptp(points, axis=0).max()) if len(points) else 0.0
-
-
-def _precision(points: Points) -> str:
-    loss, extent = _rounding(points)
-    return "float32" if loss <= 1e-6 * extent else "float64"
-
-
-def _new_file(path: Path, points: Points, dtype: str, colours: NDArray[np.uint8] | None) -> bytes:
-    types = {"float32": "float", "float64": "double"}
-    if dtype not in types:
-        raise InputError(f"{path}: the type is {dtype!r}, expected float32 or float64")
-    fields = [(axis, "<" + np.dtype(dtype).str[1:]) for axis in "xyz"]
-    lines = [f"property {types[dtype]} {axis}" for axis in "xyz"]
-    if colours is not None:
-        colours = np.asarray(colours)
-        if colours.shape != points.shape or colours.dtype != np.uint8:
-            raise InputError(
-                f"{path}: the colours are {colours.dtype} {list(colours.shape)}, expected uint8 {list(points.shape)}"
-            )
-        fields += [(name, "u1") for name in ("red", "green", "blue")]
-        lines += [f"property uchar {name}" for name in ("red", "green", "blue")]
-    rows = np.empty(len(points), dtype=fields)
-    for k, axis in enumerate("xyz"):
-        rows[axis] = points[:, k]
-    if colours is not None:
-        for k, name in enumerate(("red", "green", "blue")):
-            rows[name] = colours[:, k]
-    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *lines, "end_header", ""]
-    return "\n".join(head).encode() + rows.tobytes()
 
 
 def _from_array(data: bytes, path: Path) -> PointCloud:
@@ -208,18 +167,18 @@ def _from_text(data: bytes, path: Path) -> PointCloud:
 
 
 def _check(points: Points, path: Path, extended: bool) -> None:
-    count, least = len(points), 1 + extended
+    count, least = len(points), 2 if extended else 1
     if count < least:
         raise InputError(f"{path}: {count} point{'s' * (count != 1)}, expected at least {least}")
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
-        index = int((~finite).argmax())
+        index = int(finite.argmin())
         raise InputError(
             f"{path}: {count - int(finite.sum())} of {count} points have a coordinate that is not finite, "
             f"the first is point {index} {points[index].tolist()}"
         )
-    largest = max(-float(points.min()), float(points.max()))
+    largest = np.abs(points).max()
     if largest > _LARGEST:
         raise InputError(f"{path}: a coordinate of {largest:g}, expected at most {_LARGEST:g}")
-    if extended and (points.max(axis=0) - points.min(axis=0)).max() <= 1.0 / _LARGEST:
+    if extended and np.ptp(points, axis=0).max() <= 1.0 / _LARGEST:
         raise InputError(f"{path}: all {count} points are the same {points[0].tolist()}, expected different ones")

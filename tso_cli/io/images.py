@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,11 +23,12 @@ PIXEL_LIMIT = 100_000_000
 FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "GIF", "BMP", "PPM")
 WRITABLE = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF", ".bmp": "BMP"}
 _FILE_LIMIT = 1 << 31
+Convert = Callable[["Image.Image", Path], NDArray[Any]]
 _WITH_ALPHA = ("RGBA", "LA", "PA", "RGBa", "La")
 
 
 def read_mask(path: str | Path, invert: bool = False) -> NDArray[np.float32]:
-    """Read a mask as [H, W] in [0, 1], inside 1; soft values are kept.
+    """Read a mask as [H, W] in [0, 1], inside 1, or with ``invert`` what is dark; soft values are kept.
 
     - An alpha channel that is not opaque everywhere is the mask; else the brightness is (the largest channel of a
       colour).
@@ -35,28 +37,12 @@ def read_mask(path: str | Path, invert: bool = False) -> NDArray[np.float32]:
       and a warning says so. Floating-point numbers must lie in [0, 1].
     - Of several frames the first counts. A .npy file holds [H, W]: bool, integers or floating-point numbers.
 
-    That there is both inside and outside is for `scene.View` to check.
+    `View` checks that there is both inside and outside.
 
-    Parameters
-    ----------
-    invert : the object is what is dark.
-
-    Raises
-    ------
-    InputError
-        The file is not a readable image, has over 100 megapixels, or values outside [0, 1].
+    Raises InputError if the file is not a readable image, has over 100 megapixels, or values outside [0, 1].
     """
     path = Path(path)
-    what = "a mask image"
-    data = read_bytes(path, what, _FILE_LIMIT)
-    if path.suffix.lower() == ".npy":
-        array = read_array(data, path)
-        if array.ndim != 2 or array.dtype.kind not in "bfiu" or 0 in array.shape:
-            raise InputError(f"{path}: holds {array.dtype} {list(array.shape)}, expected a mask [H, W]")
-        _check_size(array.shape[1], array.shape[0], path)
-    else:
-        array = _decode(data, path, what, _mask_values)
-    mask = _to_unit(array, path)
+    mask = _to_unit(_read_values(path, "a mask image", "a mask [H, W]", "bfiu", _mask_values), path)
     return np.float32(1.0) - mask if invert else mask
 
 
@@ -70,23 +56,11 @@ def read_depth(path: str | Path, scale: float = 1.0) -> NDArray[np.float64]:
     ----------
     scale : units of the camera to a step of the file: 0.001 for a file in millimetres and a camera in metres.
 
-    Raises
-    ------
-    InputError
-        The file is not such a map, or a depth is negative.
+    Raises InputError if the file is not such a map, or a depth is negative.
     """
     path = Path(path)
-    what = "a depth map"
-    data = read_bytes(path, what, _FILE_LIMIT)
-    if path.suffix.lower() == ".npy":
-        values = read_array(data, path)
-        if values.ndim != 2 or values.dtype.kind not in "fiu" or 0 in values.shape:
-            raise InputError(f"{path}: holds {values.dtype} {list(values.shape)}, expected a depth map [H, W]")
-        _check_size(values.shape[1], values.shape[0], path)
-    else:
-        values = _decode(data, path, what, _depth_values)
-    with np.errstate(invalid="ignore"):  # NaN of the kind that signals
-        depth = np.array(values, dtype=np.float64)
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        depth = _read_values(path, "a depth map", "a depth map [H, W]", "fiu", _depth_values).astype(np.float64)
     depth[~np.isfinite(depth) | (depth == 0.0)] = np.nan
     least = np.nanmin(depth, initial=np.inf)
     if least < 0.0:
@@ -96,24 +70,29 @@ def read_depth(path: str | Path, scale: float = 1.0) -> NDArray[np.float64]:
     return depth * scale
 
 
+def _read_values(path: Path, what: str, form: str, kinds: str, convert: Convert) -> NDArray[Any]:
+    """[H, W] from a picture by ``convert``, or from a .npy file with a type of one of numpy's ``kinds``."""
+    data = read_bytes(path, what, _FILE_LIMIT)
+    if path.suffix.lower() != ".npy":
+        return _decode(data, path, what, convert)
+    array = read_array(data, path)
+    if array.ndim != 2 or array.dtype.kind not in kinds or 0 in array.shape:
+        raise InputError(f"{path}: holds {array.dtype} {list(array.shape)}, expected {form}")
+    _check_size(array.shape[1], array.shape[0], path)
+    return array
+
+
 def read_image(path: str | Path) -> NDArray[np.uint8]:
     """Read a picture as [H, W, 3], or [H, W, 4] where it has an alpha channel.
 
-    Raises
-    ------
-    InputError
-        The file is not a readable image or has over 100 megapixels.
+    Raises InputError if the file is not a readable image or has over 100 megapixels.
     """
     path = Path(path)
-    what = "an image"
-    return _decode(read_bytes(path, what, _FILE_LIMIT), path, what, _colours)
+    return _decode(read_bytes(path, "an image", _FILE_LIMIT), path, "an image", _colours)
 
 
 def as_colours(image: Image.Image, path: Path) -> NDArray[np.uint8]:
-    """A picture that Pillow has opened, as `read_image` gives it; InputError naming ``path`` where it is too large.
-
-    What else Pillow raises while it decodes goes through.
-    """
+    """A picture opened by Pillow, as `read_image` gives it; InputError where it is too large, or what Pillow raises."""
     _check_size(image.width, image.height, path)
     return _colours(image, path)
 
@@ -121,10 +100,7 @@ def as_colours(image: Image.Image, path: Path) -> NDArray[np.uint8]:
 def write_image(path: str | Path, array: NDArray[np.uint8], overwrite: bool = False) -> None:
     """Write ``array`` ([H, W], [H, W, 3] or [H, W, 4], uint8 or bool) in the format of the suffix, .png for instance.
 
-    Raises
-    ------
-    InputError
-        ``path`` cannot be written, or its suffix is not that of an image format that can hold ``array``.
+    Raises InputError if ``path`` cannot be written, or its suffix is not that of an image format that can hold ``array``.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -135,8 +111,8 @@ def write_image(path: str | Path, array: NDArray[np.uint8], overwrite: bool = Fa
     if array.dtype == bool:
         array = array.astype(np.uint8) * np.uint8(255)
     if array.dtype != np.uint8 or array.ndim < 2 or array.shape[2:] not in ((), (3,), (4,)) or array.size == 0:
-        found = f"{array.dtype} {list(array.shape)}"
-        raise InputError(f"{path}: {found} to write, expected uint8 [H, W], [H, W, 3] or [H, W, 4]")
+        what = f"{array.dtype} {list(array.shape)}"
+        raise InputError(f"{path}: {what} to write, expected uint8 [H, W], [H, W, 3] or [H, W, 4]")
     if array.shape[2:] == (4,) and WRITABLE[suffix] in ("JPEG", "BMP"):
         raise InputError(f"{path}: {WRITABLE[suffix]} holds no alpha channel, expected .png")
     from PIL import Image
@@ -150,7 +126,7 @@ def _check_size(width: int, height: int, path: Path) -> None:
         raise InputError(f"{path}: is {width}x{height}, {width * height:,} pixels, expected at most {PIXEL_LIMIT:,}")
 
 
-def _decode(data: bytes, path: Path, what: str, convert: Any) -> NDArray[Any]:
+def _decode(data: bytes, path: Path, what: str, convert: Convert) -> NDArray[Any]:
     """Open, turn upright and ``convert``; whatever Pillow raises or warns of becomes one line that names the file."""
     from PIL import Image, ImageOps
 
@@ -188,7 +164,7 @@ def _mask_values(image: Image.Image, path: Path) -> NDArray[Any]:
             return pixels[..., 3]
     if image.mode == "P":
         return _palette_values(image)
-    if image.mode == "1" or image.mode == "L" or image.mode == "F":
+    if image.mode in ("1", "L", "F"):
         return np.asarray(image)
     if image.mode.startswith("I;16"):
         return np.asarray(image).astype(np.uint16)
@@ -219,7 +195,7 @@ def _palette_values(image: Image.Image) -> NDArray[Any]:
 
 def _to_unit(array: NDArray[Any], path: Path) -> NDArray[np.float32]:
     if array.dtype.kind == "f":
-        with np.errstate(invalid="ignore"):  # NaN of the kind that signals
+        with np.errstate(invalid="ignore"):  # signalling NaN
             values = np.asarray(array, dtype=np.float64)
         low, high = float(values.min()), float(values.max())
         if not (low >= 0.0 and high <= 1.0):

@@ -21,14 +21,7 @@ LIMIT = 1 << 28
 
 @dataclass(frozen=True, eq=False)
 class TrainingLog:
-    """One training.
-
-    Attributes
-    ----------
-    path : of the file.
-    settings : as the checkpoint has them.
-    columns : "step", "loss" and the loss's terms, one value a step each; "lambda" where there is one.
-    """
+    """The settings of one training, as its checkpoint has them, and a value a step of "step", "loss" and the loss's terms."""
 
     path: Path
     settings: dict[str, Any]
@@ -36,13 +29,7 @@ class TrainingLog:
 
 
 def read_log(path: Path | str) -> TrainingLog:
-    """Read one log.
-
-    Raises
-    ------
-    InputError
-        The file is missing or empty, a line is not JSON or not of the form of the others, or there is no step.
-    """
+    """Read one log; InputError where it cannot be read, a line is not of the form of the others, or there is no step."""
     path = Path(path)
     try:
         lines = read_bytes(path, EXPECTED, LIMIT).decode("utf-8").splitlines()

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .output import atomic_output, check_output, reason
+from .ply import new_ply
 from .reading import read_bytes
 from .textures import Pictures, Texture
 
@@ -32,7 +33,7 @@ class Mesh:
     vertices : [V, 3] float64.
     faces : [F, 3] int64, indices of vertices.
     colours : [F, 3] uint8, one RGB colour a face (vertex colours averaged), or None where the file has none.
-    textures : pictures, which stand before the colours of the faces that wear them.
+    textures : pictures, used in place of the colours of their faces.
     """
 
     vertices: Array
@@ -50,18 +51,13 @@ def find_meshes(folder: Path | str) -> list[Path]:
     if not folder.is_dir():
         raise InputError(f"{folder}: not a folder, expected one with meshes ({', '.join(SUFFIXES)})")
     try:
-        found = sorted(
-            path
-            for path in folder.rglob("*")
-            if path.suffix.lower() in SUFFIXES
-            and path.is_file()
-            and not any(part.startswith(".") for part in path.relative_to(folder).parts)
-        )
+        meshes = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in SUFFIXES and path.is_file()]
     except OSError as error:
         raise InputError(f"{folder}: cannot be listed ({error.strerror or error})") from None
-    if not found:
+    meshes = [path for path in meshes if not any(part.startswith(".") for part in path.relative_to(folder).parts)]
+    if not meshes:
         raise InputError(f"{folder}: no mesh in this folder or below, expected {', '.join(SUFFIXES)} files")
-    return found
+    return meshes
 
 
 def read_mesh(path: Path | str, textures: bool = True, within: Path | None = None) -> Mesh:
@@ -74,21 +70,19 @@ def read_mesh(path: Path | str, textures: bool = True, within: Path | None = Non
         file or in the folder ``within`` or below; of one that cannot be read a warning says so, the material's colour stays.
     within : a folder above the file, such as the one that a user named; None for the file's own.
 
-    Raises
-    ------
-    InputError
-        The file is missing, a folder, empty, of another format, damaged, or without a face; a coordinate is not finite; a
-        face names a vertex that does not exist; all faces together have no area.
+    Raises InputError if the file cannot be read, is of another format, damaged, or without a face; a coordinate is not finite;
+    a face names a vertex that does not exist; all faces together have no area.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES and path.is_file():
         raise InputError(f"{path}: the suffix is {path.suffix!a}, expected a mesh: {', '.join(SUFFIXES)}")
     content = read_bytes(path, f"a mesh ({', '.join(SUFFIXES)})")
     pictures = Pictures(path, content, textures, within)
-    vertices, faces, colours, worn = _parse(path, content, pictures)
-    if vertices.ndim != 2 or vertices.shape[1:] != (3,) or len(vertices) == 0:
+    mesh = _parse(path, content, pictures)
+    vertices, faces = mesh.vertices, mesh.faces
+    if len(vertices) == 0:
         raise InputError(f"{path}: no vertices, expected a mesh")
-    if faces.ndim != 2 or faces.shape[1:] != (3,) or len(faces) == 0:
+    if len(faces) == 0:
         raise InputError(f"{path}: {len(vertices):,} vertices but no face, expected a mesh (a point cloud has no surface)")
     bad = ~np.isfinite(vertices).all(axis=1)
     if bad.any():
@@ -101,13 +95,11 @@ def read_mesh(path: Path | str, textures: bool = True, within: Path | None = Non
     if textures and pictures.missing:
         more = f" ({len(pictures.missing)} in all)" if len(pictures.missing) > 1 else ""
         warnings.warn(f"{path}: {pictures.missing[0]}{more}, the material's colour stands in", stacklevel=2)
-    return Mesh(vertices, faces, colours, worn)
+    return mesh
 
 
-def _parse(
-    path: Path, content: bytes, pictures: Pictures
-) -> tuple[Array, NDArray[np.int64], NDArray[np.uint8] | None, tuple[Texture, ...]]:
-    """Vertices, faces, colours and textures of all parts of the file, each where the file places it; unchecked."""
+def _parse(path: Path, content: bytes, pictures: Pictures) -> Mesh:
+    """All parts of the file, each where the file places it; only that faces name vertices is checked."""
     import trimesh
 
     # The library logs its own complaints with a traceback; the one line raised below replaces them.
@@ -116,12 +108,8 @@ def _parse(
     try:
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            scene = trimesh.load_scene(
-                io.BytesIO(content),
-                file_type=path.suffix.lower()[1:],
-                process=False,
-                resolver=pictures.resolver,
-            )
+            kind = path.suffix.lower()[1:]
+            scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False, resolver=pictures.resolver)
             images = {name: pictures.take(geometry) for name, geometry in scene.geometry.items()}
             parts: list[Any] = scene.dump()
             vertices = [np.array(getattr(part, "vertices", ()), dtype=np.float64).reshape(-1, 3) for part in parts]
@@ -131,25 +119,25 @@ def _parse(
         raise InputError(f"{path}: is not a readable {path.suffix.lower()} mesh ({reason(error)})") from None
     finally:
         log.disabled = before
-    # Before the parts are joined: afterwards a wrong index could fall on a vertex of the next part.
-    for points, own in zip(vertices, faces, strict=True):
-        if own.size and not 0 <= own.min() <= own.max() < len(points):
-            wrong = own.min() if own.min() < 0 else own.max()
+    colours = [_face_colours(part, len(triangles)) for part, triangles in zip(parts, faces, strict=True)]
+    textures, joined, first_vertex, first_face = [], [np.empty((0, 3), np.int64)], 0, 0
+    for part, points, triangles in zip(parts, vertices, faces, strict=True):
+        if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
+            wrong = triangles.min() if triangles.min() < 0 else triangles.max()
             raise InputError(f"{path}: a face names vertex {wrong}, expected 0 to {len(points) - 1}")
-    starts = np.cumsum([0] + [len(part) for part in vertices])
-    colours = [_face_colours(part, len(own)) for part, own in zip(parts, faces, strict=True)]
-    known = [np.full((len(own), 3), GREY, np.uint8) if c is None else c for c, own in zip(colours, faces, strict=True)]
-    ends = np.cumsum([len(own) for own in faces])
-    pixels = [images.get(part.metadata.get("name")) for part in parts]
-    return (
+        image = images.get(part.metadata.get("name"))
+        if image is not None:
+            numbers = np.arange(first_face, first_face + len(triangles))
+            textures.append(Texture(image, numbers, np.asarray(part.visual.uv, dtype=np.float64)[triangles]))
+        joined.append(triangles + first_vertex)
+        first_vertex, first_face = first_vertex + len(points), first_face + len(triangles)
+    known = [np.full((len(f), 3), GREY, np.uint8) if c is None else c for c, f in zip(colours, faces, strict=True)]
+    painted = any(c is not None for c in colours)
+    return Mesh(
         np.concatenate([np.empty((0, 3)), *vertices]),
-        np.concatenate([np.empty((0, 3), np.int64), *(own + start for own, start in zip(faces, starts[:-1], strict=True))]),
-        None if all(c is None for c in colours) else np.concatenate(known),
-        tuple(
-            Texture(image, np.arange(end - len(own), end), np.asarray(part.visual.uv, dtype=np.float64)[own])
-            for image, part, own, end in zip(pixels, parts, faces, ends, strict=True)
-            if image is not None
-        ),
+        np.concatenate(joined),
+        np.concatenate(known) if painted else None,
+        tuple(textures),
     )
 
 
@@ -158,15 +146,13 @@ def _face_colours(part: Any, count: int) -> NDArray[np.uint8] | None:
     # Colour only decorates the picture: an odd material must not stop the work.
     try:
         visual = part.visual
-        if visual.kind is None:
-            return None
-        if visual.kind != "texture":
-            colours = np.asarray(visual.face_colors)[:, :3].astype(np.uint8)
-        else:
+        if visual.kind == "texture":
             colours = np.tile(np.asarray(visual.material.main_color)[:3].astype(np.uint8), (count, 1))
+        else:
+            colours = np.asarray(visual.face_colors)[:, :3].astype(np.uint8)
+        return colours if visual.kind is not None and colours.shape == (count, 3) else None
     except Exception:
         return None
-    return colours if colours.shape == (count, 3) else None
 
 
 def write_mesh(path: Path | str, mesh: Mesh, overwrite: bool = False) -> None:
@@ -178,13 +164,5 @@ def write_mesh(path: Path | str, mesh: Mesh, overwrite: bool = False) -> None:
     if path.suffix.lower() != ".ply":
         raise InputError(f"{path}: ends in {path.suffix or 'nothing'!r}, expected .ply (the mesh format written here)")
     check_output(path, overwrite)
-    header = (
-        "ply\nformat binary_little_endian 1.0\n"
-        f"element vertex {len(mesh.vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
-        f"element face {len(mesh.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    rows = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
-    rows["count"] = 3
-    rows["corners"] = mesh.faces
     with atomic_output(path) as temporary:
-        temporary.write_bytes(header.encode("ascii") + mesh.vertices.astype("<f4").tobytes() + rows.tobytes())
+        temporary.write_bytes(new_ply(mesh.vertices, "float32", faces=mesh.faces))

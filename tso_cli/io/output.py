@@ -14,11 +14,8 @@ from ..errors import InputError
 def check_output(path: Path, overwrite: bool) -> None:
     """Refuse an output that could not or should not be written; call it before the work starts.
 
-    Raises
-    ------
-    InputError
-        The folder is missing or not writable, ``path`` is a folder or a device, or it exists and ``overwrite`` is
-        false.
+    Raises InputError if the folder is missing or not writable, ``path`` is a folder or a device, or it exists and
+    ``overwrite`` is false.
     """
     path = Path(path)
     try:
@@ -45,10 +42,7 @@ def atomic_output(path: Path) -> Iterator[Path]:
 
     A symbolic link is followed, so that the file it points to is replaced and the link stays.
 
-    Raises
-    ------
-    InputError
-        Writing failed (disk full, no permission); the message names ``path``.
+    Raises InputError if writing failed (disk full, no permission); the message names ``path``.
     """
     path = Path(path)
     try:

@@ -1,8 +1,7 @@
-"""PLY files whose vertices can be moved while every other byte stays as it is."""
+"""PLY files: coordinates, colours and faces in; out with moved vertices, while every other byte stays as it is."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,140 +9,111 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .ply_header import Element, Header, Property, parse_header
-from .ply_rows import Rows, find_rows
+from .ply_body import BinaryBody, TextBody, layout
+from .ply_header import Element, parse_header
 from .reading import shown
-from .text import Integers, TextTable
+from .text import Integers
 
 Points = NDArray[np.float64]
 AXES = ("x", "y", "z")
 COLOURS = ("red", "green", "blue")
 CORNERS = ("vertex_indices", "vertex_index")
-_CHUNK = 1 << 16  # points of a text rewritten at a time
+NORMALS = {"nx", "ny", "nz", "normal_x", "normal_y", "normal_z"}
 
 
 class PlyFile:
-    """The bytes of a PLY file and the places of its vertex coordinates.
-
-    Text and both binary forms are read; the vertex element may stand anywhere among others, and have lists. Whatever
-    the header does not account for, other than white space at the end, is an error: a count that is too low would lose
-    points.
+    """A PLY file, text or binary, with the vertex element anywhere among others.
 
     Parameters
     ----------
     data : the whole file.
     path : for messages.
 
-    Raises
-    ------
-    InputError
-        It is not a PLY file, has no x, y, z, or its body is shorter or longer than the header says.
+    Raises InputError if it is not a PLY file, has no x, y, z, or its body is shorter or longer than the header says: with a
+    count that is too low, points would be lost.
     """
 
     def __init__(self, data: bytes, path: Path) -> None:
-        self.data = data
-        self.path = path
-        self.header: Header = parse_header(data, path)
+        self.data, self.path = data, path
+        self.header = parse_header(data, path)
         self.vertex = self._vertex()
-        self.kinds = [p.kind for axis in AXES for p in self.vertex.properties if p.name == axis]
-        self._table: TextTable | None = None
-        self._rows: Rows | None = None
-        self._words: Integers | None = None  # [N, 3], of a text body
-        if self.header.order:
-            self._rows = find_rows(data, self.header, self.vertex, AXES, path)
-        else:
-            self._table = TextTable(data, path, self.header.size, self.header.lines)
-            self._words = self._find_words(self._table, self.vertex, AXES)
+        self.kinds = [self.vertex.properties[axis].kind for axis in AXES]
+        self._body = (
+            BinaryBody(data, path, self.header.size, self.header.order)
+            if self.header.order
+            else TextBody(data, path, self.header.size, self.header.lines)
+        )
+        self._rows = {name: self._body.take_rows(element) for name, element in self.header.elements.items()}
+        self._body.check_end()
+        self._places = self._places_of(self.vertex, AXES)
 
     def _vertex(self) -> Element:
-        for element in self.header.elements:
-            if element.name == "vertex":
-                for axis in AXES:
-                    found = [p for p in element.properties if p.name == axis]
-                    if not found:
-                        names = ", ".join(p.name for p in element.properties) or "none"
-                        raise InputError(f"{self.path}: its vertices have no {axis} (properties: {shown(names)})")
-                    if found[0].length_kind:
-                        raise InputError(f"{self.path}: {axis} of its vertices is a list, expected one number")
-                return element
-        names = ", ".join(element.name for element in self.header.elements) or "none"
-        raise InputError(f"{self.path}: has no vertex element (elements: {shown(names)})")
+        vertex = self.header.elements.get("vertex")
+        if vertex is None:
+            raise InputError(
+                f"{self.path}: has no vertex element (elements: {shown(', '.join(self.header.elements) or 'none')})"
+            )
+        for axis in AXES:
+            if axis not in vertex.properties:
+                names = shown(", ".join(vertex.properties) or "none")
+                raise InputError(f"{self.path}: its vertices have no {axis} (properties: {names})")
+            if vertex.properties[axis].length_kind:
+                raise InputError(f"{self.path}: {axis} of its vertices is a list, expected one number")
+        return vertex
+
+    def _places_of(self, element: Element, names: tuple[str, ...]) -> Integers:
+        """[N, names] places of values in the rows of ``element``."""
+        places, _ = layout(self._body, element, self._rows[element.name], names)
+        return np.stack([places[name] for name in names], axis=1)
 
     @property
     def has_normals(self) -> bool:
-        """Whether the vertices carry normals, which moving them makes stale."""
-        return any(p.name in ("nx", "ny", "nz", "normal_x", "normal_y", "normal_z") for p in self.vertex.properties)
+        """Whether the vertices have normals, which no longer fit once the vertices move."""
+        return not NORMALS.isdisjoint(self.vertex.properties)
 
     def read(self) -> Points:
         """The coordinates [N, 3] of the vertices, in the file's order."""
-        if self._rows is not None:
-            columns = [self._rows.get(self.data, k, self.kinds[k]) for k in range(3)]
-            with np.errstate(invalid="ignore"):  # NaN of the kind that signals
-                return np.stack(columns, axis=1, dtype=np.float64)
-        assert self._table is not None
-        assert self._words is not None
-        return self._table.values(self._words)
+        return self._body.columns(self._places, self.kinds)
 
     def read_colours(self) -> Points | None:
         """Red, green and blue [N, 3] of the vertices in [0, 1], None where the file has none.
 
         Raises InputError where numbers of a floating-point type lie outside.
         """
-        kinds = {p.name: p.kind for p in self.vertex.properties if p.name in COLOURS and not p.length_kind}
-        if len(kinds) < len(COLOURS):
+        kinds = [p.kind for name in COLOURS if (p := self.vertex.properties.get(name)) and not p.length_kind]
+        if len(kinds) < 3:
             return None
-        if self.header.order:
-            rows = find_rows(self.data, self.header, self.vertex, COLOURS, self.path)
-            found = np.stack([rows.get(self.data, k, kinds[name]) for k, name in enumerate(COLOURS)], axis=1, dtype=np.float64)
-        else:
-            assert self._table is not None
-            found = self._table.values(self._find_words(self._table, self.vertex, COLOURS))
-        full = [1.0 if kinds[name].startswith("f") else float(np.iinfo(kinds[name]).max) for name in COLOURS]
-        found = found / full
-        if not (found.min() >= 0.0 and found.max() <= 1.0):
-            raise InputError(
-                f"{self.path}: its colours span {found.min():g} to {found.max():g} of their type's range, expected 0 to 1"
-            )
-        return found
+        full = [1.0 if kind[0] == "f" else float(np.iinfo(kind).max) for kind in kinds]
+        colours = self._body.columns(self._places_of(self.vertex, COLOURS), kinds) / full
+        if not (colours.min() >= 0.0 and colours.max() <= 1.0):
+            span = f"{colours.min():g} to {colours.max():g}"
+            raise InputError(f"{self.path}: its colours span {span} of their type's range, expected 0 to 1")
+        return colours
 
     def read_faces(self) -> Integers | None:
         """Triangles [F, 3] of the faces, polygons as fans around their first corner; None where the file has no faces.
 
         Raises InputError where a face names a vertex that is not there.
         """
-        faces = [element for element in self.header.elements if element.name == "face" and element.count]
-        lists = [(own, p) for own in faces for p in own.properties if p.name in CORNERS and p.length_kind]
-        if not lists:
+        element = self.header.elements.get("face")
+        lists = [p for p in element.properties.values() if p.name in CORNERS and p.length_kind] if element else []
+        if element is None or not element.count or not lists:
             return None
-        element, corners = lists[0]
+        corners = lists[0]
+        assert corners.length_kind is not None
+        starts = self._places_of(element, (corners.name,))
+        lengths = self._body.values(starts[:, 0], corners.length_kind)
         fans = [np.empty((0, 3), dtype=np.int64)]
-        for own in self._read_lists(element, corners):
-            wrong = ~((own >= 0) & (own < self.vertex.count) & (own == np.floor(own)))
+        for length in np.unique(lengths[lengths >= 3]).astype(int).tolist():
+            steps = self._body.width(corners.length_kind) + self._body.width(corners.kind) * np.arange(length)
+            polygons = self._body.values(starts[lengths == length] + steps, corners.kind)
+            wrong = ~((polygons >= 0) & (polygons < self.vertex.count) & (polygons == np.floor(polygons)))
             if wrong.any():
                 last = self.vertex.count - 1
-                raise InputError(f"{self.path}: a face names vertex {own[wrong][0]:g}, expected 0 to {last}")
-            polygons = own.astype(np.int64)
-            ends = polygons[:, 1:-1], polygons[:, 2:]
-            fans.append(np.stack([polygons[:, :1].repeat(own.shape[1] - 2, axis=1), *ends], axis=2).reshape(-1, 3))
+                raise InputError(f"{self.path}: a face names vertex {polygons[wrong][0]:g}, expected 0 to {last}")
+            triangles = [polygons[:, [0, k, k + 1]] for k in range(1, length - 1)]
+            fans.append(np.stack(triangles, axis=1).reshape(-1, 3).astype(np.int64))
         return np.concatenate(fans)
-
-    def _read_lists(self, element: Element, wanted: Property) -> Iterator[NDArray[Any]]:
-        """The lists ``wanted`` of the rows that hold three values or more, those of one length together: [rows, length]."""
-        assert wanted.length_kind is not None
-        lengths: NDArray[Any]
-        if self.header.order:
-            rows = find_rows(self.data, self.header, element, (wanted.name,), self.path)
-            lengths = rows.get(self.data, 0, wanted.length_kind)
-        else:
-            assert self._table is not None
-            table, words = self._table, self._find_words(self._table, element, (wanted.name,))
-            lengths = table.values(words)[:, 0]
-        for length in np.unique(lengths[lengths >= 3]).astype(int).tolist():
-            own = np.flatnonzero(lengths == length)
-            if self.header.order:
-                yield rows.get_lists(self.data, own, length, wanted)
-            else:
-                yield table.values(words[own] + 1 + np.arange(length))
 
     def with_points(self, points: Points) -> bytes:
         """The file with its vertices moved to ``points`` [N, 3]; what is not a coordinate keeps its bytes.
@@ -155,100 +125,33 @@ class PlyFile:
         old = self.read()
         if np.array_equal(old, points):
             return self.data
-        promoted = [k for k in range(3) if not self.kinds[k].startswith("f")]
-        head = self._head(promoted)
-        if self._rows is not None:
-            columns = [points[:, k].astype(self.header.order + self._kind(k)) for k in range(3)]
-            return head + self._rows.put(self.data, self.header.size, columns, self.kinds)
-        return head + self._text(old, points)
-
-    def _kind(self, k: int) -> str:
-        return self.kinds[k] if self.kinds[k].startswith("f") else "f8"
-
-    def _head(self, promoted: list[int]) -> bytes:
         head = self.data[: self.header.size]
-        spans = [p.type_span for p in self.vertex.properties if p.name in [AXES[k] for k in promoted]]
-        for begin, end in sorted(spans, reverse=True):
+        integers = [self.vertex.properties[axis] for axis, kind in zip(AXES, self.kinds, strict=True) if kind[0] != "f"]
+        for begin, end in sorted((p.type_span for p in integers), reverse=True):
             head = head[:begin] + b"double" + head[end:]
-        return head
-
-    def _find_words(self, table: TextTable, wanted: Element, names: tuple[str, ...]) -> Integers:
-        """Which words of the text are the ``names`` of the rows ``wanted``, of a list its length, [N, names]."""
-        begin = 0
-        words = np.empty((0, len(names)), dtype=np.int64)
-        for element in self.header.elements:
-            count = element.count if element.properties else 0
-            if begin + count > table.first.size:
-                found = f"{table.first.size - begin} of {count}"
-                raise InputError(f"{self.path}: ends after {found} rows of element {shown(element.name)}")
-            lines = slice(begin, begin + count)
-            places = self._columns(element, table, lines, names if element is wanted else ())
-            if element is wanted:
-                words = table.first[lines, None] + places
-            begin += count
-        if begin < table.first.size:
-            raise InputError(
-                f"{self.path}: has {table.first.size} lines of data, the header accounts for {begin}, expected the same"
-            )
-        return words
-
-    def _columns(self, element: Element, table: TextTable, lines: slice, names: tuple[str, ...]) -> Integers:
-        """Check the number of words of each line; return the columns of ``names`` in it, [N, names]."""
-        found = table.counts[lines]
-        expected = np.zeros(found.size, dtype=np.int64)
-        places = np.zeros((found.size, len(names)), dtype=np.int64)
-        for p in element.properties:
-            if p.name in names:
-                places[:, names.index(p.name)] = expected
-            if p.length_kind:
-                # Past the end of a short line any word will do: the line is refused below.
-                words = np.minimum(table.first[lines] + expected, table.starts.size - 1)
-                lengths = table.values(words)
-                bad = ~((lengths >= 0) & (lengths <= found) & (lengths == np.floor(lengths)))
-                if bad.any():
-                    line, length = table.numbers[lines][bad.argmax()], lengths[bad.argmax()]
-                    raise InputError(f"{self.path}: line {line} has a list of {length:g} values, more than the line holds")
-                expected += lengths.astype(np.int64)
-            expected += 1
-        wrong = found != expected
-        if wrong.any():
-            row = int(wrong.argmax())
-            raise InputError(
-                f"{self.path}: line {table.numbers[lines][row]} has {found[row]} values, "
-                f"expected {expected[row]} for element {shown(element.name)}"
-            )
-        return places
-
-    def _text(self, old: Points, points: Points) -> bytes:
-        assert self._table is not None
-        assert self._words is not None
-        narrow = [self.kinds[k] == "f4" and _is_single(old[:, k]) for k in range(3)]
-        out = bytearray()
-        at = self.header.size
-        for begin in range(0, len(points), _CHUNK):
-            part = slice(begin, begin + _CHUNK)
-            found: list[tuple[int, int, bytes]] = []
-            for k in range(3):
-                new, was = points[part, k], old[part, k]
-                if narrow[k]:
-                    new, was = new.astype(np.float32), was.astype(np.float32)
-                moved = new != was
-                index = self._words[part, k][moved]
-                digits = new[moved].astype("S32").tolist() if narrow[k] else [repr(v).encode() for v in new[moved].tolist()]
-                found += zip(self._table.starts[index].tolist(), self._table.ends[index].tolist(), digits, strict=True)
-            for start, end, word in sorted(found):
-                out += self.data[at:start]
-                out += word
-                at = end
-        return bytes(out + self.data[at:])
+        return head + self._body.moved(self._places, self.kinds, old, points)
 
 
-def _is_single(values: Points) -> bool:
-    """Whether numbers read from text have no more digits than their nearest float32 needs."""
-    for begin in range(0, len(values), _CHUNK):
-        part = values[begin : begin + _CHUNK]
-        with np.errstate(over="ignore"):
-            single = part.astype(np.float32)
-        if not np.array_equal(single.astype("S32").astype(np.float64), part):
-            return False
-    return True
+def new_ply(
+    points: Points, dtype: str, colours: NDArray[np.uint8] | None = None, faces: NDArray[np.integer] | None = None
+) -> bytes:
+    """A binary PLY file with ``points`` [N, 3] as "float32" or "float64", and optional ``colours`` [N, 3], ``faces`` [F, 3]."""
+    lines = [
+        f"element vertex {len(points)}",
+        *(f"property {'float' if dtype == 'float32' else 'double'} {axis}" for axis in AXES),
+    ]
+    fields: list[Any] = [("points", np.dtype(dtype).newbyteorder("<"), 3)]
+    if colours is not None:
+        lines += [f"property uchar {name}" for name in COLOURS]
+        fields.append(("colours", "u1", 3))
+    rows = np.empty(len(points), dtype=fields)
+    rows["points"] = points
+    if colours is not None:
+        rows["colours"] = colours
+    body = rows.tobytes()
+    if faces is not None:
+        lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+        polygons = np.empty(len(faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+        polygons["count"], polygons["corners"] = 3, faces
+        body += polygons.tobytes()
+    return "\n".join(["ply", "format binary_little_endian 1.0", *lines, "end_header", ""]).encode() + body

@@ -1,4 +1,4 @@
-"""The header of a PLY file: what the body holds, and where in the header that is said."""
+"""The header of a PLY file: the elements of the body, their properties and types."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from ..errors import InputError
 from .reading import shown
 
-HEADER_LIMIT = 1 << 20  # bytes; a real header is a few hundred, a long list of comments some thousand
+HEADER_LIMIT = 1 << 20  # bytes; a real header has a few hundred, one with a long list of comments some thousand
 COUNT_LIMIT = 1 << 60
 FORMS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 KINDS = {
@@ -26,12 +26,7 @@ class Property:
     name: str
     kind: str
     length_kind: str | None
-    type_span: tuple[int, int]  # where in the file the name of the type stands
-
-    @property
-    def size(self) -> int:
-        """Bytes of one value."""
-        return int(self.kind[1])
+    type_span: tuple[int, int]  # bytes of the file where a scalar's type is named
 
 
 @dataclass(frozen=True)
@@ -40,12 +35,7 @@ class Element:
 
     name: str
     count: int
-    properties: list[Property]
-
-    @property
-    def has_lists(self) -> bool:
-        """Whether rows may differ in length."""
-        return any(p.length_kind for p in self.properties)
+    properties: dict[str, Property]
 
 
 @dataclass(frozen=True)
@@ -53,19 +43,13 @@ class Header:
     """``order`` is the byte order ("<" or ">"), "" for a text body; the body starts at byte ``size``."""
 
     order: str
-    elements: list[Element]
+    elements: dict[str, Element]
     size: int
     lines: int
 
 
 def parse_header(data: bytes, path: Path) -> Header:
-    """Read the header at the start of ``data``.
-
-    Raises
-    ------
-    InputError
-        It is not a PLY header, is longer than 1 MiB, or says something that cannot be.
-    """
+    """Read the header at the start of ``data``; InputError where it is none, is longer than 1 MiB or contradicts itself."""
     first = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
     if first is None:
         raise InputError(f"{path}: is not a PLY file (starts with {shown(data[:12])}), expected a first line 'ply'")
@@ -74,12 +58,12 @@ def parse_header(data: bytes, path: Path) -> Header:
     end = re.compile(rb"[\r\n]end_header[ \t]*" + ending).search(data, 0, HEADER_LIMIT)
     if end is None:
         raise InputError(f"{path}: the PLY header has no end_header line within its first {HEADER_LIMIT:,} bytes")
-    elements: list[Element] = []
+    elements: dict[str, Element] = {}
+    properties: dict[str, Property] | None = None
     order: str | None = None
-    number = 1
-    for match in re.compile(rb"[^\r\n]+").finditer(data, first.end(), end.start()):
-        number += 1
-        words = [word[0].decode("ascii", "backslashreplace") for word in re.finditer(rb"\S+", match[0])]
+    lines = list(re.compile(rb"[^\r\n]+").finditer(data, first.end(), end.start()))
+    for match in lines:
+        words = [word.decode("ascii", "backslashreplace") for word in match[0].split()]
         line = f"{path}: header line {shown(match[0].decode('ascii', 'backslashreplace'))}"
         if not words or words[0] in ("comment", "obj_info"):
             continue
@@ -92,21 +76,22 @@ def parse_header(data: bytes, path: Path) -> Header:
         elif words[0] == "element":
             if len(words) != 3 or not re.fullmatch(r"[0-9]{1,20}", words[2]) or int(words[2]) > COUNT_LIMIT:
                 raise InputError(f"{line}: expected a name and a count")
-            if any(element.name == words[1] for element in elements):
+            if words[1] in elements:
                 raise InputError(f"{line}: a second element of that name, expected one")
-            elements.append(Element(words[1], int(words[2]), []))
+            properties = {}
+            elements[words[1]] = Element(words[1], int(words[2]), properties)
         elif words[0] == "property":
-            if not elements:
+            if properties is None:
                 raise InputError(f"{line}: expected an element before it")
             entry = _property(words, match, line)
-            if any(other.name == entry.name for other in elements[-1].properties):
+            if entry.name in properties:
                 raise InputError(f"{line}: a second property of that name, expected one")
-            elements[-1].properties.append(entry)
+            properties[entry.name] = entry
         else:
             raise InputError(f"{line}: expected format, comment, obj_info, element or property")
     if order is None:
         raise InputError(f"{path}: the PLY header has no format line")
-    return Header(order, elements, end.end(), number + 1)
+    return Header(order, elements, end.end(), len(lines) + 2)
 
 
 def _property(words: list[str], match: re.Match[bytes], line: str) -> Property:
@@ -115,6 +100,6 @@ def _property(words: list[str], match: re.Match[bytes], line: str) -> Property:
             raise InputError(f"{line}: the length of a list is a {words[2]}, expected an integer type")
         return Property(words[4], KINDS[words[3]], KINDS[words[2]], (0, 0))
     if len(words) == 3 and words[1] in KINDS:
-        word = list(re.finditer(rb"\S+", match[0]))[1]
-        return Property(words[2], KINDS[words[1]], None, (match.start() + word.start(), match.start() + word.end()))
+        start = match.start() + match[0].index(words[1].encode())
+        return Property(words[2], KINDS[words[1]], None, (start, start + len(words[1])))
     raise InputError(f"{line}: expected 'property TYPE NAME' or 'property list TYPE TYPE NAME' with types of PLY 1.0")

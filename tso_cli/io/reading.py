@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import stat
 from pathlib import Path
+from typing import Any
 
 from ..errors import InputError
 from .output import reason
 
 
-def read_bytes(path: Path, expected: str, limit: int | None = None) -> bytes:
-    """The bytes of the regular file ``path``.
+def read_bytes(path: Path, expected: str, limit: int | None = None, most: int = -1) -> bytes:
+    """The bytes of the regular file ``path``, or the first ``most`` of them.
 
     Parameters
     ----------
     expected : what the file should be, for the messages: "a point cloud".
-    limit : the most bytes to accept, or None for any number.
+    limit : the largest file to accept, in bytes.
 
-    Raises
-    ------
-    InputError
-        The file is missing, a folder, a device, unreadable, empty or larger than ``limit``.
+    Raises InputError if the file is missing, a folder, a device, unreadable, empty or larger than ``limit``.
     """
     try:
         about = path.stat()
@@ -32,13 +31,22 @@ def read_bytes(path: Path, expected: str, limit: int | None = None) -> bytes:
             raise InputError(f"{path}: is empty, expected {expected}")
         if limit is not None and about.st_size > limit:
             raise InputError(f"{path}: holds {about.st_size:,} bytes, expected {expected} of at most {limit:,}")
-        return path.read_bytes()
+        with path.open("rb") as stream:
+            return stream.read(most)
     except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"{path}: does not exist, expected {expected}") from None
     except MemoryError:
         raise InputError(f"{path}: does not fit into memory") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read ({reason(error)}), expected {expected}") from None
+
+
+def read_json(path: Path, expected: str, form: str, limit: int | None = None) -> Any:
+    """The JSON document in ``path``; InputError as `read_bytes`, or if it is not JSON, naming the ``form`` expected."""
+    try:
+        return json.loads(read_bytes(path, expected, limit))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is not JSON ({shown(str(error))}), expected {form}") from None
 
 
 def shown(value: object) -> str:

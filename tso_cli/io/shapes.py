@@ -4,10 +4,9 @@
 - a mesh (.obj, .off, .stl, .glb, and a .ply with faces) gives points drawn uniformly from its surface;
 - a voxel grid (.npy of 3 dimensions, .binvox) gives points of its boundary: marching cubes at occupancy 0.5, then the same.
 
-Frames: clouds and meshes are taken in their own units and place. A .npy grid has neither: its longest side spans 1, it is
-centred at the origin, and its axes are x, y, z in the order of the array. A .binvox file has units but, in effect, no place:
-its `translate` is the corner of the object or of the grid, by the options it was made with, and does not say which. So the box
-of its occupied part is centred at the origin, where the models of ShapeNet are.
+Clouds and meshes keep their units and place. The longest side of a .npy grid spans 1; it is centred at the origin, with axes
+x, y, z in the order of the array. The occupied part of a .binvox file is centred at the origin, where the models of ShapeNet
+are: its `translate` is the corner of the object or of the grid, depending on the options it was made with.
 """
 
 from __future__ import annotations
@@ -32,7 +31,6 @@ from .reading import read_bytes, shown
 
 MESH_SUFFIXES = (".obj", ".off", ".stl", ".glb")
 SUFFIXES = (*CLOUD_SUFFIXES, *MESH_SUFFIXES, ".binvox")
-KINDS = ("cloud", "mesh", "voxels")
 
 # A grid of 512 a side already takes gigabytes on its way to a surface.
 MAX_VOXELS = 512**3
@@ -52,14 +50,13 @@ def shape_kind(path: Path | str) -> str:
         raise InputError(f"{path}: ends in {suffix or 'nothing'!r}, expected a cloud, mesh or grid: {', '.join(SUFFIXES)}")
     if suffix in MESH_SUFFIXES:
         return "mesh"
-    if suffix == ".binvox":
-        return "voxels"
-    if suffix in (".ply", ".npy"):
-        head = _head(path)
-        if suffix == ".ply":
-            return "mesh" if _FACES.search(head.partition(b"end_header")[0]) else "cloud"
-        return "voxels" if _THREE_SIDES.search(head) else "cloud"
-    return "cloud"
+    try:
+        head = read_bytes(path, "a shape", most=HEADER_LIMIT) if suffix in (".ply", ".npy") else b""
+    except InputError:
+        return "cloud"  # whoever reads it in full says why it cannot be read
+    if suffix == ".ply" and _FACES.search(head.partition(b"end_header")[0]):
+        return "mesh"
+    return "voxels" if suffix == ".binvox" or _THREE_SIDES.search(head) else "cloud"
 
 
 def read_shape(path: Path | str, samples: int = 16384, seed: int | Sequence[int] = 0, as_vertices: bool = False) -> Array:
@@ -76,10 +73,7 @@ def read_shape(path: Path | str, samples: int = 16384, seed: int | Sequence[int]
     -------
     [N, 3] float64, finite.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, is damaged, or describes no points and no surface.
+    Raises InputError if the file cannot be read, is damaged, or describes no points and no surface.
     """
     path = Path(path)
     kind = shape_kind(path)
@@ -99,20 +93,20 @@ def read_shape(path: Path | str, samples: int = 16384, seed: int | Sequence[int]
 
 
 def grid_surface(path: Path | str) -> tuple[Array, NDArray[np.int64]]:
-    """Vertices [V, 3] and faces [F, 3] of the boundary of the voxel grid in a .npy or .binvox file.
+    """Vertices [V, 3] and faces [F, 3] of the closed boundary of the voxel grid in a .npy or .binvox file.
 
-    The grid is padded by one empty voxel on every side, so that the surface is closed. Where it stands and how large it is, the
-    module says. Raises InputError.
+    The module says where it stands and how large it is. Raises InputError.
     """
     path = Path(path)
     placed = path.suffix.lower() != ".binvox"
     grid, side = (_read_npy_grid(path), 1.0) if placed else read_binvox(path)
     occupied = grid > 0.5
     if not occupied.any():
-        raise InputError(f"{path}: no voxel of the {_sides(grid.shape)} grid is occupied (> 0.5), expected a shape")
+        sides = " x ".join(map(str, grid.shape))
+        raise InputError(f"{path}: no voxel of the {sides} grid is occupied (> 0.5), expected a shape")
     from skimage.measure import marching_cubes
 
-    # Only the part around the shape: large grids are mostly empty.
+    # Large grids are mostly empty: cut out the shape, and pad it by a voxel on every side, so that its surface is closed.
     spans = [np.flatnonzero(occupied.any(axis)) for axis in ((1, 2), (0, 2), (0, 1))]
     corner = np.array([max(int(span[0]) - 1, 0) for span in spans])
     part = grid[tuple(slice(c, int(span[-1]) + 2) for c, span in zip(corner, spans, strict=True))]
@@ -164,19 +158,11 @@ def _read_npy_grid(path: Path) -> NDArray[Any]:
     if grid.ndim != 3 or grid.dtype.kind not in "biuf":
         raise InputError(f"{path}: holds {grid.dtype} {list(grid.shape)}, expected a grid of numbers [X, Y, Z]")
     if not 1 <= grid.size <= MAX_VOXELS:
-        raise InputError(f"{path}: the grid is {_sides(grid.shape)}, expected 1 to {MAX_VOXELS:,} voxels")
+        sides = " x ".join(map(str, grid.shape))
+        raise InputError(f"{path}: the grid is {sides}, expected 1 to {MAX_VOXELS:,} voxels")
     if not np.isfinite(grid).all():
         raise InputError(f"{path}: a voxel is NaN or infinite, expected occupancy from 0 to 1")
     return grid
-
-
-def _head(path: Path) -> bytes:
-    """The start of a file, as long as any header."""
-    try:
-        with path.open("rb") as stream:
-            return stream.read(HEADER_LIMIT)
-    except (OSError, ValueError):
-        return b""  # whoever reads it in full says why it cannot be read
 
 
 def _numbers(path: Path, fields: dict[bytes, list[bytes]], key: bytes, count: int) -> list[float]:
@@ -190,7 +176,3 @@ def _numbers(path: Path, fields: dict[bytes, list[bytes]], key: bytes, count: in
         what = shown(b" ".join(fields[key]).decode("latin-1")) if key in fields else "missing"
         raise InputError(f"{path}: {key.decode()} is {what}, expected {count} finite number{'s' * (count > 1)}") from None
     return values
-
-
-def _sides(shape: tuple[int, ...]) -> str:
-    return " x ".join(str(side) for side in shape)

@@ -13,10 +13,7 @@ WEIGHTS = Path(__file__).resolve().parent.parent / "weights"
 
 
 def examples_folder() -> Path:
-    """The folder ``examples``: inside the installed package, else beside it in a clone.
-
-    Raises InputError if there is neither.
-    """
+    """The folder ``examples`` inside the installed package, else beside it in a clone; InputError if there is neither."""
     package = Path(__file__).resolve().parent.parent
     for folder in (package / "examples", package.parent / "examples"):
         if (folder / "meshes").is_dir():
@@ -30,10 +27,10 @@ def examples_folder() -> Path:
 def example_meshes() -> list[Path]:
     """The shipped meshes to train on, sorted by category and name; no target of an example is among them."""
     folder = examples_folder() / "meshes"
-    found = [path for category in CATEGORIES for path in sorted((folder / category).glob("*.ply"))]
-    if not found:
+    meshes = [path for category in CATEGORIES for path in sorted((folder / category).glob("*.ply"))]
+    if not meshes:
         raise InputError(f"{folder}: no mesh, expected {', '.join(CATEGORIES)} with .ply files")
-    return found
+    return meshes
 
 
 def default_checkpoint() -> Path:

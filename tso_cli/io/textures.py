@@ -1,7 +1,6 @@
-"""Pictures on meshes: what colour a place of the surface has.
+"""Pictures on meshes: the colours of points of the surface, as stored (sRGB).
 
-Nothing is fetched, and no file is read but of the mesh's own folder, or the one that the user named, and below. Values are
-taken as they are stored (sRGB).
+Nothing is fetched, and no file is read outside the mesh's own folder, or the one that the user named.
 """
 
 from __future__ import annotations
@@ -32,25 +31,22 @@ class Texture:
     Parameters
     ----------
     pixels : [H, W, 3] uint8, the first row on top.
-    faces : [K] int64, which faces of the mesh wear it.
-    corners : [K, 3, 2], where their corners lie on it: u to the right, v up, from (0, 0) at the lower left to (1, 1) at the
-        upper right. Beyond that the picture repeats.
+    faces : [K] int64, which faces of the mesh it covers.
+    corners : [K, 3, 2], texture coordinates of their corners: u to the right, v up, from (0, 0) at the lower left to (1, 1) at
+        the upper right. Beyond that the picture repeats.
     """
 
     pixels: NDArray[np.uint8]
     faces: NDArray[np.int64]
     corners: Array
 
-    def at(self, rows: NDArray[np.int64], shares: Array) -> NDArray[np.uint8]:
-        """Colours [N, 3] of places in the faces ``faces[rows]``: that of the pixel they fall into.
+    def at(self, rows: NDArray[np.int64], barycentric: Array) -> NDArray[np.uint8]:
+        """Colours [N, 3] of the pixels at points in the faces ``faces[rows]``, ``rows`` [N].
 
-        Parameters
-        ----------
-        rows : [N].
-        shares : [N, 2], how far each lies from the face's first corner toward the second and the third.
+        ``barycentric`` [N, 2] are the coordinates of the second and the third corner.
         """
         first, second, third = self.corners[rows].transpose(1, 0, 2)
-        place = first + shares[:, :1] * (second - first) + shares[:, 1:] * (third - first)
+        place = first + barycentric[:, :1] * (second - first) + barycentric[:, 1:] * (third - first)
         sides = np.array(self.pixels.shape[1::-1])
         # A remainder may be rounded up to 1.
         column, from_below = np.minimum((np.mod(place, 1.0) * sides).astype(np.int64), sides - 1).T
@@ -58,12 +54,11 @@ class Texture:
 
 
 class Pictures:
-    """The pictures of the parts of a scene.
+    """The pictures of the parts of a scene in the file ``path`` with the bytes ``content``.
 
     Parameters
     ----------
-    path, content : of the mesh file.
-    wanted : decode them; False only takes them away.
+    decode : False only takes the pictures away.
     within : the folder that they are in, or below; None for that of ``path``.
 
     Attributes
@@ -72,19 +67,19 @@ class Pictures:
     missing : what there is to say of pictures that cannot be used, each once.
     """
 
-    def __init__(self, path: Path, content: bytes, wanted: bool, within: Path | None = None) -> None:
+    def __init__(self, path: Path, content: bytes, decode: bool, within: Path | None = None) -> None:
         self.missing: list[str] = []
-        self.resolver: Any = _Beside(path, within, self._miss)
-        self._wanted = wanted
+        self.resolver: Any = _Folder(path, within, self._miss)
+        self._decode = decode
         self._known: dict[int, tuple[Any, NDArray[np.uint8] | None]] = {}
-        for name in _unreadable(content) if wanted and path.suffix.lower() == ".glb" else ():
+        for name in _unreadable(content) if decode and path.suffix.lower() == ".glb" else ():
             self._miss(name, "cannot be decoded")
 
     def take(self, geometry: Any) -> NDArray[np.uint8] | None:
-        """The picture [H, W, 3] that a part wears, None where it has none that can be used.
+        """The picture [H, W, 3] on a part, None where it has none that can be used.
 
-        It leaves the part with the plain colour of its material: trimesh would copy and decode all pictures of a material
-        for each place where the part stands.
+        The part keeps the plain colour of its material alone: trimesh would copy and decode all pictures of a material for
+        each place where the part stands.
         """
         # A picture only decorates: an odd material must not stop the work.
         try:
@@ -100,7 +95,7 @@ class Pictures:
         factor = getattr(material, "baseColorFactor", None)
         image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
         visual.material = SimpleMaterial(diffuse=material.main_color)
-        if image is None or not self._wanted:
+        if image is None or not self._decode:
             return None
         name = str(image.info.get("file_path") or material.name or f"number {len(self._known)}")
         if np.shape(visual.uv) != (len(geometry.vertices), 2) or not np.isfinite(visual.uv).all():
@@ -132,8 +127,8 @@ class Pictures:
             self.missing.append(problem)
 
 
-class _Beside:
-    """Files that ``path`` names, of ``within`` and below; ``miss`` hears of pictures that are not there or are none."""
+class _Folder:
+    """The files below ``within`` that a mesh may name; ``miss`` is called for pictures that are missing or damaged."""
 
     def __init__(self, path: Path, within: Path | None, miss: Callable[..., None]) -> None:
         self._folder, self._miss = path.absolute().parent.resolve(), miss
@@ -143,7 +138,7 @@ class _Beside:
         picture = not name.strip().lower().endswith((".mtl", ".bin"))
         slashed = name.strip().replace("\\", "/")
         if slashed.startswith("-"):
-            slashed = slashed.split()[-1]  # options of map_Kd, such as a scale: they are passed over
+            slashed = slashed.split()[-1]  # behind the options of map_Kd, such as a scale, which are ignored
         for candidate in (slashed, slashed.rpartition("/")[2]):
             place = (self._folder / candidate).resolve()
             if place.is_relative_to(self._within) and place.is_file():
@@ -174,8 +169,8 @@ def _unreadable(content: bytes) -> Iterator[str]:
         length = int.from_bytes(content[12:16], "little")
         header, buffer = json.loads(content[20 : 20 + length]), content[28 + length :]
         for material in header.get("materials", ()):
-            worn = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
-            number = None if worn is None else header["textures"][worn["index"]].get("source")
+            texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
+            number = None if texture is None else header["textures"][texture["index"]].get("source")
             if number is None:
                 continue
             image = header["images"][number]

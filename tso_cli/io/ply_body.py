@@ -1,0 +1,184 @@
+"""The body of a PLY file: where its rows and values stand, what they are, and the same body with moved points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .ply_header import Element
+from .reading import shown
+from .text import Integers, TextTable
+
+Points = NDArray[np.float64]
+_CHUNK = 1 << 16  # values replaced at a time
+
+
+def layout(
+    body: BinaryBody | TextBody, element: Element, rows: Integers, names: tuple[str, ...] = ()
+) -> tuple[dict[str, Integers], Integers]:
+    """The places [N] of the properties ``names`` in rows that start at ``rows`` [N], and where the rows end."""
+    at, places = rows, {}
+    for p in element.properties.values():
+        if p.name in names:
+            places[p.name] = at
+        size = body.width(p.kind)
+        at = at + (body.width(p.length_kind) + size * body.lengths(rows, at, p.length_kind) if p.length_kind else size)
+    return places, at
+
+
+def _short(path: Path, element: Element, rows: int) -> InputError:
+    return InputError(f"{path}: ends after {rows} of {element.count} rows of element {shown(element.name)}")
+
+
+class BinaryBody:
+    """The rows of a binary file. The place of a value is its first byte in the file."""
+
+    def __init__(self, data: bytes, path: Path, start: int, order: str) -> None:
+        self.data, self.path, self._start, self._order = data, path, start, order
+        self._at = start  # where the next rows start
+
+    def width(self, kind: str) -> int:
+        return int(kind[1])
+
+    def values(self, places: Integers, kind: str) -> NDArray[Any]:
+        return self._view(self.data, kind)[places]
+
+    def columns(self, places: Integers, kinds: list[str]) -> Points:
+        with np.errstate(invalid="ignore"):  # signalling NaN
+            return np.stack([self.values(places[:, k], kind) for k, kind in enumerate(kinds)], axis=1, dtype=np.float64)
+
+    def lengths(self, rows: Integers, places: Integers, kind: str) -> Integers:
+        return self.values(places.clip(0, len(self.data) - self.width(kind)), kind).astype(np.int64)
+
+    def _view(self, data: bytes | bytearray, kind: str) -> NDArray[Any]:
+        """What a value of ``kind`` would be at each byte of ``data``."""
+        dtype = np.dtype(self._order + kind)
+        return np.ndarray((max(len(data) - dtype.itemsize + 1, 0),), dtype, data, 0, (1,))
+
+    def take_rows(self, element: Element) -> Integers:
+        """Where the next rows start; InputError where the file ends before them. Rows that are not there take no memory."""
+        if not element.count or not element.properties:
+            return np.empty(0, dtype=np.int64)
+        size = self._row_end(element, self._at, 0) - self._at
+        if self._at + size * element.count <= len(self.data):
+            rows = self._at + size * np.arange(element.count)
+            if (layout(self, element, rows)[1] == rows + size).all():
+                self._at += size * element.count
+                return rows
+        starts = []
+        for row in range(element.count):
+            starts.append(self._at)
+            self._at = self._row_end(element, self._at, row)
+        return np.array(starts, dtype=np.int64)
+
+    def _row_end(self, element: Element, at: int, row: int) -> int:
+        for p in element.properties.values():
+            count = 1
+            if p.length_kind:
+                start, at = at, at + self.width(p.length_kind)
+                if at > len(self.data):
+                    break
+                order: Literal["big", "little"] = "big" if self._order == ">" else "little"
+                count = int.from_bytes(self.data[start:at], order, signed=p.length_kind[0] == "i")
+                if count < 0:
+                    where = f"row {row} of element {shown(element.name)}"
+                    raise InputError(f"{self.path}: {where} has a list of {count} values, expected 0 or more")
+            at += count * self.width(p.kind)
+        if at > len(self.data):
+            raise _short(self.path, element, row)
+        return at
+
+    def check_end(self) -> None:
+        rest = self.data[self._at :]
+        if rest.strip():
+            raise InputError(f"{self.path}: {len(rest):,} bytes follow the data that the header accounts for, expected none")
+
+    def moved(self, places: Integers, kinds: list[str], old: Points, points: Points) -> bytes:
+        out = bytearray(self.data)
+        for k, kind in enumerate(kinds):
+            if kind[0] == "f":
+                self._view(out, kind)[places[:, k]] = points[:, k]
+        integers = [k for k, kind in enumerate(kinds) if kind[0] != "f"]
+        starts = places[:, integers]
+        ends = starts + np.array([self.width(kinds[k]) for k in integers], dtype=np.int64)
+        words: NDArray[Any] = points[:, integers].astype(self._order + "f8").view("V8")
+        return _spliced(out, self._start, starts.ravel(), ends.ravel(), words.ravel())
+
+
+class TextBody:
+    """The rows of a text file, one a line. The place of a value is the index of its word."""
+
+    def __init__(self, data: bytes, path: Path, start: int, lines_before: int) -> None:
+        self.path, self._start = path, start
+        self._table = TextTable(data, path, start, lines_before)
+        self._used = 0  # lines of the rows taken so far
+
+    def width(self, kind: str) -> int:
+        return 1
+
+    def values(self, places: Integers, kind: str) -> NDArray[Any]:
+        return self._table.values(places)
+
+    def columns(self, places: Integers, kinds: list[str]) -> Points:
+        return self._table.values(places)
+
+    def lengths(self, rows: Integers, places: Integers, kind: str) -> Integers:
+        lines = np.searchsorted(self._table.first, rows)
+        # Past the end of a short line any word will do: the line is refused for its number of words.
+        lengths = self.values(np.minimum(places, len(self._table.starts) - 1), kind)
+        bad = ~((lengths >= 0) & (lengths <= self._table.counts[lines]) & (lengths == np.floor(lengths)))
+        if bad.any():
+            line, length = self._table.numbers[lines][bad.argmax()], lengths[bad.argmax()]
+            raise InputError(f"{self.path}: line {line} has a list of {length:g} values, more than the line holds")
+        return lengths.astype(np.int64)
+
+    def take_rows(self, element: Element) -> Integers:
+        """The first words of the next lines; InputError where they do not have the words that ``element`` says."""
+        lines = slice(self._used, self._used + (element.count if element.properties else 0))
+        rows, counts = self._table.first[lines], self._table.counts[lines]
+        if len(rows) < lines.stop - lines.start:
+            raise _short(self.path, element, len(rows))
+        expected = layout(self, element, rows)[1] - rows
+        if (wrong := counts != expected).any():
+            row = int(wrong.argmax())
+            raise InputError(
+                f"{self.path}: line {self._table.numbers[lines][row]} has {counts[row]} values, "
+                f"expected {expected[row]} for element {shown(element.name)}"
+            )
+        self._used = lines.stop
+        return rows
+
+    def check_end(self) -> None:
+        lines = len(self._table.first)
+        if self._used < lines:
+            raise InputError(f"{self.path}: has {lines} lines of data, the header accounts for {self._used}, expected the same")
+
+    def moved(self, places: Integers, kinds: list[str], old: Points, points: Points) -> bytes:
+        starts, ends, words = [], [], []
+        for k, kind in enumerate(kinds):
+            new: NDArray[Any] = points[:, k]
+            was: NDArray[Any] = old[:, k]
+            with np.errstate(over="ignore"):
+                single = was.astype(np.float32)
+            if kind == "f4" and np.array_equal(single.astype("S32").astype(np.float64), was):
+                new, was = new.astype(np.float32), single  # the text has no more digits than its type
+            changed = new != was
+            starts.append(self._table.starts[places[changed, k]])
+            ends.append(self._table.ends[places[changed, k]])
+            words.append(new[changed].astype("S32"))
+        return _spliced(self._table.data, self._start, np.concatenate(starts), np.concatenate(ends), np.concatenate(words))
+
+
+def _spliced(data: bytes | bytearray, at: int, starts: Integers, ends: Integers, words: NDArray[Any]) -> bytes:
+    """``data[at:]`` with the bytes from ``starts`` to ``ends`` [W] replaced by ``words`` [W]."""
+    out = bytearray()
+    for part in np.array_split(np.argsort(starts), 1 + len(starts) // _CHUNK):
+        for start, end, word in zip(starts[part].tolist(), ends[part].tolist(), words[part].tolist(), strict=True):
+            out += data[at:start]
+            out += word
+            at = end
+    return bytes(out + data[at:])
