@@ -229,7 +229,7 @@ def kernels() -> str:
     rows = []
     for what, names in ways.items():
         taken = {(row["name"], row["points"]): f"{1e3 * row['seconds']['median']:.3g}" for row in _timed(what)}
-        rows += [[what, name, *(taken[name, count] for count in points)] for name in names]
+        rows += [[what, name, *(taken.get((name, count), "") for count in points)] for name in names]
     return markdown(["kernel", "way", *(f"{count:,} points" for count in points)], rows)
 
 
