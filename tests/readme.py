@@ -44,8 +44,8 @@ def working_copy(folder: Path) -> None:
 @cache
 def record(name: str) -> dict[str, Any]:
     """The kept record of a study."""
-    found: dict[str, Any] = json.loads((RECORDS / f"{name}.json").read_text())
-    return found
+    content: dict[str, Any] = json.loads((RECORDS / f"{name}.json").read_text())
+    return content
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
