@@ -1,9 +1,7 @@
-"""The commands and tables of the pages: run, compare, and write anew.
+"""The commands and figures of README and docs: run, compared, and written anew.
 
-python -m tests.readme            runs every command of README.md and puts what it printed below it, and the tables of the
-                                  kept figures into README.md and docs; takes as long as `tso train`
-python -m tests.readme --quick    leaves what `tso train` and what comes of it printed as it is; takes a minute
-python -m tests.readme --tables   puts the tables into the pages and runs nothing
+python -m tests.readme             runs the commands that pages show, puts what they print below them, and fills in the figures
+python -m tests.readme --figures   fills in the figures alone
 """
 
 from __future__ import annotations
@@ -16,343 +14,285 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import textwrap
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import astuple
+from functools import cache, partial
 from pathlib import Path
-
-from tests.readme_accuracy import accuracy_tables, sizes_table
-from tests.readme_evidence import evidence_tables, pose_table
-from tso_cli.lab.charts.speed_table import left_out_lines, machine_line, sections
+from typing import Any
 
 ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
 README = ROOT / "README.md"
-RESULTS = ROOT / "docs" / "results.md"
-NETWORK = ROOT / "docs" / "network.md"
-PERFORMANCE = ROOT / "docs" / "performance.md"
-ACCURACY = ROOT / "docs" / "accuracy.md"
-PHOTOS = ROOT / "docs" / "photos.md"
-METHOD = ROOT / "docs" / "method.md"
-PAGES = (README, METHOD, RESULTS, NETWORK, PERFORMANCE, ACCURACY, PHOTOS)
-FIGURES = ROOT / "docs" / "figures"
+PAGES = (README, *sorted(DOCS.glob("*.md")))
+RECORDS = next(folder for folder in (DOCS / "records", DOCS / "figures") if any(folder.glob("*.json")))
 CONSOLE = re.compile(r"```console\n(.*?)```", re.DOTALL)
 
 
 def console_commands(text: str) -> list[tuple[str, str]]:
     """(command, what it prints) of every console block, in order."""
-    found = []
-    for block in CONSOLE.findall(text):
-        for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
-            command, _, printed = part.partition("\n")
-            found.append((command, printed.rstrip("\n")))
-    return found
+    blocks = [re.split(r"^\$ ", block, flags=re.MULTILINE)[1:] for block in CONSOLE.findall(text)]
+    parts = [part.partition("\n") for block in blocks for part in block]
+    return [(command, printed.rstrip("\n")) for command, _, printed in parts]
 
 
 def working_copy(folder: Path) -> None:
-    """What the commands of the README find where they are run."""
+    """Put into ``folder`` the files that the commands of the pages use."""
     shutil.copytree(ROOT / "examples", folder / "examples")
 
 
-def examples_table(record: dict) -> str:
-    """The shipped examples as Markdown."""
-    rows = ["| example | mode | IoU | Chamfer x1000 | after / before | seconds |", "|---|---|---|---|---|---|"]
-    rows += [
-        f"| {r['example']} | {r['mode']} | {r['iou_before']:.3f} -> {r['iou_after']:.3f} | "
-        f"{1e3 * r['chamfer_before']:.2f} -> {1e3 * r['chamfer_after']:.2f} | {r['ratio']:.3f} | {r['seconds']:.2f} |"
-        for r in record["examples"]
-    ]
-    return "\n".join(rows)
+@cache
+def record(name: str) -> dict[str, Any]:
+    """The kept record of a study."""
+    content: dict[str, Any] = json.loads((RECORDS / f"{name}.json").read_text())
+    return content
 
 
-def points_table(record: dict) -> str:
-    """The study of points mode as Markdown."""
-    rows = [
-        "| category | shapes | Chamfer x1000 | after / before | worst shape | made worse | IoU | seconds |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    rows += [
-        f"| {name} | {s['cases']} | {1e3 * s['chamfer_before']:.2f} -> {1e3 * s['chamfer_after']:.2f} | "
-        f"{s['ratio_of_means']:.3f} | {s['worst_ratio']:.3f} | {s['worse']} | {s['iou_before']:.2f} -> {s['iou_after']:.2f} | "
-        f"{s['median_seconds']:.2f} |"
-        for name, s in record["summary"].items()
-    ]
-    return "\n".join(rows)
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table."""
+    lines = ["| " + " | ".join(row) + " |" for row in (header, *rows)]
+    return "\n".join([lines[0], "|---" * len(header) + "|", *lines[1:]])
 
 
-def network_table(record: dict) -> str:
-    """The base network and its rivals as Markdown."""
-    names = {"network": "network", "mean_view": "mean, view", "mean_aligned": "mean, aligned", "nearest": "nearest"}
-    ratios = {"over_mean_view": "mean, view", "over_mean_aligned": "mean, aligned", "over_nearest": "nearest"}
-    rows = [
-        "| list | category | shapes | "
-        + " | ".join([*names.values(), *(f"network / {label}" for label in ratios.values())])
-        + " |"
-    ]
-    rows.append("|---" * (len(names) + 6) + "|")
-    for part, summary in record["summary"].items():
-        for category, own in summary.items():
-            values = [f"{1e3 * own[name]:.2f}" for name in names]
-            values += [f"{own[name]:.2f}" for name in ratios]
-            rows.append(f"| {part} | {category} | {own['shapes']} | " + " | ".join(values) + " |")
-    return "\n".join(rows)
+def initial_error() -> str:
+    """The error of the shipped chair's initial cloud."""
+    start = next(row["chamfer_before"] for row in record("examples")["examples"] if row["example"] == "chair")
+    return f"The initial cloud was at {1e3 * start:.3f}."
 
 
-def variants_table(record: dict) -> str:
-    """The paper's table of test-stage optimisation, ours and theirs, as Markdown."""
-    names = {"before": "before", "encoder": "E", "encoder-decoder": "E and D", "points": "p"}
-    rows = [
-        "| shapes | variant | forward | backward | sum | after / before | 95 % interval | unscaled | made worse | visible | "
-        "occluded | IoU | seconds |"
-    ]
-    rows.append("|---" * 13 + "|")
-    for category, summary in record["summary"].items():
-        for name, label in names.items():
-            own = summary["capnet"][name]
-            cells = [f"{category}, {summary['shapes']}", label]
-            cells += [f"{1e3 * own[key]:.2f}" for key in ("forward", "backward", "chamfer")]
-            if name == "before":
-                cells += [""] * 4
-            else:
-                cells += [f"{own['ratio_of_means']:.3f}", " to ".join(f"{end:.3f}" for end in own["interval"])]
-                cells += [f"{summary['plain'][name]['ratio_of_means']:.3f}", f"{own['worse']} of {summary['cases']}"]
-            cells += [f"{1e3 * own[key]:.2f}" for key in ("visible", "occluded")]
-            cells += [f"{summary['iou'][name]:.3f}", f"{summary['median_seconds'][name]:.2f}" if name != "before" else ""]
-            rows.append("| " + " | ".join(cells) + " |")
-    for name, label in names.items():
-        forward, backward, total = record["paper"][name]
-        ratio = "" if name == "before" else f"{total / record['paper']['before'][2]:.3f}"
-        rows.append(f"| *the paper* | {label} | {forward:.2f} | {backward:.2f} | {total:.2f} | {ratio} | | | | | | | |")
-    return "\n".join(rows)
+def gains() -> str:
+    """By object type, what each preset and number of masks leaves of the error."""
+    header = ["object", "paper", "default", "no mirror plane", "two masks", "four masks", "default: made worse, worst"]
+    shown = ("paper", "best", "best, no symmetry", "best, two masks", "best, four masks")
+    rows = []
+    for name, group in record("accuracy")["summary"]["other"].items():
+        cells = [f"{row['mean_ratio']:.2f}, {row['median_seconds']:.1f} s" for row in map(group["variants"].get, shown)]
+        default = group["variants"]["best"]
+        rows.append([name, *cells, f"{default['worse']} of {group['cases']}, {default['worst_ratio']:.2f}"])
+    return markdown(header, rows)
 
 
-def settings_table(record: dict) -> str:
-    """What networks trained with different settings reached, and in the paper, as Markdown."""
-    return _table({**record["summary"], **{f"*{name}, the paper*": own for name, own in record["paper"].items()}})
+def types() -> str:
+    """By object type, the measures of the default preset with one mask."""
+    rows = []
+    for name, group in record("accuracy")["summary"]["other"].items():
+        before, row = group["before"], group["variants"]["best"]
+        ratios = (f"{row[key]:.2f}" for key in ("mean_ratio", "worst_ratio"))
+        chamfer = f"{1e3 * before['chamfer']:.1f} -> {1e3 * row['chamfer']:.1f}"
+        measures = f"{before['f_score']:.2f} -> {row['f_score']:.2f}", f"{row['iou_before']:.2f} -> {row['iou']:.2f}"
+        cells = [chamfer, *ratios, str(row["worse"]), f"{before['floor_ratio']:.2f}", *measures]
+        rows.append([f"{name}, {group['cases']}", *cells])
+    header = ["object, clouds", "Chamfer x1000", "mean", "worst", "made worse", "floor", "F-score", "IoU"]
+    return markdown(header, rows)
 
 
-def views_table(record: dict) -> str:
-    """Chamfer over the number of masks, with each seed's where there are several, the constant answer, and the paper's."""
-    rows = {}
-    for category, values in record["summary"].items():
-        rows[category] = {**values, "mean training shape": record["constant"][category]}
-        seeds = record["seeds"][category]
-        rows[f"{category}, by seed"] = {
-            count: ", ".join(f"{value:.2f}" for value in own) for count, own in seeds.items() if len(own) > 1
-        }
-        if category in record["paper"]:
-            rows[f"*{category}, the paper*"] = record["paper"][category]
-    return _table(rows)
+def pooled(kind: str, variant: str) -> list[str]:
+    """Of all object types together: mean and worst Chamfer after / before, how many got worse, and seconds."""
+    groups = [(group["cases"], group["variants"][variant]) for group in record("accuracy")["summary"][kind].values()]
+    total = sum(cases for cases, _ in groups)
+    mean = sum(cases * row["mean_ratio"] for cases, row in groups) / total
+    worst, worse = max(row["worst_ratio"] for _, row in groups), sum(row["worse"] for _, row in groups)
+    seconds = [row["median_seconds"] for _, row in groups if row["median_seconds"]]
+    return [f"{mean:.2f}", f"{worst:.2f}", f"{worse} of {total}", f"{min(seconds):.1f} to {max(seconds):.1f}"]
 
 
-def affinity_table(record: dict) -> str:
-    """Outliers in per cent and Chamfer with and without the affinity loss, as Markdown."""
-    return _table(
-        {
-            setting: {
-                f"{category}: {label}": factor * values[key]
-                for category, values in own.items()
-                for key, label, factor in (("outliers", "outliers, %", 100.0), ("chamfer", "Chamfer", 1.0))
-            }
-            for setting, own in record["summary"].items()
-        }
-    )
-
-
-def failures_table(record: dict) -> str:
-    """Sizes of aeroplanes, then errors of cars, as Markdown."""
-    planes = {name: own for name, own in record["summary"].items() if "span" in own}
-    cars = {
-        name: {
-            "error in depth x1000": 1e3 * own["depth"],
-            "across x1000": 1e3 * own["across"],
-            "extent in depth": own["extent"],
-            "Chamfer": own["chamfer"],
-        }
-        for name, own in record["summary"].items()
-        if "depth" in own
+def starts() -> str:
+    """By kind of start: mean, worst, and how many got worse."""
+    kinds = {
+        "other": "another shape of the same type",
+        "near": "another shape close to the truth",
+        "cut": "another shape; the object is truncated",
+        "network": "the shipped network's prediction",
+        "right": "the truth itself, sampled anew",
     }
-    sizes = {
-        name: {key.replace("_", " ").replace("chamfer", "Chamfer"): v for key, v in own.items()} for name, own in planes.items()
-    }
-    return f"{_table(sizes)}\n\n{_table(cars)}"
+    variants = {"paper": "paper", "default": "best", "default, four masks": "best, four masks"}
+    rows = [[label, *(", ".join(pooled(kind, name)[:3]) for name in variants.values())] for kind, label in kinds.items()]
+    return markdown(["start", *variants], rows)
 
 
-def _table(found: dict[str, dict]) -> str:
-    """A row for each name; columns in the order of the first row."""
-    columns = list(dict.fromkeys(key for own in found.values() for key in own))
-    rows = ["| | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
-    for name, own in found.items():
-        values = [own.get(key) for key in columns]
-        cells = ["" if value is None else value if isinstance(value, str) else f"{value:.2f}" for value in values]
-        rows.append(f"| {name} | " + " | ".join(cells) + " |")
-    return "\n".join(rows)
-
-
-def departures_table(record: dict) -> str:
-    """What `tso train` does otherwise than the paper, and Chamfer with each thing done the other way, as Markdown."""
-    base = record["base"]
-    columns = [name for name in record["summary"][base] if name != "mean"]
+def choices() -> str:
+    """What each mode and preset brings and costs."""
     rows = [
-        "| changed | the paper, or its authors' code | here | " + " | ".join(columns) + " |",
-        "|---" * (len(columns) + 3) + "|",
+        ("a cloud, one mask", "`--preset paper`", "other", "paper"),
+        ("", "default", "other", "best"),
+        ("", "`--symmetry none`", "other", "best, no symmetry"),
+        ("a cloud, two masks", "default", "other", "best, two masks"),
+        ("a cloud, four masks", "default", "other", "best, four masks"),
+        ("a photo alone", "`--mode encoder`", "network", "encoder, best"),
+        ("", "`--mode encoder-decoder`", "network", "encoder-decoder, best"),
+        ("", "`--mode latent`", "network", "latent, best"),
+        ("", "`encoder-decoder`, then `points`", "network", "encoder-decoder, then points"),
+        ("a prediction, one mask", "default", "network", "best"),
+        ("a prediction, four masks", "default", "network", "best, four masks"),
     ]
-    for name, own in record["summary"].items():
-        cells = [f"{own[column]:.2f}" for column in columns]
-        if name == base:
-            seeds = record["seeds"]
-            cells = [f"{cell} ({min(seeds[c]):.2f} to {max(seeds[c]):.2f})" for cell, c in zip(cells, columns, strict=True)]
-        rows.append(
-            "| "
-            + " | ".join([f"*{name}*" if name not in record["why"] else name, *record["why"].get(name, ("", "")), *cells])
-            + " |"
-        )
-    return "\n".join(rows)
+    header = ["you have", "settings", "after / before", "worst", "made worse", "seconds"]
+    return markdown(header, [[have, setting, *pooled(kind, variant)] for have, setting, kind, variant in rows])
 
 
-def sigma_table(record: dict) -> str:
-    """The best sigma^2 of each category as Markdown."""
-    rows = ["| category | shapes | best sigma^2 | error | the paper's | error there |", "|---|---|---|---|---|---|"]
-    rows += [
-        f"| {name} | {s['shapes']} | {s['best']:g} | {s['l1_at_best']:.4f} | {s['paper']:g} | {s['l1_at_paper']:.4f} |"
-        for name, s in record["summary"].items()
-    ]
-    return "\n".join(rows)
+def variants() -> str:
+    """The paper's three variants under its protocol, here and in the paper."""
+    study = record("tso")
+    summary, printed = study["summary"]["all"], study["paper"]
+    rows = []
+    for name in ("encoder", "encoder-decoder", "points"):
+        row, paper = summary["capnet"][name], printed[name][2] / printed["before"][2]
+        interval = " to ".join(f"{end:.3f}" for end in row["interval"])
+        worse = f"{row['worse']} of {summary['cases']}"
+        rows.append([f"`{name}`", f"{row['ratio_of_means']:.3f}", interval, f"{paper:.3f}", worse])
+    return markdown(["variant", "after / before", "95 % interval", "the paper", "made worse"], rows)
 
 
-def photos_table(record: dict) -> str:
-    """Starts, presets and numbers of photos, judged by the other photos; auto found no symmetry and is left out."""
-    rows = ["| start carved by | photos | preset | IoU, mean | worst | points beside a mask, mean | worst |", "|---" * 7 + "|"]
-    for own in record["summary"]:
-        if own["symmetry"] == "auto":
-            continue
-        cells = [f"{len(own['start'])} photo" + "s" * (len(own["start"]) > 1)]
-        cells += [str(len(own["masks"])) if own["masks"] else "", own["preset"] or "*start*"]
-        cells += [f"{own['iou']:.3f}", f"{own['worst_iou']:.3f}", f"{own['beside']:.1%}", f"{own['most_beside']:.1%}"]
-        rows.append("| " + " | ".join(cells) + " |")
-    return "\n".join(rows)
-
-
-def speed_tables(record: dict) -> dict[str, str]:
-    """What is measured of the speed -> its table as Markdown; what was left out, and the machine."""
-    made = {
-        section.name: "\n".join(
-            "| " + " | ".join("" if cell is None else str(cell) for cell in row) + " |"
-            for row in (section.header, ["---"] * len(section.header), *section.rows)
-        )
-        for section in sections(record)
+def depth() -> str:
+    """What a depth map and a second mask bring, without and with a mirror plane."""
+    rows = {
+        "one mask": "mask, no symmetry",
+        "one mask, mirror plane": "mask, symmetry auto",
+        "two masks": "two masks, no symmetry",
+        "one mask and its depth map": "mask and depth, no symmetry",
+        "one mask and its depth map, mirror plane": "mask and depth, symmetry auto",
+        "two masks and their depth maps": "two masks and their depths, no symmetry",
     }
-    left_out = "\n".join(f"- {line}" for line in left_out_lines(record["records"]))
-    return made | {"left out": left_out, "machine": machine_line(record)}
+    study = record("evidence")["summary"]["depth"]["other"]["all"]
+    cells = [[label, f"{study[name]['mean_ratio']:.2f}", f"{study[name]['worst_ratio']:.2f}"] for label, name in rows.items()]
+    return markdown(["observations", "after / before", "worst"], cells)
 
 
-def claims_list(record: dict) -> str:
-    """What the paper says, or what is asked, and whether it holds here."""
-    return "\n".join(
-        f"- {'Holds' if claim['holds'] else '**Does not hold**'}: {claim['claim']} ({claim['found']})."
-        for claim in record["claims"]
-    )
+def targets(name: str) -> str:
+    """How many targets of a study are met, and which are missed; of what was reached, the first part."""
+    claims = record(name)["claims"]
+    missed = [claim for claim in claims if not claim["holds"]]
+    lines = [f"- {claim['claim']}: {re.split('[;(]', claim['found'])[0].strip()}" for claim in missed]
+    wrapped = [textwrap.fill(line, 120, subsequent_indent="  ") for line in lines]
+    return "\n".join([f"{len(claims) - len(missed)} of {len(claims)} targets are met. Missed:", "", *wrapped])
 
 
-SIZES = ("accuracy", "accuracy-128", "accuracy-256", "accuracy-large")
-TABLES = {
-    "examples": examples_table,
-    "points": points_table,
-    "network": network_table,
-    "tso": variants_table,
-    "sigma": sigma_table,
-    "supervision": settings_table,
-    "views": views_table,
-    "lambda": settings_table,
-    "affinity": affinity_table,
-    "failures": failures_table,
-    "departures": departures_table,
-    "photos": photos_table,
-    "pose": pose_table,
+def cameras() -> str:
+    """How often a camera is found from mask and cloud."""
+    rows = [
+        [name, f"{row['median_degrees']:.0f}", f"{row['right']} of {row['cases']}", f"{row['sure']}, {row['sure_right']}"]
+        for name, row in record("pose")["summary"].items()
+    ]
+    return markdown(["cloud", "median error, degrees", "within 15 degrees", "called sure, of them right"], rows)
+
+
+def network() -> str:
+    """The shipped network on types that it has not seen."""
+    keys = ("network", "mean_view", "mean_aligned", "nearest")
+    summary = record("network")["summary"]["test"].items()
+    rows = [[f"{name}, {row['shapes']}", *(f"{1e3 * row[key]:.2f}" for key in keys)] for name, row in summary]
+    return markdown(["object, shapes", "network", "mean shape, view", "mean shape, aligned", "nearest shape"], rows)
+
+
+def photos() -> str:
+    """The temple before and after, judged by photos that were not used."""
+    rows = [
+        [
+            f"{len(row['start'])}",
+            row["preset"] or "none",
+            f"{row['iou']:.2f}",
+            f"{row['worst_iou']:.2f}",
+            f"{row['beside']:.0%}",
+        ]
+        for row in record("photos")["summary"]
+        if row["symmetry"] != "auto" and len(row["masks"]) in (0, 4)
+    ]
+    return markdown(["start carved from photos", "preset", "IoU, mean", "IoU, worst", "points beside a mask"], rows)
+
+
+def machine() -> str:
+    """Where the times were taken."""
+    study = record("speed")
+    cpu, versions = study["machine"], study["versions"]
+    return f"{cpu['cpu']}, {study['threads']} of {cpu['cores']} cores, torch {versions['torch']}, numba {versions['numba']}."
+
+
+def _timed(what: str) -> list[dict[str, Any]]:
+    return [row for row in record("speed")["records"] if row["what"] == what and row.get("seconds")]
+
+
+def batches() -> str:
+    """Clouds a second, one by one and in batches."""
+    rows = [
+        [row["preset"], f"`{row['name']}`, {row['batch']}", f"{row['clouds_per_second']:.1f}", f"{row['times_refine']:.1f}x"]
+        for row in _timed("batch")
+        if row["name"] == "refine" or row["batch"] == 16
+    ]
+    return markdown(["preset", "call, clouds", "clouds a second", "beside `refine`"], rows)
+
+
+def kernels() -> str:
+    """Milliseconds of the two kernels and of other ways of doing the same."""
+    points = (1024, 16384)
+    ways = {
+        "silhouette": ("compiled", "windowed", "scatter 9x9", "exact"),
+        "chamfer": ("tso", "two k-d trees a step, all workers", "point_cloud_utils"),
+    }
+    rows = []
+    for what, names in ways.items():
+        taken = {(row["name"], row["points"]): f"{1e3 * row['seconds']['median']:.3g}" for row in _timed(what)}
+        rows += [[what, name, *(taken.get((name, count), "") for count in points)] for name in names]
+    return markdown(["kernel", "way", *(f"{count:,} points" for count in points)], rows)
+
+
+def stages() -> str:
+    """The stages of the default preset."""
+    from tso_cli.refinement.coarse_to_fine import STAGES
+
+    rows = [[str(number), *(f"{value:g}" for value in astuple(stage)[:5])] for number, stage in enumerate(STAGES, 1)]
+    header = ["stage", "smoothness lambda", "robust scale r", "learning-rate scale", "nodes", "averaging weight"]
+    return markdown(header, rows)
+
+
+FILLED: dict[str, Callable[[], str]] = {
+    "accuracy_targets": partial(targets, "accuracy"),
+    "speed_targets": partial(targets, "speed"),
+    **{
+        made.__name__: made
+        for made in (initial_error, gains, types, starts, choices, variants, depth, cameras, network, photos)
+    },
+    **{made.__name__: made for made in (machine, batches, kernels, stages)},
 }
 
 
-def tables() -> dict[str, str]:
-    """Name -> table, from the kept figures."""
-    made = {}
-    accuracy = {}
-    for path in sorted(FIGURES.glob("*.json")):
-        record = json.loads(path.read_text())
-        if record.get("study") == "accuracy":
-            accuracy[path.stem] = record
-            made |= {f"{path.stem} {name}": table for name, table in accuracy_tables(record).items()}
-        elif record.get("study") == "evidence":
-            made |= {f"{path.stem} {name}": table for name, table in evidence_tables(record).items()}
-        elif {"summary", "examples"} & set(record):
-            made[path.stem] = TABLES[path.stem](record)
-        if "bench" in record:
-            made |= {f"{path.stem} {name}": table for name, table in speed_tables(record).items()}
-        if "claims" in record:
-            made[f"{path.stem} claims"] = claims_list(record)
-    if set(SIZES) <= set(accuracy):
-        made["accuracy sizes"] = sizes_table(*(accuracy[name] for name in SIZES))
-    return made
-
-
-def shown_records() -> list[str]:
-    """Names of the kept records that a table or a chart of some page is of."""
-    text = "".join(page.read_text() for page in [README, *ROOT.glob("docs/*.md")])
-    shown = set(re.findall(r"<!-- ([\w-]+)", text)) | set(re.findall(r"\]\((?:docs/)?figures/([\w-]+)\.", text))
-    return sorted(path.stem for path in FIGURES.glob("*.json") if path.stem in shown)
-
-
-def command_that_remakes(name: str) -> str:
-    """The command of the pages that writes the record ``name``."""
-    text = "\n".join(page.read_text() for page in ROOT.glob("docs/*.md"))
-    (found,) = set(re.findall(rf"(?:tso|python) [^`\n]*-o (?:docs/figures/)?{name}\.json[^`\n)]*", text))
-    return found.strip()
-
-
-def with_tables(text: str) -> str:
-    """``text`` with what stands between ``<!-- NAME -->`` and ``<!-- end -->`` made anew."""
-    for name, table in tables().items():
-        text = re.sub(rf"(<!-- {name} -->\n).*?(<!-- end -->)", lambda m, t=table: f"{m[1]}{t}\n{m[2]}", text, flags=re.DOTALL)
-    return text
+def with_figures(text: str) -> str:
+    """``text`` with what stands between ``<!-- NAME -->`` and ``<!-- end -->`` made anew by the function of that name."""
+    return re.sub(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", lambda m: f"{m[1]}{FILLED[m[2]]()}\n{m[3]}", text, flags=re.DOTALL)
 
 
 def _run(command: str, folder: Path) -> str:
     words = shlex.split(command)
     assert words[0] == "tso", command
-    own = os.environ | {"PYTHONPATH": str(ROOT)}
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(
-        [sys.executable, "-m", "tso_cli", *words[1:]], cwd=folder, env=own, stdout=subprocess.PIPE, text=True, check=True
+        [sys.executable, "-m", "tso_cli", *words[1:]],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
     )
     return done.stdout.rstrip("\n")
 
 
-def write_tables() -> None:
-    """Put the tables of the kept figures into every page."""
+def _with_commands(text: str, folder: Path) -> str:
+    def again(match: re.Match[str]) -> str:
+        commands = [command for command, _ in console_commands(match[0])]
+        return "```console\n" + "".join(f"$ {command}\n{_run(command, folder)}\n" for command in commands) + "```"
+
+    return CONSOLE.sub(again, text)
+
+
+def main(run: bool) -> None:
     for page in PAGES:
-        page.write_text(with_tables(page.read_text()))
-
-
-def _quick(command: str) -> bool:
-    """Whether it neither trains nor uses what was trained."""
-    return "tso train" not in command and "base.safetensors" not in command
-
-
-def main(quick: bool) -> None:
-    text = README.read_text()
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        working_copy(folder)
-        printed = iter(
-            [
-                (command, shown if quick and not _quick(command) else _run(command, folder))
-                for command, shown in console_commands(text)
-            ]
-        )
-
-        def fill(match: re.Match[str]) -> str:
-            count = len(re.findall(r"^\$ ", match[1], flags=re.MULTILINE))
-            blocks = [next(printed) for _ in range(count)]
-            return "```console\n" + "".join(f"$ {command}\n{out}\n" for command, out in blocks) + "```"
-
-        README.write_text(CONSOLE.sub(fill, text))
-        shutil.copy(folder / "chair.png", ROOT / "docs" / "chair.png")
-    write_tables()
+        text = with_figures(page.read_text())
+        if run:
+            with tempfile.TemporaryDirectory() as name:
+                working_copy(Path(name))
+                text = _with_commands(text, Path(name))
+                if page == README:
+                    shutil.copy(Path(name) / "chair.png", DOCS / "chair.png")
+        page.write_text(text)
 
 
 if __name__ == "__main__":
-    write_tables() if "--tables" in sys.argv else main("--quick" in sys.argv)
+    main("--figures" not in sys.argv)

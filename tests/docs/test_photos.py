@@ -61,6 +61,7 @@ def test_a_mask_is_the_largest_bright_thing_without_holes(script):
     assert mask.sum() == pytest.approx(40 * 40, rel=0.05)
 
 
+@pytest.mark.slow
 def test_photos_become_masks_a_camera_file_and_a_start_that_four_of_them_improve_for_the_others(
     script, photos, tmp_path, capsys
 ):

@@ -1,125 +1,171 @@
-"""The pages say what the program does: every command is run, every table is that of the kept figures."""
+"""README and docs say what the program does: commands are run, figures are those of the records, names are checked."""
 
 from __future__ import annotations
 
-import json
+import ast
 import re
 import runpy
 import shlex
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import click
 import pytest
+from PIL import Image
 
-from tests.readme import (
-    FIGURES,
-    PAGES,
-    README,
-    ROOT,
-    command_that_remakes,
-    console_commands,
-    shown_records,
-    with_tables,
-    working_copy,
-)
-from tso_cli.cli import main
+from tests.readme import CONSOLE, DOCS, PAGES, README, RECORDS, ROOT, console_commands, record, with_figures, working_copy
+from tso_cli import cli
 from tso_cli.lab.studies.fingerprint import differences, study_of
 
-# Records that the method has left behind; a name goes from here when its record is made anew, and none is added.
-TO_BE_REMADE: tuple[str, ...] = ()
-
 NUMBER = re.compile(r"-?\d[\d,]*\.?\d*(?:e[+-]?\d+)?")
-# Rounding differs between machines. Hundreds of training steps amplify it: what comes of them is compared by its words.
-TOLERANCE = 0.05
+RECORD_NAMES = sorted(path.stem for path in RECORDS.glob("*.json"))
 
 
-def _assert_alike(printed: str, shown: str, numbers: bool) -> None:
-    """The same words, and with ``numbers`` also numbers alike; times aside."""
-    # the width of a column follows its numbers
-    plain, expected = (re.sub(r"-{2,}", "--", re.sub(r" +", " ", text)) for text in (printed, shown))
-    assert NUMBER.sub("#", plain) == NUMBER.sub("#", expected)
-    if not numbers:
-        return
-    for line, wanted in zip(plain.splitlines(), expected.splitlines(), strict=True):
-        if "images/s" in line:
-            continue
-        timeless = [re.sub(rf"{NUMBER.pattern} s\b|{NUMBER.pattern} views/s", "", text) for text in (line, wanted)]
-        found, asked = ([float(n.replace(",", "")) for n in NUMBER.findall(text)] for text in timeless)
-        assert found == pytest.approx(asked, rel=TOLERANCE, abs=0.05), line
+def alike(text: str) -> tuple[str, list[float]]:
+    """The words of a command's output, whatever the width of its columns, and its numbers but for times."""
+    plain = re.sub(r"-{2,}", "--", re.sub(r" +", " ", text))
+    timeless = re.sub(rf"{NUMBER.pattern} s\b", "", plain)
+    return NUMBER.sub("#", plain), [float(number.replace(",", "")) for number in NUMBER.findall(timeless)]
 
 
-def test_the_commands_of_the_readme_print_what_the_readme_shows(tmp_path, monkeypatch, capsys):
-    """All in one, in their order: one works with the files that another wrote."""
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [README, DOCS / "quickstart.md"], ids=lambda page: page.name)
+def test_the_commands_of_a_page_print_what_it_shows(page, tmp_path, monkeypatch, capsys):
     working_copy(tmp_path)
     monkeypatch.chdir(tmp_path)
-    for command, shown in console_commands(README.read_text()):
-        words = shlex.split(command)
-        assert words[0] == "tso"
+    for command, expected in console_commands(page.read_text()):
         with pytest.raises(SystemExit) as stopped:
-            main(words[1:])
+            cli.main(shlex.split(command)[1:])
         printed = capsys.readouterr()
         assert stopped.value.code == 0, f"{command}: {printed.err}"
-        numbers = "base.safetensors" not in command and "car-e" not in command
-        _assert_alike(printed.out.rstrip("\n"), shown, numbers)
+        (words, numbers), (expected_words, expected_numbers) = alike(printed.out.rstrip("\n")), alike(expected)
+        assert words == expected_words
+        # Rounding differs between machines.
+        assert numbers == pytest.approx(expected_numbers, rel=0.05, abs=0.05), command
 
 
-def test_the_tables_of_the_pages_are_those_of_the_kept_figures():
+def test_the_figures_of_the_pages_are_those_of_the_records():
     for page in PAGES:
-        assert page.read_text() == with_tables(page.read_text())
-        assert re.search(r"<!-- (points|network|speed machine|accuracy settings|photos|pose) -->", page.read_text())
+        assert page.read_text() == with_figures(page.read_text()), f"{page.name}: python -m tests.readme --figures"
 
 
-def test_every_kept_record_is_shown_and_some_page_says_how_to_make_it():
-    assert shown_records() == sorted(path.stem for path in FIGURES.glob("*.json"))
-    for name in shown_records():
-        assert f"{name}.json" in command_that_remakes(name)
+def test_the_list_of_records_names_each_record_once():
+    listed = re.findall(r"^\| \[([\w-]+)\]\(\1\.md\)", (DOCS / "records" / "README.md").read_text(), flags=re.MULTILINE)
+    assert sorted(listed) == RECORD_NAMES
 
 
-def test_what_the_pages_show_was_made_by_the_method_as_it_is():
-    """Else the record is to be made again: its command with --overwrite, then `python -m tests.readme --tables`."""
-    for name in shown_records():
-        record = json.loads((FIGURES / f"{name}.json").read_text())
-        found = differences(record) if study_of(record) else ["it does not say its study"]
-        if name in TO_BE_REMADE:
-            assert found, f"{name} was made anew: it goes from TO_BE_REMADE"
-        else:
-            told = f"is of another method ({'; '.join(found)}); to be made anew by: {command_that_remakes(name)}"
-            assert not found, f"docs/figures/{name}.json {told}"
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RECORD_NAMES)
+def test_a_record_was_made_by_the_method_as_it_is(name):
+    """Else it is to be made again by its study."""
+    assert study_of(record(name))
+    assert differences(record(name)) == []
 
 
-def test_the_kept_figures_meet_what_the_paper_promises():
-    summary = json.loads((FIGURES / "points.json").read_text())["summary"]
+def test_the_records_meet_what_the_paper_promises():
+    summary = record("points")["summary"]
     for category, bound in (("chair", 0.95), ("airplane", 0.92), ("car", 0.98)):
         assert summary[category]["ratio_of_means"] <= bound
         assert summary[category]["worst_ratio"] <= 1.02
-    for row in json.loads((FIGURES / "examples.json").read_text())["examples"]:
+    for row in record("examples")["examples"]:
         assert row["chamfer_after"] < row["chamfer_before"]
 
 
-def test_the_kept_figures_of_the_default_preset_are_of_unseen_shapes_and_hardly_any_got_worse():
-    record = json.loads((FIGURES / "accuracy.json").read_text())
-    assert (record["complete"], record["settings"]["part"], len(record["settings"]["shapes"])) == (True, "test", 73)
-    held = {claim["claim"]: claim["holds"] for claim in record["claims"]}
-    for gate in ("points mode, all starts", "airplane near the truth", "every column lies below the paper's preset"):
-        assert [holds for claim, holds in held.items() if claim.startswith(gate)] == [True]
-    for categories in record["summary"]["other"].values():
-        variants = categories["variants"]
-        assert variants["best"]["mean_ratio"] < variants["paper"]["mean_ratio"] - 0.1
+def test_the_default_preset_is_judged_on_unseen_shapes_and_hardly_makes_any_worse():
+    study = record("accuracy")
+    assert (study["complete"], study["settings"]["part"], len(study["settings"]["shapes"])) == (True, "test", 73)
+    met = {claim["claim"]: claim["holds"] for claim in study["claims"]}
+    for target in ("points mode, all starts", "airplane near the truth", "every column lies below the paper's preset"):
+        assert [holds for claim, holds in met.items() if claim.startswith(target)] == [True]
+    for group in study["summary"]["other"].values():
+        assert group["variants"]["best"]["mean_ratio"] < group["variants"]["paper"]["mean_ratio"] - 0.1
 
 
-def test_every_link_of_the_pages_leads_somewhere():
-    for page in [README, *ROOT.glob("docs/*.md"), *ROOT.glob("examples/*.md")]:
-        for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
-            if not target.startswith("http"):
-                assert (page.parent / target).exists(), f"{page.name}: {target}"
+def anchors(page: Path) -> set[str]:
+    headings = re.findall(r"^#+ (.*)", page.read_text(), flags=re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
+def test_every_link_leads_somewhere():
+    for page in [*PAGES, DOCS / "records" / "README.md", *ROOT.glob("examples/*.md")]:
+        for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text()):
+            target, _, anchor = link.partition("#")
+            path = (page.parent / target).resolve() if target else page
+            # The page of a record is written with the record.
+            written = path.parent == DOCS / "records" and path.stem in RECORD_NAMES
+            assert link.startswith("http") or written or path.exists(), f"{page.name}: {link}"
+            assert not anchor or link.startswith("http") or anchor in anchors(path), f"{page.name}: {link}"
+
+
+def commands(group: click.Group = cli.tso) -> Iterator[click.Command]:
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        assert command is not None
+        yield from commands(command) if isinstance(command, click.Group) else [command]
+
+
+def test_every_option_that_a_page_names_is_one_of_a_command():
+    options = {option for command in commands() for parameter in command.params for option in parameter.opts}
+    # of every command, of torchrun and of a script
+    options |= {"--help", "--nproc-per-node", "--used"}
+    for page in PAGES:
+        named = set(re.findall(r"(?<![\w-])--[a-z][\w-]*", page.read_text()))
+        assert named <= options, f"{page.name}: {sorted(named - options)}"
+
+
+def test_every_message_in_troubleshooting_is_one_of_the_program():
+    texts = []
+    for path in (ROOT / "tso_cli").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.JoinedStr):
+                texts.append("".join(str(part.value) if isinstance(part, ast.Constant) else "{}" for part in node.values))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                texts.append(node.value)
+    everything = "\n".join(texts)
+    quoted = re.findall(r"`([^`]+)`", (DOCS / "troubleshooting.md").read_text())
+    messages = [text for text in quoted if " " in text and not text.startswith(("--", "pip", "apt-get", "tso "))]
+    assert len(messages) > 30
+    assert [message for message in messages if message not in everything] == []
+
+
+@pytest.mark.slow
+def test_the_python_of_the_page_runs(tmp_path, monkeypatch):
+    working_copy(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    for block in re.findall(r"```python\n(.*?)```", (DOCS / "python.md").read_text(), flags=re.DOTALL):
+        exec(block, names)
+    assert len(names["results"]) == 2
+
+
+def test_the_pages_stay_short():
+    words = {page: len(page.read_text().split()) for page in PAGES}
+    assert words.pop(README) <= 900
+    assert sum(words.values()) <= 8000
+    for page in PAGES:
+        written = CONSOLE.sub("", page.read_text())
+        assert max(map(len, written.splitlines())) <= 120, page.name
+
+
+def test_the_pictures_are_small():
+    pictures = [*DOCS.rglob("*.png"), *(ROOT / "examples").rglob("*.png")]
+    assert sum(path.stat().st_size for path in pictures) < 4_000_000
+    for page in PAGES:
+        for name in re.findall(r"!\[[^]]*\]\(([^)]+)\)", page.read_text()):
+            with Image.open(page.parent / name) as picture:
+                assert picture.height <= 1600, name
+
+
+@pytest.mark.slow
 def test_the_script_for_points_runs(capsys):
     runpy.run_path(str(ROOT / "examples" / "refine_points.py"), run_name="__main__")
     before, after = (float(n) for n in re.findall(r"Chamfer x1000 ([\d.]+) -> ([\d.]+)", capsys.readouterr().out)[0])
     assert after < before
 
 
+@pytest.mark.slow
 def test_the_script_for_networks_runs(tmp_path, monkeypatch, capsys):
     from tso_cli import __version__
     from tso_cli.io.checkpoints import save_network
@@ -143,7 +189,7 @@ def test_the_examples_weigh_under_three_megabytes_and_hold_what_is_promised():
         held = {path.name for path in (folder / name).iterdir()}
         assert {"image.png", "mask.png", "camera.json", "initial.ply", "target.ply"} <= held
     credits = (folder / "CREDITS.md").read_text()
-    for mesh in Path(folder / "meshes").rglob("*.ply"):
+    for mesh in (folder / "meshes").rglob("*.ply"):
         assert mesh.name in credits
     assert "GPL" not in credits
     assert "CC-BY" not in credits
