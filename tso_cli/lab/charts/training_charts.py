@@ -15,6 +15,7 @@ from ..packing import unpack
 from ..study import Record
 
 LABEL = "Chamfer x1000 (scaled by own box)"
+VARIED = {"views": "masks of each object that supervise a step", "lambda": "lambda, weight of the affinity loss"}
 PAPER: dict[str, Any] = {"marker": "D", "markerfacecolor": "white", "markeredgecolor": INK, "markersize": 5}
 
 
@@ -49,45 +50,27 @@ def draw_settings(path: Path, record: Record, overwrite: bool = False) -> None:
         figure.legend(loc="outside lower center", ncols=len(categories) + 1, frameon=False)
 
 
-def draw_views(path: Path, record: Record, overwrite: bool = False) -> None:
-    """Chamfer over the number of masks: the mean, each seed, the mean shape and the paper's."""
+def draw_lines(path: Path, record: Record, overwrite: bool = False) -> None:
+    """Chamfer over what the study varies: a line for each row of the summary, single seeds, mean shapes, and the paper's."""
+    columns = list(next(iter(record["summary"].values())))
+    colours = dict(zip(record["summary"], COLOURS, strict=False))
     with page(path, overwrite, (7.6, 5.4)) as figure:
         axis = figure.subplots()
-        for (category, values), colour in zip(record["summary"].items(), COLOURS, strict=False):
-            counts = [int(count) for count in values]
-            axis.plot(counts, list(values.values()), "o-", color=colour, label=category)
-            for count, seeds in record["seeds"][category].items():
-                axis.plot([int(count)] * len(seeds), seeds, "_", color=colour, markersize=10)
-            label = f"{category}, mean training shape"
-            axis.axhline(record["constant"][category], color=colour, linewidth=0.8, linestyle=":", label=label)
-            if category in record["paper"]:
-                paper = [record["paper"][category][count] for count in values]
-                axis.plot(counts, paper, linestyle="--", color=colour, label=f"{category}, paper", **PAPER)
-        axis.set_xticks(counts)
+        for name, values in record["summary"].items():
+            axis.plot(columns, list(values.values()), "o-", color=colours[name], label=name)
+            for column, seeds in record.get("seeds", {}).get(name, {}).items():
+                axis.plot([column] * len(seeds), seeds, "_", color=colours[name], markersize=10)
+        for name, constant in record.get("constant", {}).items():
+            axis.axhline(constant, color=colours[name], linewidth=0.8, linestyle=":", label=f"{name}, mean training shape")
+        for name, values in record["paper"].items():
+            if name in [*colours, *record["settings"]["shapes"]]:
+                colour = colours.get(name, INK)
+                axis.plot(list(values), list(values.values()), linestyle="--", color=colour, label=f"{name}, paper", **PAPER)
         axis.set_ylim(bottom=0.0)
-        axis.set_xlabel("masks of each object that supervise a step")
+        axis.set_xlabel(VARIED[record["study"]])
         axis.set_ylabel(LABEL)
         axis.set_title(_budget(record))
-        figure.legend(loc="outside lower center", ncols=len(record["summary"]), frameon=False)
-
-
-def draw_weight(path: Path, record: Record, overwrite: bool = False) -> None:
-    """Chamfer over lambda, for each form of the affinity loss, and the paper's."""
-    weights = list(next(iter(record["summary"].values())))
-    with page(path, overwrite, (6.4, 4.4)) as figure:
-        axis = figure.subplots()
-        # Even steps: 0 has no place on a logarithmic axis.
-        for (form, values), colour in zip(record["summary"].items(), COLOURS, strict=False):
-            axis.plot(range(len(weights)), list(values.values()), "o-", color=colour, label=f"form {form!r}")
-        for name, values in record["paper"].items():
-            places = [weights.index(weight) for weight in values]
-            axis.plot(places, list(values.values()), linestyle="--", color=INK, label=f"paper ({name})", **PAPER)
-        axis.set_xticks(range(len(weights)), weights)
-        axis.set_ylim(bottom=0.0)
-        axis.set_xlabel("lambda, weight of the affinity loss")
-        axis.set_ylabel(LABEL)
-        axis.set_title(_budget(record, ", ".join(record["settings"]["shapes"])))
-        axis.legend(frameon=False)
+        figure.legend(loc="outside lower center", ncols=len(colours), frameon=False)
 
 
 def draw_affinity(path: Path, record: Record, overwrite: bool = False) -> None:

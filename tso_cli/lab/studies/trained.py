@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,6 @@ import torch
 
 from ... import device as devices
 from ...errors import InputError
-from ...io.reading import shown
 from ...network.model import NetworkConfig, build_network
 from ...train import TrainConfig, TrainResult, network_config, start, train
 from ...train.data import TrainingData
@@ -100,11 +99,7 @@ class Comparison:
     full: tuple[str, ...] = CATEGORIES
 
     def run(self, progress: Progress, *, categories: tuple[str, ...], full: bool, **options: Any) -> Record:
-        """Train and judge the network of each setting that the earlier record lacks.
-
-        Parameters
-        ----------
-        categories, full, options : the values of `OPTIONS`.
+        """Train and judge the network of each setting that the earlier record lacks; the parameters are `OPTIONS`.
 
         Returns
         -------
@@ -122,9 +117,8 @@ class Comparison:
         limit = options["limit"] or (None if full else 32)
         split = options["split"] or SHIPPED_SPLIT
         settings = self.settings(categories)
-        material = Material(
-            Source(options["meshes"], split, options["part"], categories, limit, options["seed"]), progress.report
-        )
+        source = Source(options["meshes"], split, options["part"], categories, limit, options["seed"])
+        material = Material(source, progress.report)
         budget = {"steps": self.steps, **(FULL if full else REDUCED)}
         budget |= {key: options[key] for key in ("steps", "batch_size", "frame", "seed", "device") if options[key] is not None}
         common = {
@@ -138,8 +132,8 @@ class Comparison:
             "rendered_views": TEST_VIEWS,
             "networks": [[setting.name, setting.category] for setting in settings],
         }
-        runs = _earlier_runs(self.name, progress.earlier, common)
-
+        earlier = progress.earlier and {**progress.earlier, "cases": progress.earlier.get("runs")}
+        runs = replace(progress, earlier=earlier).earlier_cases(self.name, common)
         convention = {**CONVENTION, "frame": f"predictions in the {budget['frame']} frame"}
         if progress.earlier is None:
             _forget(progress.unfinished)
@@ -173,25 +167,11 @@ class Comparison:
         result = _train(data, config, setting, progress, doing)
         seconds = time.perf_counter() - begun
         predicted = predict(result.network, unseen, config.frame)
-        mask_settings = {
-            "projection": setting.projection,
-            "views": config.views,
-            "sigma_sq": config.sigma_sq,
-            "category_sigma_sq": dict(config.category_sigma_sq),
-            "lambda": config.affinity_weight,
-            "affinity": config.affinity,
-        }
-        run |= {
-            "supervision": config.supervision,
-            **(mask_settings if config.supervision == "masks" else dict.fromkeys(mask_settings)),
-            "lambda_dropped_at": result.lambda_dropped_at,
-            "steps": config.steps,
-            "batch_size": config.batch_size,
-            "seed": config.seed,
-            "seconds": seconds,
-            "device": config.device,
-            "judged": judge(predicted),
-        }
+        used = asdict(config) | {"projection": setting.projection, "lambda": config.affinity_weight}
+        only_masks = ("projection", "views", "sigma_sq", "category_sigma_sq", "lambda", "affinity")
+        run |= {key: used[key] for key in ("supervision", "steps", "batch_size", "seed", "device")}
+        run |= {key: used[key] if config.supervision == "masks" else None for key in only_masks}
+        run |= {"lambda_dropped_at": result.lambda_dropped_at, "seconds": seconds, "judged": judge(predicted)}
         if setting.projection != GAUSSIAN:
             run["bce_gradient"] = first_gradients(data, config)
         return run | self.measure(predicted, unseen)
@@ -232,22 +212,6 @@ def _forget(unfinished: Path | None) -> None:
         state_path(unfinished).unlink(missing_ok=True)
 
 
-def _earlier_runs(study: str, earlier: Record | None, settings: Record) -> list[Record]:
-    """The runs of a record to go on from; InputError where it is of another study, or of other settings."""
-    if earlier is None:
-        return []
-    name, before, runs = (earlier.get(key) for key in ("study", "settings", "runs"))
-    if name != study or not isinstance(before, dict) or not isinstance(runs, list):
-        raise InputError(f"the record to go on from is of the study {shown(name)}, expected {study!r}")
-    for key, value in settings.items():
-        if before.get(key) != value:
-            raise InputError(
-                f"the record to go on from was made with {key} {shown(before.get(key))}, now it is {shown(value)}; "
-                "expected the same settings"
-            )
-    return list(runs)
-
-
 def masks(category: str, **changes: Any) -> dict[str, Any]:
     """Supervision with masks, under the paper's sigma^2 of a network for one category."""
     return {"supervision": "masks", "sigma_sq": 0.1 if category == "airplane" else 0.4, **changes}
@@ -281,7 +245,7 @@ def table(record: Record, corner: str, rows: dict[str, dict[str, Any]], note: st
     budget = (
         f"{settings['steps']} steps of {settings['batch_size']} at a rate of {settings['learning_rate']:g}, seed "
         f"{settings['seed']}, {settings['frame']} frame, {settings['device']}; shapes: {shapes} ({settings['part']}), "
-        f"{settings['judged_views']} views each. Chamfer x1000, under the paper's protocol."
+        f"{settings['judged_views']} views each. Chamfer x1000 under the paper's protocol."
     )
     columns = list(dict.fromkeys(key for values in rows.values() for key in values))
     cells = [[name, *map(values.get, columns)] for name, values in rows.items()]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..charts.training_charts import draw_views
+from ..charts.training_charts import draw_lines
 from ..study import Record, Study, Table, claim
 from .mean_shape import MEAN_SHAPE
 from .trained import KEPT, OPTIONS, Comparison, Setting, chamfers, masks, repeated, table
@@ -96,7 +96,7 @@ STUDY = Study(
     OPTIONS,
     Comparison("views", 2000, ("car",), settings, conclude).run,
     tables,
-    draw_views,
+    draw_lines,
     "In the paper the second mask of each object gains a lot, and more gain nothing. Here the second gains nothing either. One "
     "mask a step is another one at every step, so that over the training every object is seen from all 24 sides: that may be "
     "why.",

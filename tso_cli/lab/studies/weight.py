@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..charts.training_charts import draw_weight
+from ..charts.training_charts import draw_lines
 from ..study import Record, Study, Table, claim
 from .trained import KEPT, OPTIONS, Comparison, Setting, chamfers, masks, table, with_mean
 
@@ -63,7 +63,7 @@ STUDY = Study(
     OPTIONS,
     Comparison("lambda", 500, ("chair",), settings, conclude, full=("chair",)).run,
     tables,
-    draw_weight,
+    draw_lines,
     "The supplement's 0.5, 1 and 5 are scaled by 1e4, and the authors' code has 1e-4, but of another term than Eq. 5. For Eq. "
     "5 that is far too little, in either form. The form 'points' at 1, the default of `tso train`, is never far from the best; "
     "the printed form breaks down at 1, where its second term rewards what leaves the mask uncovered. A difference of less "
