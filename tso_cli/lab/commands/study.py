@@ -35,7 +35,8 @@ def command_of(study: Study) -> click.Command:
                 write_record({**record, "command": typed}, output)
 
         unfinished = output.with_name(f"{output.stem}.unfinished.safetensors") if output else None
-        record = study.run(Progress(Reporter(), earlier_record(study.name, output, resume), keep, unfinished), **values)
+        earlier = earlier_record(study.name, output, resume)
+        record = study.run(Progress(Reporter(), earlier, keep, unfinished, overwrite or resume), **values)
         keep(record)
         if output is not None:
             write_page(study, {**record, "command": typed}, output)
@@ -64,7 +65,9 @@ def _click_option(option: Option) -> Callable[..., Any]:
         kind = options.FilePath()
     elif option.least is not None:
         kind = click.IntRange(option.least, option.most)
-    settings: dict[str, Any] = {"is_flag": True} if option.kind is bool else {"type": kind, "default": option.default}
+    settings: dict[str, Any] = {"is_flag": True} if option.kind is bool else {"type": kind}
+    if option.default is not None:  # None, where it is passed on, would satisfy a required option
+        settings["default"] = option.default
     return click.option(
         option.flag,
         option.parameter,

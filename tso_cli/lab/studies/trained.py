@@ -140,7 +140,7 @@ class Comparison:
 
         def kept() -> Record:
             complete = len(runs) == len(settings)
-            record = record_of(self.name, common, convention, complete=complete, runs=list(runs))
+            record = record_of(self.name, convention, complete=complete, settings=common, runs=list(runs))
             record |= self.conclude(runs) if complete else {}
             progress.keep(record)
             return record
@@ -245,7 +245,7 @@ def table(record: Record, corner: str, rows: dict[str, dict[str, Any]], note: st
     budget = (
         f"{settings['steps']} steps of {settings['batch_size']} at a rate of {settings['learning_rate']:g}, seed "
         f"{settings['seed']}, {settings['frame']} frame, {settings['device']}; shapes: {shapes} ({settings['part']}), "
-        f"{settings['judged_views']} views each. Chamfer x1000 under the paper's protocol."
+        f"{settings['judged_views']} views each. Chamfer x1000 under the paper's protocol, capnet."
     )
     columns = list(dict.fromkeys(key for values in rows.values() for key in values))
     cells = [[name, *map(values.get, columns)] for name, values in rows.items()]
