@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 import torch
 
-from tso_cli.lab.studies.discretised import discrete_depth, discrete_mask
-from tso_cli.lab.studies.other_projections import (
+from tso_cli.lab.studies.discretised import (
     DEPTH,
     GAUSSIAN,
     PLAIN,
     bce_gradient,
     depth_loss,
     depth_map,
+    discrete_depth,
+    discrete_mask,
     first_gradients,
     projected_objective,
 )
-from tso_cli.lab.studies.other_projections import silhouette_sums as plain_sums
+from tso_cli.lab.studies.discretised import silhouette_sums as plain_sums
 from tso_cli.silhouette.projection import CameraBatch, silhouette_sums
 from tso_cli.train import start, train
 from tso_cli.train.batches import Batch, Drawing, draw_batch

@@ -11,9 +11,9 @@ from ...geometry.points import Array
 from ...train.data import TrainingData
 from ..charts.training_charts import draw_affinity
 from ..packing import pack
-from ..study import Record, Study, Table, claim
+from ..study import Record, Table, claim
 from .judging import JUDGED_VIEWS, Predicted, object_axes
-from .trained import CATEGORIES, KEPT, OPTIONS, Comparison, Setting, chamfers, masks, table
+from .trained import CATEGORIES, Comparison, Setting, chamfers, masks, table
 
 WITHOUT = "without"
 # Name -> form and weight; the weight is one that the study `lambda` finds good: the printed form breaks down at 1.
@@ -24,12 +24,11 @@ OUTLIER_PX = 1.0
 
 def settings(categories: Sequence[str]) -> list[Setting]:
     """For each category a network without the loss and one with each form of it."""
-    networks = []
-    for category in categories:
-        networks.append(Setting(WITHOUT, category, masks(category, affinity_weight=0.0)))
-        for name, (form, weight) in FORMS.items():
-            networks.append(Setting(name, category, masks(category, affinity_weight=weight, affinity=form)))
-    return networks
+    return [
+        Setting(name, category, masks(category, affinity_weight=weight, affinity=form))
+        for category in categories
+        for name, (form, weight) in {WITHOUT: ("points", 0.0), **FORMS}.items()
+    ]
 
 
 def measure(predicted: list[Predicted], data: TrainingData) -> Record:
@@ -73,18 +72,14 @@ def conclude(runs: list[Record]) -> Record:
     summary: dict[str, dict[str, dict[str, float]]] = {}
     for name, by_category in chamfers(runs).items():
         fractions = {key: value for run in runs if run["setting"] == name for key, value in run["outliers"].items()}
-        summary[name] = {
-            category: {"outliers": fractions[category], "chamfer": value} for category, value in by_category.items()
-        }
+        summary[name] = {key: {"outliers": fractions[key], "chamfer": value} for key, value in by_category.items()}
     claims = []
     for name in FORMS:
-        for key, text, scale, unit in (
-            ("outliers", "has fewer outliers", 100.0, " %"),
-            ("chamfer", "has a lower Chamfer distance", 1.0, ""),
-        ):
-            pairs = {category: (own[key], summary[name][category][key]) for category, own in summary[WITHOUT].items()}
+        kinds = ("outliers", "fewer outliers", 100.0, " %"), ("chamfer", "a lower Chamfer distance", 1.0, "")
+        for key, text, scale, unit in kinds:
+            pairs = {category: (row[key], summary[name][category][key]) for category, row in summary[WITHOUT].items()}
             figures = [f"{category} {scale * a:.2f}{unit} to {scale * b:.2f}{unit}" for category, (a, b) in pairs.items()]
-            text = f"a network trained with the affinity loss ({name}) {text}"
+            text = f"a network trained with the affinity loss ({name}) has {text}"
             claims.append(claim(text, all(after < before for before, after in pairs.values()), ", ".join(figures)))
     return {"summary": summary, "paper": {}, "claims": claims}
 
@@ -99,15 +94,11 @@ def tables(record: Record) -> list[Table]:
     return [table(record, "affinity loss", rows)]
 
 
-STUDY = Study(
-    "affinity",
+STUDY = Comparison("affinity", 500, CATEGORIES, settings, conclude, measure).study(
     "Networks trained without it and with each of its forms. An outlier is a point that falls more than a pixel outside the "
     "mask, in views of unseen shapes that the network was not given. Reduced size: 500 steps of 8, 32 shapes a category.",
-    OPTIONS,
-    Comparison("affinity", 500, CATEGORIES, settings, conclude, measure).run,
     tables,
     draw_affinity,
     "With the affinity loss, in either form, fewer points lie outside the masks of views that the network was not given, and "
     "the clouds are nearer to the truth, in every category.",
-    KEPT,
 )

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..charts.training_charts import draw_settings
-from ..study import Record, Study, Table
+from ..study import Record, Table
 from .mean_shape import MEAN_SHAPE
-from .trained import KEPT, OPTIONS, Comparison, Setting, chamfers, repeated, table, with_mean
+from .trained import Comparison, Setting, chamfers, repeated, table, with_mean
 
 AS_IS = "masks, objects' own axes"
 # Three seeds, and the first of them again: how far apart equal trainings come out.
@@ -60,12 +60,9 @@ def tables(record: Record) -> list[Table]:
     return [table(record, "setting", record["summary"], f"seeds of the first network: {seeds}"), why]
 
 
-STUDY = Study(
-    "departures",
+STUDY = Comparison("departures", 1000, ("chair",), settings, conclude).study(
     "One network as `tso train` makes it, and one for each departure done the other way. Reduced size: chairs, 1,000 steps of "
     "8.",
-    OPTIONS,
-    Comparison("departures", 1000, ("chair",), settings, conclude).run,
     tables,
     draw_settings,
     "Only whole pictures and the axes make a difference; less than a tenth says nothing. In the mean over the categories both "
@@ -73,5 +70,4 @@ STUDY = Study(
     "and need a camera in the scale of the training set, which a photo lacks: so the object is cut out. The camera's axes lose "
     "where the shapes of a category stand alike, so that their mean is a good answer in their own axes, and are all that a "
     "photo without a camera allows: so they are the default.",
-    KEPT,
 )

@@ -27,11 +27,11 @@ from ...scene.network import load_network_scene
 from ...silhouette.projection import silhouette_of
 from ...train import TrainConfig, train
 from ...train.data import TrainingData
+from .discretised import GAUSSIAN, PROJECTIONS, projected_objective
 from .evidence_cases import framed
 from .examples import example_scene, refine_scene
 from .judging import judge, predict
 from .mean_shape import mean_shape, pair_chamfer
-from .other_projections import GAUSSIAN, PROJECTIONS, projected_objective
 from .parts import Shape, see
 
 Numbers = dict[str, float]

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..charts.training_charts import draw_settings
-from ..study import Record, Study, Table, claim
+from ..study import Record, Table, claim
+from .discretised import DEPTH, PLAIN
 from .material import ALL
 from .mean_shape import MEAN_SHAPE
-from .other_projections import DEPTH, PLAIN
-from .trained import CATEGORIES, KEPT, NOISE, OPTIONS, Comparison, Setting, chamfers, masks, table, with_mean
+from .trained import CATEGORIES, NOISE, Comparison, Setting, chamfers, masks, table, with_mean
 
 POINTS, MASKS = "3D points", "masks"
 DISCRETISED, LIN = "masks, discretised", "depth maps, Lin et al."
@@ -85,12 +85,9 @@ def tables(record: Record) -> list[Table]:
     return [table(record, "", rows, "\n".join(f"{name}: {text}." for name, text in record["notes"].items()))]
 
 
-STUDY = Study(
-    "supervision",
+STUDY = Comparison("supervision", 1000, CATEGORIES, settings, conclude).study(
     "A network of each kind for each category, and two for all categories at once, is trained on the list train of the split "
     "and judged on unseen shapes, beside the mean training shape. Reduced size: 1,000 steps of 8, 32 shapes a category.",
-    OPTIONS,
-    Comparison("supervision", 1000, CATEGORIES, settings, conclude).run,
     tables,
     draw_settings,
     "What a network is ahead of the mean training shape it has learnt from pictures. Rounded points have no gradient across "
@@ -98,5 +95,4 @@ STUDY = Study(
     "says that the affinity loss does the work here. With dozens of shapes to learn from, where the paper has thousands, none "
     "of these numbers says what the methods do with the paper's data. One seed each; the same training comes out up to 5 % "
     "away.",
-    KEPT,
 )

@@ -18,11 +18,11 @@ from ...network.model import NetworkConfig, build_network
 from ...train import TrainConfig, TrainResult, network_config, start, train
 from ...train.data import TrainingData
 from ...train.state import TrainingState, load_training, save_training, state_path
-from ..study import DEVICE, MESHES, SEED, SPLIT, Option, Progress, Record, Table, part, record_of
+from ..study import DEVICE, MESHES, SEED, SPLIT, Option, Progress, Record, Study, Table, part, record_of
+from .discretised import DEPTH, GAUSSIAN, first_gradients, projected_objective
 from .judging import CONVENTION, JUDGED_VIEWS, Predicted, judge, predict
 from .material import ALL, TEST_VIEWS, TRAINING_VIEWS, Material, Source
 from .mean_shape import constant_answer
-from .other_projections import DEPTH, GAUSSIAN, first_gradients, projected_objective
 from .parts import SPLIT as SHIPPED_SPLIT
 
 CATEGORIES = ("airplane", "car", "chair")
@@ -39,7 +39,6 @@ OPTIONS = (
     SEED,
     DEVICE,
 )
-KEPT = "after every network, and every 500 steps within one"
 SAVE_EVERY = 500
 # The same training comes out as far away another time: a smaller difference is noise.
 NOISE = 0.95
@@ -57,7 +56,7 @@ class Setting:
     name : in tables; unique among the settings of a category.
     category : to train and judge on; `ALL` for all categories of the study, each equally often.
     changes : fields of `train.TrainConfig` in which it differs from the others.
-    projection : "gaussian" (the paper's), or one of `other_projections.PROJECTIONS`.
+    projection : "gaussian" (the paper's), or one of `discretised.PROJECTIONS`.
     constant : judge the mean training shape instead of a network.
     repeat : is added to the seed.
     latent_relu : put a ReLU behind the latent vector.
@@ -97,6 +96,16 @@ class Comparison:
     conclude: Callable[[list[Record]], Record]
     measure: Callable[[list[Predicted], TrainingData], Record] = lambda predicted, data: {}
     full: tuple[str, ...] = CATEGORIES
+
+    def study(
+        self,
+        about: str,
+        tables: Callable[[Record], list[Table]],
+        draw: Callable[[Path, Record, bool], None],
+        reading: str,
+    ) -> Study:
+        """The study of it."""
+        return Study(self.name, about, OPTIONS, self.run, tables, draw, reading, "after every network and every 500 steps")
 
     def run(self, progress: Progress, *, categories: tuple[str, ...], full: bool, **options: Any) -> Record:
         """Train and judge the network of each setting that the earlier record lacks; the parameters are `OPTIONS`.
