@@ -104,7 +104,7 @@ class Comparison:
         draw: Callable[[Path, Record, bool], None],
         reading: str,
     ) -> Study:
-        """The study of it."""
+        """The study that makes this comparison."""
         return Study(self.name, about, OPTIONS, self.run, tables, draw, reading, "after every network and every 500 steps")
 
     def run(self, progress: Progress, *, categories: tuple[str, ...], full: bool, **options: Any) -> Record:
@@ -147,7 +147,7 @@ class Comparison:
         if progress.earlier is None:
             _forget(progress.unfinished)
 
-        def kept() -> Record:
+        def keep_record() -> Record:
             complete = len(runs) == len(settings)
             record = record_of(self.name, convention, complete=complete, settings=common, runs=list(runs))
             record |= self.conclude(runs) if complete else {}
@@ -155,11 +155,11 @@ class Comparison:
             return record
 
         # Even without a run: the state of the first network is of the method that the record says.
-        record = kept()
+        record = keep_record()
         for number, setting in enumerate(settings[len(runs) :], len(runs) + 1):
             doing = f"{number} of {len(settings)}: {setting.name}, {setting.category}"
             runs.append(self._run(material, setting, budget, progress, doing))
-            record = kept()
+            record = keep_record()
             _forget(progress.unfinished)
         return record
 
@@ -170,16 +170,16 @@ class Comparison:
         unseen = material.data(setting.category, False, whole=setting.whole)
         if setting.constant:
             return {**run, "judged": judge(constant_answer(data, unseen, budget["frame"]))}
-        own = {"seed": budget["seed"] + setting.repeat, "balance": setting.category == ALL}
-        config = TrainConfig(**{**budget, **own, **setting.changes})
+        common = {**budget, "seed": budget["seed"] + setting.repeat, "balance": setting.category == ALL}
+        config = TrainConfig(**{**common, **setting.changes})
         begun = time.perf_counter()
         result = _train(data, config, setting, progress, doing)
         seconds = time.perf_counter() - begun
         predicted = predict(result.network, unseen, config.frame)
         used = asdict(config) | {"projection": setting.projection, "lambda": config.affinity_weight}
-        only_masks = ("projection", "views", "sigma_sq", "category_sigma_sq", "lambda", "affinity")
+        of_masks = ("projection", "views", "sigma_sq", "category_sigma_sq", "lambda", "affinity")
         run |= {key: used[key] for key in ("supervision", "steps", "batch_size", "seed", "device")}
-        run |= {key: used[key] if config.supervision == "masks" else None for key in only_masks}
+        run |= {key: used[key] if config.supervision == "masks" else None for key in of_masks}
         run |= {"lambda_dropped_at": result.lambda_dropped_at, "seconds": seconds, "judged": judge(predicted)}
         if setting.projection != GAUSSIAN:
             run["bce_gradient"] = first_gradients(data, config)
