@@ -1,4 +1,7 @@
-"""Charts of the studies that train networks; the paper's own figures, where it has some, are hollow marks."""
+"""Charts of the studies that train networks; hollow marks are the paper's figures.
+
+All raise InputError if their path cannot be written.
+"""
 
 from __future__ import annotations
 
@@ -7,186 +10,131 @@ from typing import Any
 
 import numpy as np
 
-from ...io.packing import unpack
 from ...plots.style import BETTER, COLOURS, INK, PALE, WORSE, page
+from ..packing import unpack
+from ..study import Record
 
 LABEL = "Chamfer x1000 (scaled by own box)"
+VARIED = {"views": "masks of each object that supervise a step", "lambda": "lambda, weight of the affinity loss"}
+PAPER: dict[str, Any] = {"marker": "D", "markerfacecolor": "white", "markeredgecolor": INK, "markersize": 5}
 
 
-def _budget(record: dict[str, Any]) -> str:
+def _budget(record: Record, note: str = "unseen shapes") -> str:
     settings = record["settings"]
-    return f"{settings['steps']} steps of {settings['batch_size']}, seed {settings['seed']}"
+    return f"{settings['steps']} steps of {settings['batch_size']}, seed {settings['seed']}; {note}"
 
 
-def draw_supervision(path: Path, record: dict[str, Any], overwrite: bool = False) -> None:
-    """Chamfer of each kind of supervision by category, and the mean. Raises InputError if ``path`` cannot be written."""
+def draw_settings(path: Path, record: Record, overwrite: bool = False) -> None:
+    """Chamfer of each setting by category, and the mean."""
     summary, paper = record["summary"], record["paper"]
-    names = list(summary)
-    columns = [key for key in summary[names[0]] if key != "mean"]
-    with page(path, overwrite, (8.6, 1.5 + 0.55 * len(names))) as figure:
+    categories = [key for key in next(iter(summary.values())) if key != "mean"]
+    with page(path, overwrite, (8.6, 1.5 + 0.55 * len(summary))) as figure:
         axis = figure.subplots()
-        height = 0.8 / len(columns)
-        for j, category in enumerate(columns):
-            for i, name in enumerate(names):
-                y = i + (j - (len(columns) - 1) / 2) * height
-                value = summary[name][category]
-                axis.barh(y, value, height * 0.9, color=COLOURS[j], label=category if i == 0 else None)
-                theirs = paper.get(name, {}).get(category)
-                if theirs is not None:
-                    axis.plot(theirs, y, "D", color="white", markeredgecolor=INK, markersize=5)
-        for i, name in enumerate(names):
-            longest = max(summary[name][category] for category in columns)
-            axis.annotate(
-                f"mean {summary[name]['mean']:.2f}", (longest, i), xytext=(10, 0), textcoords="offset points", va="center"
-            )
-        if paper:
-            axis.plot([], [], "D", color="white", markeredgecolor=INK, markersize=5, label="paper")
-        axis.set_yticks(range(len(names)), names)
+        height = 0.8 / len(categories)
+        marks = []
+        for j, category in enumerate(categories):
+            places = np.arange(len(summary)) + (j - (len(categories) - 1) / 2) * height
+            axis.barh(places, [row[category] for row in summary.values()], height * 0.9, color=COLOURS[j], label=category)
+            marks += [(paper[name].get(category), y) for name, y in zip(summary, places, strict=True) if name in paper]
+        if marks:
+            axis.plot(*np.array(marks, dtype=float).T, linestyle="", label="paper", **PAPER)
+        for i, row in enumerate(summary.values()):
+            end = (max(row[category] for category in categories), i)
+            axis.annotate(f"mean {row['mean']:.2f}", end, xytext=(10, 0), textcoords="offset points", va="center")
+        axis.set_yticks(range(len(summary)), list(summary))
         axis.invert_yaxis()
         axis.margins(x=0.15)
         axis.set_xlim(left=0.0)
         axis.set_xlabel(LABEL)
-        axis.set_title(f"{_budget(record)}; unseen shapes")
-        figure.legend(loc="outside lower center", ncols=len(columns) + 1, frameon=False)
+        axis.set_title(_budget(record))
+        figure.legend(loc="outside lower center", ncols=len(categories) + 1, frameon=False)
 
 
-def draw_views(path: Path, record: dict[str, Any], overwrite: bool = False) -> None:
-    """Chamfer over the number of supervising masks. Raises InputError if ``path`` cannot be written."""
+def draw_lines(path: Path, record: Record, overwrite: bool = False) -> None:
+    """Chamfer over what the study varies: a line for each row of the summary, single seeds, mean shapes, and the paper's."""
+    columns = list(next(iter(record["summary"].values())))
+    colours = dict(zip(record["summary"], COLOURS, strict=False))
     with page(path, overwrite, (7.6, 5.4)) as figure:
         axis = figure.subplots()
-        for i, (category, values) in enumerate(record["summary"].items()):
-            counts = [int(count) for count in values]
-            axis.plot(counts, list(values.values()), "o-", color=COLOURS[i], label=category)
-            for count, single in record["seeds"][category].items():
-                axis.plot([int(count)] * len(single), single, "_", color=COLOURS[i], ms=10)
-            constant = record["constant"][category]
-            axis.axhline(constant, color=COLOURS[i], lw=0.8, ls=":", label=f"{category}, mean training shape")
-            theirs = {int(count): value for count, value in record["paper"].get(category, {}).items()}
-            if theirs:
-                axis.plot(
-                    counts, [theirs[count] for count in counts], "D--", color=COLOURS[i], mfc="white", ms=5, lw=1,
-                    label=f"{category}, paper",
-                )  # fmt: skip
-        axis.set_xticks(counts)
-        axis.set_ylim(bottom=0.0)
-        axis.set_xlabel("masks of each object that supervise a step")
-        axis.set_ylabel(LABEL)
-        axis.set_title(f"{_budget(record)}; unseen shapes")
-        figure.legend(loc="outside lower center", ncols=len(record["summary"]), frameon=False)
-
-
-def draw_weight(path: Path, record: dict[str, Any], overwrite: bool = False) -> None:
-    """Chamfer over lambda, for each form of the affinity loss. Raises InputError if ``path`` cannot be written."""
-    weights = [float(weight) for weight in next(iter(record["summary"].values()))]
-    # Even steps: 0 has no place on a logarithmic axis.
-    place = {weight: i for i, weight in enumerate(weights)}
-    with page(path, overwrite, (6.4, 4.4)) as figure:
-        axis = figure.subplots()
-        for i, (form, values) in enumerate(record["summary"].items()):
-            axis.plot(range(len(weights)), list(values.values()), "o-", color=COLOURS[i], label=f"form {form!r}")
+        for name, values in record["summary"].items():
+            axis.plot(columns, list(values.values()), "o-", color=colours[name], label=name)
+            for column, seeds in record.get("seeds", {}).get(name, {}).items():
+                axis.plot([column] * len(seeds), seeds, "_", color=colours[name], markersize=10)
+        for name, constant in record.get("constant", {}).items():
+            axis.axhline(constant, color=colours[name], linewidth=0.8, linestyle=":", label=f"{name}, mean training shape")
         for name, values in record["paper"].items():
-            at = [place[float(weight)] for weight in values]
-            axis.plot(at, list(values.values()), "D--", color=INK, mfc="white", ms=5, lw=1, label=f"paper ({name})")
-        axis.set_xticks(range(len(weights)), [f"{weight:g}" for weight in weights])
+            if name in [*colours, *record["settings"]["shapes"]]:
+                colour = colours.get(name, INK)
+                axis.plot(list(values), list(values.values()), linestyle="--", color=colour, label=f"{name}, paper", **PAPER)
         axis.set_ylim(bottom=0.0)
-        axis.set_xlabel("lambda, weight of the affinity loss")
+        axis.set_xlabel(VARIED[record["study"]])
         axis.set_ylabel(LABEL)
-        axis.set_title(f"{', '.join(record['settings']['shapes'])}: {_budget(record)}")
-        axis.legend(frameon=False)
+        axis.set_title(_budget(record))
+        figure.legend(loc="outside lower center", ncols=len(colours), frameon=False)
 
 
-def draw_affinity(path: Path, record: dict[str, Any], overwrite: bool = False) -> None:
-    """Share of outliers with and without the affinity loss, and projected points of unseen shapes over unseen masks.
-
-    Raises InputError if ``path`` cannot be written.
-    """
+def draw_affinity(path: Path, record: Record, overwrite: bool = False) -> None:
+    """Outliers by setting, and the points of an unseen shape of each category over a mask that the network was not given."""
     summary = record["summary"]
-    names, categories = list(summary), list(next(iter(summary.values())))
+    categories = list(next(iter(summary.values())))
     pictures = {(run["setting"], picture["category"]): picture for run in record["runs"] for picture in run["pictures"]}
-    rows = len(categories)
-    with page(path, overwrite, (3.0 + 2.4 * len(names), 0.5 + 2.5 * rows)) as figure:
-        axes = figure.subplots(rows, len(names) + 1, squeeze=False)
+    with page(path, overwrite, (3.0 + 2.4 * len(summary), 0.5 + 2.5 * len(categories))) as figure:
+        axes = figure.subplots(len(categories), len(summary) + 1, squeeze=False)
         for row, category in zip(axes, categories, strict=True):
-            shares = [100.0 * summary[name][category]["outliers"] for name in names]
-            row[0].bar(range(len(names)), shares, color=[WORSE, *[BETTER] * (len(names) - 1)])
-            row[0].bar_label(row[0].containers[0], [f"{share:.1f}" for share in shares])
-            row[0].set_xticks(range(len(names)), [name.split(",")[0] for name in names])
+            percents = [100.0 * values[category]["outliers"] for values in summary.values()]
+            bars = row[0].bar(range(len(summary)), percents, color=[WORSE, *[BETTER] * (len(summary) - 1)])
+            row[0].bar_label(bars, fmt="%.1f")
+            row[0].set_xticks(range(len(summary)), [name.split(",")[0] for name in summary])
             row[0].set_ylabel(f"{category}: outliers, %")
             row[0].margins(y=0.2)
-            for axis, name in zip(row[1:], names, strict=True):
+            for axis, (name, values) in zip(row[1:], summary.items(), strict=True):
                 _projected(axis, pictures[name, category])
-                axis.set_title(f"{name}\nChamfer {summary[name][category]['chamfer']:.2f}", fontsize=9)
-        figure.suptitle(
-            f"{_budget(record)}; an unseen shape of each category in a view that was not the input: mask grey, outliers orange",
-            fontsize=10,
-        )
+                axis.set_title(f"{name}\nChamfer {values[category]['chamfer']:.2f}", fontsize=9)
+        note = "an unseen shape of each category in a view that was not the input: mask grey, outliers orange"
+        figure.suptitle(_budget(record, note), fontsize=10)
 
 
-def _projected(axis: Any, picture: dict[str, Any]) -> None:
+def _projected(axis: Any, picture: Record) -> None:
     """Projected points over the mask, and 8 pixels around the picture."""
-    mask, pixels, stray = (unpack(picture[key]) for key in ("mask", "points_px", "outliers"))
+    mask, pixels, outliers = (unpack(picture[key]) for key in ("mask", "points_px", "outliers"))
     axis.imshow(1.0 - 0.3 * mask, cmap="gray", vmin=0.0, vmax=1.0)
-    wrong = stray > 0.5
-    axis.scatter(*pixels[~wrong].T, s=3, color=BETTER, linewidths=0)
-    axis.scatter(*pixels[wrong].T, s=6, color=WORSE, linewidths=0)
+    axis.scatter(*pixels.T, s=np.where(outliers > 0.5, 6, 3), c=np.where(outliers > 0.5, WORSE, BETTER), linewidths=0)
     height, width = mask.shape
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height], [0, 0]]) - 0.5
     axis.plot(*corners.T, color=PALE, linewidth=0.8)
-    axis.set_xlim(-8.5, width + 7.5)
-    axis.set_ylim(height + 7.5, -8.5)
-    axis.set_xticks([])
-    axis.set_yticks([])
+    axis.set(xlim=(-8.5, width + 7.5), ylim=(height + 7.5, -8.5), xticks=[], yticks=[])
 
 
-def draw_failures(path: Path, record: dict[str, Any], overwrite: bool = False) -> None:
-    """Sizes of aeroplanes and errors of cars, with an aeroplane from above and a car from its side of the line of sight.
-
-    Raises InputError if ``path`` cannot be written.
-    """
+def draw_failures(path: Path, record: Record, overwrite: bool = False) -> None:
+    """Sizes of aeroplanes and errors of cars, with an aeroplane from above and a car from its side of the line of sight."""
     summary, runs = record["summary"], {run["setting"]: run for run in record["runs"]}
-    parts = [("airplane", [name for name in summary if "span" in summary[name]])]
-    parts.append(("car", [name for name in summary if "depth" in summary[name]]))
-    parts = [(category, names) for category, names in parts if names]
-    columns = 1 + max(len(names) for _, names in parts)
-    with page(path, overwrite, (2.6 + 2.5 * columns, 0.5 + 3.2 * len(parts))) as figure:
-        grid = figure.subplots(len(parts), columns, squeeze=False, width_ratios=[1.6] + [1.0] * (columns - 1))
-        for row, (category, names) in zip(grid, parts, strict=True):
-            keys = ("body_width", "body_height", "span") if category == "airplane" else ("depth", "across")
-            _grouped(row[0], summary, names, keys, category)
-            for axis, name, colour in zip(row[1:], names, COLOURS, strict=False):
+    kinds = {
+        "airplane": (("body_width", "body_height", "span"), 1.0, "aeroplanes: predicted / true size"),
+        "car": (("depth", "across"), 1e3, "cars: squared error x1000, per axis"),
+    }
+    settings = {category: [name for name in summary if keys[0] in summary[name]] for category, (keys, _, _) in kinds.items()}
+    settings = {category: names for category, names in settings.items() if names}
+    columns = 1 + max(map(len, settings.values()))
+    with page(path, overwrite, (2.6 + 2.5 * columns, 0.5 + 3.2 * len(settings))) as figure:
+        axes = figure.subplots(len(settings), columns, squeeze=False, width_ratios=[1.6] + [1.0] * (columns - 1))
+        for (bars, *pictures), (category, names) in zip(axes, settings.items(), strict=True):
+            keys, scale, label = kinds[category]
+            width = 0.8 / len(names)
+            for i, (axis, name, colour) in enumerate(zip(pictures, names, COLOURS, strict=False)):
+                places = np.arange(len(keys)) + (i - (len(names) - 1) / 2) * width
+                bars.bar(places, [scale * summary[name][key] for key in keys], width * 0.9, color=colour)
                 cloud = runs[name]["clouds"][category]
-                # y is up in the objects' frame, so x against z is the view from above; of a car in camera axes, too.
-                _from_above(axis, unpack(cloud["points"]), unpack(cloud["target"]), colour)
+                # y is vertical in both frames, so x and z show the cloud from above.
+                for points, shade in ((cloud["target"], PALE), (cloud["points"], colour)):
+                    axis.scatter(*unpack(points)[:, ::2].T, s=3, color=shade, linewidths=0)
+                axis.set(xlim=(-0.62, 0.62), ylim=(-0.62, 0.62), aspect="equal")
                 axis.set_title(name.replace(", ", ",\n"), fontsize=9, color=colour)
-            for axis in row[1 + len(names) :]:
-                axis.set_axis_off()
-        figure.suptitle(
-            f"{_budget(record)}; beside the bars an unseen shape from above: truth grey, prediction in colour (camera of "
-            "the car below)",
-            fontsize=10,
-        )
-
-
-def _grouped(axis: Any, summary: dict[str, Any], names: list[str], keys: tuple[str, ...], category: str) -> None:
-    width = 0.8 / len(names)
-    for i, name in enumerate(names):
-        scale = 1.0 if category == "airplane" else 1e3
-        x = np.arange(len(keys)) + (i - (len(names) - 1) / 2) * width
-        axis.bar(x, [scale * summary[name][key] for key in keys], width * 0.9, color=COLOURS[i])
-    axis.set_xticks(range(len(keys)), [key.replace("_", " ") for key in keys])
-    if category == "airplane":
-        axis.axhline(1.0, color=INK, linewidth=0.8, linestyle="--")
-        axis.set_ylabel("aeroplanes: predicted / true size")
-    else:
-        axis.set_ylabel("cars: squared error x1000, per axis")
-    axis.margins(y=0.1)
-
-
-def _from_above(axis: Any, points: Any, target: Any, colour: str) -> None:
-    axis.scatter(target[:, 0], target[:, 2], s=3, color=PALE, linewidths=0)
-    axis.scatter(points[:, 0], points[:, 2], s=3, color=colour, linewidths=0)
-    axis.set_xlim(-0.62, 0.62)
-    axis.set_ylim(-0.62, 0.62)
-    axis.set_aspect("equal")
-    axis.set_xticks([])
-    axis.set_yticks([])
+            for axis in pictures:
+                axis.set(xticks=[], yticks=[])
+            bars.set_xticks(range(len(keys)), [key.replace("_", " ") for key in keys])
+            bars.set_ylabel(label)
+            bars.margins(y=0.1)
+            if category == "airplane":
+                bars.axhline(1.0, color=INK, linewidth=0.8, linestyle="--")
+        note = "beside the bars an unseen shape from above: truth grey, prediction in colour (camera of the car below)"
+        figure.suptitle(_budget(record, note), fontsize=10)

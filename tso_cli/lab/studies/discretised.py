@@ -1,7 +1,6 @@
-"""Two projections that the paper compares its own with: points rounded to pixels, and Lin et al.'s depth maps.
+"""Projections that the paper compares with: points rounded to pixels, Lin et al.'s depth maps. And training through them.
 
-Both fall onto whole pixels, so neither tells a point where to move across the picture: the derivative by its column and row is
-zero wherever it exists. Lin et al.'s carries the depth of the point that shows, and so a derivative by that depth.
+Both fall onto whole pixels, so their derivative by a point's column and row is zero wherever it exists.
 """
 
 from __future__ import annotations
@@ -9,74 +8,146 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-# The factor U of the paper's comparison.
+from ...silhouette.projection import CameraBatch, Projected, project
+from ...train import TrainConfig, start
+from ...train.batches import Batch
+from ...train.data import TrainingData
+from ...train.losses import Silhouette, mask_loss
+from ...train.processes import Processes
+from ...train.step import Objective, draw_step, images_of
+
 UPSAMPLING = 5
+"""U of the paper's comparison."""
+GAUSSIAN, PLAIN, DEPTH = "gaussian", "plain", "depth"
+PROJECTIONS = (PLAIN, DEPTH)
+# The sum s whose tanh is 0.999: a wrong pixel costs -log 0.001, not infinity.
+FILLED = 3.8002
 
 
-def discrete_mask(
-    points_px: Tensor,  # [M, N, 2]
-    valid: Tensor,  # [M, N] bool
-    height: int,
-    width: int,
-) -> Tensor:
+def discrete_mask(points_px: Tensor, valid: Tensor, height: int, width: int) -> Tensor:
     """The plain discretised projection: 1 in every pixel that a point is rounded to, 0 elsewhere.
 
     Parameters
     ----------
     points_px : [M, N, 2] column and row of each point, in pixels (a pixel reaches half a pixel around whole numbers).
     valid : [M, N] bool; points that are False leave no mark.
-    height, width : size of the image.
 
     Returns
     -------
     [M, height, width], without gradient.
     """
-    cell, seen = _cells(points_px, valid, height, width, 1)
-    marks = points_px.new_zeros(len(points_px), height * width)
-    marks.scatter_reduce_(1, cell, seen.to(marks.dtype), "amax")
+    cell, inside = _cells(points_px, valid, height, width, 1)
+    marks = points_px.new_zeros(len(points_px), height * width).scatter_reduce_(1, cell, inside.to(points_px.dtype), "amax")
     return marks.view(-1, height, width)
 
 
 def discrete_depth(
-    points_px: Tensor,  # [M, N, 2]
-    depth: Tensor,  # [M, N]
-    valid: Tensor,  # [M, N] bool
-    height: int,
-    width: int,
-    upsampling: int = UPSAMPLING,
+    points_px: Tensor, depth: Tensor, valid: Tensor, height: int, width: int, upsampling: int = UPSAMPLING
 ) -> tuple[Tensor, Tensor]:
     """Lin et al.'s projection: depths scattered onto a grid ``upsampling`` times finer, of which each pixel shows the nearest.
 
-    Where points fall into one cell of the finer grid, one of them is kept whatever its depth (the last in the cloud); that is
-    the collision which the finer grid makes rare. The largest inverse depth among a pixel's cells is what it shows.
+    A cell of the finer grid keeps the last of its points, whatever their depths: a finer grid makes such collisions rare.
 
     Parameters
     ----------
     points_px, valid, height, width : as in `discrete_mask`.
     depth : [M, N], above 0 where valid.
-    upsampling : U, 1 or more.
 
     Returns
     -------
     depth : [M, height, width], 0 where no point falls; differentiable by ``depth``, each pixel by that of the point it shows.
     hit : [M, height, width] bool, whether a point falls there.
     """
-    cell, seen = _cells(points_px, valid, height, width, upsampling)
-    order = torch.arange(1, points_px.shape[1] + 1, device=points_px.device).expand_as(cell) * seen
-    last = order.new_zeros(len(points_px), height * width * upsampling**2).scatter_reduce_(1, cell, order, "amax")
-    inverse = torch.where(seen, 1.0 / torch.where(seen, depth, 1.0), 0.0)
-    # Cell 0 of each point list is "no point", of inverse depth 0: infinitely far.
-    padded = torch.cat([inverse.new_zeros(len(inverse), 1), inverse], 1)
-    fine = padded.gather(1, last).view(-1, 1, height * upsampling, width * upsampling)
-    shown = torch.nn.functional.max_pool2d(fine, upsampling).squeeze(1)
-    hit = shown > 0.0
-    return torch.where(hit, 1.0 / torch.where(hit, shown, 1.0), 0.0), hit
+    cell, inside = _cells(points_px, valid, height, width, upsampling)
+    # Points count from 1; 0 stands for none, at inverse depth 0.
+    numbers = torch.arange(1, points_px.shape[1] + 1, device=points_px.device) * inside
+    last = numbers.new_zeros(len(cell), height * width * upsampling**2).scatter_reduce_(1, cell, numbers, "amax")
+    inverse = torch.where(inside, 1.0 / torch.where(inside, depth, 1.0), 0.0)
+    fine = torch.nn.functional.pad(inverse, (1, 0)).gather(1, last).view(-1, 1, height * upsampling, width * upsampling)
+    nearest = torch.nn.functional.max_pool2d(fine, upsampling).squeeze(1)
+    hit = nearest > 0.0
+    return torch.where(hit, 1.0 / torch.where(hit, nearest, 1.0), 0.0), hit
 
 
 def _cells(points_px: Tensor, valid: Tensor, height: int, width: int, upsampling: int) -> tuple[Tensor, Tensor]:
     """Flat index [M, N] of each point's cell of the finer grid, 0 where there is none, and whether there is one."""
-    place = torch.floor((points_px.detach() + 0.5) * upsampling)
-    limit = place.new_tensor([width * upsampling, height * upsampling])
-    seen = valid & (place >= 0.0).all(-1) & (place < limit).all(-1)
-    column, row = torch.where(seen.unsqueeze(-1), place, 0.0).long().unbind(-1)
-    return row * (width * upsampling) + column, seen
+    cell = torch.floor((points_px.detach() + 0.5) * upsampling)
+    inside = valid & (cell >= 0.0).all(-1) & (cell < cell.new_tensor([width * upsampling, height * upsampling])).all(-1)
+    column, row = torch.where(inside.unsqueeze(-1), cell, 0.0).long().unbind(-1)
+    return row * (width * upsampling) + column, inside
+
+
+def silhouette_sums(projected: Projected, cameras: CameraBatch) -> Tensor:
+    """Sums [B, V, H, W] whose tanh is the plain discretised projection; without gradient."""
+    points_px, valid = projected
+    marks = discrete_mask(points_px.flatten(0, 1), valid.flatten(0, 1), cameras.height, cameras.width)
+    return FILLED * marks.unflatten(0, points_px.shape[:2])
+
+
+def depth_loss(points: Tensor, batch: Batch) -> Tensor:
+    """L1 distance of Lin et al.'s depth maps of predicted points [B, N, 3] and of the batch's targets.
+
+    The sum over views and over pixels in which both show a point, mean over the batch. A difference in depth counts as the
+    pixels that it would span across the picture at that depth, so that it compares with the other losses.
+    """
+    height, width = batch.masks.shape[-2:]
+    losses = []
+    for b, cloud in enumerate(points):
+        K, R, t, target = (
+            torch.as_tensor(values[b], dtype=points.dtype, device=points.device)
+            for values in (batch.K, batch.R, batch.t, batch.targets)
+        )
+        cameras = CameraBatch(K, R, t, width, height)
+        depth, hit = depth_map(cloud, cameras)
+        true, true_hit = depth_map(target, cameras)
+        both = hit & true_hit
+        scale = K[:, 0, 0].view(-1, 1, 1) / torch.where(true_hit, true, 1.0)
+        losses.append(((depth - true).abs() * scale * both).sum())
+    return torch.stack(losses).mean()
+
+
+def depth_map(points: Tensor, cameras: CameraBatch) -> tuple[Tensor, Tensor]:
+    """Lin et al.'s depth map [V, H, W] of one cloud [N, 3], 0 where it shows no point, and where it shows one."""
+    points_px, valid = project(points.unsqueeze(0), cameras)
+    depth = (points @ cameras.R.transpose(-1, -2))[..., 2] + cameras.t[:, 2:]  # [V, N]
+    return discrete_depth(points_px[0], depth, valid[0], cameras.height, cameras.width)
+
+
+def projected_objective(config: TrainConfig, projection: str, bounded: bool = True) -> Objective:
+    """The loss of training with masks through another projection; the affinity loss works on the points themselves.
+
+    Parameters
+    ----------
+    projection : "plain", the discretised one: BCE has no gradient, only the affinity loss moves points. "depth", Lin et al.'s:
+        the L1 loss of depth maps, made of the targets, also moves points along the line of sight. "gaussian", the paper's.
+    bounded : see `mask_loss`.
+    """
+    silhouette = None if projection == GAUSSIAN else silhouette_sums
+
+    def objective(points: Tensor, batch: Batch, weight: float) -> tuple[Tensor, float, float]:
+        loss, bce, outliers = mask_loss(points, batch, config.sigma_sq, weight, config.affinity, silhouette, bounded)
+        return (loss + depth_loss(points, batch) if projection == DEPTH else loss), bce, outliers
+
+    return objective
+
+
+def bce_gradient(points: Tensor, batch: Batch, sigma_sq: float, silhouette: Silhouette | None) -> float:
+    """Root mean square over points [B, N, 3] of the derivative of BCE by a point; 0 where the projection has none."""
+    leaf = points.detach().requires_grad_(True)
+    loss = mask_loss(leaf, batch, sigma_sq, 0.0, "points", silhouette)[0]
+    if not loss.requires_grad:
+        return 0.0
+    (gradient,) = torch.autograd.grad(loss, leaf)
+    return float(gradient.square().sum(-1).mean().sqrt())
+
+
+def first_gradients(data: TrainingData, config: TrainConfig) -> dict[str, float]:
+    """`bce_gradient` at the first step of a training: "own", of a discrete projection, and "gaussian", of the paper's."""
+    network = start(data, config).network
+    batch = draw_step(data, None, config, Processes(), 0)[0]
+    with torch.no_grad():
+        points = network(images_of(batch, next(network.parameters()).device))
+    return {
+        "own": bce_gradient(points, batch, config.sigma_sq, silhouette_sums),
+        GAUSSIAN: bce_gradient(points, batch, config.sigma_sq, None),
+    }

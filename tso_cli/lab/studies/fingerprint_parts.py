@@ -25,15 +25,14 @@ from ...render import RenderSettings
 from ...scene.load import load_points_scene
 from ...scene.network import load_network_scene
 from ...silhouette.projection import silhouette_of
-from ...train import train
+from ...train import TrainConfig, train
 from ...train.data import TrainingData
+from .discretised import GAUSSIAN, PROJECTIONS, projected_objective
 from .evidence_cases import framed
 from .examples import example_scene, refine_scene
 from .judging import judge, predict
 from .mean_shape import mean_shape, pair_chamfer
-from .other_projections import GAUSSIAN, PROJECTIONS, projected_objective
 from .parts import Shape, see
-from .trained import Budget
 
 Numbers = dict[str, float]
 # What takes longer than points mode is done to one example alone, and weights take so many steps at most.
@@ -165,7 +164,9 @@ def pictures() -> Numbers:
 
 def trained(projection: str = GAUSSIAN, **changes: Any) -> Numbers:
     """The loss of three steps on the examples, and what the network then predicts of their pictures: Chamfer x1000, scaled."""
-    config = Budget(STEPS, BATCH, RATE, seed=SEED).config(**changes)
+    config = TrainConfig(
+        steps=STEPS, batch_size=BATCH, learning_rate=RATE, averaging=0.99, frame="canonical", seed=SEED, **changes
+    )
     objective = None if projection == GAUSSIAN else projected_objective(config, projection)
     data = _seen_from_four_sides()
     result = train(data, config, objective=objective)

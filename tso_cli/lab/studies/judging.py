@@ -16,7 +16,7 @@ from ...train.batches import Draw, assemble
 from ...train.data import TrainingData
 
 JUDGED_VIEWS = 4
-"""Input views of each shape that are judged; where a study needs views that the network did not get, it takes those after."""
+"""Input views of each shape that are judged, the first ones."""
 CONVENTION = {
     "chamfer": "squared distances, mean over points, forward (target -> prediction) + backward (prediction -> target)",
     "capnet": "the paper's protocol: each cloud is centred and scaled to longest side 1 by its own box",
@@ -30,8 +30,8 @@ class Predicted:
 
     Attributes
     ----------
-    index : of the shape in its data. name, category : its own.
-    points : [v, N, 3] float64, one cloud for each of the first v views; target : [v, M, 3], the truth in the same frame.
+    index : of the shape in its data.
+    points, target : [v, N, 3] and [v, M, 3] float64, prediction and truth for each of the first v views.
     frame : "canonical" or "view", that of both.
     """
 
@@ -46,15 +46,15 @@ class Predicted:
 def predict(network: BaseNetwork | None, data: TrainingData, frame: str, views: int = JUDGED_VIEWS) -> list[Predicted]:
     """The clouds that ``network`` predicts from the first ``views`` views of every shape; without a network no points."""
     device = next(network.parameters()).device if network else torch.device("cpu")
-    found = []
-    with torch.no_grad():
-        for index, item in enumerate(data.objects):
-            batch = assemble(data, [Draw(index, view) for view in range(min(views, len(item.views)))], frame)
-            images = torch.as_tensor(batch.images, device=device)
-            points = (network(images) if network else images.new_empty(len(images), 0, 3)).cpu().numpy().astype(np.float64)
-            targets = np.stack(batch.targets).astype(np.float64)
-            found.append(Predicted(index, item.name, item.category, points, targets, frame))
-    return found
+    predicted = []
+    for index, item in enumerate(data.objects):
+        batch = assemble(data, [Draw(index, view) for view in range(min(views, len(item.views)))], frame)
+        images = torch.as_tensor(batch.images, device=device)
+        with torch.no_grad():
+            points = network(images) if network else images.new_empty(len(images), 0, 3)
+        clouds, targets = points.cpu().numpy().astype(np.float64), np.stack(batch.targets).astype(np.float64)
+        predicted.append(Predicted(index, item.name, item.category, clouds, targets, frame))
+    return predicted
 
 
 def judge(predicted: list[Predicted]) -> dict[str, Any]:
@@ -62,15 +62,19 @@ def judge(predicted: list[Predicted]) -> dict[str, Any]:
 
     Means over the views of a shape, then over shapes.
     """
-    found: dict[str, list[Array]] = {}
+    rows: dict[str, list[Array]] = {}
     for shape in predicted:
-        rows = [[_capnet(*pair), _plain(*pair)] for pair in zip(shape.points, shape.target, strict=True)]
-        found.setdefault(shape.category, []).append(np.mean(rows, axis=0))  # [protocol, direction]
+        distances = []  # [view, protocol, direction]
+        for points, target in zip(shape.points, shape.target, strict=True):
+            scaled = normalise_longest_side(points, "prediction"), normalise_longest_side(target, "target")
+            both = chamfer(*scaled), chamfer(points, target)
+            distances.append([[distance.forward, distance.backward] for distance in both])
+        rows.setdefault(shape.category, []).append(np.mean(distances, axis=0))
     judged: dict[str, Any] = {}
-    for category, shapes in found.items():
+    for category, shapes in rows.items():
         judged[category] = {"shapes": len(shapes)}
-        for name, (forward, backward) in zip(("capnet", "plain"), np.mean(shapes, axis=0).tolist(), strict=True):
-            judged[category][name] = {"forward": forward, "backward": backward, "chamfer": forward + backward}
+        for protocol, (forward, backward) in zip(("capnet", "plain"), np.mean(shapes, axis=0).tolist(), strict=True):
+            judged[category][protocol] = {"forward": forward, "backward": backward, "chamfer": forward + backward}
     return judged
 
 
@@ -82,12 +86,3 @@ def object_axes(points: Array, camera: Camera, frame: str) -> Array:
 def camera_axes(points: Array, camera: Camera, frame: str) -> Array:
     """Predicted ``points`` [N, 3] in the axes of the input camera: right, down, away from it."""
     return object_axes(points, camera, frame) @ camera.R.T
-
-
-def _plain(points: Array, target: Array) -> tuple[float, float]:
-    distance = chamfer(points, target)
-    return distance.forward, distance.backward
-
-
-def _capnet(points: Array, target: Array) -> tuple[float, float]:
-    return _plain(normalise_longest_side(points, "prediction"), normalise_longest_side(target, "target"))

@@ -5,91 +5,94 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from .figures import CATEGORIES, SUPERVISION, chamfer_of, claim, judged_categories, mean_of, sigma_sq
+from ..charts.training_charts import draw_settings
+from ..study import Record, Table, claim
+from .discretised import DEPTH, PLAIN
 from .material import ALL
 from .mean_shape import MEAN_SHAPE
-from .other_projections import DEPTH, PLAIN
-from .trained import Setting
+from .trained import CATEGORIES, NOISE, Comparison, Setting, chamfers, masks, table, with_mean
 
-NAME, STEPS = "supervision", 1000
-REDUCED, FULL = CATEGORIES, CATEGORIES
 POINTS, MASKS = "3D points", "masks"
 DISCRETISED, LIN = "masks, discretised", "depth maps, Lin et al."
 POINTS_ALL, MASKS_ALL = "3D points, all categories", "masks, all categories"
+PAPER = {
+    POINTS: {"airplane": 1.36, "car": 1.40, "chair": 3.98},
+    MASKS: {"airplane": 2.00, "car": 1.65, "chair": 4.42},
+    LIN: {"airplane": 2.01, "car": 2.50, "chair": 6.35},
+    POINTS_ALL: {"airplane": 1.33, "car": 1.41, "chair": 3.94},
+    MASKS_ALL: {"airplane": 2.57, "car": 1.74, "chair": 5.09},
+}
 NOTES = {
     DISCRETISED: "points rounded to pixels in place of the Gaussians: BCE has no gradient, only the affinity loss moves points",
     LIN: "the same with the L1 loss of depth maps, upsampled by 5, of the supervising views; no pretraining, one network",
 }
 # The paper calls its mask-supervised scores close to those of 3D supervision, and its multi-category ones comparable.
 CLOSE, COMPARABLE = 1.5, 1.25
-# The same training comes out as far away another time: what is better by less is not told apart.
-BETTER = 0.95
 
 
 def settings(categories: Sequence[str]) -> list[Setting]:
-    """The networks of the study, and the answer without one: each kind for each category, and two for all together."""
-    found = []
+    """Each kind for each category, beside the mean shape; points and masks for all categories together."""
+    points = {"supervision": "points"}
+    networks = []
     for category in categories:
-        masks = {"supervision": "masks", "sigma_sq": sigma_sq(category)}
-        found += [
+        networks += [
             Setting(MEAN_SHAPE, category, constant=True),
-            Setting(POINTS, category, {"supervision": "points"}),
-            Setting(MASKS, category, masks),
-            Setting(DISCRETISED, category, masks, PLAIN),
-            Setting(LIN, category, masks, DEPTH),
+            Setting(POINTS, category, points),
+            Setting(MASKS, category, masks(category)),
+            Setting(DISCRETISED, category, masks(category), PLAIN),
+            Setting(LIN, category, masks(category), DEPTH),
         ]
     if len(categories) > 1:
-        found += [Setting(POINTS_ALL, ALL, {"supervision": "points"}), Setting(MASKS_ALL, ALL, {"supervision": "masks"})]
-    return found
+        networks += [Setting(POINTS_ALL, ALL, points), Setting(MASKS_ALL, ALL, masks(ALL))]
+    return networks
 
 
-def conclude(runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Chamfer of each kind by category beside the paper's, and what holds of its claims in every category."""
-    categories = judged_categories(runs)
-    names = list(dict.fromkeys(run["setting"] for run in runs))
-    values = {name: {category: chamfer_of(runs, name, category) for category in categories} for name in names}
+def conclude(runs: list[Record]) -> Record:
+    """Chamfer of each kind by category beside the paper's, and which of its claims hold in every category."""
+    values = chamfers(runs)
 
-    def judged(text: str, first: str, others: Sequence[str], factor: float = BETTER, paper: str = "") -> dict[str, Any]:
-        """Whether ``first`` is at most ``factor`` times each of the ``others`` in every category."""
-        holds, parts = True, []
-        for category in categories:
-            own = [values[name][category] for name in (first, *others)]
-            under = None not in own and all(own[0] <= factor * other for other in own[1:])  # type: ignore[operator]
-            holds &= under
-            told = " against ".join([_shown(own[0]), " and ".join(map(_shown, own[1:]))])
-            parts.append(f"{category} {told}{'' if under else ', not there'}")
-        return claim(text, holds, "; ".join(parts) + (f"; paper {paper}" if paper else ""))
+    def compared(text: str, name: str, rivals: Sequence[str], factor: float = NOISE, paper: str = "") -> Record:
+        """Whether ``name`` is at most ``factor`` times each of the ``rivals`` in every category."""
+        missed, figures = [], []
+        for category, value in values[name].items():
+            others = [values[rival][category] for rival in rivals]
+            missed.append(any(value > factor * rival for rival in others))
+            against = " and ".join(f"{rival:.2f}" for rival in others)
+            figures.append(f"{category} {value:.2f} against {against}{', not there' * missed[-1]}")
+        return claim(text, not any(missed), "; ".join(figures) + (f"; paper {paper}" if paper else ""))
 
-    more = f"teach more than the mean shape, by {1.0 - BETTER:.0%} or more"
-    claims = [judged(f"{name} {more}", name, [MEAN_SHAPE]) for name in (POINTS, MASKS)]
-    claims += [
-        judged(
-            f"masks alone come within {CLOSE:g} times the Chamfer distance of 3D supervision",
-            MASKS,
-            [POINTS],
-            CLOSE,
-            "1.20 times in the mean",
-        ),
-        judged(
-            f"the continuous projection beats the discretised one and Lin et al.'s, by {1.0 - BETTER:.0%} or more",
-            MASKS,
-            [DISCRETISED, LIN],
-            paper="2.69 against 3.62 of Lin et al. in the mean",
-        ),
-    ]
+    margin = f"by {1.0 - NOISE:.0%} or more"
+    claims = [compared(f"{name} teach more than the mean shape, {margin}", name, [MEAN_SHAPE]) for name in (POINTS, MASKS)]
+    text = f"masks alone come within {CLOSE:g} times the Chamfer distance of 3D supervision"
+    claims.append(compared(text, MASKS, [POINTS], CLOSE, "1.20 times in the mean"))
+    text = f"the continuous projection beats the discretised one and Lin et al.'s, {margin}"
+    claims.append(compared(text, MASKS, [DISCRETISED, LIN], paper="2.69 against 3.62 of Lin et al. in the mean"))
     if MASKS_ALL in values:
-        claims.append(
-            judged(
-                f"one network for all categories is comparable with one for each (at most {COMPARABLE:g} times)",
-                MASKS_ALL,
-                [MASKS],
-                COMPARABLE,
-                "1.16 times in the mean",
-            )
-        )
-    summary = {name: {"mean": mean_of(runs, name, categories), **own} for name, own in values.items()}
-    return {"summary": summary, "paper": SUPERVISION, "notes": NOTES, "claims": claims}
+        text = f"one network for all categories is comparable with one for each (at most {COMPARABLE:g} times)"
+        claims.append(compared(text, MASKS_ALL, [MASKS], COMPARABLE, "1.16 times in the mean"))
+    summary = {name: with_mean(by_category) for name, by_category in values.items()}
+    return {"summary": summary, "paper": PAPER, "notes": NOTES, "claims": claims}
 
 
-def _shown(value: float | None) -> str:
-    return "none" if value is None else f"{value:.2f}"
+def tables(record: Record) -> list[Table]:
+    """Chamfer of each kind by category, ours and the paper's."""
+    summary = record["summary"]
+    paper = {name: with_mean(values) for name, values in record["paper"].items() if name in summary}
+    rows: dict[str, dict[str, Any]] = {
+        name: values | {f"paper: {category}": paper[name].get(category) for category in values if name in paper}
+        for name, values in summary.items()
+    }
+    return [table(record, "", rows, "\n".join(f"{name}: {text}." for name, text in record["notes"].items()))]
+
+
+STUDY = Comparison("supervision", 1000, CATEGORIES, settings, conclude).study(
+    "A network of each kind for each category, and two for all categories at once, is trained on the list train of the split "
+    "and judged on unseen shapes, beside the mean training shape. Reduced size: 1,000 steps of 8, 32 shapes a category.",
+    tables,
+    draw_settings,
+    "What a network is ahead of the mean training shape it has learnt from pictures. Rounded points have no gradient across "
+    "the picture, so those networks learn from the affinity loss alone: that they are level with the continuous projection "
+    "says that the affinity loss does the work here. With dozens of shapes to learn from, where the paper has thousands, none "
+    "of these numbers says what the methods do with the paper's data. One seed each; the same training comes out up to 5 % "
+    "away.",
+)

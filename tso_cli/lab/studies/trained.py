@@ -1,66 +1,50 @@
-"""Studies that train a network for each of their settings: the settings, the budget they share, and the record."""
+"""Studies that train a network for each of their settings, under one budget, and judge all on unseen shapes."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
-from functools import partial
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
-from torch import Tensor
 
+from ... import device as devices
 from ...errors import InputError
-from ...io.reading import shown
-from ...network.model import BaseNetwork, NetworkConfig, build_network
-from ...train import TrainConfig, network_config, start, train
-from ...train.batches import Batch
+from ...network.model import NetworkConfig, build_network
+from ...train import TrainConfig, TrainResult, network_config, start, train
 from ...train.data import TrainingData
-from ...train.losses import mask_loss
 from ...train.state import TrainingState, load_training, save_training, state_path
-from ...train.step import Objective
-from ...version import __version__
+from ..study import DEVICE, MESHES, SEED, SPLIT, Option, Progress, Record, Study, Table, part, record_of
+from .discretised import DEPTH, GAUSSIAN, first_gradients, projected_objective
 from .judging import CONVENTION, JUDGED_VIEWS, Predicted, judge, predict
 from .material import ALL, TEST_VIEWS, TRAINING_VIEWS, Material, Source
 from .mean_shape import constant_answer
-from .other_projections import DEPTH, GAUSSIAN, first_gradients, projected_objective
-from .protocol import Report
+from .parts import SPLIT as SHIPPED_SPLIT
 
-Record = dict[str, Any]
-Measure = Callable[[list[Predicted], TrainingData], Record]
-# Steps between the states of an unfinished network.
+CATEGORIES = ("airplane", "car", "chair")
+OPTIONS = (
+    MESHES,
+    SPLIT,
+    part("test"),
+    Option("--category", "May be repeated.  [default: see above]", multiple=True, default=(), name="categories"),
+    Option("--full", "20,000 steps of 16 on all shapes at the paper's rate, 5e-5, weights not averaged.", bool),
+    Option("--steps", "Of every network.  [default: reduced, see above]", int, least=1),
+    Option("--batch-size", "[default: 8; 16 with --full]", int, least=1),
+    Option("--limit", "Training shapes a category.  [default: 32; all with --full]", int, least=1),
+    Option("--frame", "Axes of the predicted points: the objects' or the camera's.", str, "canonical", ("canonical", "view")),
+    SEED,
+    DEVICE,
+)
 SAVE_EVERY = 500
-
-
-@dataclass(frozen=True)
-class Budget:
-    """What every setting of a study may spend; the defaults are the reduced size, except for the steps.
-
-    Parameters
-    ----------
-    steps, batch_size, learning_rate, averaging : see `train.TrainConfig`. The rate is higher than the paper's, which gets
-        nowhere in few steps.
-    seed : of weights, pictures and draws. frame : of the predicted points; the paper's for 2D supervision is the objects' own.
-    """
-
-    steps: int
-    batch_size: int = 8
-    learning_rate: float = 3e-4
-    averaging: float = 0.99
-    frame: str = "canonical"
-    seed: int = 0
-    device: str = "cpu"
-
-    @classmethod
-    def full(cls, **changes: Any) -> Budget:
-        """The paper's rate, over as many steps as it takes."""
-        return cls(**{"steps": 20_000, "batch_size": 16, "learning_rate": 5e-5, "averaging": 0.0, **changes})
-
-    def config(self, **changes: Any) -> TrainConfig:
-        """Settings of one network."""
-        return TrainConfig(**{**asdict(self), **changes})
+# The same training comes out as far away another time: a smaller difference is noise.
+NOISE = 0.95
+# The paper's rate gets nowhere in few steps.
+REDUCED = {"batch_size": 8, "learning_rate": 3e-4, "averaging": 0.99}
+FULL = {"steps": 20_000, "batch_size": 16, "learning_rate": 5e-5, "averaging": 0.0}
 
 
 @dataclass(frozen=True)
@@ -69,14 +53,15 @@ class Setting:
 
     Parameters
     ----------
-    name : what tables call it.
-    category : what it is trained and judged on; `ALL` for the categories of the study at once, each equally often.
-    changes : its own settings of `train.TrainConfig`.
-    constant : no network: the mean training shape, whatever the picture shows.
-    repeat : which of several networks that differ in their seed alone.
-    projection : "gaussian" (the paper's), or one of `other_projections.PROJECTIONS`.
-    latent_relu : a ReLU behind the latent vector. bounded : points beyond the crop count as outliers.
-    whole : pictures that show size, and clouds in the scale of ShapeNet.
+    name : in tables; unique among the settings of a category.
+    category : to train and judge on; `ALL` for all categories of the study, each equally often.
+    changes : fields of `train.TrainConfig` in which it differs from the others.
+    projection : "gaussian" (the paper's), or one of `discretised.PROJECTIONS`.
+    constant : judge the mean training shape instead of a network.
+    repeat : is added to the seed.
+    latent_relu : put a ReLU behind the latent vector.
+    bounded : points beyond the crop count as outliers.
+    whole : uncropped pictures, which show size, and clouds in the scale of ShapeNet.
     """
 
     name: str
@@ -90,213 +75,187 @@ class Setting:
     whole: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class Keeping:
-    """What an interrupted study leaves behind.
+@dataclass(frozen=True)
+class Comparison:
+    """What a study compares.
 
     Parameters
     ----------
-    earlier : a record of the same settings, complete or not; the networks in it are not trained again.
-    keep : called after every network with the record so far, whose ``complete`` is False until the last.
-    unfinished : checkpoint beside which the state of the network at hand is kept, to go on within it; None keeps none.
+    name : of the study.
+    steps, reduced : of the reduced size: steps of a network, categories.
+    settings : categories -> the networks to train.
+    conclude : runs -> what else the record says: "summary", "paper", "claims".
+    measure : predictions of a network, judged data -> what else its run says.
+    full : categories of the full size.
     """
 
-    earlier: Record | None = None
-    keep: Callable[[Record], None] | None = None
-    unfinished: Path | None = None
+    name: str
+    steps: int
+    reduced: tuple[str, ...]
+    settings: Callable[[Sequence[str]], list[Setting]]
+    conclude: Callable[[list[Record]], Record]
+    measure: Callable[[list[Predicted], TrainingData], Record] = lambda predicted, data: {}
+    full: tuple[str, ...] = CATEGORIES
+
+    def study(
+        self,
+        about: str,
+        tables: Callable[[Record], list[Table]],
+        draw: Callable[[Path, Record, bool], None],
+        reading: str,
+    ) -> Study:
+        """The study that makes this comparison."""
+        return Study(self.name, about, OPTIONS, self.run, tables, draw, reading, "after every network and every 500 steps")
+
+    def run(self, progress: Progress, *, categories: tuple[str, ...], full: bool, **options: Any) -> Record:
+        """Train and judge the network of each setting that the earlier record lacks; the parameters are `OPTIONS`.
+
+        Returns
+        -------
+        A JSON-able record: {"study", "complete", "settings", "convention", "runs": [{"setting", "category", ..., "judged":
+        {category: {"shapes", "capnet", "plain"}}}]} and what `conclude` adds. Distances are raw.
+
+        Raises
+        ------
+        InputError
+            A shape is missing, or the earlier record is of other settings.
+        KeyboardInterrupt
+            Ctrl-C; the state of the network is kept.
+        """
+        categories = categories or (self.full if full else self.reduced)
+        limit = options["limit"] or (None if full else 32)
+        split = options["split"] or SHIPPED_SPLIT
+        settings = self.settings(categories)
+        source = Source(options["meshes"], split, options["part"], categories, limit, options["seed"])
+        material = Material(source, progress.report)
+        budget = {"steps": self.steps, **(FULL if full else REDUCED)}
+        budget |= {key: options[key] for key in ("steps", "batch_size", "frame", "seed", "device") if options[key] is not None}
+        common = {
+            **budget,
+            "split": split.name,
+            "part": options["part"],
+            "shapes": material.counts(),
+            "names": material.fingerprint(),
+            "training_views": TRAINING_VIEWS,
+            "judged_views": JUDGED_VIEWS,
+            "rendered_views": TEST_VIEWS,
+            "networks": [[setting.name, setting.category] for setting in settings],
+        }
+        earlier = progress.earlier and {**progress.earlier, "cases": progress.earlier.get("runs")}
+        runs = replace(progress, earlier=earlier).earlier_cases(self.name, common)
+        convention = {**CONVENTION, "frame": f"predictions in the {budget['frame']} frame"}
+        if progress.earlier is None:
+            _forget(progress.unfinished)
+
+        def keep_record() -> Record:
+            complete = len(runs) == len(settings)
+            record = record_of(self.name, convention, complete=complete, settings=common, runs=list(runs))
+            record |= self.conclude(runs) if complete else {}
+            progress.keep(record)
+            return record
+
+        # Even without a run: the state of the first network is of the method that the record says.
+        record = keep_record()
+        for number, setting in enumerate(settings[len(runs) :], len(runs) + 1):
+            doing = f"{number} of {len(settings)}: {setting.name}, {setting.category}"
+            runs.append(self._run(material, setting, budget, progress, doing))
+            record = keep_record()
+            _forget(progress.unfinished)
+        return record
+
+    def _run(self, material: Material, setting: Setting, budget: Record, progress: Progress, doing: str) -> Record:
+        """The run of one setting."""
+        run: Record = {"setting": setting.name, "category": setting.category}
+        data = material.data(setting.category, True, dense=setting.projection == DEPTH, whole=setting.whole)
+        unseen = material.data(setting.category, False, whole=setting.whole)
+        if setting.constant:
+            return {**run, "judged": judge(constant_answer(data, unseen, budget["frame"]))}
+        common = {**budget, "seed": budget["seed"] + setting.repeat, "balance": setting.category == ALL}
+        config = TrainConfig(**{**common, **setting.changes})
+        begun = time.perf_counter()
+        result = _train(data, config, setting, progress, doing)
+        seconds = time.perf_counter() - begun
+        predicted = predict(result.network, unseen, config.frame)
+        used = asdict(config) | {"projection": setting.projection, "lambda": config.affinity_weight}
+        of_masks = ("projection", "views", "sigma_sq", "category_sigma_sq", "lambda", "affinity")
+        run |= {key: used[key] for key in ("supervision", "steps", "batch_size", "seed", "device")}
+        run |= {key: used[key] if config.supervision == "masks" else None for key in of_masks}
+        run |= {"lambda_dropped_at": result.lambda_dropped_at, "seconds": seconds, "judged": judge(predicted)}
+        if setting.projection != GAUSSIAN:
+            run["bce_gradient"] = first_gradients(data, config)
+        return run | self.measure(predicted, unseen)
 
 
-def study_networks(
-    name: str,
-    source: Source,
-    budget: Budget,
-    settings: list[Setting],
-    conclude: Callable[[list[Record]], Record],
-    measure: Measure | None = None,
-    keeping: Keeping | None = None,
-    report: Report | None = None,
-) -> Record:
-    """Train a network for each setting, judge it on unseen shapes, keep the record.
-
-    Parameters
-    ----------
-    conclude : from the runs of all settings, what else the record says: "paper", "summary", "claims".
-    measure : from the predictions of a network and the judged data, what else its run says.
-    report : called with (what, done, total).
-
-    Returns
-    -------
-    A JSON-able record: {"study", "complete", "settings", "convention", "runs": [{"setting", "category", ..., "judged":
-    {category: {"shapes", "capnet", "plain"}}}]} and what ``conclude`` adds. Distances are raw.
-
-    Raises
-    ------
-    InputError
-        A shape is missing, or the earlier record is of other settings.
-    KeyboardInterrupt
-        Ctrl-C: the step at hand was finished, and what there is was kept.
-    """
-    keeping = keeping or Keeping()
-    material = Material(source, report)
-    common = {
-        **asdict(budget),
-        "split": source.split.name,
-        "part": source.part,
-        "shapes": material.counts(),
-        "names": material.fingerprint(),
-        "training_views": TRAINING_VIEWS,
-        "judged_views": JUDGED_VIEWS,
-        "rendered_views": TEST_VIEWS,
-        "networks": [[setting.name, setting.category] for setting in settings],
-    }
-    runs = _earlier_runs(keeping.earlier, name, common)
-    if keeping.keep and keeping.earlier is None:
-        # What is gone on with, the first network's state too, is of the method that this record says.
-        keeping.keep(_record(name, common, runs, False))
-    done = {(run["setting"], run["category"]) for run in runs}
-    for number, setting in enumerate(settings, 1):
-        if (setting.name, setting.category) in done:
-            continue
-        told = f"{number} of {len(settings)}: {setting.name}, {setting.category}"
-        runs.append(_run(material, budget, setting, measure, keeping.unfinished, report, told))
-        record = _record(name, common, runs, False)
-        if keeping.keep and number < len(settings):
-            keeping.keep(record)
-            forget(keeping.unfinished)
-    # Settings may have been added to a record out of order: tables follow the order of the study.
-    order = [(setting.name, setting.category) for setting in settings]
-    runs.sort(key=lambda run: order.index((run["setting"], run["category"])))
-    record = {**_record(name, common, runs, True), **conclude(runs)}
-    if keeping.keep:
-        keeping.keep(record)
-        forget(keeping.unfinished)
-    return record
-
-
-def _run(
-    material: Material,
-    budget: Budget,
-    setting: Setting,
-    measure: Measure | None,
-    unfinished: Path | None,
-    report: Report | None,
-    told: str,
-) -> Record:
-    """Train and judge one network, or judge the constant answer."""
-    if setting.constant:
-        answer = constant_answer(material.data(setting.category, True), material.data(setting.category, False), budget.frame)
-        return {"setting": setting.name, "category": setting.category, "judged": judge(answer)}
-    seed = budget.seed + setting.repeat
-    config = budget.config(**{"seed": seed, "balance": setting.category == ALL, **setting.changes})
-    data = material.data(setting.category, True, dense=setting.projection == DEPTH, whole=setting.whole)
-
-    def progress(done: int, total: int, note: str) -> None:
-        if report:
-            report(told, done, total)
-
-    extra: Record = {}
-    start = time.perf_counter()
-    objective = None
-    if setting.projection != GAUSSIAN:
-        objective = projected_objective(config, setting.projection)
-        extra["bce_gradient"] = first_gradients(data, config)
-    elif not setting.bounded:
-        objective = partial(_unbounded, config)
-    network, dropped = _trained(data, config, unfinished, progress, objective, setting.latent_relu)
-    seconds = time.perf_counter() - start
-    unseen = material.data(setting.category, False, whole=setting.whole)
-    predicted = predict(network, unseen, config.frame)
-    masks = config.supervision == "masks"
-    return {
-        "setting": setting.name,
-        "category": setting.category,
-        "supervision": config.supervision,
-        "projection": setting.projection if masks else None,
-        "views": config.views if masks else None,
-        "sigma_sq": config.sigma_sq if masks else None,
-        "category_sigma_sq": dict(config.category_sigma_sq) if masks else None,
-        "lambda": config.affinity_weight if masks else None,
-        "affinity": config.affinity if masks else None,
-        "lambda_dropped_at": dropped,
-        "steps": config.steps,
-        "batch_size": config.batch_size,
-        "seed": config.seed,
-        "seconds": seconds,
-        "device": config.device,
-        "judged": judge(predicted),
-        **extra,
-        **(measure(predicted, unseen) if measure else {}),
-    }
-
-
-def _trained(
-    data: TrainingData,
-    config: TrainConfig,
-    unfinished: Path | None,
-    progress: Callable[[int, int, str], None],
-    objective: Objective | None,
-    latent_relu: bool,
-) -> tuple[BaseNetwork, int | None]:
-    """The trained network, gone on with where its state lies beside ``unfinished``; and when lambda dropped."""
-    state: TrainingState | None = None
-    if unfinished is not None and state_path(unfinished).exists():
-        try:
-            from ... import device as devices
-
-            described = network_config(data, config, 0)
-            state = load_training(unfinished, described, data.fingerprint(), devices.resolve(config.device))
-        except InputError:
-            state = None  # of another network of the study, or damaged: this one starts anew
-    if latent_relu:
+def _train(data: TrainingData, config: TrainConfig, setting: Setting, progress: Progress, doing: str) -> TrainResult:
+    """Train one network, from its unfinished state where there is one."""
+    objective, unfinished, state = None, progress.unfinished, None
+    if setting.projection != GAUSSIAN or not setting.bounded:
+        objective = projected_objective(config, setting.projection, setting.bounded)
+    if setting.latent_relu:
         network = build_network(config.points, config.seed)
         network.encoder = torch.nn.Sequential(network.encoder, torch.nn.ReLU())  # type: ignore[assignment]
         state = start(data, config, network)
+    elif unfinished:
+        # A state that is missing, damaged or of another network of the study: this one starts anew.
+        with suppress(InputError):
+            expected = network_config(data, config, 0)
+            state = load_training(unfinished, expected, data.fingerprint(), devices.resolve(config.device))
 
     def save(current: TrainingState, described: NetworkConfig) -> None:
-        # A finished network goes into the record; only what is to be gone on with needs its state.
-        if unfinished is not None and current.step < config.steps:
+        if unfinished and current.step < config.steps:
             save_training(unfinished, current, described)
 
-    result = train(data, config, state, objective=objective, progress=progress, save=save, save_every=SAVE_EVERY)
+    def report(done: int, total: int, note: str) -> None:
+        progress.report(doing, done, total)
+
+    result = train(data, config, state, objective=objective, progress=report, save=save, save_every=SAVE_EVERY)
     if result.stop_reason == "interrupted":
         raise KeyboardInterrupt
-    return result.network, result.lambda_dropped_at
+    return result
 
 
-def _unbounded(config: TrainConfig, points: Tensor, batch: Batch, weight: float) -> tuple[Tensor, float, float]:
-    return mask_loss(points, batch, config.sigma_sq, weight, config.affinity, bounded=False)
-
-
-def forget(unfinished: Path | None) -> None:
+def _forget(unfinished: Path | None) -> None:
     """Remove the state of an unfinished network."""
-    if unfinished is not None:
-        for path in (unfinished, state_path(unfinished)):
-            path.unlink(missing_ok=True)
+    if unfinished:
+        unfinished.unlink(missing_ok=True)
+        state_path(unfinished).unlink(missing_ok=True)
 
 
-def _earlier_runs(earlier: Record | None, name: str, common: Record) -> list[Record]:
-    """The runs of a record to go on from; InputError where it is of another study, or of other settings."""
-    if earlier is None:
-        return []
-    if earlier.get("study") != name or not isinstance(earlier.get("runs"), list):
-        raise InputError(f"the record to go on from is of the study {shown(earlier.get('study'))}, expected {name!r}")
-    before = earlier.get("settings")
-    before = before if isinstance(before, dict) else {}
-    for key, value in common.items():
-        if before.get(key) != value:
-            raise InputError(
-                f"the record to go on from was made with {key} {shown(before.get(key))}, now it is {shown(value)}; "
-                "expected the same settings"
-            )
-    return list(earlier["runs"])
+def masks(category: str, **changes: Any) -> dict[str, Any]:
+    """Supervision with masks, under the paper's sigma^2 of a network for one category."""
+    return {"supervision": "masks", "sigma_sq": 0.1 if category == "airplane" else 0.4, **changes}
 
 
-def _record(name: str, common: Record, runs: list[Record], complete: bool) -> Record:
-    return {
-        "study": name,
-        "version": __version__,
-        "complete": complete,
-        "settings": common,
-        "convention": {**CONVENTION, "frame": f"predictions in the {common['frame']} frame"},
-        "runs": list(runs),
-    }
+def repeated(name: str, repeat: int) -> str:
+    """The name of a setting of which several networks differ in their seed alone."""
+    return f"{name}, seed + {repeat}" if repeat else name
+
+
+def chamfers(runs: Sequence[Record]) -> dict[str, dict[str, float]]:
+    """Chamfer distance x1000 under the paper's protocol: {setting: {category: value}}."""
+    values: dict[str, dict[str, float]] = {}
+    for category in dict.fromkeys(category for run in runs for category in run["judged"]):
+        for run in runs:
+            if category in run["judged"]:
+                distance = run["judged"][category]["capnet"]["chamfer"]
+                values.setdefault(run["setting"], {})[category] = float(1e3 * distance)
+    return values
+
+
+def with_mean(values: dict[str, float]) -> dict[str, float]:
+    """The mean over categories, then the ``values`` of each."""
+    return {"mean": float(np.mean(list(values.values()))), **values}
+
+
+def table(record: Record, corner: str, rows: dict[str, dict[str, Any]], note: str = "") -> Table:
+    """A row for each of ``rows``, a column for each of their keys, headed ``corner``; below it the budget of the record."""
+    settings = record["settings"]
+    shapes = ", ".join(f"{name} {n['training']} to train and {n['judged']} to judge" for name, n in settings["shapes"].items())
+    budget = (
+        f"{settings['steps']} steps of {settings['batch_size']} at a rate of {settings['learning_rate']:g}, seed "
+        f"{settings['seed']}, {settings['frame']} frame, {settings['device']}; shapes: {shapes} ({settings['part']}), "
+        f"{settings['judged_views']} views each. Chamfer x1000 under the paper's protocol, capnet."
+    )
+    columns = list(dict.fromkeys(key for values in rows.values() for key in values))
+    cells = [[name, *map(values.get, columns)] for name, values in rows.items()]
+    return Table([corner, *columns], cells, note="\n".join(filter(None, (note, budget))), decimals=2)
