@@ -15,8 +15,9 @@ from ..geometry.camera import CANONICAL_ROTATION, Camera
 from ..geometry.view import View
 from ..io.images import read_image
 from ..network.input import network_input
-from ..refinement.placement import mask_doubts, place_in_front, settle, view_to_world
+from ..refinement.placement import mask_doubts
 from .load import NO_FILE, Scene, ViewFiles, camera_source, load_views, require_same_size
+from .placing import align_silhouette, place_in_front, view_to_world
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork, NetworkConfig
@@ -44,8 +45,8 @@ def load_network_scene(
     Parameters
     ----------
     world : give the output of a view-aligned network in the world coordinates of the camera file.
-    placing : of a view-aligned network's cloud: "silhouette" maximises the agreement with the mask (`settle`), "box" fits the
-        mask's box (`place_in_front`), "camera" takes t of the camera file, as for an object of longest side 1 at the origin.
+    placing : of a view-aligned network's cloud: "silhouette" aligns it with the mask (`align_silhouette`), "box" with the mask's
+        box (`place_in_front`), "camera" takes t of the camera file, as for an object of longest side 1 at the origin.
 
     Raises
     ------
@@ -143,4 +144,4 @@ def _placed(points: Array, crop: View, view: View, placing: Placing, sigma_sq: f
             raise InputError(f"{view.name}: the camera has the object at depth {depth:g}, expected it in front (> 0)")
         return replace(crop.camera, R=CANONICAL_ROTATION, t=view.camera.t)
     camera = place_in_front(points, crop)
-    return settle(points, replace(crop, camera=camera), sigma_sq) if placing == "silhouette" else camera
+    return align_silhouette(points, replace(crop, camera=camera), sigma_sq) if placing == "silhouette" else camera

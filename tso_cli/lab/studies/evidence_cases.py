@@ -15,9 +15,9 @@ from ...geometry.points import farthest_point_sample, sample_surface
 from ...geometry.rotations import from_vectors
 from ...geometry.view import View
 from ...io.meshes import Mesh, read_mesh
-from ...refinement.placement import place_in_front, settle
 from ...refinement.symmetry import find_mirror_plane
 from ...render import RayScene, fitting_distance, look_at, normalise, render_view
+from ...scene.placing import align_silhouette, place_in_front
 from .accuracy_cases import SAMPLES, AccuracyCase
 from .parts import Shape
 
@@ -173,7 +173,7 @@ def placed_by(placing: str) -> Alter:
         view = case.views[0]
         placed = replace(view, camera=place_in_front(case.initial, view))
         if placing == "silhouette":
-            placed = replace(placed, camera=settle(case.initial, placed))
+            placed = replace(placed, camera=align_silhouette(case.initial, placed))
         return replace(case, views=(placed,))
 
     return altered

@@ -1,0 +1,103 @@
+"""Placing a view-aligned network's cloud in front of a camera."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_ROTATION, Camera
+from ..geometry.view import View
+
+Array = NDArray[np.float64]
+
+# Twenty steps of a 200th shift a cloud by a tenth of its longest side; more change no result.
+ALIGNMENT_STEPS, ALIGNMENT_STEP = 20, 0.005
+
+
+def place_in_front(points: Array, view: View) -> Camera:
+    """The canonical camera with the view's K, shifted so that a view-aligned cloud fills the mask's box.
+
+    A network sees a crop, which shows neither the object's distance nor its size. The axes are the canonical ones; at the
+    distance chosen the longer side of the projected box equals the mask's, and a sideways shift centres the box on the mask's.
+    With the K of the training renders this distance is close to the canonical 2.
+
+    Parameters
+    ----------
+    points : [N, 3] view-aligned (x right, y up, z toward the viewer), about centred.
+    view : mask and camera, of which only K, width and height are used.
+    """
+    left, top, right, bottom = view.box()
+    size, middle = max(right - left, bottom - top), np.array([left + right, top + bottom]) / 2.0
+    camera = replace(view.camera, R=CANONICAL_ROTATION, t=np.array([0.0, 0.0, CANONICAL_DISTANCE]), model="perspective")
+    focal = camera.K[[0, 1], [0, 1]]
+    nearest = float(points[:, 2].max()) + 0.1
+    # The size of the box is almost inversely proportional to the distance, so this converges in a few rounds.
+    for _ in range(50):
+        pixels, _ = camera.project(points)
+        low, high = pixels.min(0) - 0.5, pixels.max(0) + 0.5
+        distance = max(camera.t[2] * float((high - low).max()) / size, nearest)
+        shift = (middle - (low + high) / 2.0) / focal * distance
+        t = np.array([camera.t[0] + shift[0], camera.t[1] + shift[1], distance])
+        if np.abs(t - camera.t).max() < 1e-9 * distance:
+            break
+        camera = replace(camera, t=t)
+    return camera
+
+
+def align_silhouette(points: Array, view: View, sigma_sq: float | None = None, steps: int = ALIGNMENT_STEPS) -> Camera:
+    """The view's camera, shifted to where the silhouette of a cloud agrees best with the mask (BCE, Eq. 4).
+
+    A box depends on the outermost points of a prediction, which are often wrong; the silhouette depends on all of them. What a
+    shift explains of the misfit is then not asked of the shape.
+
+    Parameters
+    ----------
+    points : [N, 3], in the frame of the camera's R and t.
+    view : mask and a camera that is about right already, as from `place_in_front`.
+    sigma_sq : px^2; None for the view's default. steps : of Adam, each of about 1/200 of the cloud's longest side at most.
+
+    Returns
+    -------
+    The camera with another t: that of the best step, the start included.
+    """
+    import torch
+
+    from ..refinement.adam import Adam
+    from ..refinement.optimise import descend
+    from ..silhouette.bce import PixelWeights, mask_loss
+    from ..silhouette.projection import CameraBatch, default_sigma_sq, project
+
+    cloud = torch.as_tensor(points, dtype=torch.float32)[None]
+    sigma_sq = default_sigma_sq(view.camera.width, view.camera.height) if sigma_sq is None else sigma_sq
+    known = None if view.known is None else torch.as_tensor(view.known, dtype=torch.float32)[None]
+    target = PixelWeights.of(torch.as_tensor(view.mask, dtype=torch.float32)[None], known)
+    cameras = CameraBatch.of([view.camera], cloud)
+    shift = torch.zeros(1, 1, 3, requires_grad=True)
+
+    def silhouette_loss(shift: torch.Tensor) -> torch.Tensor:
+        projected = project(cloud, replace(cameras, t=cameras.t + shift[0, 0]))
+        return mask_loss(projected.points_px[:, 0], projected.valid[:, 0], target, sigma_sq)
+
+    optimiser = Adam([shift], ALIGNMENT_STEP * float(np.ptp(points, axis=0).max()))
+    best = descend(lambda: shift, silhouette_loss, optimiser, steps).best[0, 0]
+    return replace(view.camera, t=view.camera.t + best.double().numpy())
+
+
+def view_to_world(points: Array, placed: Camera, camera: Camera) -> Array:
+    """A view-aligned cloud, which ``placed`` projects onto the picture, in the world of ``camera``.
+
+    The picture fixes the cloud up to a scale about the camera's centre, which is chosen so that the cloud's origin gets the
+    depth of the world's origin.
+
+    Raises
+    ------
+    InputError
+        The world's origin is not in front of ``camera``.
+    """
+    if camera.t[2] <= 0.0:
+        raise InputError(f"the world's origin has depth {camera.t[2]:g} in this camera, expected it in front (> 0)")
+    points_camera = (points @ placed.R.T + placed.t) * (camera.t[2] / placed.t[2])
+    return (points_camera - camera.t) @ camera.R
