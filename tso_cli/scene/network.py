@@ -45,7 +45,7 @@ def load_network_scene(
     Parameters
     ----------
     world : give the output of a view-aligned network in the world coordinates of the camera file.
-    placing : of a view-aligned network's cloud: "silhouette" aligns it with the mask (`align_silhouette`), "box" with the mask's
+    placing : of a view-aligned network's cloud: "silhouette" aligns it with the mask (`align_silhouette`), "box" with its
         box (`place_in_front`), "camera" takes t of the camera file, as for an object of longest side 1 at the origin.
 
     Raises
