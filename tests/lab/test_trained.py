@@ -12,7 +12,7 @@ from PIL import Image
 
 from tso_cli.cli import main
 from tso_cli.errors import InputError
-from tso_cli.io.packing import pack, unpack
+from tso_cli.lab.packing import pack, unpack
 from tso_cli.lab.studies import affinity, departures, failures, material, supervision, trained, views, weight
 from tso_cli.lab.studies.judging import Predicted, camera_axes, judge, object_axes, predict
 from tso_cli.lab.studies.material import ALL, Material, Source

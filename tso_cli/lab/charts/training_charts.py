@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ...io.packing import unpack
 from ...plots.style import BETTER, COLOURS, INK, PALE, WORSE, page
+from ..packing import unpack
 
 LABEL = "Chamfer x1000 (scaled by own box)"
 

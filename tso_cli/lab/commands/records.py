@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +24,17 @@ def resume(kept: str) -> Callable[..., Any]:
     return click.option("--resume", is_flag=True, help=f"Go on from the record at -o, kept {kept}, if there is one.")
 
 
-def check_outputs(output: Path | None, overwrite: bool, resume: bool = False) -> None:
+def check_outputs(
+    output: Path | None, overwrite: bool, resume: bool = False, suffixes: Sequence[str] = (".json", ".png")
+) -> None:
     """Refuse outputs that cannot be written before the long work starts; with ``resume`` they may be there."""
     if resume and output is None:
         raise InputError("--resume goes on from a record, expected its name after -o")
     if output is not None:
         if output.suffix.lower() != ".json":
             raise InputError(f"{output}: the suffix is {output.suffix!r}, expected .json (the chart goes beside it as .png)")
-        for path in (output, output.with_suffix(".png")):
-            check_output(path, overwrite or resume)
+        for suffix in suffixes:
+            check_output(output.with_suffix(suffix), overwrite or resume)
 
 
 def earlier_record(study: str, output: Path | None, resume: bool) -> dict[str, Any] | None:

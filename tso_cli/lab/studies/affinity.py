@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...geometry.points import Array
-from ...io.packing import pack
 from ...train.data import TrainingData
+from ..packing import pack
 from .figures import CATEGORIES, chamfer_of, claim, judged_categories, sigma_sq
 from .judging import JUDGED_VIEWS, Predicted, object_axes
 from .trained import Setting

@@ -10,8 +10,8 @@ import numpy as np
 from ...errors import InputError
 from ...evaluation.metrics import chamfer
 from ...geometry.points import Array
-from ...io.packing import pack
 from ...train.data import TrainingData
+from ..packing import pack
 from .figures import CATEGORIES, SIGMA_SQ, chamfer_of, claim
 from .judging import Predicted, camera_axes, object_axes
 from .material import ALL

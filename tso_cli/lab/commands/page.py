@@ -1,0 +1,44 @@
+"""`tso lab page`: records shown."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+
+import click
+
+from ...commands import options
+from ...errors import InputError
+from ...io.output import atomic_output
+from ...io.reading import shown
+from ..studies import QUESTIONS
+from ..study import Record, Study, page
+from .records import read_record
+
+
+def load(name: str) -> Study:
+    """The study of that name."""
+    study: Study = import_module(f"tso_cli.lab.studies.{QUESTIONS[name][0]}").STUDY
+    return study
+
+
+def write_page(study: Study, record: Record, output: Path) -> None:
+    """The chart and the page of the record at ``output``, beside it."""
+    figure = study.draw(record)
+    with atomic_output(output.with_suffix(".png")) as temporary:
+        figure.savefig(temporary)
+    with atomic_output(output.with_suffix(".md")) as temporary:
+        temporary.write_text(page(study, record, output.name))
+
+
+@click.command("page")
+@click.argument("records", nargs=-1, required=True, type=options.FilePath())
+def command(records: tuple[Path, ...]) -> None:
+    """Write the pages and charts of RECORDS anew, beside them, and run nothing."""
+    for path in records:
+        record = read_record(path)
+        name = record.get("study")
+        if name not in QUESTIONS:
+            raise InputError(f"{path}: is of the study {shown(name)}, expected one of {', '.join(QUESTIONS)}")
+        write_page(load(name), record, path)
+        click.echo(path.with_suffix(".md"))
