@@ -154,7 +154,7 @@ class Study:
     options : of the command, beside -o, --overwrite, --json and, where records are kept, --resume.
     run : (progress, one keyword for each option) -> the record, JSON-able.
     tables : record -> its tables.
-    draw : record -> its chart, a matplotlib Figure.
+    draw : (path, record, overwrite), writes its chart; `plots.style.page` makes the figure.
     reading : what the record means, at most 120 words, for its page.
     kept : when the record is kept, such as "after every shape"; empty where the study cannot be resumed.
     """
@@ -164,7 +164,7 @@ class Study:
     options: tuple[Option, ...]
     run: Callable[..., Record]
     tables: Callable[[Record], list[Table]]
-    draw: Callable[[Record], Any]
+    draw: Callable[[Path, Record, bool], None]
     reading: str = ""
     kept: str = ""
 
@@ -173,8 +173,13 @@ class Study:
         return QUESTIONS[self.name][1]
 
 
+def claim(text: str, holds: bool, found: str) -> dict[str, Any]:
+    """One of a record's claims: whether it holds, and the figures that say so."""
+    return {"claim": text, "holds": bool(holds), "found": found}
+
+
 def claim_line(claim: dict[str, Any]) -> str:
-    """One of a record's claims, whether it holds, and the figures that say so."""
+    """A claim as tables and pages state it."""
     return f"{'holds' if claim['holds'] else 'target missed'}: {claim['claim']} ({claim['found']})"
 
 

@@ -24,9 +24,7 @@ def load(name: str) -> Study:
 
 def write_page(study: Study, record: Record, output: Path) -> None:
     """The chart and the page of the record at ``output``, beside it."""
-    figure = study.draw(record)
-    with atomic_output(output.with_suffix(".png")) as temporary:
-        figure.savefig(temporary)
+    study.draw(output.with_suffix(".png"), record, True)
     with atomic_output(output.with_suffix(".md")) as temporary:
         temporary.write_text(page(study, record, output.name))
 
