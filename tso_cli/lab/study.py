@@ -9,6 +9,7 @@ from typing import Any
 
 from ..errors import InputError
 from ..plots.table import Cell, text_table
+from ..version import __version__
 from .studies import QUESTIONS
 
 Record = dict[str, Any]
@@ -171,6 +172,11 @@ class Study:
     @property
     def question(self) -> str:
         return QUESTIONS[self.name][1]
+
+
+def record_of(study: str, settings: dict[str, Any], convention: dict[str, str] | str, **content: Any) -> Record:
+    """A record of the version at hand."""
+    return {"study": study, "version": __version__, "settings": settings, "convention": convention, **content}
 
 
 def claim(text: str, holds: bool, found: str) -> dict[str, Any]:

@@ -94,7 +94,7 @@ class CaseBuilder:
     def __init__(
         self,
         folder: Path,
-        split_file: Path,
+        split_file: Path | None,
         views: int,
         size: int,
         points: int,

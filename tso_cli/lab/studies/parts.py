@@ -50,7 +50,7 @@ class SeenShape:
 
 def shapes_of_part(
     folder: Path,
-    split_file: Path = SPLIT,
+    split_file: Path | None = None,
     part: str = "test",
     categories: Sequence[str] = (),
     limit: int | None = None,
@@ -60,6 +60,7 @@ def shapes_of_part(
     Parameters
     ----------
     folder : holds CATEGORY/NAME with a mesh's suffix for every name of the part.
+    split_file : None for that of the shipped network.
     part : "train", "validation" or "test".
     categories : only these; empty for all.
     limit : at most so many of each category, spread evenly over the list.
@@ -69,6 +70,7 @@ def shapes_of_part(
     InputError
         The part or a category has no shape in the split, or a mesh is missing.
     """
+    split_file = split_file or SPLIT
     names = read_part(split_file, part)
     if not names:
         raise InputError(f"{split_file}: names no shape for {part}, expected some")
