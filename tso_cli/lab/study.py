@@ -174,9 +174,9 @@ class Study:
         return QUESTIONS[self.name][1]
 
 
-def record_of(study: str, settings: dict[str, Any], convention: dict[str, str] | str, **content: Any) -> Record:
+def record_of(study: str, convention: dict[str, str] | str, **content: Any) -> Record:
     """A record of the version at hand."""
-    return {"study": study, "version": __version__, "settings": settings, "convention": convention, **content}
+    return {"study": study, "version": __version__, "convention": convention, **content}
 
 
 def claim(text: str, holds: bool, found: str) -> dict[str, Any]:
@@ -190,16 +190,13 @@ def claim_line(claim: dict[str, Any]) -> str:
 
 
 def answer(study: Study, record: Record) -> str:
-    """Tables and claims of a record, for a terminal."""
+    """Tables, convention and claims of a record, for a terminal."""
     claims = "\n".join(map(claim_line, record.get("claims", [])))
-    return "\n\n".join([*(table.text() for table in study.tables(record)), *([claims] if claims else [])])
+    return "\n\n".join(filter(None, (*(table.text() for table in study.tables(record)), _convention(record), claims)))
 
 
 def page(study: Study, record: Record, file_name: str) -> str:
     """The page of the record in ``file_name``, NAME.json, as Markdown; its chart is NAME.png beside it."""
-    convention = record.get("convention", {})
-    if isinstance(convention, str):
-        convention = {"distances": convention}
     parts = [
         f"# {study.question}",
         f"    {record.get('command', f'tso lab {study.name}')} -o {file_name}",
@@ -207,6 +204,13 @@ def page(study: Study, record: Record, file_name: str) -> str:
         f"![{study.question}]({file_name.removesuffix('.json')}.png)",
         *(table.markdown() for table in study.tables(record)),
         "\n".join(f"- {claim_line(claim)}" for claim in record.get("claims", [])),
-        "\n".join(f"- {name}: {meaning}" for name, meaning in convention.items()),
+        _convention(record, "- "),
     ]
     return "\n\n".join(filter(None, parts)) + "\n"
+
+
+def _convention(record: Record, bullet: str = "") -> str:
+    convention = record.get("convention", {})
+    if isinstance(convention, str):
+        convention = {"Chamfer": convention}
+    return "\n".join(f"{bullet}{name}: {meaning}" for name, meaning in convention.items())

@@ -49,7 +49,7 @@ def run(progress: Progress, *, meshes: Path, split: Path | None, part: str, limi
     groups = [None if shape.name in done else partial(_judge_shape, builder, shape) for shape in shapes]
 
     def record(cases: Cases, complete: bool) -> Record:
-        return record_of("pose", settings, CONVENTION, complete=complete, summary=summarise(cases), cases=cases)
+        return record_of("pose", CONVENTION, complete=complete, settings=settings, summary=summarise(cases), cases=cases)
 
     return progress.complete("fitting", cases, groups, record)
 

@@ -29,6 +29,11 @@ PAPER = {"chair": 0.4, "car": 0.4, "airplane": 0.1, "all": 0.4}
 PICTURED = (0.05, 0.1, 0.4, 0.8, 3.2)
 """sigma^2 of the pictures, which stand beside the discrete projections."""
 SIZE = 64
+CONVENTION = {
+    "sigma_sq": f"px^2 of the {SIZE}x{SIZE} mask",
+    "l1": "|silhouette - mask|, mean over pixels, views and shapes; the sum of missing and stray",
+    "missing": "what the silhouette lacks of the mask; stray: what it has beyond it",
+}
 
 
 def run(
@@ -59,21 +64,11 @@ def run(
             rows.append({"category": shape.category, "shape": shape.name, **mask_errors(seen)})
         progress.report("projecting", done, len(shapes))
     summary = {name: _means(name, group) for name, group in {**by_category(rows), "all": rows}.items()}
+    about = {"part": part, "views": views, "seed": seed, "points": settings.points, "mask": f"{SIZE}x{SIZE}"}
     return record_of(
         "sigma",
-        {
-            "part": part,
-            "views": views,
-            "seed": seed,
-            "points": settings.points,
-            "mask": f"{SIZE}x{SIZE}",
-            "sigma_sq": list(SIGMAS),
-        },
-        {
-            "sigma_sq": f"px^2 of the {SIZE}x{SIZE} mask",
-            "l1": "|silhouette - mask|, mean over pixels, views and shapes; the sum of missing and stray",
-            "missing": "what the silhouette lacks of the mask; stray: what it has beyond it",
-        },
+        CONVENTION,
+        settings={**about, "sigma_sq": list(SIGMAS)},
         summary=summary,
         claims=claims(summary),
         shapes=rows,
