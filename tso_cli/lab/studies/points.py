@@ -16,6 +16,8 @@ from .protocol import INITIAL_CHAMFER, Case, build_cases
 from .summary import by_category, ratio_figures
 
 CONVENTION = "squared distances, mean over points, forward (truth -> cloud) + backward; longest side 1"
+DIRECTIONS = ("chamfer", "forward", "backward")
+OF_RESULT = ("iou_before", "iou_after", "best_step", "learning_rate", "gamma", "sigma_sq")
 
 
 def run(
@@ -39,13 +41,9 @@ def run(
             rows.append(refine_case(case, config))
             progress.report(f"{category}: refining", done, len(cases))
     used = {key: rows[0][key] for key in ("learning_rate", "gamma", "sigma_sq")}
-    return record_of(
-        "points",
-        {"steps": config.steps, **used, "seed": seed, "device": config.device, "points": 1024, "mask": "64x64"},
-        CONVENTION,
-        summary={category: summarise(group) for category, group in by_category(rows).items()},
-        cases=rows,
-    )
+    settings = {"steps": config.steps, **used, "seed": seed, "device": config.device, "points": 1024, "mask": "64x64"}
+    summary = {category: summarise(group) for category, group in by_category(rows).items()}
+    return record_of("points", CONVENTION, settings=settings, summary=summary, cases=rows)
 
 
 def refine_case(case: Case, config: RefineConfig) -> dict[str, Any]:
@@ -58,29 +56,18 @@ def refine_case(case: Case, config: RefineConfig) -> dict[str, Any]:
         "category": case.category,
         "shape": case.shape,
         "start": case.start,
-        "chamfer_before": before.chamfer,
-        "chamfer_after": after.chamfer,
-        "forward_before": before.forward,
-        "forward_after": after.forward,
-        "backward_before": before.backward,
-        "backward_after": after.backward,
+        **{f"{key}_before": getattr(before, key) for key in DIRECTIONS},
+        **{f"{key}_after": getattr(after, key) for key in DIRECTIONS},
         "ratio": after.chamfer / before.chamfer,
-        "iou_before": result.iou_before,
-        "iou_after": result.iou_after,
-        "best_step": result.best_step,
         "seconds": seconds,
-        "learning_rate": result.learning_rate,
-        "gamma": result.gamma,
-        "sigma_sq": result.sigma_sq,
+        **{key: getattr(result, key) for key in OF_RESULT},
     }
 
 
 def summarise(rows: Cases) -> dict[str, Any]:
     """Means over the cases of one category; the gain is read off the mean ratio, safety off the worst."""
-    means = {
-        key: float(np.mean([row[key] for row in rows]))
-        for key in ("chamfer_before", "chamfer_after", "iou_before", "iou_after")
-    }
+    keys = ("chamfer_before", "chamfer_after", "iou_before", "iou_after")
+    means = {key: float(np.mean([row[key] for row in rows])) for key in keys}
     return {
         "cases": len(rows),
         **means,
@@ -112,8 +99,8 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 
 STUDY = Study(
     "points",
-    "Points mode with the paper's preset, or settings of your choice, on real shapes: start from another shape's cloud, see one "
-    "64x64 mask, be judged by Chamfer to the truth.",
+    "Points mode with the paper's preset, or settings of your choice, on real shapes: start from another shape's cloud, see "
+    "one 64x64 mask, be judged by Chamfer to the truth.",
     (
         Option("--meshes", "Folder with a folder of meshes for each category.", Path, required=True),
         Option(
@@ -135,6 +122,6 @@ STUDY = Study(
     run,
     tables,
     draw,
-    "With the paper's settings nearly every shape comes nearer to the truth, and hardly any gets worse, but the gain is small: the "
-    "steps are few and short, and one mask says nothing of depth.",
+    "With the paper's settings nearly every shape comes nearer to the truth, and hardly any gets worse, but the gain is small: "
+    "the steps are few and short, and one mask says nothing of depth.",
 )
