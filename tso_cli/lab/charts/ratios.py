@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,8 +16,8 @@ class Panel:
     """``rows`` : label -> Chamfer after / before of each case. ``references`` : label -> a dashed bar, the paper's."""
 
     title: str
-    rows: dict[str, Sequence[float]]
-    references: dict[str, float] = field(default_factory=dict)
+    rows: Mapping[str, Sequence[float]]
+    references: Mapping[str, float] = field(default_factory=dict)
 
 
 def draw_ratios(path: Path, grid: Sequence[Sequence[Panel]], overwrite: bool) -> None:

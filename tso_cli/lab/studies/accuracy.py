@@ -19,10 +19,9 @@ from ...version import __version__
 from .accuracy_cases import KINDS, AccuracyCase, CaseBuilder, check_points, kinds_of
 from .accuracy_summary import claims, summarise
 from .accuracy_variants import alone, refined, variants_of
-from .parts import SPLIT, Shape, shapes_of_part
+from .parts import SPLIT, Shape, shapes_of_part, weights_hash
 from .protocol import Report
 from .resumed import Cases, Keep, cases_of, complete
-from .variants import weights_hash
 
 CATEGORIES = ("chair", "airplane", "car", "sofa", "table")
 ABLATED = ("other", "near", "cut", "network")

@@ -104,7 +104,7 @@ def refined(
     for result in found:
         if isinstance(result, TsoError):
             raise result
-        results.append(_whole(result))
+        results.append(uninterrupted(result))
     return results, seconds
 
 
@@ -113,12 +113,12 @@ def alone(case: AccuracyCase, variant: Variant, device: str, network: BaseNetwor
     config, views = replace(variant.config, device=device), case.views[: variant.masks]
     start = time.perf_counter()
     if config.mode == "points":
-        result = _whole(refine(case.initial, views, config=config, colours=case.colours, faces=case.faces))
+        result = uninterrupted(refine(case.initial, views, config=config, colours=case.colours, faces=case.faces))
     else:
-        result = _whole(refine(None, views, config=config, network=network, image=case.image))
+        result = uninterrupted(refine(None, views, config=config, network=network, image=case.image))
     if variant.then is not None:
         first = result
-        result = _whole(refine(first.points, views, config=replace(variant.then, device=device)))
+        result = uninterrupted(refine(first.points, views, config=replace(variant.then, device=device)))
         before = [pair[0] for pair in first.view_ious]
         result = replace(
             result, iou_before=first.iou_before, view_ious=list(zip(before, (b for _, b in result.view_ious), strict=True))
@@ -126,7 +126,8 @@ def alone(case: AccuracyCase, variant: Variant, device: str, network: BaseNetwor
     return result, time.perf_counter() - start
 
 
-def _whole(result: RefineResult) -> RefineResult:
-    if result.stop_reason == "interrupted":  # the loop has swallowed Ctrl-C and kept its best
+def uninterrupted(result: RefineResult) -> RefineResult:
+    """The result; KeyboardInterrupt where the loop has swallowed Ctrl-C and kept its best."""
+    if result.stop_reason == "interrupted":
         raise KeyboardInterrupt
     return result

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +94,7 @@ def tables(record: Record) -> list[Table]:
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
     """Chamfer after / before of each mode, a panel for each example."""
-    panels: dict[str, dict[str, Sequence[float]]] = {}
+    panels: dict[str, dict[str, list[float]]] = {}
     for row in record["examples"]:
         panels.setdefault(row["example"], {})[row["mode"]] = [row["ratio"]]
     draw_ratios(path, [[Panel(name, rows) for name, rows in panels.items()]], overwrite)

@@ -1,7 +1,8 @@
-"""The shapes of one part of a split, as a study goes through them."""
+"""What studies are made on: the shapes of one part of a split, and a network."""
 
 from __future__ import annotations
 
+import hashlib
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +13,9 @@ import numpy as np
 from ...datasets.splits import read_part
 from ...errors import InputError
 from ...geometry.points import Array
+from ...io.checkpoints import load_network
 from ...io.meshes import Mesh, find_meshes, read_mesh
+from ...network.model import BaseNetwork, NetworkConfig
 from ...render import RayScene, RenderedView, RenderSettings, ground_truth, normalise, render_view, sample_cameras
 
 SPLIT = Path(__file__).with_name("split.json")
@@ -102,3 +105,19 @@ def see(shape: Shape, settings: RenderSettings, seed: int) -> SeenShape:
     scene = RayScene(mesh)
     views = [render_view(scene, camera, rng) for camera in sample_cameras(settings, mesh.vertices, rng)]
     return SeenShape(mesh, scene, target, views)
+
+
+def view_aligned_network(checkpoint: Path) -> tuple[BaseNetwork, NetworkConfig]:
+    """The network of a checkpoint; InputError if it does not predict in the axes of the view."""
+    network, about = load_network(checkpoint)
+    if about.frame != "view":
+        raise InputError(f"{checkpoint}: predicts in the {about.frame} frame, expected a view-aligned network")
+    return network, about
+
+
+def weights_hash(network: BaseNetwork) -> str:
+    """Changes when a weight does; what else is in a checkpoint says nothing of its predictions."""
+    digest = hashlib.sha256()
+    for name, tensor in sorted(network.state_dict().items()):
+        digest.update(name.encode() + tensor.float().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:16]
