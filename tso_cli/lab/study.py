@@ -100,12 +100,14 @@ class Progress:
     earlier : the record to go on from, if there is one.
     keep : called with the record so far.
     unfinished : checkpoint beside which a network that is being trained is kept; None keeps none.
+    overwrite : whether a file that the study writes itself may replace another.
     """
 
     report: Report = lambda what, done, total: None
     earlier: Record | None = None
     keep: Callable[[Record], None] = lambda record: None
     unfinished: Path | None = None
+    overwrite: bool = False
 
     def earlier_cases(self, study: str, settings: dict[str, Any]) -> Cases:
         """The cases of the earlier record; InputError if it is of another study or of other settings."""

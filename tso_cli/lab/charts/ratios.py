@@ -16,7 +16,7 @@ class Panel:
     """``rows`` : label -> Chamfer after / before of each case. ``references`` : label -> a dashed bar, the paper's."""
 
     title: str
-    rows: Mapping[str, Sequence[float]]
+    rows: Mapping[str, Sequence[float] | np.ndarray]
     references: Mapping[str, float] = field(default_factory=dict)
 
 

@@ -35,7 +35,8 @@ def command_of(study: Study) -> click.Command:
                 write_record({**record, "command": typed}, output)
 
         unfinished = output.with_name(f"{output.stem}.unfinished.safetensors") if output else None
-        record = study.run(Progress(Reporter(), earlier_record(study.name, output, resume), keep, unfinished), **values)
+        earlier = earlier_record(study.name, output, resume)
+        record = study.run(Progress(Reporter(), earlier, keep, unfinished, overwrite or resume), **values)
         keep(record)
         if output is not None:
             write_page(study, {**record, "command": typed}, output)
