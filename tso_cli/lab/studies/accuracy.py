@@ -316,7 +316,7 @@ STUDY = Study(
     draw,
     "The default preset is judged by two questions: how much of the error it removes, and how often it adds some. One mask "
     "says nothing of depth, so that even a perfect answer in the image plane leaves a good part of the error; symmetry and "
-    "further masks are what reaches beyond it. Two samplings of one surface differ too: no ratio can fall below that floor. Starts "
-    "that are right already show what a refinement costs where there is nothing to gain.",
+    "further masks are what reaches beyond it. Two samplings of one surface differ too: no ratio can fall below that floor. "
+    "Starts that are right already show what a refinement costs where there is nothing to gain.",
     kept="after every group of shapes",
 )
