@@ -20,6 +20,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+# The number of threads shows in the last digits of what BLAS computes.
+os.environ["OMP_NUM_THREADS"] = "1"
+
 from tests.readme import working_copy
 from tso_cli.cli import main as tso
 
@@ -27,7 +30,7 @@ EXAMPLES = ("chair", "car", "airplane")
 MODES = ("points", "encoder", "encoder-decoder", "latent")
 PRESETS = ("best", "paper")
 # Values that a clock or the place of the files decides.
-FLEETING = ("seconds", "images_per_second", "version", "output", "state")
+FLEETING = ("seconds", "images_per_second", "version", "output", "state", "checkpoint")
 
 
 def commands() -> dict[str, list[str]]:

@@ -65,7 +65,9 @@ def _click_option(option: Option) -> Callable[..., Any]:
         kind = options.FilePath()
     elif option.least is not None:
         kind = click.IntRange(option.least, option.most)
-    settings: dict[str, Any] = {"is_flag": True} if option.kind is bool else {"type": kind, "default": option.default}
+    settings: dict[str, Any] = {"is_flag": True} if option.kind is bool else {"type": kind}
+    if option.default is not None:  # None, where it is passed on, would satisfy a required option
+        settings["default"] = option.default
     return click.option(
         option.flag,
         option.parameter,

@@ -222,8 +222,8 @@ STUDY = Study(
     run,
     tables,
     draw,
-    "Each question alters cases in one way and compares rows that see the same random numbers. Evidence that is right helps: "
-    "more masks, depth, a photo of an object whose colours are known. What matters as much is the harm that wrong evidence does: "
-    "a method that weighs its evidence loses little to one wrong view, camera or plane.",
+    "Each question alters cases in one way and compares rows that see the same random numbers. Evidence that is right "
+    "helps: more masks, depth, a photo of an object whose colours are known. What matters as much is the harm that wrong "
+    "evidence does: a method that weighs its evidence loses little to one wrong view, camera or plane.",
     kept="after every group of shapes",
 )

@@ -1,0 +1,55 @@
+"""What tests of studies share: the shipped shapes as a split, a small network, and the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tso_cli.cli import main
+from tso_cli.io.checkpoints import save_network
+from tso_cli.network import model as networks
+from tso_cli.network.model import NetworkConfig, build_network
+
+from ..training import make_thin
+
+MESHES = Path(__file__).parents[2] / "examples" / "meshes"
+
+
+def write_split(folder: Path, **parts: list[str]) -> Path:
+    """A split file of the shipped shapes."""
+    path = folder / "split.json"
+    path.write_text(json.dumps(parts))
+    return path
+
+
+def thin_checkpoint(folder: Path, monkeypatch: pytest.MonkeyPatch, points: int, **settings: object) -> Path:
+    """A network of the paper's layers with few channels, untrained."""
+    make_thin(monkeypatch)
+    monkeypatch.setattr(networks, "LATENT", 8)
+    path = folder / "thin.safetensors"
+    config = NetworkConfig(points=points, **settings)  # type: ignore[arg-type]
+    save_network(path, build_network(points, seed=0), config, overwrite=True)
+    return path
+
+
+def tso(*arguments: object) -> int:
+    """The exit code of `tso` with these arguments."""
+    with pytest.raises(SystemExit) as stopped:
+        main([str(argument) for argument in arguments])
+    return int(stopped.value.code or 0)
+
+
+def check_command(output: Path, capsys: pytest.CaptureFixture[str], *arguments: object, words: tuple[str, ...]) -> dict:
+    """The record of `tso lab`, whose chart, page and table are there, and which --resume gives again without work."""
+    assert tso("lab", *arguments, "-o", output) == 0
+    printed = capsys.readouterr().out
+    page = output.with_suffix(".md").read_text()
+    for word in words:
+        assert word in printed
+        assert word in page
+    assert output.with_suffix(".png").stat().st_size > 3000
+    record = json.loads(output.read_text())
+    assert record["command"].startswith(f"tso lab {arguments[0]}")
+    return record
