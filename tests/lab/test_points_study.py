@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pytest
 
@@ -16,8 +18,18 @@ from .studying import MESHES, check_command
 
 
 @pytest.fixture(scope="module")
-def cars():
-    return build_cases(MESHES, "car")
+def meshes(tmp_path_factory):
+    """Four of the shipped cars."""
+    folder = tmp_path_factory.mktemp("meshes") / "car"
+    folder.mkdir()
+    for path in sorted((MESHES / "car").glob("*.ply"))[:4]:
+        shutil.copy(path, folder)
+    return folder.parent
+
+
+@pytest.fixture(scope="module")
+def cars(meshes):
+    return build_cases(meshes, "car")
 
 
 def test_a_case_starts_from_the_shape_nearest_to_the_categorys_level_and_sees_the_whole_object(cars):
@@ -42,8 +54,8 @@ def test_variants_of_one_aeroplane_are_one_type():
     assert shape_type("qreal_Cop") != shape_type("qreal_Cop_SUV")
 
 
-def test_cases_depend_on_the_seed_alone(cars):
-    again, other = (build_cases(MESHES, "car", seed, limit=1)[0] for seed in (0, 1))
+def test_cases_depend_on_the_seed_alone(cars, meshes):
+    again, other = (build_cases(meshes, "car", seed, limit=1)[0] for seed in (0, 1))
     np.testing.assert_array_equal(cars[0].target, again.target)
     np.testing.assert_array_equal(cars[0].view.mask, again.view.mask)
     assert not np.array_equal(cars[0].view.mask, other.view.mask)
@@ -77,9 +89,9 @@ def test_a_folder_without_shapes_of_the_category_is_refused(tmp_path):
         build_cases(tmp_path, "chair")
 
 
-def test_the_command_takes_settings_of_the_refinement(tmp_path, capsys, monkeypatch):
+def test_the_command_takes_settings_of_the_refinement(meshes, tmp_path, capsys, monkeypatch):
     make_known(monkeypatch)
-    arguments = ("points", "--meshes", MESHES, "--category", "car", "--limit", 1, "--steps", 2, "--gamma", 5.0)
+    arguments = ("points", "--meshes", meshes, "--category", "car", "--limit", 1, "--steps", 2, "--gamma", 5.0)
     record = check_command(tmp_path / "points.json", capsys, *arguments, words=("after/before", "car"))
     assert record["summary"]["car"]["cases"] == len(record["cases"]) == 1
     assert (record["settings"]["steps"], record["settings"]["gamma"]) == (2, 5.0)

@@ -3,49 +3,51 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from PIL import Image
 
-from tso_cli.cli import main
 from tso_cli.errors import InputError
+from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.points import normalise_longest_side, sample_surface
-from tso_cli.io.checkpoints import save_network
+from tso_cli.geometry.view import View
 from tso_cli.io.meshes import Mesh
 from tso_cli.lab.studies import variants
-from tso_cli.lab.studies.parts import see, shapes_of_part
-from tso_cli.lab.studies.variants import VariantsConfig, distances, study_variants
-from tso_cli.lab.studies.variants_summary import VARIANTS, claims, summarise
+from tso_cli.lab.studies.parts import see, shapes_of_part, view_aligned_network
+from tso_cli.lab.studies.variants import VARIANTS, claims, distances, summarise
 from tso_cli.lab.studies.visibility import visible_points
-from tso_cli.network import model as networks
-from tso_cli.network.model import NetworkConfig, build_network
+from tso_cli.lab.study import Progress
 from tso_cli.refinement.objective import SilhouetteObjective
 from tso_cli.render import RayScene, RenderSettings, look_at
+from tso_cli.scene.network import network_scene
 
-from ..training import make_thin
+from .studying import MESHES, check_command, thin_checkpoint, tso, write_split
 
-MESHES = Path(__file__).parents[2] / "examples" / "meshes"
 NAMES = ["car/qreal_Cop", "car/qreal_SUV", "car/qbasic_RaceCar", "chair/q19_Chair", "chair/q17_Chair"]
-QUICK = VariantsConfig(categories=("car",), limit=2, views=1, size=64, steps=2)
+QUICK = {"part": "test", "categories": ("car",), "limit": 2, "views": 1, "steps": 2, "seed": 0, "device": "cpu"}
 
 
 @pytest.fixture
 def split(tmp_path):
-    path = tmp_path / "split.json"
-    path.write_text(json.dumps({"test": NAMES, "validation": ["chair/kfurn_chair"]}))
-    return path
+    return write_split(tmp_path, test=NAMES, validation=["chair/kfurn_chair"])
 
 
 @pytest.fixture
 def checkpoint(tmp_path, monkeypatch):
-    """A network of the paper's layers with few channels, untrained."""
-    make_thin(monkeypatch)
-    monkeypatch.setattr(networks, "LATENT", 8)
-    path = tmp_path / "thin.safetensors"
-    save_network(path, build_network(64, seed=0), NetworkConfig(points=64))
-    return path
+    return thin_checkpoint(tmp_path, monkeypatch, 64)
+
+
+@pytest.fixture
+def study(split, checkpoint):
+    """The quick study, with other settings and another progress if wanted."""
+
+    def run(progress=None, **changes):
+        settings = {**QUICK, **changes}
+        return variants.run(progress or Progress(), meshes=MESHES, checkpoint=checkpoint, split=split, **settings)
+
+    return run
 
 
 def without_times(record: dict) -> dict:
@@ -77,6 +79,7 @@ def test_a_shape_or_category_that_is_not_there_is_named(split, tmp_path):
         shapes_of_part(MESHES, split)
 
 
+@pytest.mark.slow
 def test_a_shape_is_seen_alike_whatever_else_is_studied(split):
     settings = RenderSettings(views=2)
     alone = see(shapes_of_part(MESHES, split, limit=1)[0], settings, 0)
@@ -141,30 +144,23 @@ def test_the_truth_in_the_cameras_axes_is_at_distance_zero_whatever_its_scale(sp
     seen = see(shape, RenderSettings(views=1), 0)
     camera = seen.views[0].camera
     in_view = (seen.target @ camera.R.T) * [1.0, -1.0, -1.0]
-    ours = variants.network_scene
+    points = 2.0 * in_view + 0.1
+    untouched = SimpleNamespace(points=points, iou_before=0.5, iou_after=0.5, best_step=0, stop_reason="max_steps")
 
-    def perfect(image, view, network, about, placing):
-        from dataclasses import replace
-
-        scene = ours(image, view, network, about, placing=placing)
-        return replace(scene, points=2.0 * in_view + 0.1)
-
-    def untouched(points, view, config, network, image):
-        from types import SimpleNamespace
-
-        return SimpleNamespace(points=2.0 * in_view + 0.1, iou_before=0.5, iou_after=0.5, best_step=0, stop_reason="max_steps")
+    def perfect(*arguments, **options):
+        return replace(network_scene(*arguments, **options), points=points)
 
     monkeypatch.setattr(variants, "network_scene", perfect)
-    monkeypatch.setattr(variants, "refine", untouched)
-    network, about = variants.load_network(checkpoint)
-    case = variants.judge_view(shape, seen, 0, network, about, QUICK)
+    monkeypatch.setattr(variants, "refine", lambda *_, **__: untouched)
+    case = variants.judge_view(shape, seen, 0, *view_aligned_network(checkpoint), 2, "cpu")
     for name in ("before", *VARIANTS):
         assert case["capnet"][name]["forward"] == pytest.approx(0.0, abs=1e-20)
         assert case["plain"][name]["forward"] > 1e-3
 
 
-def test_every_variant_starts_from_the_networks_prediction_and_moves_it(split, checkpoint):
-    record = study_variants(MESHES, checkpoint, QUICK, split)
+@pytest.mark.slow
+def test_every_variant_moves_the_prediction_and_is_judged_as_eval_does_under_the_papers_protocol(study, split, checkpoint):
+    record = study()
     assert record["complete"]
     assert record["settings"]["categories"] == ["car"]
     assert [case["shape"] for case in record["cases"]] == ["car/qreal_Cop", "car/qbasic_RaceCar"]
@@ -178,26 +174,19 @@ def test_every_variant_starts_from_the_networks_prediction_and_moves_it(split, c
     assert set(record["summary"]) == {"car", "all"}
     assert len(record["claims"]) == 5
     json.dumps(record, allow_nan=False)
-
-
-def test_the_judged_distance_is_that_of_eval_under_the_papers_protocol(split, checkpoint):
-    from tso_cli.evaluation.metrics import chamfer
-    from tso_cli.geometry.view import View
-    from tso_cli.scene.network import network_scene
-
-    record = study_variants(MESHES, checkpoint, QUICK, split)
-    seen = see(shapes_of_part(MESHES, split, categories=["car"])[0], RenderSettings(views=1, size=(64, 64)), 0)
-    network, about = variants.load_network(checkpoint)
-    picture = seen.views[0]
-    scene = network_scene(picture.image, View(picture.mask / np.float32(255.0), picture.camera), network, about)
-    target = (seen.target @ picture.camera.R.T) * [1.0, -1.0, -1.0]
+    picture = see(shapes_of_part(MESHES, split, categories=["car"])[0], RenderSettings(views=1, size=(128, 128)), 0)
+    view = picture.views[0]
+    network, about = view_aligned_network(checkpoint)
+    scene = network_scene(view.image, View(view.mask / np.float32(255.0), view.camera), network, about)
+    target = (picture.target @ view.camera.R.T) * [1.0, -1.0, -1.0]
     expected = chamfer(normalise_longest_side(scene.points), normalise_longest_side(target))
     found = record["cases"][0]["capnet"]["before"]
     assert (found["forward"], found["backward"]) == pytest.approx((expected.forward, expected.backward), rel=1e-5)
 
 
-def test_a_stopped_study_goes_on_with_the_next_shape_and_ends_alike(split, checkpoint, monkeypatch):
-    whole = study_variants(MESHES, checkpoint, QUICK, split)
+@pytest.mark.slow
+def test_a_stopped_study_goes_on_with_the_next_shape_and_ends_alike(study, tmp_path, monkeypatch):
+    whole = study()
     kept = []
 
     def keep_one(record):
@@ -205,32 +194,25 @@ def test_a_stopped_study_goes_on_with_the_next_shape_and_ends_alike(split, check
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        study_variants(MESHES, checkpoint, QUICK, split, keep=keep_one)
+        study(Progress(keep=keep_one))
     assert not kept[0]["complete"]
     assert len(kept[0]["cases"]) == 1
     judged = []
     true_judge = variants.judge_view
     monkeypatch.setattr(variants, "judge_view", lambda *arguments: judged.append(arguments[0].name) or true_judge(*arguments))
-    resumed = study_variants(MESHES, checkpoint, QUICK, split, earlier=kept[0])
+    resumed = study(Progress(earlier=kept[0]))
     assert judged == ["car/qbasic_RaceCar"]
     assert without_times(resumed) == without_times(whole)
-
-
-def test_a_record_of_other_settings_or_another_network_is_not_gone_on_from(split, checkpoint):
-    record = study_variants(MESHES, checkpoint, QUICK, split)
     with pytest.raises(InputError, match="views 1, now it is 2"):
-        study_variants(MESHES, checkpoint, VariantsConfig("test", ("car",), 2, 2, 64, 2), split, earlier=record)
-    save_network(checkpoint, build_network(64, seed=1), NetworkConfig(points=64), overwrite=True)
-    with pytest.raises(InputError, match="network"):
-        study_variants(MESHES, checkpoint, QUICK, split, earlier=record)
-    with pytest.raises(InputError, match="'points'"):
-        study_variants(MESHES, checkpoint, QUICK, split, earlier={"study": "points"})
+        study(Progress(earlier=whole), views=2)
+    whole["settings"]["network"] = "another's"
+    with pytest.raises(InputError, match="has network"):
+        study(Progress(earlier=whole))
 
 
-def test_a_network_of_another_frame_is_refused(split, checkpoint):
-    save_network(checkpoint, build_network(64), NetworkConfig(points=64, frame="canonical"), overwrite=True)
+def test_a_network_of_another_frame_is_refused(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="view-aligned"):
-        study_variants(MESHES, checkpoint, QUICK, split)
+        view_aligned_network(thin_checkpoint(tmp_path, monkeypatch, 64, frame="canonical"))
 
 
 def case_of(category: str, before: float, after: dict[str, float], occluded: float = 1.0) -> dict:
@@ -296,36 +278,24 @@ def test_the_interval_is_over_shapes_and_not_over_their_views():
     assert often == pytest.approx(once)
 
 
-def tso(*arguments) -> int:
-    with pytest.raises(SystemExit) as stopped:
-        main([str(argument) for argument in arguments])
-    return stopped.value.code
-
-
 @pytest.fixture
 def command(split, checkpoint, tmp_path):
     """The arguments of a quick study, and its output."""
     output = tmp_path / "out" / "tso.json"
     output.parent.mkdir()
-    arguments = ["lab", "tso", "--meshes", MESHES, "--split", split, "--checkpoint", checkpoint]
-    return [*arguments, "--limit", "1", "--views", "1", "--steps", "1", "-o", output], output
+    arguments = ["tso", "--meshes", MESHES, "--split", split, "--checkpoint", checkpoint]
+    return [*arguments, "--limit", 1, "--views", 1, "--steps", 1], output
 
 
-def test_the_command_sets_its_table_beside_the_papers_and_draws_a_chart(command, capsys):
+@pytest.mark.slow
+def test_the_command_sets_its_table_beside_the_papers(command, capsys):
     arguments, output = command
-    assert tso(*arguments) == 0
-    out = capsys.readouterr().out
-    for word in ("4.64", "-5.82", "E and D", "occluded", "chair", "hold"):
-        assert word in out
-    record = json.loads(output.read_text())
+    record = check_command(output, capsys, *arguments, words=("4.64", "-5.82", "E and D", "occluded", "chair", "hold"))
     assert record["complete"]
     assert record["summary"]["all"]["cases"] == len(record["cases"]) == 2
-    with Image.open(output.with_suffix(".png")) as chart:
-        assert chart.size[0] > 600
-    assert tso(*arguments) == 2
-    assert "exists" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_shapes_done_and_the_command_goes_on_from_them(command, capsys, monkeypatch):
     arguments, output = command
     calls = iter(range(1000))
@@ -338,24 +308,11 @@ def test_ctrl_c_keeps_the_shapes_done_and_the_command_goes_on_from_them(command,
 
     with monkeypatch.context() as patch:
         patch.setattr(SilhouetteObjective, "__call__", interrupted)
-        assert tso(*arguments) == 130
+        assert tso("lab", *arguments, "-o", output) == 130
     record = json.loads(output.read_text())
     assert not record["complete"]
     assert [case["shape"] for case in record["cases"]] == ["car/qreal_Cop"]
-    assert not output.with_suffix(".png").exists()
-    assert tso(*arguments, "--resume") == 0
+    assert sorted(path.name for path in output.parent.iterdir()) == ["tso.json"]
+    assert tso("lab", *arguments, "-o", output, "--resume") == 0
     assert json.loads(output.read_text())["complete"]
-    assert output.with_suffix(".png").exists()
-    assert sorted(path.name for path in output.parent.iterdir()) == ["tso.json", "tso.png"]
-
-
-def test_resume_never_replaces_a_file_that_is_no_such_record(command, capsys):
-    arguments, output = command
-    for content, words in (("precious", "is not JSON"), ("[1]", "no JSON object"), ('{"study": "points"}', "'points'")):
-        output.write_text(content)
-        assert tso(*arguments, "--resume") == 2
-        captured = capsys.readouterr()
-        assert words in captured.err
-        assert output.read_text() == content
-    assert tso(*arguments[:-2], "--resume") == 2
-    assert "-o" in capsys.readouterr().err
+    assert sorted(path.name for path in output.parent.iterdir()) == ["tso.json", "tso.md", "tso.png"]
