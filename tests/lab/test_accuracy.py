@@ -392,12 +392,12 @@ def test_the_tables_of_the_page_can_be_made_of_a_record():
     settings = {"ablation": False, "shapes": ["car/a", "car/b"], "part": "test", "categories": ["car"], "views": 2, "size": 64}
     settings |= {"points": 1024, "seed": 0, "device": "cpu"}
     record = {"settings": settings, "summary": summarise(cases), "cases": cases}
-    tables = accuracy_tables(record)
-    assert set(tables) == {"other", "near", "ratios", "bounds", "settings"}
-    assert "| car, 1.0 | 0.95, 0.10 s | 0.35, 0.10 s |" in tables["ratios"]
-    assert "| 0 of 4, 0.35 |" in tables["ratios"]
+    markdown = accuracy_tables(record)
+    assert set(markdown) == {"other", "near", "ratios", "bounds", "settings"}
+    assert "| car, 1.0 | 0.95, 0.10 s | 0.35, 0.10 s |" in markdown["ratios"]
+    assert "| 0 of 4, 0.35 |" in markdown["ratios"]
     record["settings"]["ablation"] = True
-    assert ["best", "0.35 (0, 0.35)", "0.35 (0, 0.35)"] in tables(record)[0].rows
+    assert ["best", "0.35 (0, 0.35)", "0.35 (0, 0.35)"] in accuracy.tables(record)[0].rows
     ablation = accuracy_tables(record)["ablation"]
     assert "| best | 0.35 (0 %, 0.35) | 0.35 (0 %, 0.35) |" in ablation
     assert "| the best of all | 0.20 | 0.20 |" in ablation

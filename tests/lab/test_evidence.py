@@ -4,23 +4,17 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from tests.readme_evidence import evidence_tables
-from tso_cli.cli import main
-from tso_cli.errors import InputError
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.rotations import angle_between
-from tso_cli.lab.charts.evidence_chart import TITLES
-from tso_cli.lab.commands.evidence import QUESTIONS as asked_by_name
 from tso_cli.lab.studies import evidence, evidence_questions
 from tso_cli.lab.studies.accuracy_cases import CaseBuilder
 from tso_cli.lab.studies.accuracy_variants import Variant
-from tso_cli.lab.studies.evidence import EvidenceConfig, study_evidence, summarise
+from tso_cli.lab.studies.evidence import summarise, tables
 from tso_cli.lab.studies.evidence_cases import (
     Truth,
     anothers_mask,
@@ -36,21 +30,20 @@ from tso_cli.lab.studies.evidence_colours import paint_of, painted, photo
 from tso_cli.lab.studies.evidence_meshes import FACES, SAMPLES, VERTICES, from_mesh
 from tso_cli.lab.studies.evidence_questions import QUESTIONS, Question, Row
 from tso_cli.lab.studies.parts import shapes_of_part
+from tso_cli.lab.study import Progress
 from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.symmetry import find_mirror_plane
 
 from ..training import make_known
+from .studying import MESHES, check_command, tso, write_split
 
-MESHES = Path(__file__).parents[2] / "examples" / "meshes"
 TRAIN = ["car/qreal_SUV", "car/qbasic_BasicCar", "chair/q19_Chair", "chair/q17_Chair"]
 VALIDATION = ["car/qreal_Cop", "car/qreal_NormalCar1", "chair/kfurn_chair"]
 
 
 @pytest.fixture(scope="module")
 def split(tmp_path_factory):
-    path = tmp_path_factory.mktemp("split") / "split.json"
-    path.write_text(json.dumps({"train": TRAIN, "validation": VALIDATION}))
-    return path
+    return write_split(tmp_path_factory.mktemp("split"), train=TRAIN, validation=VALIDATION)
 
 
 @pytest.fixture(scope="module")
@@ -205,41 +198,42 @@ QUICK = RefineConfig(steps=3)
 
 
 @pytest.fixture
-def quick(monkeypatch):
-    """Two small questions in place of all."""
-    # Of some rows there is nothing to tell.
-    told = {"one": lambda case, altered, result: 1.0 if len(result.cameras) > 1 else None}
+def study(split, monkeypatch):
+    """The study of one view, with two small questions in place of all."""
+    # Some results have no such figure.
+    measures = {"one": lambda case, altered, result: 1.0 if len(result.cameras) > 1 else None}
     rows = {"other": Row(anothers_mask, Variant(QUICK, 4)), "as it is": Row(evidence_questions.as_it_is, Variant(QUICK))}
     by_case = {"its own": Row(without("side"), lambda case: Variant(replace(QUICK, symmetry="none")))}
-    asked = {"wrong": Question(("other",), rows, told=told), "missing": Question(("other", "near"), by_case, ("car",))}
-    for module in (evidence, evidence_questions):
-        monkeypatch.setattr(module, "QUESTIONS", asked)
+    questions = {
+        "wrong": Question("Wrong views", ("other",), rows, measures=measures),
+        "missing": Question("Missing parts", ("other", "near"), by_case, ("car",)),
+    }
+    monkeypatch.setattr(evidence, "QUESTIONS", questions)
     monkeypatch.setattr(evidence, "CATEGORIES", ("car", "chair"))
+    settings = {"part": "validation", "limit": None, "views": 1, "device": "cpu", "seed": 0, "questions": tuple(questions)}
+
+    def run(progress=None):
+        return evidence.run(progress or Progress(), meshes=MESHES, checkpoint=None, split=split, **settings)
+
+    return run
 
 
-CONFIG = EvidenceConfig(("wrong", "missing"), views=1)
-
-
-def test_every_question_is_asked_of_the_kinds_and_categories_that_it_is_about(split, quick):
-    record = study_evidence(MESHES, CONFIG, split)
-    assert record["complete"]
-    asked = [(case["question"], case["kind"], case["shape"]) for case in record["cases"]]
+@pytest.mark.slow
+def test_every_question_is_asked_of_its_kinds_and_categories_and_a_stopped_study_goes_on(study):
+    whole = study()
+    assert whole["complete"]
     cars = VALIDATION[:2]
-    assert asked == [
+    assert [(case["question"], case["kind"], case["shape"]) for case in whole["cases"]] == [
         *(("wrong", "other", name) for name in VALIDATION),
         *(("missing", kind, name) for kind in ("other", "near") for name in cars),
     ]
-    found = record["summary"]["wrong"]["other"]
-    assert found["all"]["as it is"]["cases"] == 3
+    summary = whole["summary"]["wrong"]["other"]
+    assert summary["all"]["as it is"]["cases"] == 3
     # Of one chair there is no other.
-    assert found["all"]["other"]["cases"] == found["car"]["other"]["cases"] == 2
-    assert "other" not in found["chair"]
-    assert found["all"]["other"]["one"] == 1.0
-    json.dumps(record, allow_nan=False)
-
-
-def test_a_stopped_study_goes_on_with_the_next_group(split, quick):
-    whole = study_evidence(MESHES, CONFIG, split)
+    assert summary["all"]["other"]["cases"] == summary["car"]["other"]["cases"] == 2
+    assert "other" not in summary["chair"]
+    assert summary["all"]["other"]["one"] == 1.0
+    json.dumps(whole, allow_nan=False)
     kept = []
 
     def keep_one(record):
@@ -247,21 +241,14 @@ def test_a_stopped_study_goes_on_with_the_next_group(split, quick):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        study_evidence(MESHES, CONFIG, split, keep=keep_one)
+        study(Progress(keep=keep_one))
     assert (kept[0]["complete"], len(kept[0]["cases"])) == (False, 2)
-    assert study_evidence(MESHES, CONFIG, split, earlier=kept[0]) == whole
-    with pytest.raises(InputError, match="views 1, now it is 2"):
-        study_evidence(MESHES, replace(CONFIG, views=2), split, earlier=kept[0])
+    assert study(Progress(earlier=kept[0])) == whole
 
 
-def test_a_question_that_is_not_asked_here_is_refused():
-    with pytest.raises(InputError, match="'weather', expected one of framing, depth"):
-        EvidenceConfig(("weather",))
-
-
-def test_the_command_and_the_chart_know_every_question():
-    assert tuple(QUESTIONS) == asked_by_name
-    assert set(QUESTIONS) == set(TITLES)
+def test_a_question_that_is_not_asked_here_is_refused(capsys):
+    assert tso("lab", "evidence", "--meshes", MESHES, "--question", "weather") == 2
+    assert "'weather' is not one of 'framing', 'depth'" in capsys.readouterr().err
 
 
 def test_rows_that_say_so_let_the_picture_judge_the_plane():
@@ -288,43 +275,30 @@ def test_the_tables_of_the_page_can_be_made_of_a_record():
     table = evidence_tables(record)["depth"].splitlines()
     assert table[0] == "| | car | chair |"
     assert table[2] == "| mask | 0.500, 0.50 | 1.100, 1.10 |"
+    assert tables(record)[0].rows[0] == ["other", "car", "mask", 1, 0.5, 0.5, 0]
 
 
-def tso(*arguments) -> int:
-    with pytest.raises(SystemExit) as stopped:
-        main([str(argument) for argument in arguments])
-    return stopped.value.code
-
-
-def test_the_command_writes_record_and_chart_and_goes_on_from_the_record(split, quick, tmp_path, capsys, monkeypatch):
+@pytest.mark.slow
+def test_the_command_writes_a_table_for_each_question(study, split, tmp_path, capsys, monkeypatch):
     make_known(monkeypatch)
-    output = tmp_path / "evidence.json"
-    arguments = ["lab", "evidence", "--meshes", MESHES, "--split", split, "--question", "wrong", "--views", 1]
-    assert tso(*arguments, "-o", output) == 0
-    assert "as it is" in capsys.readouterr().out
-    record = json.loads(output.read_text())
+    arguments = ("evidence", "--meshes", MESHES, "--split", split, "--question", "wrong", "--views", 1)
+    record = check_command(tmp_path / "evidence.json", capsys, *arguments, words=("as it is", "Wrong views"))
     assert record["complete"]
-    with Image.open(output.with_suffix(".png")) as picture:
-        assert min(picture.size) > 100
-    assert tso(*arguments, "-o", output) == 2
-    assert "exists" in capsys.readouterr().err
-    assert tso(*arguments, "-o", output, "--resume", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["cases"] == record["cases"]
 
 
-def test_what_else_is_told_of_a_result_is_of_that_result(cases, truths):
+def test_further_figures_of_a_result_are_of_that_result(cases, truths):
     right = cases["car"]
     off = cameras_off(5)(right, truths["car"], rng())
-    told = QUESTIONS["cameras"].told
+    measures = QUESTIONS["cameras"].measures
     as_given = refine(off.initial, off.views[0], config=replace(QUICK, symmetry="none"))
-    assert told["corrected"](right, off, as_given) == 0.0
-    assert told["degrees left"](right, off, as_given) == pytest.approx(5.0)
+    assert measures["corrected"](right, off, as_given) == 0.0
+    assert measures["degrees left"](right, off, as_given) == pytest.approx(5.0)
     mended = replace(as_given, cameras=(right.views[0].camera,))
-    assert told["corrected"](right, off, mended) == 1.0
-    assert told["degrees left"](right, off, mended) == pytest.approx(0.0, abs=1e-5)
-    trust = QUESTIONS["wrong"].told["trust in the fourth"]
+    assert measures["corrected"](right, off, mended) == 1.0
+    assert measures["degrees left"](right, off, mended) == pytest.approx(0.0, abs=1e-5)
+    trust = QUESTIONS["wrong"].measures["trust in the fourth"]
     assert trust(right, right, replace(as_given, view_trust=[1.0, 1.0, 1.0, 0.2])) == 0.2
     assert trust(right, right, as_given) is None
-    without_a_plane = QUESTIONS["missing"].told["without a plane"]
+    without_a_plane = QUESTIONS["missing"].measures["without a plane"]
     assert without_a_plane(right, right, as_given) == 1.0
     assert without_a_plane(right, right, replace(as_given, symmetry=(1.0, 0.0, 0.0, 0.0))) == 0.0

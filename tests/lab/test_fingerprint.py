@@ -7,12 +7,11 @@ from dataclasses import replace
 
 import pytest
 
-from tso_cli.cli import main
 from tso_cli.errors import InputError
 from tso_cli.evaluation import footprint
 from tso_cli.kernels import nearest, splat
-from tso_cli.lab.commands import command as study
 from tso_cli.lab.commands.records import earlier_record, write_record
+from tso_cli.lab.studies import QUESTIONS as STUDIES
 from tso_cli.lab.studies import evidence_questions
 from tso_cli.lab.studies import fingerprint as prints
 from tso_cli.lab.studies.fingerprint import BEST, JUDGED, PAPER, PARTS, differences, fingerprint, stamped
@@ -27,11 +26,9 @@ from tso_cli.train import losses
 
 from ..readme import FIGURES
 from ..training import make_known
+from .studying import tso
 
 RECORD = {"study": "evidence", "settings": {"questions": ["missing", "cameras"]}, "cases": [{"shape": "a"}, {"shape": "b"}]}
-
-
-RESUMED = ("accuracy", "evidence", "pose", "tso", "supervision", "views", "lambda", "affinity", "failures")
 
 
 @pytest.fixture
@@ -43,12 +40,6 @@ def judged(monkeypatch):
         monkeypatch.setattr(prints, "_known", {part: numbers} if numbers else {})
 
     return judge
-
-
-def tso(*arguments) -> int:
-    with pytest.raises(SystemExit) as stopped:
-        main([str(argument) for argument in arguments])
-    return stopped.value.code
 
 
 def _whole_photo(view, points):
@@ -67,6 +58,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", CHANGES)
 def test_another_method_has_another_fingerprint(part, judged, monkeypatch):
     judged(part)
@@ -79,6 +71,7 @@ def test_another_method_has_another_fingerprint(part, judged, monkeypatch):
     assert all(line.startswith(f"{part}: ") and ", now " in line for line in found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["points, paper", "points, best, cut by the border", "training on masks"])
 @pytest.mark.parametrize("compiled", [False, True])
 def test_the_same_method_has_the_same_fingerprint_in_plain_and_in_compiled_loops(part, compiled, judged, monkeypatch):
@@ -120,7 +113,7 @@ def test_what_a_fingerprint_lacks_or_has_beyond_todays_sets_it_apart(judged):
 def test_every_study_and_the_measurement_of_speed_say_what_they_judge(monkeypatch):
     make_known(monkeypatch)
     assert set(prints.QUESTIONS) == set(evidence_questions.QUESTIONS)
-    assert set(JUDGED) == set(study.commands) - {"fingerprint"} | {"speed", "photos"}
+    assert set(JUDGED) == set(STUDIES) | {"speed", "photos"}
     judged = set()
     for path in FIGURES.glob("*.json"):
         record = {"study": "photos"} | json.loads(path.read_text())
@@ -129,9 +122,7 @@ def test_every_study_and_the_measurement_of_speed_say_what_they_judge(monkeypatc
     assert judged == set(PARTS)
 
 
-@pytest.mark.parametrize(
-    "name", ["accuracy", "evidence", "pose", "tso", "supervision", "views", "lambda", "affinity", "failures"]
-)
+@pytest.mark.parametrize("name", ["accuracy", "pose", "supervision"])
 def test_a_record_of_another_method_is_not_gone_on_from(name, tmp_path, monkeypatch):
     make_known(monkeypatch)
     path = tmp_path / "record.json"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,13 +13,13 @@ from ...evaluation.metrics import chamfer
 from ...geometry.view import View
 from ...io.meshes import find_meshes, read_mesh
 from ...render import RayScene, RenderSettings, ground_truth, normalise, render_view, sample_cameras
+from ..study import Report
 
 # How the initial cloud of a category is chosen among its other shapes: the Chamfer distance (longest side 1) that it
 # should have from the truth, the error of a trained network. 0 takes the most similar shape.
 INITIAL_CHAMFER = {"chair": 0.0, "airplane": 2.0e-3, "car": 1.6e-3}
 
 Array = NDArray[np.float64]
-Report = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
