@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,6 +20,7 @@ from tso_cli.lab.studies.parts import see, shapes_of_part, view_aligned_network
 from tso_cli.lab.studies.variants import VARIANTS, claims, distances, summarise
 from tso_cli.lab.studies.visibility import visible_points
 from tso_cli.lab.study import Progress
+from tso_cli.refinement import RefineConfig
 from tso_cli.refinement.objective import SilhouetteObjective
 from tso_cli.render import RayScene, RenderSettings, look_at
 from tso_cli.scene.network import network_scene
@@ -152,7 +154,7 @@ def test_the_truth_in_the_cameras_axes_is_at_distance_zero_whatever_its_scale(sp
 
     monkeypatch.setattr(variants, "network_scene", perfect)
     monkeypatch.setattr(variants, "refine", lambda *_, **__: untouched)
-    case = variants.judge_view(shape, seen, 0, *view_aligned_network(checkpoint), 2, "cpu")
+    case = variants.judge_view(shape, seen, 0, *view_aligned_network(checkpoint), partial(RefineConfig, steps=2))
     for name in ("before", *VARIANTS):
         assert case["capnet"][name]["forward"] == pytest.approx(0.0, abs=1e-20)
         assert case["plain"][name]["forward"] > 1e-3

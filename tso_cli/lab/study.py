@@ -58,6 +58,7 @@ LIMIT = Option("--limit", "At most so many shapes of each category.", int, least
 VIEWS = Option("--views", "Random views of each shape.", int, 2, least=1)
 SEED = Option("--seed", "Seed of everything random.", int, 0, least=0, most=2**63 - 1)
 DEVICE = Option("--device", "cpu, cuda, cuda:1, mps or auto.", default="cpu")
+COMMON = (MESHES, SPLIT, LIMIT, SEED)
 
 
 def part(default: str, *choices: str) -> Option:

@@ -16,23 +16,7 @@ from ...io.output import check_output
 from ...network.model import BaseNetwork
 from ..charts.accuracy_pictures import draw_cases
 from ..charts.ratios import Panel, draw_ratios
-from ..study import (
-    CHECKPOINT,
-    DEVICE,
-    LIMIT,
-    MESHES,
-    SEED,
-    SPLIT,
-    VIEWS,
-    Cases,
-    Option,
-    Progress,
-    Record,
-    Study,
-    Table,
-    part,
-    record_of,
-)
+from ..study import CHECKPOINT, COMMON, DEVICE, VIEWS, Cases, Option, Progress, Record, Study, Table, part, record_of
 from .accuracy_cases import KINDS, AccuracyCase, CaseBuilder, check_points, kinds_of
 from .accuracy_claims import claims, ratios_of, select, summarise
 from .accuracy_variants import DEFAULT, Variant, alone, refined, variants_of
@@ -289,17 +273,16 @@ STUDY = Study(
     "Starts are another shape's cloud as wrong as a trained network's (other), one near the truth (near), the first with an "
     "object that the border truncates (cut), the truth sampled once more (right), and the network's prediction (network).",
     (
-        MESHES,
+        *COMMON,
         CHECKPOINT,
-        SPLIT,
         part("test"),
         Option("--category", "May be repeated.", default=CATEGORIES, multiple=True, name="categories"),
-        LIMIT,
         Option(
             "--kind",
-            "Where the starts are from. May be repeated.  [default: all; with --ablation all but right]",
-            default=(),
-            choices=KINDS,
+            "May be repeated.  [default: all but, with --ablation, right]",
+            str,
+            (),
+            KINDS,
             multiple=True,
             name="kinds",
         ),
@@ -309,7 +292,6 @@ STUDY = Study(
         Option("--ablation", "Change one ingredient of the default preset at a time.", bool, False),
         Option("--pictures", "Draw the worst, the median and the best case of each category here (.png).", Path),
         DEVICE,
-        SEED,
     ),
     run,
     tables,

@@ -11,23 +11,7 @@ import numpy as np
 
 from ...network.model import BaseNetwork
 from ..charts.ratios import Panel, draw_ratios
-from ..study import (
-    CHECKPOINT,
-    DEVICE,
-    LIMIT,
-    MESHES,
-    SEED,
-    SPLIT,
-    VIEWS,
-    Cases,
-    Option,
-    Progress,
-    Record,
-    Study,
-    Table,
-    part,
-    record_of,
-)
+from ..study import CHECKPOINT, COMMON, DEVICE, VIEWS, Cases, Option, Progress, Record, Study, Table, part, record_of
 from .accuracy import CATEGORIES
 from .accuracy_cases import AccuracyCase, CaseBuilder, kinds_of
 from .accuracy_variants import Variant, alone, refined
@@ -54,34 +38,19 @@ ALL = "all"
 
 
 def run(
-    progress: Progress,
-    *,
-    meshes: Path,
-    checkpoint: Path,
-    split: Path | None,
-    questions: tuple[str, ...],
-    part: str,
-    limit: int | None,
-    views: int,
-    device: str,
-    seed: int,
+    progress: Progress, *, meshes: Path, checkpoint: Path, split: Path | None, questions: tuple[str, ...], **settings: Any
 ) -> Record:
     """Ask each question of every case that it is about; errors are those of the study of accuracy."""
     asked = {name: QUESTIONS[name] for name in questions}
     of_any = {name for question in asked.values() for name in question.categories or CATEGORIES}
     categories = [name for name in CATEGORIES if name in of_any]
-    shapes = shapes_of_part(meshes, split, part, categories, limit)
+    shapes = shapes_of_part(meshes, split, settings["part"], categories, settings["limit"])
     by_category = {name: [shape for shape in shapes if shape.category == name] for name in categories}
     uses_network = any("network" in question.kinds for question in asked.values())
     network, about = view_aligned_network(checkpoint) if uses_network else (None, None)
-    builder = CaseBuilder(meshes, split, views, SIZE, POINTS, seed, network, about)
-    settings = {
+    builder = CaseBuilder(meshes, split, settings["views"], SIZE, POINTS, settings["seed"], network, about)
+    settings |= {
         "questions": list(questions),
-        "part": part,
-        "limit": limit,
-        "views": views,
-        "seed": seed,
-        "device": device,
         "network": weights_hash(network) if network else None,
         "points": POINTS,
         "size": SIZE,
@@ -97,7 +66,7 @@ def run(
             for place, shape in enumerate(group)
             for case in builder.cases(shape, kind)
         ]
-        return judge(name, asked[name], built, seed, device, network)
+        return judge(name, asked[name], built, settings["seed"], settings["device"], network)
 
     def record(cases: Cases, complete: bool) -> Record:
         return record_of("evidence", CONVENTION, complete=complete, settings=settings, summary=summarise(cases), cases=cases)
@@ -202,22 +171,12 @@ STUDY = Study(
     "missing (missing), wrong views among right ones (wrong), cameras that are off (cameras), predictions whose distance is "
     "not known (placing), the learning rates of the network's variants (rates), and starts that are meshes (meshes).",
     (
-        MESHES,
+        *COMMON,
         CHECKPOINT,
-        SPLIT,
         part("validation"),
-        Option(
-            "--question",
-            "May be repeated.",
-            default=tuple(QUESTIONS),
-            choices=tuple(QUESTIONS),
-            multiple=True,
-            name="questions",
-        ),
-        LIMIT,
+        Option("--question", "May be repeated.", str, tuple(QUESTIONS), tuple(QUESTIONS), multiple=True, name="questions"),
         VIEWS,
         DEVICE,
-        SEED,
     ),
     run,
     tables,

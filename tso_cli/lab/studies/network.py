@@ -132,7 +132,7 @@ STUDY = Study(
         MESHES,
         SPLIT,
         CHECKPOINT,
-        Option("--category", "May be repeated.", default=CATEGORIES, multiple=True, name="categories"),
+        Option("--category", "May be repeated.", str, CATEGORIES, multiple=True, name="categories"),
         SEED,
     ),
     run,

@@ -15,6 +15,7 @@ from ..study import DEVICE, LIMIT, SEED, Cases, Option, Progress, Record, Study,
 from .protocol import INITIAL_CHAMFER, Case, build_cases
 from .summary import by_category, ratio_figures
 
+CATEGORIES = tuple(INITIAL_CHAMFER)
 CONVENTION = "squared distances, mean over points, forward (truth -> cloud) + backward; longest side 1"
 DIRECTIONS = ("chamfer", "forward", "backward")
 OF_RESULT = ("iou_before", "iou_after", "best_step", "learning_rate", "gamma", "sigma_sq")
@@ -103,14 +104,7 @@ STUDY = Study(
     "one 64x64 mask, be judged by Chamfer to the truth.",
     (
         Option("--meshes", "Folder with a folder of meshes for each category.", Path, required=True),
-        Option(
-            "--category",
-            "May be repeated.",
-            default=tuple(INITIAL_CHAMFER),
-            choices=("chair", "airplane", "car"),
-            multiple=True,
-            name="categories",
-        ),
+        Option("--category", "May be repeated.", str, CATEGORIES, CATEGORIES, multiple=True, name="categories"),
         LIMIT,
         Option("--steps", kind=int, default=50, least=0),
         Option("--learning-rate", "[default: 5e-4]", float),

@@ -15,7 +15,7 @@ from ...geometry.rotations import angle_between
 from ...pose.fit import FittedCamera, fit_camera
 from ...refinement.symmetry import find_mirror_plane
 from ..charts.pose_chart import draw_pose
-from ..study import LIMIT, MESHES, SEED, SPLIT, VIEWS, Cases, Progress, Record, Study, Table, part, record_of
+from ..study import COMMON, VIEWS, Cases, Progress, Record, Study, Table, part, record_of
 from .accuracy_cases import AccuracyCase, CaseBuilder, kinds_of
 from .parts import Shape, shapes_of_part
 from .summary import rounded
@@ -36,14 +36,14 @@ CONVENTION = {
 }
 
 
-def run(progress: Progress, *, meshes: Path, split: Path | None, part: str, limit: int | None, views: int, seed: int) -> Record:
+def run(progress: Progress, *, meshes: Path, split: Path | None, **settings: Any) -> Record:
     """Fit a camera to one 64x64 mask of each case and compare it with the true one.
 
     Raises InputError where a shape is missing, or the earlier record is of other settings.
     """
-    shapes = shapes_of_part(meshes, split, part, CATEGORIES, limit)
-    builder = CaseBuilder(meshes, split, views, 64, 1024, seed)
-    settings = {"part": part, "limit": limit, "views": views, "seed": seed, "shapes": [shape.name for shape in shapes]}
+    shapes = shapes_of_part(meshes, split, settings["part"], CATEGORIES, settings["limit"])
+    builder = CaseBuilder(meshes, split, settings["views"], 64, 1024, settings["seed"])
+    settings["shapes"] = [shape.name for shape in shapes]
     cases = progress.earlier_cases("pose", settings)
     done = {case["shape"] for case in cases}
     groups = [None if shape.name in done else partial(_judge_shape, builder, shape) for shape in shapes]
@@ -124,7 +124,7 @@ def tables(record: Record) -> list[Table]:
 STUDY = Study(
     "pose",
     "`tso refine --camera fit` on the true cloud, and on other shapes' clouds.",
-    (MESHES, SPLIT, part("validation"), LIMIT, VIEWS, SEED),
+    (*COMMON, part("validation"), VIEWS),
     run,
     tables,
     draw_pose,

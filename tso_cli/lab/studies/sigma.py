@@ -17,7 +17,7 @@ from ...render import RenderSettings
 from ...silhouette.projection import silhouette_of
 from ..charts.sigma_chart import draw_sigma
 from ..packing import pack
-from ..study import CATEGORY, LIMIT, MESHES, SEED, SPLIT, Cases, Option, Progress, Record, Study, Table, claim, part, record_of
+from ..study import CATEGORY, COMMON, Cases, Option, Progress, Record, Study, Table, claim, part, record_of
 from .discretised import UPSAMPLING, discrete_depth, discrete_mask
 from .parts import SeenShape, see, shapes_of_part
 from .summary import by_category
@@ -37,43 +37,28 @@ CONVENTION = {
 
 
 def run(
-    progress: Progress,
-    *,
-    meshes: Path,
-    split: Path | None,
-    part: str,
-    categories: tuple[str, ...],
-    limit: int | None,
-    views: int,
-    seed: int,
+    progress: Progress, *, meshes: Path, split: Path | None, categories: tuple[str, ...], limit: int | None, **settings: Any
 ) -> Record:
     """Project the true cloud of 1,024 points of each shape and compare its silhouette with the mask at 64x64.
 
     Of the first shape of each category the record keeps the projections of the first view. Raises InputError where a shape
     is missing.
     """
-    shapes = shapes_of_part(meshes, split, part, categories or (() if split else CATEGORIES), limit)
-    settings = RenderSettings(views=views, size=(SIZE, SIZE))
+    shapes = shapes_of_part(meshes, split, settings["part"], categories or (() if split else CATEGORIES), limit)
+    render = RenderSettings(views=settings["views"], size=(SIZE, SIZE))
     rows: Cases = []
     maps: dict[str, dict[str, Any]] = {}
     for done, shape in enumerate(shapes, 1):
-        seen = see(shape, settings, seed)
+        seen = see(shape, render, settings["seed"])
         with one_thread(True):  # small images: threads would wait for each other longer than they work
             if shape.category not in {row["category"] for row in rows}:
                 maps[shape.name] = _maps(seen)
             rows.append({"category": shape.category, "shape": shape.name, **mask_errors(seen)})
         progress.report("projecting", done, len(shapes))
     summary = {name: _means(name, group) for name, group in {**by_category(rows), "all": rows}.items()}
-    about = {"part": part, "views": views, "seed": seed, "points": settings.points, "mask": f"{SIZE}x{SIZE}"}
-    return record_of(
-        "sigma",
-        CONVENTION,
-        settings={**about, "sigma_sq": list(SIGMAS)},
-        summary=summary,
-        claims=claims(summary),
-        shapes=rows,
-        maps=maps,
-    )
+    settings |= {"points": render.points, "mask": f"{SIZE}x{SIZE}", "sigma_sq": list(SIGMAS)}
+    answers = claims(summary)
+    return record_of("sigma", CONVENTION, settings=settings, summary=summary, claims=answers, shapes=rows, maps=maps)
 
 
 def mask_errors(seen: SeenShape, sigmas: Sequence[float] = SIGMAS) -> dict[str, list[float]]:
@@ -174,13 +159,10 @@ STUDY = Study(
     "Each shape's true cloud of 1,024 points is projected at 64x64 with growing sigma^2 and compared with the mask. The chart "
     "shows the projections of one shape of each category beside its mask.",
     (
-        MESHES,
-        SPLIT,
+        *COMMON,
         part("test", "test", "validation", "train"),
         CATEGORY,
-        LIMIT,
         Option("--views", "Random views of each shape.", int, 4, least=1),
-        SEED,
     ),
     run,
     tables,

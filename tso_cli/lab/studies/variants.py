@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,24 +22,7 @@ from ...refinement import RefineConfig, refine
 from ...render import RenderSettings
 from ...scene.network import network_scene
 from ..charts.ratios import Panel, draw_ratios
-from ..study import (
-    CATEGORY,
-    CHECKPOINT,
-    DEVICE,
-    LIMIT,
-    MESHES,
-    SEED,
-    SPLIT,
-    Cases,
-    Option,
-    Progress,
-    Record,
-    Study,
-    Table,
-    claim,
-    part,
-    record_of,
-)
+from ..study import CATEGORY, CHECKPOINT, COMMON, DEVICE, Cases, Option, Progress, Record, Study, Table, claim, part, record_of
 from .accuracy_variants import uninterrupted
 from .parts import SeenShape, Shape, see, shapes_of_part, view_aligned_network, weights_hash
 from .summary import by_category, interval, ratio_figures
@@ -69,34 +53,17 @@ CONVENTION = {
 
 
 def run(
-    progress: Progress,
-    *,
-    meshes: Path,
-    checkpoint: Path,
-    split: Path | None,
-    categories: tuple[str, ...],
-    steps: int,
-    device: str,
-    seed: int,
-    part: str,
-    limit: int | None,
-    views: int,
+    progress: Progress, *, meshes: Path, checkpoint: Path, split: Path | None, categories: tuple[str, ...], **settings: Any
 ) -> Record:
     """Let the network predict unseen shapes, refine every prediction with each variant and judge it against the truth.
 
     Raises InputError where a shape is missing, the network is not view-aligned, or the earlier record is of other settings.
     """
-    shapes = shapes_of_part(meshes, split, part, categories or (() if split else CATEGORIES), limit)
+    shapes = shapes_of_part(meshes, split, settings["part"], categories or (() if split else CATEGORIES), settings["limit"])
     network, about = view_aligned_network(checkpoint)
-    settings = {
-        "part": part,
+    settings |= {
         "categories": sorted({shape.category for shape in shapes}),
-        "limit": limit,
-        "views": views,
         "size": SIZE,
-        "steps": steps,
-        "seed": seed,
-        "device": device,
         "shapes": len(shapes),
         "points": about.points,
         "sigma_sq": about.sigma_sq,
@@ -104,11 +71,12 @@ def run(
     }
     cases = progress.earlier_cases("tso", settings)
     done = {case["shape"] for case in cases}
-    render = RenderSettings(views=views, size=(SIZE, SIZE))
+    render = RenderSettings(views=settings["views"], size=(SIZE, SIZE))
 
     def judged(shape: Shape) -> Cases:
-        seen = see(shape, render, seed)
-        return [judge_view(shape, seen, number, network, about, steps, device) for number in range(views)]
+        seen = see(shape, render, settings["seed"])
+        config = partial(RefineConfig, steps=settings["steps"], device=settings["device"])
+        return [judge_view(shape, seen, number, network, about, config) for number in range(settings["views"])]
 
     def record(cases: Cases, complete: bool) -> Record:
         summary = summarise(cases)
@@ -120,7 +88,7 @@ def run(
 
 
 def judge_view(
-    shape: Shape, seen: SeenShape, number: int, network: BaseNetwork, about: NetworkConfig, steps: int, device: str
+    shape: Shape, seen: SeenShape, number: int, network: BaseNetwork, about: NetworkConfig, config: Callable[..., RefineConfig]
 ) -> dict[str, Any]:
     """Predict from one picture, refine with every variant, and measure all four clouds under both protocols."""
     picture = seen.views[number]
@@ -131,10 +99,10 @@ def judge_view(
     seconds: dict[str, float] = {}
     best_steps: dict[str, int] = {}
     for variant in VARIANTS:
-        config = RefineConfig(variant, steps, sigma_sq=about.sigma_sq, device=device, preset="paper")
+        settings = config(variant, sigma_sq=about.sigma_sq, preset="paper")
         points = scene.points if variant == "points" else None
         start = time.perf_counter()
-        result = uninterrupted(refine(points, scene.view, config=config, network=network, image=scene.image))
+        result = uninterrupted(refine(points, scene.view, config=settings, network=network, image=scene.image))
         seconds[variant] = time.perf_counter() - start
         clouds[variant], best_steps[variant] = result.points, result.best_step
         ious.setdefault("before", result.iou_before)
@@ -284,11 +252,7 @@ def tables(record: Record) -> list[Table]:
         "sees, and of the others"
     )
     return [
-        Table(
-            ["", "forward", "backward", "Chamfer", "%", "paper's forward", "backward", "Chamfer", "%"],
-            sides,
-            decimals=2,
-        ),
+        Table(["", "forward", "backward", "Chamfer", "%", "paper's forward", "backward", "Chamfer", "%"], sides, decimals=2),
         Table([*header, "plain", "visible", "occluded", "IoU before", "after", "s"], rows, note=note),
     ]
 
@@ -309,16 +273,13 @@ STUDY = Study(
     "The network predicts each view of each shape; the prediction is judged before and after moving the encoder (E), the whole "
     "network (E and D) and the points (p), with the paper's settings.",
     (
-        MESHES,
+        *COMMON,
         CHECKPOINT,
-        SPLIT,
         part("test"),
         CATEGORY,
-        LIMIT,
         Option("--views", "Random views of each shape.", int, 4, least=1),
         Option("--steps", kind=int, default=50, least=0),
         DEVICE,
-        SEED,
     ),
     run,
     tables,
