@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,10 +17,14 @@ from tso_cli.lab.studies.accuracy_cases import CaseBuilder
 from tso_cli.lab.studies.accuracy_variants import Variant
 from tso_cli.lab.studies.evidence import summarise, tables
 from tso_cli.lab.studies.evidence_cases import (
+    FACES,
+    SAMPLED,
+    VERTICES,
     Truth,
     anothers_mask,
     bunched,
     cameras_off,
+    from_mesh,
     in_photo,
     placed_by,
     turned_away,
@@ -27,7 +32,6 @@ from tso_cli.lab.studies.evidence_cases import (
     without,
 )
 from tso_cli.lab.studies.evidence_colours import paint_of, painted, photo
-from tso_cli.lab.studies.evidence_meshes import FACES, SAMPLES, VERTICES, from_mesh
 from tso_cli.lab.studies.evidence_questions import QUESTIONS, Question, Row
 from tso_cli.lab.studies.parts import shapes_of_part
 from tso_cli.lab.study import Progress
@@ -74,7 +78,7 @@ def test_depth_maps_lie_on_the_true_surface_and_noise_is_as_large_as_the_row_say
     from scipy.spatial import cKDTree
 
     surface = cKDTree(cases["chair"].dense)
-    exact, noisy = (with_depth(noise)(cases["chair"], truths["chair"], rng()) for noise in (0.0, 0.03))
+    exact, noisy = (with_depth(cases["chair"], truths["chair"], rng(), noise) for noise in (0.0, 0.03))
     assert np.median(surface.query(lifted(exact.views[1]))[0]) < 0.006
     off = noisy.views[1].depth - exact.views[1].depth
     assert np.nanstd(off) == pytest.approx(0.03, rel=0.1)
@@ -84,7 +88,7 @@ def test_depth_maps_lie_on_the_true_surface_and_noise_is_as_large_as_the_row_say
 @pytest.mark.parametrize("part", ["side", "high", "low"])
 def test_an_object_that_lacks_a_part_lacks_it_in_truth_and_masks_and_keeps_its_start(part, cases, truths):
     whole = cases["chair"]
-    lacking = without(part)(whole, truths["chair"], rng())
+    lacking = without(whole, truths["chair"], rng(), part)
     np.testing.assert_array_equal(lacking.initial, whole.initial)
     assert sum((b.mask < a.mask).any() for a, b in zip(whole.views, lacking.views, strict=True)) >= 3
     assert all((b.mask <= a.mask).all() for a, b in zip(whole.views, lacking.views, strict=True))
@@ -101,7 +105,7 @@ def test_an_object_that_lacks_a_part_lacks_it_in_truth_and_masks_and_keeps_its_s
 
 def test_a_photo_around_a_picture_shows_the_same_object_where_its_camera_says(cases, truths):
     right = cases["car"]
-    photo = in_photo(4, across=1.0, down=0.25)(right, truths["car"], rng()).views[0]
+    photo = in_photo(right, truths["car"], rng(), [4], across=1.0, down=0.25).views[0]
     assert photo.mask.shape == (256, 256)
     assert photo.mask.sum() == right.views[0].mask.sum()
     shift = photo.camera.project(right.target)[0] - right.views[0].camera.project(right.target)[0]
@@ -111,7 +115,7 @@ def test_a_photo_around_a_picture_shows_the_same_object_where_its_camera_says(ca
 
 def test_a_start_that_is_a_mesh_is_the_one_its_cloud_is_from_and_judged_by_its_surface(cases, truths):
     right = cases["chair"]
-    vertices, samples, mesh = (from_mesh(form)(right, truths["chair"], rng()) for form in (VERTICES, SAMPLES, FACES))
+    vertices, samples, mesh = (from_mesh(right, truths["chair"], rng(), form) for form in (VERTICES, SAMPLED, FACES))
     assert (vertices.faces, samples.surface) == (None, None)
     np.testing.assert_array_equal(vertices.initial, mesh.initial)
     assert len(samples.initial) == 1024
@@ -121,9 +125,9 @@ def test_a_start_that_is_a_mesh_is_the_one_its_cloud_is_from_and_judged_by_its_s
     assert samples.chamfer_of(samples.initial) == pytest.approx(right.chamfer_of(right.initial), rel=0.15)
     assert mesh.chamfer_of(mesh.initial) == vertices.chamfer_of(vertices.initial)
     assert mesh.chamfer_of(mesh.initial) < chamfer(mesh.initial, right.target).chamfer
-    fewer = from_mesh(FACES, 60)(right, truths["chair"], rng())
+    fewer = from_mesh(right, truths["chair"], rng(), FACES, 60)
     assert 40 < len(fewer.faces) <= 60
-    assert from_mesh(FACES, 10**6)(right, truths["chair"], rng()) is None
+    assert from_mesh(right, truths["chair"], rng(), FACES, 10**6) is None
 
 
 def test_wrong_views_are_the_last_alone(cases, truths):
@@ -149,11 +153,11 @@ def test_three_cameras_stand_together_and_one_to_the_side(cases, truths):
 
 def test_cameras_are_off_by_the_angle_that_the_row_says(cases, truths):
     right = cases["car"]
-    off = cameras_off(5)(right, truths["car"], rng())
+    off = cameras_off(right, truths["car"], rng(), 5)
     for a, b in zip(off.views, right.views, strict=True):
         assert angle_between(a.camera.R, b.camera.R) == pytest.approx(5.0)
         assert np.linalg.norm(a.camera.t - b.camera.t) == pytest.approx(0.025 * b.camera.t[2])
-    same = cameras_off(0)(right, truths["car"], rng())
+    same = cameras_off(right, truths["car"], rng(), 0)
     np.testing.assert_allclose(same.views[0].camera.R, right.views[0].camera.R)
 
 
@@ -162,17 +166,17 @@ def test_a_prediction_is_placed_by_mask_alone(cases):
     turned = cases["car"].initial @ view.camera.R.T * [1, -1, -1]
     case = replace(cases["car"], initial=turned)
     for placing in ("box", "silhouette"):
-        found = placed_by(placing)(case, None, rng()).views[0]
+        found = placed_by(case, None, rng(), placing).views[0]
         assert found.mask is view.mask
         assert abs(found.camera.t[2] / view.camera.t[2] - 1.0) < 0.3
 
 
 def test_a_bent_cloud_is_as_far_off_as_the_row_says_and_keeps_its_paint(cases, truths):
     for level in (2, 6):
-        case = painted(f"bent {level}", 1.0)(cases["chair"], truths["chair"], rng())
+        case = painted(cases["chair"], truths["chair"], rng(), f"bent {level}", 1.0)
         assert 1e3 * chamfer(case.initial, case.target).chamfer == pytest.approx(level, rel=0.02)
         assert case.colours.shape == case.initial.shape
-    mask_alone = painted("bent 6", None)(cases["chair"], truths["chair"], rng())
+    mask_alone = painted(cases["chair"], truths["chair"], rng(), "bent 6", None)
     np.testing.assert_array_equal(mask_alone.initial, case.initial)
     assert all(view.image is None for view in mask_alone.views)
 
@@ -181,7 +185,7 @@ def test_a_photo_shows_the_paint_of_what_is_seen_shaded_on_white(cases, truths):
     view, paint = cases["chair"].views[0], paint_of(rng())
     light = view.camera.R.T @ [0.0, 0.0, -1.0]
     image = photo(truths["chair"].scene, view, paint, light)
-    seen = with_depth()(cases["chair"], truths["chair"], rng()).views[0]
+    seen = with_depth(cases["chair"], truths["chair"], rng()).views[0]
     inside = np.isfinite(seen.depth) & (seen.mask > 0.5)
     tones = paint(lifted(seen))
     # One colour alone: the same shade for all three, but at edges of the paint.
@@ -203,7 +207,7 @@ def study(split, monkeypatch):
     # Some results have no such figure.
     measures = {"one": lambda case, altered, result: 1.0 if len(result.cameras) > 1 else None}
     rows = {"other": Row(anothers_mask, Variant(QUICK, 4)), "as it is": Row(evidence_questions.as_it_is, Variant(QUICK))}
-    by_case = {"its own": Row(without("side"), lambda case: Variant(replace(QUICK, symmetry="none")))}
+    by_case = {"its own": Row(partial(without, part="side"), lambda case: Variant(replace(QUICK, symmetry="none")))}
     questions = {
         "wrong": Question("Wrong views", ("other",), rows, measures=measures),
         "missing": Question("Missing parts", ("other", "near"), by_case, ("car",)),
@@ -288,7 +292,7 @@ def test_the_command_writes_a_table_for_each_question(study, split, tmp_path, ca
 
 def test_further_figures_of_a_result_are_of_that_result(cases, truths):
     right = cases["car"]
-    off = cameras_off(5)(right, truths["car"], rng())
+    off = cameras_off(right, truths["car"], rng(), 5)
     measures = QUESTIONS["cameras"].measures
     as_given = refine(off.initial, off.views[0], config=replace(QUICK, symmetry="none"))
     assert measures["corrected"](right, off, as_given) == 0.0

@@ -1,9 +1,10 @@
-"""What the study of evidence asks: how far other evidence than one right mask of the whole object helps, or misleads."""
+"""The questions of the study of evidence."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -15,11 +16,15 @@ from ...refinement.symmetry import find_mirror_plane
 from .accuracy_cases import AccuracyCase
 from .accuracy_variants import NETWORK_MODES, Variant
 from .evidence_cases import (
+    FACES,
+    SAMPLED,
+    VERTICES,
     Alter,
     anothers_mask,
     as_it_is,
     bunched,
     cameras_off,
+    from_mesh,
     in_photo,
     placed_by,
     turned_away,
@@ -27,7 +32,6 @@ from .evidence_cases import (
     without,
 )
 from .evidence_colours import painted
-from .evidence_meshes import FACES, SAMPLES, VERTICES, from_mesh
 
 Measure = Callable[[AccuracyCase, AccuracyCase, RefineResult], float | None]
 """A further figure: of the case as it was, the altered case, and its result; None where there is none."""
@@ -94,12 +98,12 @@ def _iou(case: AccuracyCase, altered: AccuracyCase, result: RefineResult) -> flo
 
 def _framing_rows() -> dict[str, Row]:
     photos: dict[str, Alter] = {"the picture itself": as_it_is}
-    photos |= {f"in a photo {times} times as wide": in_photo(times) for times in (2, 4, 8, 16)}
-    photos["in the corner of a photo 8 times as wide"] = in_photo(8, across=1.0, down=1.0)
+    photos |= {f"in a photo {times} times as wide": partial(in_photo, widths=(times,)) for times in (2, 4, 8, 16)}
+    photos["in the corner of a photo 8 times as wide"] = partial(in_photo, widths=(8,), across=1.0, down=1.0)
     rows = {what: Row(alter, _variant()) for what, alter in photos.items()}
     for masks, words in ((2, "two"), (4, "four")):
         rows[f"{words} masks"] = Row(as_it_is, _variant(masks))
-        rows[f"{words} masks, in photos of other widths each"] = Row(in_photo(1, 4, 2, 8), _variant(masks))
+        rows[f"{words} masks, in photos of other widths each"] = Row(partial(in_photo, widths=(1, 4, 2, 8)), _variant(masks))
     return rows
 
 
@@ -108,18 +112,21 @@ def _depth_rows() -> dict[str, Row]:
     for planes in ("none", "auto"):
         words = "no symmetry" if planes == "none" else "symmetry auto"
         rows[f"mask, {words}"] = Row(as_it_is, _variant(symmetry=planes))
-        rows[f"mask and depth, {words}"] = Row(with_depth(), _variant(symmetry=planes))
+        rows[f"mask and depth, {words}"] = Row(with_depth, _variant(symmetry=planes))
     for noise in (0.01, 0.03):
-        rows[f"mask and depth with noise of {noise}, no symmetry"] = Row(with_depth(noise), _variant(symmetry="none"))
+        rows[f"mask and depth with noise of {noise}, no symmetry"] = Row(
+            partial(with_depth, noise=noise), _variant(symmetry="none")
+        )
     rows["two masks, no symmetry"] = Row(as_it_is, _variant(2, symmetry="none"))
-    rows["two masks and their depths, no symmetry"] = Row(with_depth(), _variant(2, symmetry="none"))
+    rows["two masks and their depths, no symmetry"] = Row(with_depth, _variant(2, symmetry="none"))
     return rows
 
 
 def _missing_rows() -> dict[str, Row]:
     objects: dict[str, Alter] = {"whole": as_it_is}
     objects |= {
-        f"{part} missing": without(key) for part, key in (("a side", "side"), ("what is high", "high"), ("what is low", "low"))
+        f"{part} missing": partial(without, part=key)
+        for part, key in (("a side", "side"), ("what is high", "high"), ("what is low", "low"))
     }
     planes: dict[str, Variant | Callable[[AccuracyCase], Variant]] = {
         "no plane": _variant(symmetry="none"),
@@ -150,7 +157,7 @@ def _wrong_rows() -> dict[str, Row]:
 def _camera_rows() -> dict[str, Row]:
     return {
         f"{masks} mask{'s' * (masks > 1)}, {degrees} degrees off; {words}": Row(
-            cameras_off(degrees), _variant(masks, refine_camera=refined)
+            partial(cameras_off, degrees=degrees), _variant(masks, refine_camera=refined)
         )
         for masks in (1, 2)
         for degrees in (0, 2, 5)
@@ -159,7 +166,11 @@ def _camera_rows() -> dict[str, Row]:
 
 
 def _placing_rows() -> dict[str, Row]:
-    placings: dict[str, Alter] = {"box": placed_by("box"), "silhouette": placed_by("silhouette"), "camera": as_it_is}
+    placings: dict[str, Alter] = {
+        "box": partial(placed_by, placing="box"),
+        "silhouette": partial(placed_by, placing="silhouette"),
+        "camera": as_it_is,
+    }
     refined = {"points, paper": _variant(preset="paper"), "points": _variant(), "latent": _variant(mode="latent")}
     return {f"{place}; {what}": Row(alter, variant) for place, alter in placings.items() for what, variant in refined.items()}
 
@@ -168,18 +179,22 @@ def _colour_rows() -> dict[str, Row]:
     starts = {"bent 2": "bent until 2 off", "bent 6": "bent until 6 off", "other": "another shape's, in another paint"}
     rows = {}
     for start, words in starts.items():
-        rows[f"{words}; mask"] = Row(painted(start, None), _variant(symmetry="none"))
+        rows[f"{words}; mask"] = Row(partial(painted, start=start, exposure=None), _variant(symmetry="none"))
         for exposure in (0.7, 1.4):
             rows[f"{words}; mask and photo, exposed {exposure} times"] = Row(
-                painted(start, exposure), _variant(symmetry="none")
+                partial(painted, start=start, exposure=exposure), _variant(symmetry="none")
             )
     return rows
 
 
 def _mesh_rows() -> dict[str, Row]:
     meshes = {"as it is": None, "cut down to 400 faces": 400}
-    forms = VERTICES, SAMPLES, FACES
-    return {f"{what}; {form}": Row(from_mesh(form, faces), _variant()) for what, faces in meshes.items() for form in forms}
+    forms = VERTICES, SAMPLED, FACES
+    return {
+        f"{what}; {form}": Row(partial(from_mesh, form=form, faces=faces), _variant())
+        for what, faces in meshes.items()
+        for form in forms
+    }
 
 
 # About the chosen one a third and three times of it, and the paper's.
