@@ -33,7 +33,7 @@ LEVELS["cut"] = LEVELS["other"]
 SAMPLES, JUDGED = 16_384, 1024
 """Points of a surface, and how many of them say which start is how far off."""
 MASKS = 4
-"""Of every case. The network sees one picture: of its cases the others are further masks from cameras that are known."""
+"""Of each case. The network sees one picture; the other masks of its cases are from known cameras."""
 CUT_SHARE = 0.75
 """Distance of the camera of kind "cut", of that from which the whole object is seen."""
 PICTURE = 128
@@ -109,18 +109,14 @@ class CaseBuilder:
         dense, resampled = (sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng) for _ in range(2))
         target, initial = _subset(dense, self.points), _subset(resampled, self.points)
         floors = chamfer(initial, target).chamfer, chamfer(initial, dense).chamfer
-        # Further masks of a network's case join in `_predicted`: each view of the others has the next three beside it.
-        views: list[View] = []
         scene, rng = RayScene(mesh), self._rng(shape, kind)
-        start, file = "the truth", None
-        if kind == "network":
-            start = "prediction"
-        else:
-            if kind != "right":
-                found, initial = self._start(shape, _subset(dense, JUDGED), LEVELS[kind].get(shape.category, 0.0))
-                start, file = found.name, found.path
-            count = self.views + MASKS - 1
-            views = [self._seen(shape, number, mesh.vertices, scene, kind == "cut", rng) for number in range(count)]
+        start, file = {"right": "the truth", "network": "prediction"}.get(kind, ""), None
+        if not start:
+            start_shape, initial = self._start(shape, _subset(dense, JUDGED), LEVELS[kind].get(shape.category, 0.0))
+            start, file = start_shape.name, start_shape.path
+        # Each view has the next three beside it; `_predicted` makes those of a network's case.
+        count = 0 if kind == "network" else self.views + MASKS - 1
+        views = [self._seen(shape, number, mesh.vertices, scene, kind == "cut", rng) for number in range(count)]
         cases = [
             AccuracyCase(
                 kind,
@@ -181,7 +177,7 @@ class CaseBuilder:
         view = View(picture.mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, view {case.view}")
         predicted = network_scene(picture.image, view, self.network, self.about, placing="camera")
         turn = (CANONICAL_ROTATION @ camera.R).T
-        # Random numbers of their own: how many views there are of a shape changes none of them.
+        # A generator for each view: the number of views changes none of them.
         further = np.random.default_rng([self.seed, zlib.crc32(shape.name.encode()), case.view])
         others = [self._seen(shape, number, vertices, scene, False, further) for number in range(1, MASKS)]
         turned = [replace(view, camera=replace(view.camera, R=view.camera.R @ turn)) for view in others]

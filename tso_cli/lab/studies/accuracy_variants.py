@@ -54,7 +54,7 @@ NETWORK = {
     COMBINED: Variant(RefineConfig("latent"), then=RefineConfig()),
     BOTH_COMBINED: Variant(RefineConfig("encoder-decoder"), then=RefineConfig()),
 }
-# Adam's steps are as long for every number, however small its gradient: at the same rate the cloud falls apart.
+# Adam's steps do not shrink with the gradient: at the preset's rate the cloud falls apart.
 ADAM_RATE = 2e-3
 ABLATION = {
     PAPER: POINTS[PAPER],
@@ -88,7 +88,7 @@ def variants_of(kind: str, ablation: bool) -> dict[str, Variant]:
 def refined(
     cases: list[AccuracyCase], variant: Variant, device: str, network: BaseNetwork | None
 ) -> tuple[list[RefineResult], float | None]:
-    """The result of every case, and the seconds a case of a batch; None where there is none, as with networks, colours, meshes.
+    """The result of each case, and the seconds a case of a batch; None for networks, colours and meshes, which have no batch.
 
     Raises TsoError where a case cannot be refined.
     """
@@ -96,12 +96,12 @@ def refined(
     if single or (network is not None and variant.config.mode != "points"):
         return [alone(case, variant, device, network)[0] for case in cases], None
     start = time.perf_counter()
-    found = refine_batch(
+    outcomes = refine_batch(
         [(case.initial, case.views[: variant.masks]) for case in cases], replace(variant.config, device=device)
     )
     seconds = (time.perf_counter() - start) / len(cases)
     results = []
-    for result in found:
+    for result in outcomes:
         if isinstance(result, TsoError):
             raise result
         results.append(uninterrupted(result))

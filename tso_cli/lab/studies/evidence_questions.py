@@ -197,19 +197,19 @@ def _mesh_rows() -> dict[str, Row]:
     }
 
 
-# About the chosen one a third and three times of it, and the paper's.
+# A third and three times the preset's rate, and the paper's.
 RATES = {"encoder": (1e-6, 1e-5, 3e-5, 1e-4), "encoder-decoder": (5e-6, 2e-5, 6e-5, 2e-4), "latent": (3e-4, 1e-3, 3e-3)}
 
 
 def _rate_rows() -> dict[str, Row]:
     rows: dict[str, Row] = {}
     for mode in NETWORK_MODES:
-        own = RefineConfig(mode)
-        rows |= {f"{mode}, {rate:g}": Row(as_it_is, Variant(replace(own, learning_rate=rate))) for rate in RATES[mode]}
-        chosen = own.settings()
+        config = RefineConfig(mode)
+        rows |= {f"{mode}, {rate:g}": Row(as_it_is, Variant(replace(config, learning_rate=rate))) for rate in RATES[mode]}
+        chosen = config.settings()
         paper = RefineConfig(mode, chosen.steps, chosen.learning_rate, PAPER_GAMMA["points"], preset="paper")
         rows[f"{mode}, {chosen.learning_rate:g}, BCE and Chamfer"] = Row(as_it_is, Variant(paper))
-        rows[f"{mode}, {chosen.learning_rate:g}, then points"] = Row(as_it_is, Variant(own, then=RefineConfig()))
+        rows[f"{mode}, {chosen.learning_rate:g}, then points"] = Row(as_it_is, Variant(config, then=RefineConfig()))
     return rows
 
 

@@ -41,10 +41,9 @@ def run(
 
     - ``mean_view``: the mean training shape in the network's own frame, the cloud nearest on average to all training
       targets as the cameras see them. It is what a network that ignores the picture would learn.
-    - ``mean_aligned``: the mean training shape in the objects' frame, turned toward each judged shape by the best of four
-      quarter turns: it is told the pose, and told it better than any picture could.
+    - ``mean_aligned``: the mean training shape in the objects' frame, in the best of four quarter turns: the pose is given.
     - ``nearest``: of all training shapes, in the best of four quarter turns, the one nearest to the judged shape: the best that
-      retrieval could do, were it told which.
+      retrieval could do.
     """
     network, about = load_network(checkpoint)
     source = Source(meshes, split or SHIPPED_SPLIT, seed=seed, categories=categories)

@@ -77,17 +77,17 @@ def shapes_of_part(
     names = read_part(split_file, part)
     if not names:
         raise InputError(f"{split_file}: names no shape for {part}, expected some")
-    found = sorted({name.split("/")[0] for name in names})
+    known = sorted({name.split("/")[0] for name in names})
     for category in categories:
-        if category not in found:
-            raise InputError(f"{split_file}: names no {category} for {part}, expected some of {', '.join(found)}")
+        if category not in known:
+            raise InputError(f"{split_file}: names no {category} for {part}, expected some of {', '.join(known)}")
     meshes = {path.relative_to(folder).with_suffix("").as_posix(): path for path in find_meshes(folder)}
     chosen = []
-    for category in [name for name in found if not categories or name in categories]:
-        own = [name for name in names if name.split("/")[0] == category]
-        if limit is not None and limit < len(own):
-            own = [own[i] for i in np.linspace(0, len(own) - 1, limit).round().astype(int)]
-        chosen += own
+    for category in [name for name in known if not categories or name in categories]:
+        members = [name for name in names if name.split("/")[0] == category]
+        if limit is not None and limit < len(members):
+            members = [members[i] for i in np.linspace(0, len(members) - 1, limit).round().astype(int)]
+        chosen += members
     missing = [name for name in chosen if name not in meshes]
     if missing:
         raise InputError(

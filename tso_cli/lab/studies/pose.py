@@ -60,7 +60,7 @@ def _judge_shape(builder: CaseBuilder, shape: Shape) -> Cases:
 
 
 def judge(case: AccuracyCase) -> Cases:
-    """What is found for the clouds of one case; the true one goes with kind "other"."""
+    """The fitted cameras of the clouds of one case; kind "other" includes the true cloud."""
     view = case.views[0]
     clouds: dict[str, tuple[Array, float | None]] = {CLOUDS[case.kind]: (case.initial, None)}
     if case.kind == "other":
