@@ -9,7 +9,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-from tests.readme_evidence import evidence_tables
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.rotations import angle_between
 from tso_cli.lab.studies import evidence, evidence_questions
@@ -274,12 +273,14 @@ def test_the_summary_is_of_the_cases_own_ratios():
     assert found["all"]["mask"]["mean_ratio"] == pytest.approx(2.6 / 3.0, abs=1e-5)
 
 
-def test_the_tables_of_the_page_can_be_made_of_a_record():
-    record = {"summary": summarise([a_case("car", {"mask": (1.0, 0.5)}), a_case("chair", {"mask": (1.0, 1.1)})])}
-    table = evidence_tables(record)["depth"].splitlines()
-    assert table[0] == "| | car | chair |"
-    assert table[2] == "| mask | 0.500, 0.50 | 1.100, 1.10 |"
-    assert tables(record)[0].rows[0] == ["other", "car", "mask", 1, 0.5, 0.5, 0]
+def test_the_table_of_a_question_has_a_row_for_each_of_its_rows():
+    table = tables({"summary": summarise([a_case("car", {"mask": (1.0, 0.5)}), a_case("chair", {"mask": (1.0, 1.1)})])})[0]
+    assert table.title == "Depth maps"
+    assert [row[1:6] for row in table.rows] == [
+        ["car", "mask", 1, 0.5, 0.5],
+        ["chair", "mask", 1, 1.1, 1.1],
+        ["all", "mask", 2, 0.8, 1.1],
+    ]
 
 
 @pytest.mark.slow
