@@ -83,7 +83,7 @@ def test_the_same_method_has_the_same_fingerprint_in_plain_and_in_compiled_loops
     assert differences(record) == []
 
 
-def test_a_fingerprint_is_worked_out_once(judged, monkeypatch):
+def test_a_fingerprint_is_computed_once(judged, monkeypatch):
     calls = []
     judged(PAPER)
     monkeypatch.setitem(PARTS, PAPER, lambda: calls.append(1) or {"Chamfer": 1.0 / 3.0})
@@ -93,14 +93,14 @@ def test_a_fingerprint_is_worked_out_once(judged, monkeypatch):
 
 @pytest.mark.parametrize(("part", "what", "tolerance"), [(PAPER, "chair: Chamfer", 0.005), (PAPER, "chair: moved", 0.005),
                          (BEST, "chair: Chamfer", 0.02), (BEST, "chair: moved", 0.04), (BEST, "steps", 0.005)])  # fmt: skip
-def test_numbers_are_the_same_up_to_what_rounding_makes_of_them(part, what, tolerance, judged):
+def test_numbers_are_the_same_up_to_rounding(part, what, tolerance, judged):
     judged(part, {what: 2.0})
     for share in (-1.1, -0.9, 0.9, 1.1):
         record = {"study": "points", "fingerprint": {part: {what: 2.0 * (1.0 + share * tolerance)}}}
         assert (differences(record) == []) == (abs(share) < 1.0)
 
 
-def test_what_a_fingerprint_lacks_or_has_beyond_todays_sets_it_apart(judged):
+def test_a_fingerprint_with_fewer_or_more_numbers_than_todays_differs(judged):
     judged(PAPER, {"Chamfer": 2.0, "gamma": 0.0})
     assert differences({"study": "points", "fingerprint": {PAPER: {"Chamfer": 2.0, "gamma": 0.0}, "more": {}}}) == []
     for other in ({}, {"Chamfer": 2.0}, {"Chamfer": 2.0, "gamma": 0.1}, {"Chamfer": "2", "gamma": 0.0},
@@ -159,7 +159,7 @@ def test_the_command_tells_records_of_the_method_from_others(tmp_path, monkeypat
     assert "1 of 1 records" in printed.err
 
 
-def test_a_fingerprint_is_completed_where_the_rest_of_it_is_todays_and_nowhere_else(tmp_path, monkeypatch, capsys):
+def test_a_fingerprint_is_completed_only_where_the_rest_of_it_is_todays(tmp_path, monkeypatch, capsys):
     make_known(monkeypatch)
     path = tmp_path / "evidence.json"
     for kept, code in (({"points, best": {"number": 0.0}}, 0), ({"points, best": {"number": 1.0}}, 3)):
@@ -170,7 +170,7 @@ def test_a_fingerprint_is_completed_where_the_rest_of_it_is_todays_and_nowhere_e
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("{", "is not JSON"),
         ("[1]", "holds no JSON object"),
@@ -180,7 +180,7 @@ def test_a_fingerprint_is_completed_where_the_rest_of_it_is_todays_and_nowhere_e
         ('{"study": "evidence", "settings": {"questions": ["why"]}}', "lacks 'why'"),
     ],
 )
-def test_what_is_no_record_gets_one_line(text, told, tmp_path, capsys):
+def test_what_is_no_record_gets_one_line(text, message, tmp_path, capsys):
     path = tmp_path / "record.json"
     path.write_text(text)
     for options in ([], ["--complete"]):
@@ -188,7 +188,7 @@ def test_what_is_no_record_gets_one_line(text, told, tmp_path, capsys):
         error = capsys.readouterr().err
         assert error.count("\n") == 1
         assert str(path) in error
-        assert told in error
+        assert message in error
     assert path.read_text() == text
 
 
