@@ -35,10 +35,10 @@ def cars(meshes):
 def test_a_case_starts_from_the_shape_nearest_to_the_categorys_level_and_sees_the_whole_object(cars):
     for case in cars[:2]:
         assert case.start != case.shape
-        assert case.chamfer_before == pytest.approx(chamfer(case.initial, case.target).chamfer)
+        before = chamfer(case.initial, case.target).chamfer
         for other in (other.initial for other in cars if other.start not in (case.start, case.shape)):
             level = INITIAL_CHAMFER["car"]
-            assert abs(chamfer(other, case.target).chamfer - level) >= abs(case.chamfer_before - level)
+            assert abs(chamfer(other, case.target).chamfer - level) >= abs(before - level)
         left, top, right, bottom = case.view.box()
         assert min(left, top) > 0.0 and max(right, bottom) < 63.0
         # the truth falls on its own mask, give or take a pixel

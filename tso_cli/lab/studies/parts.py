@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from ...io.meshes import Mesh, find_meshes, read_mesh
 from ...network.model import BaseNetwork, NetworkConfig
 from ...render import RayScene, RenderedView, RenderSettings, ground_truth, normalise, render_view, sample_cameras
 
+Item = TypeVar("Item")
 SPLIT = Path(__file__).with_name("split.json")
 """Training, validation and test types of the shapes that the shipped network is from."""
 
@@ -84,10 +86,7 @@ def shapes_of_part(
     meshes = {path.relative_to(folder).with_suffix("").as_posix(): path for path in find_meshes(folder)}
     chosen = []
     for category in [name for name in known if not categories or name in categories]:
-        members = [name for name in names if name.split("/")[0] == category]
-        if limit is not None and limit < len(members):
-            members = [members[i] for i in np.linspace(0, len(members) - 1, limit).round().astype(int)]
-        chosen += members
+        chosen += spread([name for name in names if name.split("/")[0] == category], limit)
     missing = [name for name in chosen if name not in meshes]
     if missing:
         raise InputError(
@@ -95,6 +94,12 @@ def shapes_of_part(
             f"{split_file} names for {part}"
         )
     return [Shape(name, meshes[name]) for name in chosen]
+
+
+def spread(items: Sequence[Item], limit: int | None) -> list[Item]:
+    """At most ``limit`` of ``items``, evenly over their order."""
+    count = len(items) if limit is None else min(limit, len(items))
+    return [items[i] for i in np.linspace(0, len(items) - 1, count).round().astype(int)]
 
 
 def see(shape: Shape, settings: RenderSettings, seed: int) -> SeenShape:
