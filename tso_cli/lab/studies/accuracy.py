@@ -28,6 +28,7 @@ GROUP = 32
 """Cases that are refined together: their dense matrices fill 0.4 GiB."""
 TIMED = 6
 """Cases of each kind, category and variant that are refined once more, alone, for the time."""
+STARTS = "Where the starts are from. May be repeated.  [default: all; with --ablation all but right]"
 F_THRESHOLD = 0.02
 ASSIGNED = 2048
 """Points up to which one-to-one assignments are solved."""
@@ -277,15 +278,7 @@ STUDY = Study(
         CHECKPOINT,
         part("test"),
         Option("--category", "May be repeated.", default=CATEGORIES, multiple=True, name="categories"),
-        Option(
-            "--kind",
-            "May be repeated.  [default: all but, with --ablation, right]",
-            str,
-            (),
-            KINDS,
-            multiple=True,
-            name="kinds",
-        ),
+        Option("--kind", STARTS, str, (), KINDS, multiple=True, name="kinds"),
         VIEWS,
         Option("--size", "Of the masks, pixels each way.", int, 64, least=16, most=1024),
         Option("--points", "Of initial and target clouds, 1024 to 16384.", int, 1024),

@@ -270,8 +270,8 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 
 STUDY = Study(
     "tso",
-    "The network predicts each view of each shape; the prediction is judged before and after moving the encoder (E), the whole "
-    "network (E and D) and the points (p), with the paper's settings.",
+    "The paper's table. The network predicts each view of each shape; the prediction is judged before and after moving the "
+    "encoder (E), the whole network (E and D) and the points (p), with the paper's settings.",
     (
         *COMMON,
         CHECKPOINT,
