@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt
 
-.PHONY: demo test lint check-python open3d-libraries clean
+.PHONY: demo test test-lab lint check-python open3d-libraries clean
 .DELETE_ON_ERROR:
 
 check-python:
@@ -51,7 +51,12 @@ lint: $(VENV)/ready-to-test
 # what one test compiled would change the form, and so the last digits, of what another is in the midst of.
 test: open3d-libraries lint
 	@$(BIN)/tso compile
-	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
+	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "not slow"
+
+# The laboratory's slow tests too.
+test-lab: open3d-libraries lint
+	@$(BIN)/tso compile
+	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 tests/lab
 
 clean:
 	rm -rf $(VENV) demo

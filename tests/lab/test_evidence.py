@@ -4,28 +4,26 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 import pytest
-from PIL import Image
 
-from tests.readme_evidence import evidence_tables
-from tso_cli.cli import main
-from tso_cli.errors import InputError
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.rotations import angle_between
-from tso_cli.lab.charts.evidence_chart import TITLES
-from tso_cli.lab.commands.evidence import QUESTIONS as asked_by_name
 from tso_cli.lab.studies import evidence, evidence_questions
 from tso_cli.lab.studies.accuracy_cases import CaseBuilder
 from tso_cli.lab.studies.accuracy_variants import Variant
-from tso_cli.lab.studies.evidence import EvidenceConfig, study_evidence, summarise
+from tso_cli.lab.studies.evidence import summarise, tables
 from tso_cli.lab.studies.evidence_cases import (
+    FACES,
+    SAMPLED,
+    VERTICES,
     Truth,
     anothers_mask,
     bunched,
     cameras_off,
+    from_mesh,
     in_photo,
     placed_by,
     turned_away,
@@ -33,24 +31,22 @@ from tso_cli.lab.studies.evidence_cases import (
     without,
 )
 from tso_cli.lab.studies.evidence_colours import paint_of, painted, photo
-from tso_cli.lab.studies.evidence_meshes import FACES, SAMPLES, VERTICES, from_mesh
 from tso_cli.lab.studies.evidence_questions import QUESTIONS, Question, Row
 from tso_cli.lab.studies.parts import shapes_of_part
+from tso_cli.lab.study import Progress
 from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.symmetry import find_mirror_plane
 
 from ..training import make_known
+from .studying import MESHES, check_command, tso, write_split
 
-MESHES = Path(__file__).parents[2] / "examples" / "meshes"
 TRAIN = ["car/qreal_SUV", "car/qbasic_BasicCar", "chair/q19_Chair", "chair/q17_Chair"]
 VALIDATION = ["car/qreal_Cop", "car/qreal_NormalCar1", "chair/kfurn_chair"]
 
 
 @pytest.fixture(scope="module")
 def split(tmp_path_factory):
-    path = tmp_path_factory.mktemp("split") / "split.json"
-    path.write_text(json.dumps({"train": TRAIN, "validation": VALIDATION}))
-    return path
+    return write_split(tmp_path_factory.mktemp("split"), train=TRAIN, validation=VALIDATION)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +77,7 @@ def test_depth_maps_lie_on_the_true_surface_and_noise_is_as_large_as_the_row_say
     from scipy.spatial import cKDTree
 
     surface = cKDTree(cases["chair"].dense)
-    exact, noisy = (with_depth(noise)(cases["chair"], truths["chair"], rng()) for noise in (0.0, 0.03))
+    exact, noisy = (with_depth(cases["chair"], truths["chair"], rng(), noise) for noise in (0.0, 0.03))
     assert np.median(surface.query(lifted(exact.views[1]))[0]) < 0.006
     off = noisy.views[1].depth - exact.views[1].depth
     assert np.nanstd(off) == pytest.approx(0.03, rel=0.1)
@@ -91,7 +87,7 @@ def test_depth_maps_lie_on_the_true_surface_and_noise_is_as_large_as_the_row_say
 @pytest.mark.parametrize("part", ["side", "high", "low"])
 def test_an_object_that_lacks_a_part_lacks_it_in_truth_and_masks_and_keeps_its_start(part, cases, truths):
     whole = cases["chair"]
-    lacking = without(part)(whole, truths["chair"], rng())
+    lacking = without(whole, truths["chair"], rng(), part)
     np.testing.assert_array_equal(lacking.initial, whole.initial)
     assert sum((b.mask < a.mask).any() for a, b in zip(whole.views, lacking.views, strict=True)) >= 3
     assert all((b.mask <= a.mask).all() for a, b in zip(whole.views, lacking.views, strict=True))
@@ -108,7 +104,7 @@ def test_an_object_that_lacks_a_part_lacks_it_in_truth_and_masks_and_keeps_its_s
 
 def test_a_photo_around_a_picture_shows_the_same_object_where_its_camera_says(cases, truths):
     right = cases["car"]
-    photo = in_photo(4, across=1.0, down=0.25)(right, truths["car"], rng()).views[0]
+    photo = in_photo(right, truths["car"], rng(), [4], across=1.0, down=0.25).views[0]
     assert photo.mask.shape == (256, 256)
     assert photo.mask.sum() == right.views[0].mask.sum()
     shift = photo.camera.project(right.target)[0] - right.views[0].camera.project(right.target)[0]
@@ -118,7 +114,7 @@ def test_a_photo_around_a_picture_shows_the_same_object_where_its_camera_says(ca
 
 def test_a_start_that_is_a_mesh_is_the_one_its_cloud_is_from_and_judged_by_its_surface(cases, truths):
     right = cases["chair"]
-    vertices, samples, mesh = (from_mesh(form)(right, truths["chair"], rng()) for form in (VERTICES, SAMPLES, FACES))
+    vertices, samples, mesh = (from_mesh(right, truths["chair"], rng(), form) for form in (VERTICES, SAMPLED, FACES))
     assert (vertices.faces, samples.surface) == (None, None)
     np.testing.assert_array_equal(vertices.initial, mesh.initial)
     assert len(samples.initial) == 1024
@@ -128,9 +124,9 @@ def test_a_start_that_is_a_mesh_is_the_one_its_cloud_is_from_and_judged_by_its_s
     assert samples.chamfer_of(samples.initial) == pytest.approx(right.chamfer_of(right.initial), rel=0.15)
     assert mesh.chamfer_of(mesh.initial) == vertices.chamfer_of(vertices.initial)
     assert mesh.chamfer_of(mesh.initial) < chamfer(mesh.initial, right.target).chamfer
-    fewer = from_mesh(FACES, 60)(right, truths["chair"], rng())
+    fewer = from_mesh(right, truths["chair"], rng(), FACES, 60)
     assert 40 < len(fewer.faces) <= 60
-    assert from_mesh(FACES, 10**6)(right, truths["chair"], rng()) is None
+    assert from_mesh(right, truths["chair"], rng(), FACES, 10**6) is None
 
 
 def test_wrong_views_are_the_last_alone(cases, truths):
@@ -156,11 +152,11 @@ def test_three_cameras_stand_together_and_one_to_the_side(cases, truths):
 
 def test_cameras_are_off_by_the_angle_that_the_row_says(cases, truths):
     right = cases["car"]
-    off = cameras_off(5)(right, truths["car"], rng())
+    off = cameras_off(right, truths["car"], rng(), 5)
     for a, b in zip(off.views, right.views, strict=True):
         assert angle_between(a.camera.R, b.camera.R) == pytest.approx(5.0)
         assert np.linalg.norm(a.camera.t - b.camera.t) == pytest.approx(0.025 * b.camera.t[2])
-    same = cameras_off(0)(right, truths["car"], rng())
+    same = cameras_off(right, truths["car"], rng(), 0)
     np.testing.assert_allclose(same.views[0].camera.R, right.views[0].camera.R)
 
 
@@ -169,17 +165,17 @@ def test_a_prediction_is_placed_by_mask_alone(cases):
     turned = cases["car"].initial @ view.camera.R.T * [1, -1, -1]
     case = replace(cases["car"], initial=turned)
     for placing in ("box", "silhouette"):
-        found = placed_by(placing)(case, None, rng()).views[0]
+        found = placed_by(case, None, rng(), placing).views[0]
         assert found.mask is view.mask
         assert abs(found.camera.t[2] / view.camera.t[2] - 1.0) < 0.3
 
 
 def test_a_bent_cloud_is_as_far_off_as_the_row_says_and_keeps_its_paint(cases, truths):
     for level in (2, 6):
-        case = painted(f"bent {level}", 1.0)(cases["chair"], truths["chair"], rng())
+        case = painted(cases["chair"], truths["chair"], rng(), f"bent {level}", 1.0)
         assert 1e3 * chamfer(case.initial, case.target).chamfer == pytest.approx(level, rel=0.02)
         assert case.colours.shape == case.initial.shape
-    mask_alone = painted("bent 6", None)(cases["chair"], truths["chair"], rng())
+    mask_alone = painted(cases["chair"], truths["chair"], rng(), "bent 6", None)
     np.testing.assert_array_equal(mask_alone.initial, case.initial)
     assert all(view.image is None for view in mask_alone.views)
 
@@ -188,7 +184,7 @@ def test_a_photo_shows_the_paint_of_what_is_seen_shaded_on_white(cases, truths):
     view, paint = cases["chair"].views[0], paint_of(rng())
     light = view.camera.R.T @ [0.0, 0.0, -1.0]
     image = photo(truths["chair"].scene, view, paint, light)
-    seen = with_depth()(cases["chair"], truths["chair"], rng()).views[0]
+    seen = with_depth(cases["chair"], truths["chair"], rng()).views[0]
     inside = np.isfinite(seen.depth) & (seen.mask > 0.5)
     tones = paint(lifted(seen))
     # One colour alone: the same shade for all three, but at edges of the paint.
@@ -205,41 +201,42 @@ QUICK = RefineConfig(steps=3)
 
 
 @pytest.fixture
-def quick(monkeypatch):
-    """Two small questions in place of all."""
-    # Of some rows there is nothing to tell.
-    told = {"one": lambda case, altered, result: 1.0 if len(result.cameras) > 1 else None}
+def study(split, monkeypatch):
+    """The study of one view, with two small questions in place of all."""
+    # Some results have no such figure.
+    measures = {"one": lambda case, altered, result: 1.0 if len(result.cameras) > 1 else None}
     rows = {"other": Row(anothers_mask, Variant(QUICK, 4)), "as it is": Row(evidence_questions.as_it_is, Variant(QUICK))}
-    by_case = {"its own": Row(without("side"), lambda case: Variant(replace(QUICK, symmetry="none")))}
-    asked = {"wrong": Question(("other",), rows, told=told), "missing": Question(("other", "near"), by_case, ("car",))}
-    for module in (evidence, evidence_questions):
-        monkeypatch.setattr(module, "QUESTIONS", asked)
+    by_case = {"its own": Row(partial(without, part="side"), lambda case: Variant(replace(QUICK, symmetry="none")))}
+    questions = {
+        "wrong": Question("Wrong views", ("other",), rows, measures=measures),
+        "missing": Question("Missing parts", ("other", "near"), by_case, ("car",)),
+    }
+    monkeypatch.setattr(evidence, "QUESTIONS", questions)
     monkeypatch.setattr(evidence, "CATEGORIES", ("car", "chair"))
+    settings = {"part": "validation", "limit": None, "views": 1, "device": "cpu", "seed": 0, "questions": tuple(questions)}
+
+    def run(progress=None):
+        return evidence.run(progress or Progress(), meshes=MESHES, checkpoint=None, split=split, **settings)
+
+    return run
 
 
-CONFIG = EvidenceConfig(("wrong", "missing"), views=1)
-
-
-def test_every_question_is_asked_of_the_kinds_and_categories_that_it_is_about(split, quick):
-    record = study_evidence(MESHES, CONFIG, split)
-    assert record["complete"]
-    asked = [(case["question"], case["kind"], case["shape"]) for case in record["cases"]]
+@pytest.mark.slow
+def test_every_question_is_asked_of_its_kinds_and_categories_and_a_stopped_study_goes_on(study):
+    whole = study()
+    assert whole["complete"]
     cars = VALIDATION[:2]
-    assert asked == [
+    assert [(case["question"], case["kind"], case["shape"]) for case in whole["cases"]] == [
         *(("wrong", "other", name) for name in VALIDATION),
         *(("missing", kind, name) for kind in ("other", "near") for name in cars),
     ]
-    found = record["summary"]["wrong"]["other"]
-    assert found["all"]["as it is"]["cases"] == 3
+    summary = whole["summary"]["wrong"]["other"]
+    assert summary["all"]["as it is"]["cases"] == 3
     # Of one chair there is no other.
-    assert found["all"]["other"]["cases"] == found["car"]["other"]["cases"] == 2
-    assert "other" not in found["chair"]
-    assert found["all"]["other"]["one"] == 1.0
-    json.dumps(record, allow_nan=False)
-
-
-def test_a_stopped_study_goes_on_with_the_next_group(split, quick):
-    whole = study_evidence(MESHES, CONFIG, split)
+    assert summary["all"]["other"]["cases"] == summary["car"]["other"]["cases"] == 2
+    assert "other" not in summary["chair"]
+    assert summary["all"]["other"]["one"] == 1.0
+    json.dumps(whole, allow_nan=False)
     kept = []
 
     def keep_one(record):
@@ -247,21 +244,14 @@ def test_a_stopped_study_goes_on_with_the_next_group(split, quick):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        study_evidence(MESHES, CONFIG, split, keep=keep_one)
+        study(Progress(keep=keep_one))
     assert (kept[0]["complete"], len(kept[0]["cases"])) == (False, 2)
-    assert study_evidence(MESHES, CONFIG, split, earlier=kept[0]) == whole
-    with pytest.raises(InputError, match="views 1, now it is 2"):
-        study_evidence(MESHES, replace(CONFIG, views=2), split, earlier=kept[0])
+    assert study(Progress(earlier=kept[0])) == whole
 
 
-def test_a_question_that_is_not_asked_here_is_refused():
-    with pytest.raises(InputError, match="'weather', expected one of framing, depth"):
-        EvidenceConfig(("weather",))
-
-
-def test_the_command_and_the_chart_know_every_question():
-    assert tuple(QUESTIONS) == asked_by_name
-    assert set(QUESTIONS) == set(TITLES)
+def test_a_question_that_is_not_asked_here_is_refused(capsys):
+    assert tso("lab", "evidence", "--meshes", MESHES, "--question", "weather") == 2
+    assert "'weather' is not one of 'framing', 'depth'" in capsys.readouterr().err
 
 
 def test_rows_that_say_so_let_the_picture_judge_the_plane():
@@ -283,48 +273,37 @@ def test_the_summary_is_of_the_cases_own_ratios():
     assert found["all"]["mask"]["mean_ratio"] == pytest.approx(2.6 / 3.0, abs=1e-5)
 
 
-def test_the_tables_of_the_page_can_be_made_of_a_record():
-    record = {"summary": summarise([a_case("car", {"mask": (1.0, 0.5)}), a_case("chair", {"mask": (1.0, 1.1)})])}
-    table = evidence_tables(record)["depth"].splitlines()
-    assert table[0] == "| | car | chair |"
-    assert table[2] == "| mask | 0.500, 0.50 | 1.100, 1.10 |"
+def test_the_table_of_a_question_has_a_row_for_each_of_its_rows():
+    table = tables({"summary": summarise([a_case("car", {"mask": (1.0, 0.5)}), a_case("chair", {"mask": (1.0, 1.1)})])})[0]
+    assert table.title == "Depth maps"
+    assert [row[1:6] for row in table.rows] == [
+        ["car", "mask", 1, 0.5, 0.5],
+        ["chair", "mask", 1, 1.1, 1.1],
+        ["all", "mask", 2, 0.8, 1.1],
+    ]
 
 
-def tso(*arguments) -> int:
-    with pytest.raises(SystemExit) as stopped:
-        main([str(argument) for argument in arguments])
-    return stopped.value.code
-
-
-def test_the_command_writes_record_and_chart_and_goes_on_from_the_record(split, quick, tmp_path, capsys, monkeypatch):
+@pytest.mark.slow
+def test_the_command_writes_a_table_for_each_question(study, split, tmp_path, capsys, monkeypatch):
     make_known(monkeypatch)
-    output = tmp_path / "evidence.json"
-    arguments = ["lab", "evidence", "--meshes", MESHES, "--split", split, "--question", "wrong", "--views", 1]
-    assert tso(*arguments, "-o", output) == 0
-    assert "as it is" in capsys.readouterr().out
-    record = json.loads(output.read_text())
+    arguments = ("evidence", "--meshes", MESHES, "--split", split, "--question", "wrong", "--views", 1)
+    record = check_command(tmp_path / "evidence.json", capsys, *arguments, words=("as it is", "Wrong views"))
     assert record["complete"]
-    with Image.open(output.with_suffix(".png")) as picture:
-        assert min(picture.size) > 100
-    assert tso(*arguments, "-o", output) == 2
-    assert "exists" in capsys.readouterr().err
-    assert tso(*arguments, "-o", output, "--resume", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["cases"] == record["cases"]
 
 
-def test_what_else_is_told_of_a_result_is_of_that_result(cases, truths):
+def test_further_figures_of_a_result_are_of_that_result(cases, truths):
     right = cases["car"]
-    off = cameras_off(5)(right, truths["car"], rng())
-    told = QUESTIONS["cameras"].told
+    off = cameras_off(right, truths["car"], rng(), 5)
+    measures = QUESTIONS["cameras"].measures
     as_given = refine(off.initial, off.views[0], config=replace(QUICK, symmetry="none"))
-    assert told["corrected"](right, off, as_given) == 0.0
-    assert told["degrees left"](right, off, as_given) == pytest.approx(5.0)
+    assert measures["corrected"](right, off, as_given) == 0.0
+    assert measures["degrees left"](right, off, as_given) == pytest.approx(5.0)
     mended = replace(as_given, cameras=(right.views[0].camera,))
-    assert told["corrected"](right, off, mended) == 1.0
-    assert told["degrees left"](right, off, mended) == pytest.approx(0.0, abs=1e-5)
-    trust = QUESTIONS["wrong"].told["trust in the fourth"]
+    assert measures["corrected"](right, off, mended) == 1.0
+    assert measures["degrees left"](right, off, mended) == pytest.approx(0.0, abs=1e-5)
+    trust = QUESTIONS["wrong"].measures["trust in the fourth"]
     assert trust(right, right, replace(as_given, view_trust=[1.0, 1.0, 1.0, 0.2])) == 0.2
     assert trust(right, right, as_given) is None
-    without_a_plane = QUESTIONS["missing"].told["without a plane"]
+    without_a_plane = QUESTIONS["missing"].measures["without a plane"]
     assert without_a_plane(right, right, as_given) == 1.0
     assert without_a_plane(right, right, replace(as_given, symmetry=(1.0, 0.0, 0.0, 0.0))) == 0.0

@@ -6,12 +6,11 @@ import json
 
 import pytest
 
-from tso_cli.cli import main
 from tso_cli.errors import InputError
 from tso_cli.evaluation import footprint
 from tso_cli.kernels import nearest, splat
-from tso_cli.lab.commands import command as study
 from tso_cli.lab.commands.records import earlier_record, write_record
+from tso_cli.lab.studies import QUESTIONS as STUDIES
 from tso_cli.lab.studies import evidence_questions
 from tso_cli.lab.studies import fingerprint as prints
 from tso_cli.lab.studies.fingerprint import BEST, JUDGED, PAPER, PARTS, differences, fingerprint, stamped
@@ -21,11 +20,9 @@ from tso_cli.train import losses
 
 from ..readme import FIGURES
 from ..training import make_known
+from .studying import tso
 
 RECORD = {"study": "evidence", "settings": {"questions": ["missing", "cameras"]}, "cases": [{"shape": "a"}, {"shape": "b"}]}
-
-
-RESUMED = ("accuracy", "evidence", "pose", "tso", "supervision", "views", "lambda", "affinity", "failures")
 
 
 @pytest.fixture
@@ -37,12 +34,6 @@ def judged(monkeypatch):
         monkeypatch.setattr(prints, "_known", {part: numbers} if numbers else {})
 
     return judge
-
-
-def tso(*arguments) -> int:
-    with pytest.raises(SystemExit) as stopped:
-        main([str(argument) for argument in arguments])
-    return stopped.value.code
 
 
 def _whole_photo(view, points):
@@ -66,6 +57,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", CHANGES)
 def test_another_method_has_another_fingerprint(part, judged, monkeypatch):
     judged(part)
@@ -78,6 +70,7 @@ def test_another_method_has_another_fingerprint(part, judged, monkeypatch):
     assert all(line.startswith(f"{part}: ") and ", now " in line for line in found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["points, paper", "points, best, cut by the border", "training on masks"])
 @pytest.mark.parametrize("compiled", [False, True])
 def test_the_same_method_has_the_same_fingerprint_in_plain_and_in_compiled_loops(part, compiled, judged, monkeypatch):
@@ -89,7 +82,7 @@ def test_the_same_method_has_the_same_fingerprint_in_plain_and_in_compiled_loops
     assert differences(record) == []
 
 
-def test_a_fingerprint_is_worked_out_once(judged, monkeypatch):
+def test_a_fingerprint_is_computed_once(judged, monkeypatch):
     calls = []
     judged(PAPER)
     monkeypatch.setitem(PARTS, PAPER, lambda: calls.append(1) or {"Chamfer": 1.0 / 3.0})
@@ -99,14 +92,14 @@ def test_a_fingerprint_is_worked_out_once(judged, monkeypatch):
 
 @pytest.mark.parametrize(("part", "what", "tolerance"), [(PAPER, "chair: Chamfer", 0.005), (PAPER, "chair: moved", 0.005),
                          (BEST, "chair: Chamfer", 0.02), (BEST, "chair: moved", 0.04), (BEST, "steps", 0.005)])  # fmt: skip
-def test_numbers_are_the_same_up_to_what_rounding_makes_of_them(part, what, tolerance, judged):
+def test_numbers_are_the_same_up_to_rounding(part, what, tolerance, judged):
     judged(part, {what: 2.0})
     for share in (-1.1, -0.9, 0.9, 1.1):
         record = {"study": "points", "fingerprint": {part: {what: 2.0 * (1.0 + share * tolerance)}}}
         assert (differences(record) == []) == (abs(share) < 1.0)
 
 
-def test_what_a_fingerprint_lacks_or_has_beyond_todays_sets_it_apart(judged):
+def test_a_fingerprint_with_fewer_or_more_numbers_than_todays_differs(judged):
     judged(PAPER, {"Chamfer": 2.0, "gamma": 0.0})
     assert differences({"study": "points", "fingerprint": {PAPER: {"Chamfer": 2.0, "gamma": 0.0}, "more": {}}}) == []
     for other in ({}, {"Chamfer": 2.0}, {"Chamfer": 2.0, "gamma": 0.1}, {"Chamfer": "2", "gamma": 0.0},
@@ -119,7 +112,7 @@ def test_what_a_fingerprint_lacks_or_has_beyond_todays_sets_it_apart(judged):
 def test_every_study_and_the_measurement_of_speed_say_what_they_judge(monkeypatch):
     make_known(monkeypatch)
     assert set(prints.QUESTIONS) == set(evidence_questions.QUESTIONS)
-    assert set(JUDGED) == set(study.commands) - {"fingerprint"} | {"speed", "photos"}
+    assert set(JUDGED) == set(STUDIES) | {"speed", "photos"}
     judged = set()
     for path in FIGURES.glob("*.json"):
         record = {"study": "photos"} | json.loads(path.read_text())
@@ -128,9 +121,7 @@ def test_every_study_and_the_measurement_of_speed_say_what_they_judge(monkeypatc
     assert judged == set(PARTS)
 
 
-@pytest.mark.parametrize(
-    "name", ["accuracy", "evidence", "pose", "tso", "supervision", "views", "lambda", "affinity", "failures"]
-)
+@pytest.mark.parametrize("name", ["accuracy", "pose", "supervision"])
 def test_a_record_of_another_method_is_not_gone_on_from(name, tmp_path, monkeypatch):
     make_known(monkeypatch)
     path = tmp_path / "record.json"
@@ -167,7 +158,7 @@ def test_the_command_tells_records_of_the_method_from_others(tmp_path, monkeypat
     assert "1 of 1 records" in printed.err
 
 
-def test_a_fingerprint_is_completed_where_the_rest_of_it_is_todays_and_nowhere_else(tmp_path, monkeypatch, capsys):
+def test_a_fingerprint_is_completed_only_where_the_rest_of_it_is_todays(tmp_path, monkeypatch, capsys):
     make_known(monkeypatch)
     path = tmp_path / "evidence.json"
     for kept, code in (({"points, best": {"number": 0.0}}, 0), ({"points, best": {"number": 1.0}}, 3)):
@@ -178,7 +169,7 @@ def test_a_fingerprint_is_completed_where_the_rest_of_it_is_todays_and_nowhere_e
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("{", "is not JSON"),
         ("[1]", "holds no JSON object"),
@@ -188,7 +179,7 @@ def test_a_fingerprint_is_completed_where_the_rest_of_it_is_todays_and_nowhere_e
         ('{"study": "evidence", "settings": {"questions": ["why"]}}', "lacks 'why'"),
     ],
 )
-def test_what_is_no_record_gets_one_line(text, told, tmp_path, capsys):
+def test_what_is_no_record_gets_one_line(text, message, tmp_path, capsys):
     path = tmp_path / "record.json"
     path.write_text(text)
     for options in ([], ["--complete"]):
@@ -196,7 +187,7 @@ def test_what_is_no_record_gets_one_line(text, told, tmp_path, capsys):
         error = capsys.readouterr().err
         assert error.count("\n") == 1
         assert str(path) in error
-        assert told in error
+        assert message in error
     assert path.read_text() == text
 
 

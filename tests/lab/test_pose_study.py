@@ -1,36 +1,28 @@
-"""The study of poses: what counts as found, and a stopped one goes on."""
+"""The study of poses: what counts as found."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
-from tests.readme_evidence import pose_table
-from tso_cli.cli import main
 from tso_cli.geometry.rotations import from_vectors
 from tso_cli.lab.studies import pose
 from tso_cli.lab.studies.accuracy_cases import CaseBuilder
 from tso_cli.lab.studies.parts import shapes_of_part
-from tso_cli.lab.studies.pose import CLOUDS, TRUE, WRONG_PRIOR, PoseConfig, judge, study_pose, summarise
+from tso_cli.lab.studies.pose import CLOUDS, TRUE, WRONG_PRIOR, judge, summarise
 from tso_cli.pose.fit import Alternative, FittedCamera
 from tso_cli.refinement.symmetry import find_mirror_plane
 
 from ..training import make_known
-
-MESHES = Path(__file__).parents[2] / "examples" / "meshes"
-TRAIN = ["car/qreal_SUV", "chair/q19_Chair"]
+from .studying import MESHES, check_command, write_split
 
 
 @pytest.fixture(scope="module")
 def split(tmp_path_factory):
-    path = tmp_path_factory.mktemp("split") / "split.json"
-    path.write_text(json.dumps({"train": TRAIN, "validation": ["car/qreal_Cop", "chair/kfurn_chair"]}))
-    return path
+    folder = tmp_path_factory.mktemp("split")
+    return write_split(folder, train=["car/qreal_SUV", "chair/q19_Chair"], validation=["car/qreal_Cop", "chair/kfurn_chair"])
 
 
 @pytest.fixture(scope="module")
@@ -49,14 +41,16 @@ def turned(camera, degrees: float):
 
 
 def test_an_answer_counts_by_its_angle_the_others_as_one_of_the_answers(case, monkeypatch):
-    true = case.views[0].camera
-    monkeypatch.setattr(pose, "fit_camera", lambda *_, **__: fitted(turned(true, 40.0), turned(true, 5.0)))
-    found = judge(case)
-    assert [one["cloud"] for one in found] == [CLOUDS["other"], TRUE, WRONG_PRIOR]
-    for one in found:
-        assert one["degrees"] == pytest.approx(40.0)
-        assert one["answers"] == pytest.approx(5.0)
-        assert (one["shortest"], one["longest"], one["sure"]) == (0.5, 2.0, True)
+    true, focals = case.views[0].camera, []
+    answer = fitted(turned(true, 40.0), turned(true, 5.0))
+    monkeypatch.setattr(pose, "fit_camera", lambda cloud, mask, focal: focals.append(focal) or answer)
+    rows = judge(case)
+    assert [row["cloud"] for row in rows] == [CLOUDS["other"], TRUE, WRONG_PRIOR]
+    for row in rows:
+        assert (row["degrees"], row["answers"]) == (pytest.approx(40.0), pytest.approx(5.0))
+        assert (row["shortest"], row["longest"], row["sure"]) == (0.5, 2.0, True)
+    # The last row's prior of the focal length is wrong.
+    assert focals == [None, None, pytest.approx(1.2 * 64)]
 
 
 def test_the_pose_that_a_distant_camera_cannot_tell_apart_counts_as_mirrored_in_depth(case, monkeypatch):
@@ -66,49 +60,22 @@ def test_the_pose_that_a_distant_camera_cannot_tell_apart_counts_as_mirrored_in_
     mirrored = find_mirror_plane(case.target).reflect(case.target)
     np.testing.assert_allclose((mirrored @ other.R.T)[:, :2], (case.target @ true.R.T)[:, :2], atol=0.02)
     monkeypatch.setattr(pose, "fit_camera", lambda *_, **__: fitted(other))
-    assert all(one["mirrored"] < 1e-3 < one["degrees"] for one in judge(case))
-
-
-def test_the_focal_length_is_taken_from_the_prior_that_the_row_says(case, monkeypatch):
-    asked = []
-    monkeypatch.setattr(pose, "fit_camera", lambda cloud, mask, focal: asked.append(focal) or fitted(case.views[0].camera))
-    judge(case)
-    assert asked == [None, None, pytest.approx(1.2 * 64)]
+    assert all(row["mirrored"] < 1e-3 < row["degrees"] for row in judge(case))
 
 
 def test_the_summary_counts_what_is_within_fifteen_degrees():
-    def one(degrees, sure):
-        return {"cloud": TRUE, "degrees": degrees, "mirrored": 1.0, "answers": 14.0, "sure": sure} | dict.fromkeys(
-            ("shortest", "longest", "seconds"), 1.0
-        )
-
-    own = summarise([one(2.0, True), one(14.9, False), one(15.1, True)])[TRUE]
-    assert (own["cases"], own["right"], own["mirrored"], own["answers"]) == (3, 2, 3, 3)
-    assert (own["sure"], own["sure_right"], own["median_degrees"]) == (2, 1, 14.9)
-    assert "| the true one | 14.9 | 2 of 3 | 3 of 3 | 3 of 3 | 2 (1) |" in pose_table({"summary": {TRUE: own}})
+    rest = {"cloud": TRUE, "mirrored": 1.0, "answers": 14.0, **dict.fromkeys(("shortest", "longest", "seconds"), 1.0)}
+    row = summarise([{**rest, "degrees": d, "sure": s} for d, s in ((2.0, True), (14.9, False), (15.1, True))])[TRUE]
+    assert (row["cases"], row["right"], row["mirrored"], row["answers"]) == (3, 2, 3, 3)
+    assert (row["sure"], row["sure_right"], row["median_degrees"]) == (2, 1, 14.9)
+    assert pose.tables({"summary": {TRUE: row}})[0].rows[0][:8] == [TRUE, 3, 14.9, 2, 3, 3, 2, 1]
 
 
-def tso(*arguments) -> int:
-    with pytest.raises(SystemExit) as stopped:
-        main([str(argument) for argument in arguments])
-    return stopped.value.code
-
-
-def test_the_command_finds_the_camera_of_a_true_cloud_and_goes_on_from_its_record(split, tmp_path, capsys, monkeypatch):
+@pytest.mark.slow
+def test_the_command_finds_the_camera_of_a_true_cloud(split, tmp_path, capsys, monkeypatch):
     make_known(monkeypatch)
     monkeypatch.setattr(pose, "CATEGORIES", ("car",))
-    output = tmp_path / "pose.json"
-    arguments = ["lab", "pose", "--meshes", MESHES, "--split", split, "--views", 1, "-o", output]
-    assert tso(*arguments) == 0
-    assert "the true one" in capsys.readouterr().out
-    record = json.loads(output.read_text())
+    arguments = ("pose", "--meshes", MESHES, "--split", split, "--views", 1)
+    record = check_command(tmp_path / "pose.json", capsys, *arguments, words=("the true one",))
     assert record["complete"]
     assert record["summary"][TRUE]["mirrored"] == 1
-    with Image.open(output.with_suffix(".png")) as picture:
-        assert min(picture.size) > 100
-    assert tso(*arguments, "--resume", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["cases"] == record["cases"]
-    kept = {**record, "cases": []}
-    assert [case["cloud"] for case in study_pose(MESHES, PoseConfig(views=1), split, kept)["cases"]] == [
-        case["cloud"] for case in record["cases"]
-    ]

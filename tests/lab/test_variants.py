@@ -3,58 +3,53 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
+from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from PIL import Image
 
-from tso_cli.cli import main
 from tso_cli.errors import InputError
+from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.points import normalise_longest_side, sample_surface
-from tso_cli.io.checkpoints import save_network
+from tso_cli.geometry.view import View
 from tso_cli.io.meshes import Mesh
 from tso_cli.lab.studies import variants
-from tso_cli.lab.studies.parts import see, shapes_of_part
-from tso_cli.lab.studies.variants import VariantsConfig, distances, study_variants
-from tso_cli.lab.studies.variants_summary import VARIANTS, claims, summarise
+from tso_cli.lab.studies.parts import see, shapes_of_part, view_aligned_network
+from tso_cli.lab.studies.variants import VARIANTS, claims, distances, summarise
 from tso_cli.lab.studies.visibility import visible_points
-from tso_cli.network import model as networks
-from tso_cli.network.model import NetworkConfig, build_network
+from tso_cli.lab.study import Progress
+from tso_cli.refinement import RefineConfig
 from tso_cli.refinement.objective import SilhouetteObjective
 from tso_cli.render import RayScene, RenderSettings, look_at
+from tso_cli.scene.network import network_scene
 
-from ..training import make_thin
+from .studying import MESHES, check_command, thin_checkpoint, tso, write_split
 
-MESHES = Path(__file__).parents[2] / "examples" / "meshes"
 NAMES = ["car/qreal_Cop", "car/qreal_SUV", "car/qbasic_RaceCar", "chair/q19_Chair", "chair/q17_Chair"]
-QUICK = VariantsConfig(categories=("car",), limit=2, views=1, size=64, steps=2)
+QUICK = {"part": "test", "categories": ("car",), "limit": 2, "views": 1, "steps": 2, "seed": 0, "device": "cpu"}
 
 
 @pytest.fixture
 def split(tmp_path):
-    path = tmp_path / "split.json"
-    path.write_text(json.dumps({"test": NAMES, "validation": ["chair/kfurn_chair"]}))
-    return path
+    return write_split(tmp_path, test=NAMES, validation=["chair/kfurn_chair"])
 
 
 @pytest.fixture
 def checkpoint(tmp_path, monkeypatch):
-    """A network of the paper's layers with few channels, untrained."""
-    make_thin(monkeypatch)
-    monkeypatch.setattr(networks, "LATENT", 8)
-    path = tmp_path / "thin.safetensors"
-    save_network(path, build_network(64, seed=0), NetworkConfig(points=64))
-    return path
+    return thin_checkpoint(tmp_path, monkeypatch, 64)
 
 
-def without_times(record: dict) -> dict:
-    """The record again, with nothing that differs from run to run."""
-    record = json.loads(json.dumps(record))
-    for part in (*record["summary"].values(), *record["cases"]):
-        part.pop("median_seconds", None)
-        part.pop("seconds", None)
-    return record
+@pytest.fixture
+def study(split, checkpoint):
+    """The quick study, with other settings and another progress if wanted."""
+
+    def run(progress=None, **changes):
+        settings = {**QUICK, **changes}
+        return variants.run(progress or Progress(), meshes=MESHES, checkpoint=checkpoint, split=split, **settings)
+
+    return run
 
 
 def test_only_shapes_of_the_part_are_studied_spread_over_each_category(split):
@@ -77,6 +72,7 @@ def test_a_shape_or_category_that_is_not_there_is_named(split, tmp_path):
         shapes_of_part(MESHES, split)
 
 
+@pytest.mark.slow
 def test_a_shape_is_seen_alike_whatever_else_is_studied(split):
     settings = RenderSettings(views=2)
     alone = see(shapes_of_part(MESHES, split, limit=1)[0], settings, 0)
@@ -141,30 +137,23 @@ def test_the_truth_in_the_cameras_axes_is_at_distance_zero_whatever_its_scale(sp
     seen = see(shape, RenderSettings(views=1), 0)
     camera = seen.views[0].camera
     in_view = (seen.target @ camera.R.T) * [1.0, -1.0, -1.0]
-    ours = variants.network_scene
+    points = 2.0 * in_view + 0.1
+    untouched = SimpleNamespace(points=points, iou_before=0.5, iou_after=0.5, best_step=0, stop_reason="max_steps")
 
-    def perfect(image, view, network, about, placing):
-        from dataclasses import replace
-
-        scene = ours(image, view, network, about, placing=placing)
-        return replace(scene, points=2.0 * in_view + 0.1)
-
-    def untouched(points, view, config, network, image):
-        from types import SimpleNamespace
-
-        return SimpleNamespace(points=2.0 * in_view + 0.1, iou_before=0.5, iou_after=0.5, best_step=0, stop_reason="max_steps")
+    def perfect(*arguments, **options):
+        return replace(network_scene(*arguments, **options), points=points)
 
     monkeypatch.setattr(variants, "network_scene", perfect)
-    monkeypatch.setattr(variants, "refine", untouched)
-    network, about = variants.load_network(checkpoint)
-    case = variants.judge_view(shape, seen, 0, network, about, QUICK)
+    monkeypatch.setattr(variants, "refine", lambda *_, **__: untouched)
+    case = variants.judge_view(shape, seen, 0, *view_aligned_network(checkpoint), partial(RefineConfig, steps=2))
     for name in ("before", *VARIANTS):
         assert case["capnet"][name]["forward"] == pytest.approx(0.0, abs=1e-20)
         assert case["plain"][name]["forward"] > 1e-3
 
 
-def test_every_variant_starts_from_the_networks_prediction_and_moves_it(split, checkpoint):
-    record = study_variants(MESHES, checkpoint, QUICK, split)
+@pytest.mark.slow
+def test_every_variant_moves_the_prediction_and_is_judged_as_eval_does_under_the_papers_protocol(study, split, checkpoint):
+    record = study()
     assert record["complete"]
     assert record["settings"]["categories"] == ["car"]
     assert [case["shape"] for case in record["cases"]] == ["car/qreal_Cop", "car/qbasic_RaceCar"]
@@ -178,59 +167,19 @@ def test_every_variant_starts_from_the_networks_prediction_and_moves_it(split, c
     assert set(record["summary"]) == {"car", "all"}
     assert len(record["claims"]) == 5
     json.dumps(record, allow_nan=False)
-
-
-def test_the_judged_distance_is_that_of_eval_under_the_papers_protocol(split, checkpoint):
-    from tso_cli.evaluation.metrics import chamfer
-    from tso_cli.geometry.view import View
-    from tso_cli.scene.network import network_scene
-
-    record = study_variants(MESHES, checkpoint, QUICK, split)
-    seen = see(shapes_of_part(MESHES, split, categories=["car"])[0], RenderSettings(views=1, size=(64, 64)), 0)
-    network, about = variants.load_network(checkpoint)
-    picture = seen.views[0]
-    scene = network_scene(picture.image, View(picture.mask / np.float32(255.0), picture.camera), network, about)
-    target = (seen.target @ picture.camera.R.T) * [1.0, -1.0, -1.0]
+    picture = see(shapes_of_part(MESHES, split, categories=["car"])[0], RenderSettings(views=1, size=(128, 128)), 0)
+    view = picture.views[0]
+    network, about = view_aligned_network(checkpoint)
+    scene = network_scene(view.image, View(view.mask / np.float32(255.0), view.camera), network, about)
+    target = (picture.target @ view.camera.R.T) * [1.0, -1.0, -1.0]
     expected = chamfer(normalise_longest_side(scene.points), normalise_longest_side(target))
     found = record["cases"][0]["capnet"]["before"]
     assert (found["forward"], found["backward"]) == pytest.approx((expected.forward, expected.backward), rel=1e-5)
 
 
-def test_a_stopped_study_goes_on_with_the_next_shape_and_ends_alike(split, checkpoint, monkeypatch):
-    whole = study_variants(MESHES, checkpoint, QUICK, split)
-    kept = []
-
-    def keep_one(record):
-        kept.append(json.loads(json.dumps(record)))
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        study_variants(MESHES, checkpoint, QUICK, split, keep=keep_one)
-    assert not kept[0]["complete"]
-    assert len(kept[0]["cases"]) == 1
-    judged = []
-    true_judge = variants.judge_view
-    monkeypatch.setattr(variants, "judge_view", lambda *arguments: judged.append(arguments[0].name) or true_judge(*arguments))
-    resumed = study_variants(MESHES, checkpoint, QUICK, split, earlier=kept[0])
-    assert judged == ["car/qbasic_RaceCar"]
-    assert without_times(resumed) == without_times(whole)
-
-
-def test_a_record_of_other_settings_or_another_network_is_not_gone_on_from(split, checkpoint):
-    record = study_variants(MESHES, checkpoint, QUICK, split)
-    with pytest.raises(InputError, match="views 1, now it is 2"):
-        study_variants(MESHES, checkpoint, VariantsConfig("test", ("car",), 2, 2, 64, 2), split, earlier=record)
-    save_network(checkpoint, build_network(64, seed=1), NetworkConfig(points=64), overwrite=True)
-    with pytest.raises(InputError, match="network"):
-        study_variants(MESHES, checkpoint, QUICK, split, earlier=record)
-    with pytest.raises(InputError, match="'points'"):
-        study_variants(MESHES, checkpoint, QUICK, split, earlier={"study": "points"})
-
-
-def test_a_network_of_another_frame_is_refused(split, checkpoint):
-    save_network(checkpoint, build_network(64), NetworkConfig(points=64, frame="canonical"), overwrite=True)
+def test_a_network_of_another_frame_is_refused(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="view-aligned"):
-        study_variants(MESHES, checkpoint, QUICK, split)
+        view_aligned_network(thin_checkpoint(tmp_path, monkeypatch, 64, frame="canonical"))
 
 
 def case_of(category: str, before: float, after: dict[str, float], occluded: float = 1.0) -> dict:
@@ -264,42 +213,34 @@ def test_the_summary_tells_the_ratio_of_means_from_the_cases_own():
     assert summarise(cases)["all"] == summarise(cases)["car"]
 
 
+GAINS = {"encoder": 0.95, "encoder-decoder": 0.94, "points": 0.97}
+
+
 def test_a_claim_holds_only_where_the_figures_say_so():
-    gains = {"encoder": 0.95, "encoder-decoder": 0.94, "points": 0.97}
-    as_in_the_paper = claims(summarise([case_of("car", 1.0, gains)]))
-    assert [claim["holds"] for claim in as_in_the_paper] == [True, True, True, True, False]
-    hidden_lost = claims(summarise([case_of("car", 1.0, gains, occluded=1.2)]))
-    assert [claim["holds"] for claim in hidden_lost][2] is False
-    assert hidden_lost[2]["found"].endswith("; not on car, all")
+    def answers(*cases):
+        return claims(summarise(list(cases)))
+
+    assert [claim["holds"] for claim in answers(case_of("car", 1.0, GAINS))] == [True, True, True, True, False]
+    occluded_lost = answers(case_of("car", 1.0, GAINS, occluded=1.2))[2]
+    assert not occluded_lost["holds"]
+    assert occluded_lost["found"].endswith("; not on car, all")
     # A mean over categories hides one that fails.
-    one_fails = [case_of("car", 9.0 + i, gains | {"encoder": 8.0 + i}) for i in range(9)]
-    one_fails.append(case_of("chair", 1.0, gains | {"encoder": 1.1}))
-    found = claims(summarise(one_fails))[0]
-    assert not found["holds"]
-    assert found["found"].endswith("; not on chair")
+    cars = [case_of("car", 9.0 + i, GAINS | {"encoder": 8.0 + i}) for i in range(9)]
+    one_fails = answers(*cars, case_of("chair", 1.0, GAINS | {"encoder": 1.1}))[0]
+    assert not one_fails["holds"]
+    assert one_fails["found"].endswith("; not on chair")
 
 
-def test_a_gain_that_hangs_on_which_shapes_there_were_does_not_count():
-    gains = {"encoder-decoder": 0.94, "points": 0.97}
+def test_a_gain_that_depends_on_the_choice_of_shapes_does_not_count():
     # On average a gain of 1 %, but of shapes that gain or lose 20 %.
-    cases = [case_of("car", 1.0 + 0.001 * i, gains | {"encoder": 0.79 if i % 2 else 1.19}) for i in range(12)]
+    cases = [case_of("car", 1.0 + 0.001 * i, GAINS | {"encoder": 0.79 if i % 2 else 1.19}) for i in range(12)]
     summary = summarise(cases)
     low, high = summary["all"]["capnet"]["encoder"]["interval"]
     assert low < summary["all"]["capnet"]["encoder"]["ratio_of_means"] < 1.0 < high
     assert not claims(summary)[0]["holds"]
     assert 0.93 < summary["all"]["capnet"]["encoder-decoder"]["interval"][1] < 0.95
-
-
-def test_the_interval_is_over_shapes_and_not_over_their_views():
-    cases = [case_of("car", 1.0 + 0.001 * i, dict.fromkeys(VARIANTS, 0.8 if i % 2 else 1.1)) for i in range(8)]
-    once, often = (summarise(cases * times)["all"]["capnet"]["points"]["interval"] for times in (1, 5))
-    assert often == pytest.approx(once)
-
-
-def tso(*arguments) -> int:
-    with pytest.raises(SystemExit) as stopped:
-        main([str(argument) for argument in arguments])
-    return stopped.value.code
+    # The interval is over shapes and not over their views.
+    assert summarise(cases * 5)["all"]["capnet"]["encoder"]["interval"] == pytest.approx([low, high])
 
 
 @pytest.fixture
@@ -307,25 +248,19 @@ def command(split, checkpoint, tmp_path):
     """The arguments of a quick study, and its output."""
     output = tmp_path / "out" / "tso.json"
     output.parent.mkdir()
-    arguments = ["lab", "tso", "--meshes", MESHES, "--split", split, "--checkpoint", checkpoint]
-    return [*arguments, "--limit", "1", "--views", "1", "--steps", "1", "-o", output], output
+    arguments = ["tso", "--meshes", MESHES, "--split", split, "--checkpoint", checkpoint]
+    return [*arguments, "--limit", 1, "--views", 1, "--steps", 1], output
 
 
-def test_the_command_sets_its_table_beside_the_papers_and_draws_a_chart(command, capsys):
+@pytest.mark.slow
+def test_the_command_sets_its_table_beside_the_papers(command, capsys):
     arguments, output = command
-    assert tso(*arguments) == 0
-    out = capsys.readouterr().out
-    for word in ("4.64", "-5.82", "E and D", "occluded", "chair", "hold"):
-        assert word in out
-    record = json.loads(output.read_text())
+    record = check_command(output, capsys, *arguments, words=("4.64", "-5.82", "E and D", "occluded", "chair", "hold"))
     assert record["complete"]
     assert record["summary"]["all"]["cases"] == len(record["cases"]) == 2
-    with Image.open(output.with_suffix(".png")) as chart:
-        assert chart.size[0] > 600
-    assert tso(*arguments) == 2
-    assert "exists" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_shapes_done_and_the_command_goes_on_from_them(command, capsys, monkeypatch):
     arguments, output = command
     calls = iter(range(1000))
@@ -338,24 +273,14 @@ def test_ctrl_c_keeps_the_shapes_done_and_the_command_goes_on_from_them(command,
 
     with monkeypatch.context() as patch:
         patch.setattr(SilhouetteObjective, "__call__", interrupted)
-        assert tso(*arguments) == 130
+        assert tso("lab", *arguments, "-o", output) == 130
     record = json.loads(output.read_text())
     assert not record["complete"]
     assert [case["shape"] for case in record["cases"]] == ["car/qreal_Cop"]
-    assert not output.with_suffix(".png").exists()
-    assert tso(*arguments, "--resume") == 0
-    assert json.loads(output.read_text())["complete"]
-    assert output.with_suffix(".png").exists()
-    assert sorted(path.name for path in output.parent.iterdir()) == ["tso.json", "tso.png"]
-
-
-def test_resume_never_replaces_a_file_that_is_no_such_record(command, capsys):
-    arguments, output = command
-    for content, words in (("precious", "is not JSON"), ("[1]", "no JSON object"), ('{"study": "points"}', "'points'")):
-        output.write_text(content)
-        assert tso(*arguments, "--resume") == 2
-        captured = capsys.readouterr()
-        assert words in captured.err
-        assert output.read_text() == content
-    assert tso(*arguments[:-2], "--resume") == 2
-    assert "-o" in capsys.readouterr().err
+    assert sorted(path.name for path in output.parent.iterdir()) == ["tso.json"]
+    assert tso("lab", *arguments, "-o", output, "--resume") == 0
+    resumed = json.loads(output.read_text())
+    assert resumed["complete"]
+    assert [case["shape"] for case in resumed["cases"]] == ["car/qreal_Cop", "chair/q19_Chair"]
+    assert resumed["cases"][0] == record["cases"][0]
+    assert sorted(path.name for path in output.parent.iterdir()) == ["tso.json", "tso.md", "tso.png"]

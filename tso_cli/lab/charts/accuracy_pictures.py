@@ -1,104 +1,68 @@
-"""A grid of cases: what the mask asked for, and what became of the cloud where the camera cannot see it."""
+"""A grid of cases: mask and silhouette, and what became of the cloud where the camera cannot see it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...evaluation.footprint import Seen, common_window, in_window
-from ...geometry.view import View
-from ...io.output import atomic_output, check_output
+from ...evaluation.footprint import common_window, in_window
+from ...geometry.points import Array
+from ...plots.style import WORSE, page
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from ..studies.accuracy_cases import AccuracyCase
 
-INK, OUTLINE = "#333333", "#d55e00"
 CELL = 1.75
 """Inches."""
 DOTS = 1500
 """Points of a cloud that are drawn, at most."""
 # What is across, what is up, and what is near, of the camera's axes (x right, y down, z away).
 SIDES = {
-    "from the camera's right": ((0, 0, 1), (0, -1, 0), (1, 0, 0)),
-    "from above": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "from the camera's right": np.array([(0, 0, 1), (0, -1, 0), (1, 0, 0)], dtype=np.float64),
+    "from above": np.array([(1, 0, 0), (0, 0, 1), (0, -1, 0)], dtype=np.float64),
 }
-CLOUDS = ("initial", "refined", "truth")
 
 
-@dataclass(frozen=True, eq=False)
-class Pictured:
-    """A case to draw.
+def draw_cases(path: Path, cases: Sequence[tuple[str, AccuracyCase, Array]], overwrite: bool = False) -> None:
+    """A row for each (title, case, refined points).
 
-    Attributes
-    ----------
-    title : beside its row. view : the mask that was seen.
-    initial, refined, target : [N, 3] clouds, longest side about 1.
+    The mask with the silhouette's outline before and after, then both clouds and the truth from two sides. Raises InputError if
+    ``path`` cannot be written to.
     """
-
-    title: str
-    view: View
-    initial: Array
-    refined: Array
-    target: Array
-
-
-def draw_cases(path: Path, cases: Sequence[Pictured], overwrite: bool = False) -> None:
-    """A row a case: the mask with the silhouette's outline before and after, then both clouds and the truth from two sides.
-
-    Raises InputError if ``path`` cannot be written to.
-    """
-    check_output(path, overwrite)
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    columns = 2 + len(SIDES) * len(CLOUDS)
-    figure = Figure(figsize=(CELL * columns + 1.6, CELL * len(cases) + 0.4), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(len(cases), columns, squeeze=False)
-    for row, case in zip(axes, cases, strict=True):
-        box = common_window([(points, case.view) for points in (case.initial, case.refined)])
-        for axis, points in zip(row[:2], (case.initial, case.refined), strict=True):
-            _draw_mask(axis, in_window(points, case.view, box))
-        clouds = case.initial, case.refined, case.target
-        turned = [points @ case.view.camera.R.T for points in clouds]
-        for i, (across, up, near) in enumerate(SIDES.values()):
-            for axis, points in zip(row[2 + i * len(CLOUDS) :], turned, strict=False):
-                _draw_cloud(axis, points, np.array([across, up, near], dtype=np.float64), turned)
-        row[0].set_ylabel(case.title, fontsize=9, rotation=0, ha="right", va="center", color=INK)
-    titles = ["mask, initial outline", "mask, refined outline"]
-    titles += [f"{cloud}\n{side}" for side in SIDES for cloud in CLOUDS]
-    for axis, title in zip(axes[0], titles, strict=True):
-        axis.set_title(title, fontsize=9, color=INK)
-    with atomic_output(path) as temporary:
-        figure.savefig(temporary, dpi=80)
+    columns = 2 + 3 * len(SIDES)
+    with page(path, overwrite, (CELL * columns, (CELL + 0.4) * len(cases)), dpi=80) as figure:
+        axes = figure.subplots(len(cases), columns, squeeze=False)
+        for row, (title, case, refined) in zip(axes, cases, strict=True):
+            view = case.views[0]
+            box = common_window([(points, view) for points in (case.initial, refined)])
+            for axis, points, name in zip(row, (case.initial, refined), ("initial", "refined"), strict=False):
+                window = in_window(points, view, box)
+                axis.imshow(1.0 - 0.45 * window.mask, cmap="gray", vmin=0.0, vmax=1.0)
+                if window.silhouette.any() and not window.silhouette.all():
+                    axis.contour(window.silhouette, levels=[0.5], colors=WORSE, linewidths=1.2)
+                axis.set_title(f"mask, {name} outline", fontsize=8)
+            turned = {
+                name: points @ view.camera.R.T
+                for name, points in (("initial", case.initial), ("refined", refined), ("truth", case.target))
+            }
+            for i, (side, directions) in enumerate(SIDES.items()):
+                clouds = {name: points @ directions.T for name, points in turned.items()}
+                for axis, name in zip(row[2 + 3 * i :], clouds, strict=False):
+                    _draw_cloud(axis, clouds[name], list(clouds.values()))
+                    axis.set_title(f"{name}\n{side}", fontsize=8)
+            for axis in row:
+                axis.set(xticks=[], yticks=[])
+            row[0].text(0.0, 1.25, title, transform=row[0].transAxes, fontsize=9)
 
 
-def _draw_mask(axis: Any, seen: Seen) -> None:
-    axis.imshow(1.0 - 0.45 * seen.mask, cmap="gray", vmin=0.0, vmax=1.0)
-    if seen.silhouette.any() and not seen.silhouette.all():
-        axis.contour(seen.silhouette, levels=[0.5], colors=OUTLINE, linewidths=1.2)
-    _bare(axis)
-
-
-def _draw_cloud(axis: Any, points: Array, axes: Array, every: Sequence[Array]) -> None:
-    """``axes`` [3, 3]: across, up and towards the eye; all of ``every`` share one frame."""
-    low, high = (np.array([getattr(cloud @ axes.T, end)(0) for cloud in every]) for end in ("min", "max"))
+def _draw_cloud(axis: Any, points: Array, frame: Sequence[Array]) -> None:
+    """``points`` [N, 3] across, up and towards the eye; all clouds of ``frame`` share one frame."""
+    low, high = (np.array([getattr(cloud, end)(0) for cloud in frame]) for end in ("min", "max"))
     middle, half = (low.min(0) + high.max(0)) / 2.0, float((high.max(0) - low.min(0))[:2].max()) * 0.54
-    across, up, near = (points[:: -(-len(points) // DOTS)] @ axes.T - middle).T
+    across, up, near = (points[:: -(-len(points) // DOTS)] - middle).T
     order = np.argsort(near)
     axis.scatter(across[order], up[order], s=2.2, c=near[order], cmap="viridis", linewidths=0)
-    axis.set_xlim(-half, half)
-    axis.set_ylim(-half, half)
-    axis.set_aspect("equal")
-    _bare(axis)
-
-
-def _bare(axis: Any) -> None:
-    axis.set_xticks([])
-    axis.set_yticks([])
-    for spine in axis.spines.values():
-        spine.set_color("#cccccc")
+    axis.set(xlim=(-half, half), ylim=(-half, half), aspect="equal")

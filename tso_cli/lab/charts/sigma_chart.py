@@ -2,63 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ...io.output import atomic_output, check_output
-
-INK = "#333333"
-# Safe for colour-blind readers.
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+from ...plots.style import COLOURS, page
+from ..packing import unpack
+from ..study import Record
 
 
-@dataclass(frozen=True, eq=False)
-class Projections:
-    """A shape's mask [H, W] in [0, 1] and projections of the true cloud: what each is called -> [H, W]."""
-
-    shape: str
-    mask: NDArray[np.float32]
-    silhouettes: dict[str, NDArray[np.float32]]
-
-
-def draw_sigma_study(path: Path, record: dict[str, Any], overwrite: bool = False, maps: Sequence[Projections] = ()) -> None:
-    """L1 error over sigma^2 by category, its best and the paper's choice; below, for each of ``maps`` a row of pictures.
+def draw_sigma(path: Path, record: Record, overwrite: bool = False) -> None:
+    """L1 error over sigma^2 by category, its best and the paper's choice; below, the projections of one shape of each.
 
     Raises InputError if ``path`` cannot be written to.
     """
-    check_output(path, overwrite)
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    columns = 1 + max((len(row.silhouettes) for row in maps), default=0)
-    figure = Figure(figsize=(max(7.5, 1.6 * columns), 4.2 + 1.75 * len(maps)), layout="constrained")
-    FigureCanvasAgg(figure)
-    above: Any = figure
-    if maps:
-        parts: Any = figure.subfigures(2, 1, height_ratios=[4.2, 1.75 * len(maps)])
-        above, below = parts
-        _draw_maps(below.subplots(len(maps), columns, squeeze=False), maps)
-    _draw_curves(above.subplots(), record)
-    with atomic_output(path) as temporary:
-        figure.savefig(temporary, dpi=110)
+    maps = record.get("maps", {})
+    columns = max((len(pictures) for pictures in maps.values()), default=0)
+    heights = [4.2, *[1.75] * len(maps)]
+    with page(path, overwrite, (max(7.5, 1.6 * columns), sum(heights))) as figure:
+        parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+        _draw_curves(parts[0].subplots(), record)
+        for part, (shape, pictures) in zip(parts[1:], maps.items(), strict=True):
+            part.suptitle(shape, fontsize=8)
+            for axis, (title, picture) in zip(part.subplots(1, columns), pictures.items(), strict=True):
+                axis.imshow(unpack(picture), cmap="gray", vmin=0.0, vmax=1.0, interpolation="nearest")
+                axis.set_title(title, fontsize=8)
+                axis.set(xticks=[], yticks=[])
 
 
-def _draw_curves(axis: Any, record: dict[str, Any]) -> None:
+def _draw_curves(axis: Any, record: Record) -> None:
     sigmas = record["settings"]["sigma_sq"]
-    categories = [name for name in record["summary"] if name != "all"]
-    for i, name in enumerate(categories):
-        own, colour = record["summary"][name], COLOURS[i % len(COLOURS)]
-        axis.plot(sigmas, own["l1"], color=colour, linewidth=2, label=f"{name}, {own['shapes']} shapes")
-        axis.plot(sigmas, own["missing"], color=colour, linewidth=0.9, linestyle="--")
-        axis.plot(sigmas, own["stray"], color=colour, linewidth=0.9, linestyle=":")
-        axis.plot(own["best"], own["l1_at_best"], "o", color=colour, markersize=7)
-        if own["paper"] is not None:
-            axis.plot(own["paper"], own["l1_at_paper"], "D", color="white", markeredgecolor=colour, markersize=8)
+    categories = [(name, row) for name, row in record["summary"].items() if name != "all"]
+    for i, (name, row) in enumerate(categories):
+        colour = COLOURS[i % len(COLOURS)]
+        axis.plot(sigmas, row["l1"], color=colour, linewidth=2, label=f"{name}, {row['shapes']} shapes")
+        axis.plot(sigmas, row["missing"], color=colour, linewidth=0.9, linestyle="--")
+        axis.plot(sigmas, row["stray"], color=colour, linewidth=0.9, linestyle=":")
+        axis.plot(row["best"], row["l1_at_best"], "o", color=colour, markersize=7)
+        if row["paper"] is not None:
+            axis.plot(row["paper"], row["l1_at_paper"], "D", color="white", markeredgecolor=colour, markersize=8)
     axis.set_xscale("log")
     axis.set_xticks(sigmas[::2], [f"{sigma_sq:g}" for sigma_sq in sigmas[::2]])
     axis.set_xticks([], minor=True)
@@ -67,16 +48,3 @@ def _draw_curves(axis: Any, record: dict[str, Any]) -> None:
     axis.set_ylabel("mean |silhouette - mask|")
     axis.set_title("dot: best, diamond: the paper's; dashed: what is missing, dotted: what is stray", fontsize=10)
     axis.legend(frameon=False, loc="upper center")
-    axis.spines[["top", "right"]].set_visible(False)
-
-
-def _draw_maps(axes: Any, maps: Sequence[Projections]) -> None:
-    for i, (row, own) in enumerate(zip(axes, maps, strict=True)):
-        pictures = [("mask", own.mask), *own.silhouettes.items()]
-        for axis, (title, picture) in zip(row, pictures, strict=True):
-            axis.imshow(picture, cmap="gray", vmin=0.0, vmax=1.0, interpolation="nearest")
-            if i == 0:
-                axis.set_title(title, fontsize=9, color=INK)
-            axis.set_xticks([])
-            axis.set_yticks([])
-        row[0].set_ylabel(own.shape.replace("/", "\n")[:40], fontsize=7)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from importlib.util import find_spec
-
 import click
 
 from ...commands.lazy_group import LazyGroup
@@ -24,10 +21,6 @@ class _Lab(LazyGroup):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in QUESTIONS:
             return super().get_command(ctx, cmd_name)
-        module = f"{__name__}.{QUESTIONS[cmd_name][0]}"
-        if find_spec(module):  # a command of its own, for now
-            command: click.Command = import_module(module).command
-            return command
         from .page import load
         from .study import command_of
 

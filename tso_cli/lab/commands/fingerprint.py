@@ -29,14 +29,14 @@ def command(records: tuple[Path, ...], complete: bool) -> None:
     for path in records:
         record = read_record(path)
         try:
-            found = differences(record, lacking=not complete)
-            if complete and not found:
+            changes = differences(record, lacking=not complete)
+            if complete and not changes:
                 write_record(record, path)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-        others += bool(found)
-        click.echo(f"{path}: " + ("of another method" if found else "of the method as it is"))
-        for line in found:
+        others += bool(changes)
+        click.echo(f"{path}: " + ("of another method" if changes else "of the method as it is"))
+        for line in changes:
             click.echo(f"  {line}")
     if others:
         raise GateError(f"{others} of {len(records)} records are not known to be of the method as it is")

@@ -19,11 +19,6 @@ answer = click.option(
 )
 
 
-def resume(kept: str) -> Callable[..., Any]:
-    """--resume, for a study whose record is ``kept`` then."""
-    return click.option("--resume", is_flag=True, help=f"Go on from the record at -o, kept {kept}, if there is one.")
-
-
 def check_outputs(
     output: Path | None, overwrite: bool, resume: bool = False, suffixes: Sequence[str] = (".json", ".png")
 ) -> None:
@@ -38,20 +33,20 @@ def check_outputs(
 
 
 def earlier_record(study: str, output: Path | None, resume: bool) -> dict[str, Any] | None:
-    """The record to go on from, None where there is none or it is not wanted.
+    """The record to go on from, None where there is none or ``resume`` is false.
 
-    Raises InputError if the file is no record, or one of ``study`` that another method made: cases of two methods are not one
-    record's. A record of another study is for the study to refuse.
+    Raises InputError if the file is no record, or one of ``study`` that another method made: the cases of two methods do not
+    mix. A record of another study is for the study to refuse.
     """
     if output is None or not resume or not output.exists():
         return None
     from ..studies.fingerprint import differences, study_of
 
     record = read_record(output)
-    if study_of(record) == study and (found := differences(record)):
+    if study_of(record) == study and (changes := differences(record)):
         raise InputError(
-            f"{output}: was made by another method ({found[0]}), expected one made by the method as it is (with --overwrite in "
-            "place of --resume it is made anew)"
+            f"{output}: was made by another method ({changes[0]}), expected one made by the method as it is (with --overwrite "
+            "in place of --resume it is made anew)"
         )
     return record
 
@@ -82,20 +77,10 @@ def write_record(record: dict[str, Any], output: Path) -> None:
 
 
 def keep(record: dict[str, Any], output: Path | None, draw: Callable[..., None], overwrite: bool) -> None:
-    """Write the record and its chart, if they are wanted."""
+    """Write the record and its chart, if there is an output."""
     if output is not None:
         write_record(record, output)
         draw(output.with_suffix(".png"), record, overwrite)
-
-
-def so_far(output: Path | None) -> Callable[[dict[str, Any]], None]:
-    """What keeps a record that is not complete, if it is wanted."""
-
-    def kept(record: dict[str, Any]) -> None:
-        if output is not None:
-            write_record(record, output)
-
-    return kept
 
 
 class Reporter:

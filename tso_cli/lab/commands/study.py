@@ -22,7 +22,7 @@ def command_of(study: Study) -> click.Command:
 
     def run(output: Path | None, overwrite: bool, as_json: bool, resume: bool = False, **values: Any) -> None:
         check_outputs(output, overwrite, resume, SUFFIXES)
-        typed = _typed(study, values)
+        command_line = _command_line(study, values)
         for option in study.options:
             if option.multiple:
                 values[option.parameter] = tuple(dict.fromkeys(values[option.parameter]))
@@ -32,14 +32,14 @@ def command_of(study: Study) -> click.Command:
 
         def keep(record: Record) -> None:
             if output is not None:
-                write_record({**record, "command": typed}, output)
+                write_record({**record, "command": command_line}, output)
 
         unfinished = output.with_name(f"{output.stem}.unfinished.safetensors") if output else None
         earlier = earlier_record(study.name, output, resume)
         record = study.run(Progress(Reporter(), earlier, keep, unfinished, overwrite or resume), **values)
         keep(record)
         if output is not None:
-            write_page(study, {**record, "command": typed}, output)
+            write_page(study, {**record, "command": command_line}, output)
         if as_json:
             options.echo_json(record)
         else:
@@ -79,7 +79,7 @@ def _click_option(option: Option) -> Callable[..., Any]:
     )
 
 
-def _typed(study: Study, values: dict[str, Any]) -> str:
+def _command_line(study: Study, values: dict[str, Any]) -> str:
     """The command line that makes the record; folders and files of this machine by their last names."""
     words = [f"tso lab {study.name}"]
     for option in study.options:

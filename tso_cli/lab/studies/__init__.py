@@ -3,7 +3,7 @@
 QUESTIONS = {
     "accuracy": ("accuracy", "How much nearer to the truth does a refinement come, and how often further away?"),
     "evidence": ("evidence", "What is other evidence worth than one right mask of the whole object?"),
-    "tso": ("variants", "The paper's table of test-stage optimisation: encoder, encoder and decoder, or points?"),
+    "tso": ("variants", "What gains most at test stage: moving the encoder, encoder and decoder, or the points?"),
     "examples": ("examples", "What does each mode make of the shipped examples?"),
     "points": ("points", "Does the points variant bring real clouds nearer to the truth?"),
     "pose": ("pose", "How well is a camera found from mask and cloud alone?"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,24 +12,23 @@ from ...errors import InputError
 from ...evaluation.footprint import IOU_MEANS
 from ...evaluation.metrics import chamfer, emd, f_score
 from ...geometry.points import Array
-from ...io.checkpoints import load_network
-from ...network.model import BaseNetwork, NetworkConfig
-from ...version import __version__
+from ...io.output import check_output
+from ...network.model import BaseNetwork
+from ..charts.accuracy_pictures import draw_cases
+from ..charts.ratios import Panel, draw_ratios
+from ..study import CHECKPOINT, COMMON, DEVICE, VIEWS, Cases, Option, Progress, Record, Study, Table, part, record_of
 from .accuracy_cases import KINDS, AccuracyCase, CaseBuilder, check_points, kinds_of
-from .accuracy_summary import claims, summarise
-from .accuracy_variants import alone, refined, variants_of
-from .parts import SPLIT, Shape, shapes_of_part
-from .protocol import Report
-from .resumed import Cases, Keep, cases_of, complete
-from .variants import weights_hash
+from .accuracy_claims import claims, ratios_of, select, summarise
+from .accuracy_variants import DEFAULT, Variant, alone, refined, variants_of
+from .parts import Shape, shapes_of_part, view_aligned_network, weights_hash
+from .summary import rounded
 
 CATEGORIES = ("chair", "airplane", "car", "sofa", "table")
-ABLATED = ("other", "near", "cut", "network")
-"""Kinds of an ablation."""
 GROUP = 32
 """Cases that are refined together: their dense matrices fill 0.4 GiB."""
 TIMED = 6
-"""Cases of each kind, category and variant that are refined once more, alone, with a clock beside them."""
+"""Cases of each kind, category and variant that are refined once more, alone, for the time."""
+STARTS = "Where the starts are from. May be repeated.  [default: all; with --ablation all but right]"
 F_THRESHOLD = 0.02
 ASSIGNED = 2048
 """Points up to which one-to-one assignments are solved."""
@@ -48,86 +46,51 @@ CONVENTION = {
 }
 
 
-@dataclass(frozen=True)
-class AccuracyConfig:
-    """What is studied; everything the figures depend on beside meshes and network.
-
-    Parameters
-    ----------
-    part : of the split; training shapes start from those of other types, and are none for the network, which knows them.
-    categories : of the study. limit : at most so many shapes of each.
-    kinds : where the starts are from, of `KINDS`; none stands for all that there are.
-    views : random views of each shape. size : of a mask, pixels each way. points : of a cloud.
-    ablation : the default preset with one ingredient changed at a time, in place of the presets and variants.
-    """
-
-    part: str = "test"
-    categories: tuple[str, ...] = CATEGORIES
-    limit: int | None = None
-    kinds: tuple[str, ...] = ()
-    views: int = 2
-    size: int = 64
-    points: int = 1024
-    ablation: bool = False
-    seed: int = 0
-    device: str = "cpu"
-
-    def __post_init__(self) -> None:
-        if self.part == "train" and "network" in self.kinds:
-            raise InputError("kind is 'network' of training shapes, expected shapes that the network was not trained on")
-        if not self.kinds:
-            every = ABLATED if self.ablation else KINDS
-            object.__setattr__(self, "kinds", tuple(kind for kind in every if kind != "network" or self.part != "train"))
-        for kind in self.kinds:
-            if kind not in (ABLATED if self.ablation else KINDS):
-                expected = ", ".join(ABLATED if self.ablation else KINDS)
-                raise InputError(f"kind is {kind!r}, expected one of {expected}{' with ablation' if self.ablation else ''}")
-
-
-def study_accuracy(
-    folder: Path,
-    config: AccuracyConfig | None = None,
-    split_file: Path = SPLIT,
-    checkpoint: Path | None = None,
-    earlier: dict[str, Any] | None = None,
-    keep: Keep | None = None,
-    report: Report | None = None,
-) -> dict[str, Any]:
+def run(
+    progress: Progress,
+    *,
+    meshes: Path,
+    checkpoint: Path,
+    split: Path | None,
+    pictures: Path | None,
+    kinds: tuple[str, ...],
+    **settings: Any,
+) -> Record:
     """Refine every case of every kind with every variant, and judge it against the truth.
 
-    Parameters
-    ----------
-    folder : meshes, as `shapes_of_part` expects them.
-    checkpoint : a view-aligned network, for kind "network".
-    earlier : a record of the same settings, complete or not; what is in it is not done again.
-    keep : called after every group of shapes with the record so far, whose ``complete`` is False until the last.
-    report : called with (what, done, total).
-
-    Returns
-    -------
-    A JSON-able record: {"study", "complete", "settings", "convention", "summary": {kind: {category: ...}}, "claims": [...],
-    "cases": [...]}. Distances are raw.
+    ``settings`` : the other options, which the record keeps.
 
     Raises
     ------
     InputError
-        A shape is missing, the network is missing or not view-aligned, or ``earlier`` is of other settings.
+        A shape is missing, the network is not view-aligned, or the earlier record is of other settings.
     TsoError
         A case cannot be refined.
     """
-    config = config or AccuracyConfig()
-    shapes = shapes_of_part(folder, split_file, config.part, config.categories, config.limit)
-    builder, network, digest = builder_of(folder, config, split_file, checkpoint)
-    settings = {**asdict(config), "shapes": [shape.name for shape in shapes], "network": digest}
-    settings["variants"] = {kind: list(variants_of(kind, config.ablation)) for kind in config.kinds}
-    settings |= {"categories": list(config.categories), "kinds": list(config.kinds)}
-    cases = cases_of("accuracy", earlier, settings)
-    wanted = _groups(shapes, config)
-    if not wanted:
-        raise InputError(f"kinds are {', '.join(config.kinds)}, expected some that {', '.join(config.categories)} have")
+    if pictures is not None:
+        check_output(pictures, progress.overwrite)
+    kinds = kinds or tuple(kind for kind in KINDS if kind != "right" or not settings["ablation"])
+    categories, size = settings["categories"], settings["size"]
+    shapes = shapes_of_part(meshes, split, settings["part"], categories, settings["limit"])
+    network, about = view_aligned_network(checkpoint) if "network" in kinds else (None, None)
+    check_points(settings["points"], kinds, about)
+    builder = CaseBuilder(meshes, split, settings["views"], size, settings["points"], settings["seed"], network, about)
+    variants = {kind: variants_of(kind, settings["ablation"]) for kind in kinds}
+    settings |= {
+        "categories": list(categories),
+        "kinds": list(kinds),
+        "shapes": [shape.name for shape in shapes],
+        "network": weights_hash(network) if network else None,
+        "variants": {kind: list(of_kind) for kind, of_kind in variants.items()},
+    }
+    groups = _groups(shapes, categories, kinds, max(1, GROUP // settings["views"]))
+    if not groups:
+        raise InputError(f"kinds are {', '.join(kinds)}, expected some that {', '.join(categories)} have")
+    cases = progress.earlier_cases("accuracy", settings)
     done = {(case["kind"], case["shape"]) for case in cases}
     # A group of which a shape is missing is judged anew as a whole.
-    kept = {(kind, shape.name) for kind, group in wanted if all((kind, s.name) in done for s in group) for shape in group}
+    complete_groups = [all((kind, shape.name) in done for shape in group) for kind, group in groups]
+    kept = {(kind, s.name) for (kind, group), whole in zip(groups, complete_groups, strict=True) if whole for s in group}
     cases = [case for case in cases if (case["kind"], case["shape"]) in kept]
     timed = {(case["kind"], case["category"]) for case in cases}
 
@@ -135,51 +98,61 @@ def study_accuracy(
         built = [case for shape in group for case in builder.cases(shape, kind)]
         first = (kind, group[0].category) not in timed
         timed.add((kind, group[0].category))
-        return judge_group(built, config, network, TIMED if first else 0)
+        return judge_group(built, variants[kind], settings["device"], network, TIMED if first else 0)
 
-    groups = [None if (kind, group[0].name) in kept else partial(judged, kind, group) for kind, group in wanted]
-    return complete(cases, groups, partial(_record, settings), "refining", keep, report)
+    def record(cases: Cases, complete: bool) -> Record:
+        summary = summarise(cases)
+        answers = claims(cases, summary) if complete and not settings["ablation"] else []
+        return record_of(
+            "accuracy", CONVENTION, complete=complete, settings=settings, summary=summary, claims=answers, cases=cases
+        )
+
+    work = [
+        None if whole else partial(judged, kind, group) for (kind, group), whole in zip(groups, complete_groups, strict=True)
+    ]
+    finished = progress.complete("refining", cases, work, record)
+    if pictures is not None:
+        draw_cases(pictures, _extremes(finished, builder, shapes), progress.overwrite)
+    return finished
 
 
-def builder_of(
-    folder: Path, config: AccuracyConfig, split_file: Path, checkpoint: Path | None
-) -> tuple[CaseBuilder, BaseNetwork | None, str | None]:
-    """What makes the cases, the network that some of them are from, and a digest of its weights."""
-    network: BaseNetwork | None = None
-    about: NetworkConfig | None = None
-    if "network" in config.kinds:
-        if checkpoint is None:
-            raise InputError("kind network needs a checkpoint, found none")
-        network, about = load_network(checkpoint)
-        if about.frame != "view":
-            raise InputError(f"{checkpoint}: predicts in the {about.frame} frame, expected a view-aligned network")
-    check_points(config.points, config.kinds, about)
-    builder = CaseBuilder(folder, split_file, config.views, config.size, config.points, config.seed, network, about)
-    return builder, network, weights_hash(network) if network else None
+def _groups(
+    shapes: list[Shape], categories: tuple[str, ...], kinds: tuple[str, ...], size: int
+) -> list[tuple[str, list[Shape]]]:
+    """(kind, shapes of one category) that are refined together."""
+    groups = []
+    for category in categories:
+        members = [shape for shape in shapes if shape.category == category]
+        for kind in kinds_of(category, kinds):
+            groups += [(kind, members[i : i + size]) for i in range(0, len(members), size)]
+    return groups
 
 
 def judge_group(
-    cases: list[AccuracyCase], config: AccuracyConfig, network: BaseNetwork | None, timed: int
-) -> list[dict[str, Any]]:
+    cases: list[AccuracyCase], variants: dict[str, Variant], device: str, network: BaseNetwork | None, timed: int
+) -> Cases:
     """Refine cases of one kind and category with every variant; the first ``timed`` once more, alone, for the time."""
-    records = [_before(case) for case in cases]
-    for name, variant in variants_of(cases[0].kind, config.ablation).items():
-        results, batch_seconds = refined(cases, variant, config.device, network)
+    records: Cases = []
+    for case in cases:
+        before = {
+            **_judged(case.initial, case),
+            "floor": case.floor,
+            "floor_dense": case.floor_dense,
+            "in_plane": in_plane(case),
+        }
+        names = {key: getattr(case, key) for key in ("kind", "category", "shape", "view", "start")}
+        records.append({**names, "before": rounded(before), "variants": {}})
+    for name, variant in variants.items():
+        results, batch_seconds = refined(cases, variant, device, network)
         for number, (case, record, result) in enumerate(zip(cases, records, results, strict=True)):
-            found = _judged(result.points, case)
-            found |= {"iou_before": result.iou_before, "iou": result.iou_after, "mirrored": result.symmetry is not None}
+            row = _judged(result.points, case)
+            row |= {"iou_before": result.iou_before, "iou": result.iou_after, "mirrored": result.symmetry is not None}
             if batch_seconds is not None:
-                found["batch_seconds"] = batch_seconds
+                row["batch_seconds"] = batch_seconds
             if number < timed:
-                found["seconds"] = alone(case, variant, config.device, network)[1]
-            record["variants"][name] = _rounded(found)
+                row["seconds"] = alone(case, variant, device, network)[1]
+            record["variants"][name] = rounded(row)
     return records
-
-
-def _before(case: AccuracyCase) -> dict[str, Any]:
-    before = {**_judged(case.initial, case), "floor": case.floor, "floor_dense": case.floor_dense, "in_plane": in_plane(case)}
-    names = {"kind": case.kind, "category": case.category, "shape": case.shape, "view": case.view, "start": case.start}
-    return {**names, "before": _rounded(before), "variants": {}}
 
 
 def _judged(points: Array, case: AccuracyCase) -> dict[str, Any]:
@@ -207,35 +180,118 @@ def in_plane(case: AccuracyCase) -> float | None:
     moved, truth = case.initial @ rotation.T, case.target @ rotation.T
     _, paired = linear_sum_assignment(cdist(moved, truth, "sqeuclidean"))
     moved[:, :2] = truth[paired, :2]
-    # An assignment leads a few clouds astray, seen along a flat part: who knows the truth leaves these as they are.
+    # An assignment leads a few clouds astray, seen along a flat part: these stay as they are.
     return min(chamfer(moved, truth).chamfer, chamfer(case.initial, case.target).chamfer)
 
 
-def _rounded(values: dict[str, Any]) -> dict[str, Any]:
-    """Numbers with five digits: what is in the sixth differs between machines."""
-    return {name: float(f"{value:.5g}") if isinstance(value, (float, np.floating)) else value for name, value in values.items()}
+def _extremes(record: Record, builder: CaseBuilder, shapes: list[Shape]) -> list[tuple[str, AccuracyCase, Array]]:
+    """Worst, median and best case of each category under the default preset, refined once more: (title, case, points).
+
+    They are of the first kind in ``record``.
+    """
+    by_name = {shape.name: shape for shape in shapes}
+    kind = next(iter(record["summary"]))
+    variant = variants_of(kind, record["settings"]["ablation"])[DEFAULT]
+    rows = []
+    for category in record["summary"][kind]:
+        cases = select(record["cases"], kind, category)
+        ratios = ratios_of(cases, DEFAULT)
+        order = np.argsort(ratios)[::-1]
+        # One or two cases have fewer than three places.
+        for place, name in {order[0]: "worst", order[len(order) // 2]: "median", order[-1]: "best"}.items():
+            shape = by_name[cases[place]["shape"]]
+            case = builder.cases(shape, kind)[cases[place]["view"]]
+            result, _ = alone(case, variant, record["settings"]["device"], builder.network)
+            title = f"{category}, {name}: {ratios[place]:.2f}, {shape.name.partition('/')[2][:16]}"
+            rows.append((title, case, result.points))
+    return rows
 
 
-def _groups(shapes: list[Shape], config: AccuracyConfig) -> list[tuple[str, list[Shape]]]:
-    """(kind, shapes of one category) that are worked on together."""
-    size = max(1, GROUP // config.views)
-    found = []
-    for category in config.categories:
-        own = [shape for shape in shapes if shape.category == category]
-        for kind in kinds_of(category, config.kinds):
-            found += [(kind, own[i : i + size]) for i in range(0, len(own), size)]
-    return found
+def tables(record: Record) -> list[Table]:
+    """What each variant reaches, and what bounds it; of an ablation a row an ingredient and a column a kind and category."""
+    groups = [(kind, category, group) for kind, summary in record["summary"].items() for category, group in summary.items()]
+    if record["settings"]["ablation"]:
+        return [_ablation(groups)]
+    rows, bounds = [], []
+    for kind, category, group in groups:
+        before, count = group["before"], group["cases"]
+        floors = (before.get(f"{bound}_ratio") for bound in ("floor", "in_plane"))
+        bounds.append([kind, category, group["shapes"], count, 1e3 * before["chamfer"], *floors])
+        for name, row in group["variants"].items():
+            figures = [row[key] for key in ("mean_ratio", "median_ratio", "worst_ratio", "worse", "worse_by_5")]
+            figures += [row["chamfer_excess"], row["dense_ratio"], before["f_score"], row["f_score"], before["emd"], row["emd"]]
+            figures += [row[key] for key in ("iou_before", "iou", "median_seconds", "batch_seconds")]
+            rows.append([kind, category, name, 1e3 * before["chamfer"], 1e3 * row["chamfer"], *figures])
+    header = [
+        "kind",
+        "category",
+        "variant",
+        "before",
+        "after",
+        "ratio",
+        "median",
+        "worst",
+        "worse",
+        "by 5 %",
+        "excess",
+        "dense",
+    ]
+    header += ["F", "after", "EMD", "after", "IoU", "after", "s", "in a batch"]
+    note = (
+        "before, after: Chamfer x1000; ratio: after/before, mean of the cases' own; worse, by 5 %: cases over 1 and over 1.05; "
+        "excess: ratio of the means less the floor that another sampling of the truth has; dense: ratio by 16,384 target "
+        "points; s: median seconds a case"
+    )
+    bound_header = ["kind", "category", "shapes", "cases", "start", "floor / before", "all but depth right / before"]
+    return [Table(header, rows, note=note), Table(bound_header, bounds)]
 
 
-def _record(settings: dict[str, Any], cases: list[dict[str, Any]], complete: bool) -> dict[str, Any]:
-    summary = summarise(cases)
-    return {
-        "study": "accuracy",
-        "version": __version__,
-        "complete": complete,
-        "settings": settings,
-        "convention": CONVENTION,
-        "summary": summary,
-        "claims": claims(cases, summary) if complete and not settings["ablation"] else [],
-        "cases": cases,
-    }
+def _ablation(groups: list[tuple[str, str, dict[str, Any]]]) -> Table:
+    def cell(row: dict[str, Any]) -> str:
+        return f"{row['mean_ratio']:.2f} ({row['worse']}, {row['worst_ratio']:.2f})"
+
+    header = ["", *(f"{category}, {kind}" for kind, category, _ in groups)]
+    rows = [[name, *(cell(group["variants"][name]) for *_, group in groups)] for name in groups[0][2]["variants"]]
+    rows.append(["Chamfer x1000 of the start", *(f"{1e3 * group['before']['chamfer']:.1f}" for *_, group in groups)])
+    rows.append(["cases", *(str(group["cases"]) for *_, group in groups)])
+    return Table(header, rows, note="mean of Chamfer after / before (cases that got worse, worst case)")
+
+
+def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+    """Chamfer after / before of every case; a row of panels for each kind, a panel for each category."""
+    grid = []
+    for kind, summary in record["summary"].items():
+        panels = []
+        for category, group in summary.items():
+            cases = select(record["cases"], kind, category)
+            panels.append(Panel(f"{category}, {kind}", {name: ratios_of(cases, name) for name in group["variants"]}))
+        grid.append(panels)
+    draw_ratios(path, grid, overwrite)
+
+
+STUDY = Study(
+    "accuracy",
+    "Starts are another shape's cloud as wrong as a trained network's (other), one near the truth (near), the first with an "
+    "object that the border truncates (cut), the truth sampled once more (right), and the network's prediction (network).",
+    (
+        *COMMON,
+        CHECKPOINT,
+        part("test"),
+        Option("--category", "May be repeated.", default=CATEGORIES, multiple=True, name="categories"),
+        Option("--kind", STARTS, str, (), KINDS, multiple=True, name="kinds"),
+        VIEWS,
+        Option("--size", "Of the masks, pixels each way.", int, 64, least=16, most=1024),
+        Option("--points", "Of initial and target clouds, 1024 to 16384.", int, 1024),
+        Option("--ablation", "Change one ingredient of the default preset at a time.", bool, False),
+        Option("--pictures", "Draw the worst, the median and the best case of each category here (.png).", Path),
+        DEVICE,
+    ),
+    run,
+    tables,
+    draw,
+    "The default preset is judged by two questions: how much of the error it removes, and how often it adds some. One mask "
+    "says nothing of depth, so that even a perfect answer in the image plane leaves a good part of the error; symmetry and "
+    "further masks are what reaches beyond it. Two samplings of one surface differ too: no ratio can fall below that floor. "
+    "Starts that are right already show what a refinement costs where there is nothing to gain.",
+    kept="after every group of shapes",
+)

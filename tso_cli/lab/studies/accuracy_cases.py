@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +25,7 @@ from .parts import Shape, shapes_of_part
 from .protocol import shape_type
 
 KINDS = ("other", "near", "cut", "right", "network")
-"""Where the start is from; "cut" is "other" with an object that the border cuts, "right" another sampling of the truth."""
+"""Where the start is from; "cut" is "other" with an object that the border truncates, "right" another sampling of the truth."""
 # The Chamfer distance (longest side 1) that another shape's cloud should have from the truth; a category without one starts
 # from its most similar training shape.
 LEVELS = {"other": {"airplane": 2.0e-3, "car": 1.6e-3}, "near": {"airplane": 0.4e-3, "car": 0.8e-3}}
@@ -33,7 +33,7 @@ LEVELS["cut"] = LEVELS["other"]
 SAMPLES, JUDGED = 16_384, 1024
 """Points of a surface, and how many of them say which start is how far off."""
 MASKS = 4
-"""Of every case. The network sees one picture: of its cases the others are further masks from cameras that are known."""
+"""Of each case. The network sees one picture; the other masks of its cases are from known cameras."""
 CUT_SHARE = 0.75
 """Distance of the camera of kind "cut", of that from which the whole object is seen."""
 PICTURE = 128
@@ -81,6 +81,7 @@ class AccuracyCase:
         return chamfer(self.surface.all_samples(points), self.dense).chamfer
 
 
+@dataclass(frozen=True, eq=False)
 class CaseBuilder:
     """Makes the cases of any shape; everything random depends on the seed and the shape's name alone.
 
@@ -91,45 +92,32 @@ class CaseBuilder:
     network, about : for kind "network": a view-aligned network.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        split_file: Path | None,
-        views: int,
-        size: int,
-        points: int,
-        seed: int = 0,
-        network: BaseNetwork | None = None,
-        about: NetworkConfig | None = None,
-    ) -> None:
-        self._folder, self._split_file = folder, split_file
-        self._views, self._size, self._points, self._seed = views, size, points, seed
-        self._network, self._about = network, about
-        self._starts: dict[str, list[tuple[Shape, Array, Array]]] = {}
+    folder: Path
+    split_file: Path | None
+    views: int
+    size: int
+    points: int
+    seed: int = 0
+    network: BaseNetwork | None = None
+    about: NetworkConfig | None = None
+    _starts: dict[str, list[tuple[Shape, Array, Array]]] = field(default_factory=dict)
 
     def cases(self, shape: Shape, kind: str) -> list[AccuracyCase]:
         """The cases of one shape, one for each of the views."""
         mesh = normalise(read_mesh(shape.path))
         rng = self._rng(shape, "truth")
-        dense, again = (sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng) for _ in range(2))
-        target, other = _subset(dense, self._points), _subset(again, self._points)
-        floors = chamfer(other, target).chamfer, chamfer(other, dense).chamfer
-        scene = RayScene(mesh)
-        rng = self._rng(shape, kind)
-        if kind == "network":
-            return [
-                self._predicted(shape, number, mesh.vertices, scene, target, dense, floors, rng)
-                for number in range(self._views)
-            ]
-        if kind == "right":
-            start, file, initial = "the truth", None, other
-        else:
-            found, initial = self._start(shape, _subset(dense, JUDGED), LEVELS[kind].get(shape.category, 0.0))
-            start, file = found.name, found.path
-        # Each view has the next three beside it.
-        count = self._views + MASKS - 1
+        dense, resampled = (sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng) for _ in range(2))
+        target, initial = _subset(dense, self.points), _subset(resampled, self.points)
+        floors = chamfer(initial, target).chamfer, chamfer(initial, dense).chamfer
+        scene, rng = RayScene(mesh), self._rng(shape, kind)
+        start, file = {"right": "the truth", "network": "prediction"}.get(kind, ""), None
+        if not start:
+            start_shape, initial = self._start(shape, _subset(dense, JUDGED), LEVELS[kind].get(shape.category, 0.0))
+            start, file = start_shape.name, start_shape.path
+        # Each view has the next three beside it; `_predicted` makes those of a network's case.
+        count = 0 if kind == "network" else self.views + MASKS - 1
         views = [self._seen(shape, number, mesh.vertices, scene, kind == "cut", rng) for number in range(count)]
-        return [
+        cases = [
             AccuracyCase(
                 kind,
                 shape.category,
@@ -143,77 +131,63 @@ class CaseBuilder:
                 *floors,
                 start_file=file,
             )
-            for number in range(self._views)
+            for number in range(self.views)
         ]
+        return [self._predicted(case, shape, mesh.vertices, scene, rng) for case in cases] if kind == "network" else cases
 
-    def _rng(self, shape: Shape, what: str) -> np.random.Generator:
-        return np.random.default_rng([self._seed, zlib.crc32(shape.name.encode()), zlib.crc32(what.encode())])
+    def _rng(self, shape: Shape, purpose: str) -> np.random.Generator:
+        return np.random.default_rng([self.seed, zlib.crc32(shape.name.encode()), zlib.crc32(purpose.encode())])
 
     def _start(self, shape: Shape, target: Array, level: float) -> tuple[Shape, Array]:
         """The training shape and its cloud, of those of another type whose distance from the truth is nearest to ``level``."""
         if shape.category not in self._starts:
-            found = []
-            for own in shapes_of_part(self._folder, self._split_file, "train", [shape.category]):
-                mesh = normalise(read_mesh(own.path))
-                samples = sample_surface(mesh.vertices, mesh.faces, SAMPLES, self._rng(own, "truth"))
-                found.append((own, samples, _subset(samples, JUDGED)))
-            self._starts[shape.category] = found
-        starts = [
-            (own, samples, few)
-            for own, samples, few in self._starts[shape.category]
-            if shape_type(own.path.stem) != shape_type(shape.path.stem)
+            starts = self._starts[shape.category] = []
+            for training in shapes_of_part(self.folder, self.split_file, "train", [shape.category]):
+                mesh = normalise(read_mesh(training.path))
+                samples = sample_surface(mesh.vertices, mesh.faces, SAMPLES, self._rng(training, "truth"))
+                starts.append((training, samples, _subset(samples, JUDGED)))
+        others = [
+            start for start in self._starts[shape.category] if shape_type(start[0].path.stem) != shape_type(shape.path.stem)
         ]
-        if not starts:
+        if not others:
             raise InputError(
                 f"{shape.name}: no {shape.category} of another type is in the list train, expected one to start from"
             )
-        away = [abs(chamfer(few, target).chamfer - level) for _, _, few in starts]
-        nearest, samples, _ = starts[int(np.argmin(away))]
-        return nearest, _subset(samples, self._points)
+        nearest, samples, _ = min(others, key=lambda start: abs(chamfer(start[2], target).chamfer - level))
+        return nearest, _subset(samples, self.points)
 
-    def _seen(self, shape: Shape, number: int, vertices: Array, scene: RayScene, cut: bool, rng: np.random.Generator) -> View:
-        settings = RenderSettings(views=1, size=(self._size, self._size))
+    def _seen(
+        self, shape: Shape, number: int, vertices: Array, scene: RayScene, truncated: bool, rng: np.random.Generator
+    ) -> View:
+        settings = RenderSettings(views=1, size=(self.size, self.size))
         while True:
-            camera = _nearer(settings, vertices, rng) if cut else sample_cameras(settings, vertices, rng)[0]
+            camera = _nearer(settings, vertices, rng) if truncated else sample_cameras(settings, vertices, rng)[0]
             mask = render_view(scene, camera, rng).mask
             # From its narrow side a long object fits the picture from nearer too: then another direction is drawn.
-            if not cut or _touches_border(mask):
+            if not truncated or _touches_border(mask):
                 return View(mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, mask {number}")
 
     def _predicted(
-        self,
-        shape: Shape,
-        number: int,
-        vertices: Array,
-        scene: RayScene,
-        target: Array,
-        dense: Array,
-        floors: tuple[float, float],
-        rng: np.random.Generator,
+        self, case: AccuracyCase, shape: Shape, vertices: Array, scene: RayScene, rng: np.random.Generator
     ) -> AccuracyCase:
-        """What the network makes of a picture, before a camera whose distance from the object is known."""
-        assert self._network is not None and self._about is not None
+        """The network's prediction from a picture, before a camera whose distance from the object is known."""
+        assert self.network is not None and self.about is not None
         camera = sample_cameras(RenderSettings(views=1, size=(PICTURE, PICTURE)), vertices, rng)[0]
         picture = render_view(scene, camera, rng)
-        view = View(picture.mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, view {number}")
-        seen = network_scene(picture.image, view, self._network, self._about, placing="camera")
+        view = View(picture.mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, view {case.view}")
+        predicted = network_scene(picture.image, view, self.network, self.about, placing="camera")
         turn = (CANONICAL_ROTATION @ camera.R).T
-        # Random numbers of their own: how many views there are of a shape changes none of them.
-        further = np.random.default_rng([self._seed, zlib.crc32(shape.name.encode()), number])
-        others = [self._seen(shape, other, vertices, scene, False, further) for other in range(1, MASKS)]
-        turned = [replace(other, camera=replace(other.camera, R=other.camera.R @ turn)) for other in others]
-        return AccuracyCase(
-            "network",
-            shape.category,
-            shape.name,
-            number,
-            "prediction",
-            seen.points,
-            target @ turn,
-            dense @ turn,
-            (seen.view, *turned),
-            *floors,
-            image=seen.image,
+        # A generator for each view: the number of views changes none of them.
+        further = np.random.default_rng([self.seed, zlib.crc32(shape.name.encode()), case.view])
+        others = [self._seen(shape, number, vertices, scene, False, further) for number in range(1, MASKS)]
+        turned = [replace(view, camera=replace(view.camera, R=view.camera.R @ turn)) for view in others]
+        return replace(
+            case,
+            initial=predicted.points,
+            target=case.target @ turn,
+            dense=case.dense @ turn,
+            views=(predicted.view, *turned),
+            image=predicted.image,
         )
 
 

@@ -52,7 +52,7 @@ NETWORK = {
     COMBINED: Variant(RefineConfig("latent"), then=RefineConfig()),
     BOTH_COMBINED: Variant(RefineConfig("encoder-decoder"), then=RefineConfig()),
 }
-# Adam's steps are as long for every number, however small its gradient: at the same rate the cloud falls apart.
+# Adam's steps do not shrink with the gradient: at the preset's rate the cloud falls apart.
 ADAM_RATE = 2e-3
 ABLATION = {
     PAPER: POINTS[PAPER],
@@ -86,7 +86,7 @@ def variants_of(kind: str, ablation: bool) -> dict[str, Variant]:
 def refined(
     cases: list[AccuracyCase], variant: Variant, device: str, network: BaseNetwork | None
 ) -> tuple[list[RefineResult], float | None]:
-    """The result of every case, and the seconds a case of a batch; None where there is none, as with networks, colours, meshes.
+    """The result of each case, and the seconds a case of a batch; None for networks, colours and meshes, which have no batch.
 
     Raises TsoError where a case cannot be refined.
     """
@@ -94,15 +94,15 @@ def refined(
     if single or (network is not None and variant.config.mode != "points"):
         return [alone(case, variant, device, network)[0] for case in cases], None
     start = time.perf_counter()
-    found = refine_batch(
+    outcomes = refine_batch(
         [(case.initial, case.views[: variant.masks]) for case in cases], replace(variant.config, device=device)
     )
     seconds = (time.perf_counter() - start) / len(cases)
     results = []
-    for result in found:
+    for result in outcomes:
         if isinstance(result, TsoError):
             raise result
-        results.append(_whole(result))
+        results.append(uninterrupted(result))
     return results, seconds
 
 
@@ -111,12 +111,12 @@ def alone(case: AccuracyCase, variant: Variant, device: str, network: BaseNetwor
     config, views = replace(variant.config, device=device), case.views[: variant.masks]
     start = time.perf_counter()
     if config.mode == "points":
-        result = _whole(refine(case.initial, views, config=config, colours=case.colours, faces=case.faces))
+        result = uninterrupted(refine(case.initial, views, config=config, colours=case.colours, faces=case.faces))
     else:
-        result = _whole(refine(None, views, config=config, network=network, image=case.image))
+        result = uninterrupted(refine(None, views, config=config, network=network, image=case.image))
     if variant.then is not None:
         first = result
-        result = _whole(refine(first.points, views, config=replace(variant.then, device=device)))
+        result = uninterrupted(refine(first.points, views, config=replace(variant.then, device=device)))
         before = [pair[0] for pair in first.view_ious]
         result = replace(
             result, iou_before=first.iou_before, view_ious=list(zip(before, (b for _, b in result.view_ious), strict=True))
@@ -124,7 +124,8 @@ def alone(case: AccuracyCase, variant: Variant, device: str, network: BaseNetwor
     return result, time.perf_counter() - start
 
 
-def _whole(result: RefineResult) -> RefineResult:
-    if result.stop_reason == "interrupted":  # the loop has swallowed Ctrl-C and kept its best
+def uninterrupted(result: RefineResult) -> RefineResult:
+    """The result; KeyboardInterrupt where the loop has swallowed Ctrl-C and kept its best."""
+    if result.stop_reason == "interrupted":
         raise KeyboardInterrupt
     return result

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...errors import InputError
 from ...network.model import BaseNetwork
-from ...version import __version__
-from .accuracy import CATEGORIES, AccuracyConfig, builder_of
-from .accuracy_cases import AccuracyCase, kinds_of
+from ..charts.ratios import Panel, draw_ratios
+from ..study import CHECKPOINT, COMMON, DEVICE, VIEWS, Cases, Option, Progress, Record, Study, Table, part, record_of
+from .accuracy import CATEGORIES
+from .accuracy_cases import AccuracyCase, CaseBuilder, kinds_of
 from .accuracy_variants import Variant, alone, refined
 from .evidence_cases import Truth
 from .evidence_questions import QUESTIONS, Question
-from .parts import SPLIT, Shape, shapes_of_part
-from .protocol import Report
-from .resumed import Cases, Keep, cases_of, complete
+from .parts import Shape, shapes_of_part, view_aligned_network, weights_hash
+from .summary import rounded
 
 SIZE, POINTS = 64, 1024
 """Pixels of the masks each way, points of the clouds."""
@@ -33,107 +31,80 @@ CONVENTION = {
     "corrected": "share of the cameras that --refine-camera corrected",
     "degrees left": "angle between the cameras that were used and the true ones, mean",
 }
+FIGURES = ("cases", "mean_ratio", "worst_ratio", "worse")
+"""What the summary has of every row; the rest depends on the question."""
 ALL = "all"
 """The mean over all cases of a kind, whatever their category."""
 
 
-@dataclass(frozen=True)
-class EvidenceConfig:
-    """What is studied.
-
-    Parameters
-    ----------
-    questions : of `QUESTIONS`. part, limit, views : as in
-        `AccuracyConfig`.
-    """
-
-    questions: tuple[str, ...] = tuple(QUESTIONS)
-    part: str = "validation"
-    limit: int | None = None
-    views: int = 2
-    seed: int = 0
-    device: str = "cpu"
-
-    def __post_init__(self) -> None:
-        for question in self.questions:
-            if question not in QUESTIONS:
-                raise InputError(f"question is {question!r}, expected one of {', '.join(QUESTIONS)}")
-
-
-def study_evidence(
-    folder: Path,
-    config: EvidenceConfig | None = None,
-    split_file: Path = SPLIT,
-    checkpoint: Path | None = None,
-    earlier: dict[str, Any] | None = None,
-    keep: Keep | None = None,
-    report: Report | None = None,
-) -> dict[str, Any]:
-    """Ask each question of every case that it is about.
-
-    Parameters and errors are those of `study_accuracy`.
-
-    Returns
-    -------
-    A JSON-able record: {"study", "complete", "settings", "summary": {question: {kind: {category: {row: ...}}}}, "cases"}.
-    """
-    config = config or EvidenceConfig()
-    asked = {name: QUESTIONS[name] for name in config.questions}
-    kinds = tuple(dict.fromkeys(kind for question in asked.values() for kind in question.kinds))
-    shapes = _of_each_category(folder, split_file, config)
-    material = AccuracyConfig(kinds=kinds, views=config.views, size=SIZE, points=POINTS, seed=config.seed)
-    builder, network, digest = builder_of(folder, material, split_file, checkpoint)
-    settings = {**asdict(config), "questions": list(config.questions), "network": digest, "points": POINTS, "size": SIZE}
-    settings["rows"] = {name: list(question.rows) for name, question in asked.items()}
-    settings["shapes"] = [shape.name for own in shapes.values() for shape in own]
-    cases = cases_of("evidence", earlier, settings)
+def run(
+    progress: Progress, *, meshes: Path, checkpoint: Path, split: Path | None, questions: tuple[str, ...], **settings: Any
+) -> Record:
+    """Ask each question of every case that it is about; errors are those of the study of accuracy."""
+    asked = {name: QUESTIONS[name] for name in questions}
+    of_any = {name for question in asked.values() for name in question.categories or CATEGORIES}
+    categories = [name for name in CATEGORIES if name in of_any]
+    shapes = shapes_of_part(meshes, split, settings["part"], categories, settings["limit"])
+    by_category = {name: [shape for shape in shapes if shape.category == name] for name in categories}
+    uses_network = any("network" in question.kinds for question in asked.values())
+    network, about = view_aligned_network(checkpoint) if uses_network else (None, None)
+    builder = CaseBuilder(meshes, split, settings["views"], SIZE, POINTS, settings["seed"], network, about)
+    settings |= {
+        "questions": list(questions),
+        "network": weights_hash(network) if network else None,
+        "points": POINTS,
+        "size": SIZE,
+        "rows": {name: list(question.rows) for name, question in asked.items()},
+        "shapes": [shape.name for group in by_category.values() for shape in group],
+    }
+    cases = progress.earlier_cases("evidence", settings)
     done = {(case["question"], case["kind"], case["shape"]) for case in cases}
 
-    def judged(name: str, kind: str, own: list[Shape]) -> Cases:
+    def judged(name: str, kind: str, group: list[Shape]) -> Cases:
         built = [
-            (case, Truth(shape, own[(place + 1) % len(own)] if len(own) > 1 else None))
-            for place, shape in enumerate(own)
+            (case, Truth(shape, group[(place + 1) % len(group)] if len(group) > 1 else None))
+            for place, shape in enumerate(group)
             for case in builder.cases(shape, kind)
         ]
-        return judge(name, asked[name], built, config, network)
+        return judge(name, asked[name], built, settings["seed"], settings["device"], network)
+
+    def record(cases: Cases, complete: bool) -> Record:
+        return record_of("evidence", CONVENTION, complete=complete, settings=settings, summary=summarise(cases), cases=cases)
 
     groups = [
-        None if all((name, kind, shape.name) in done for shape in own) else partial(judged, name, kind, own)
-        for name, kind, own in _groups(asked, shapes)
+        None if all((name, kind, shape.name) in done for shape in group) else partial(judged, name, kind, group)
+        for name, question in asked.items()
+        for kind in question.kinds
+        for category, group in by_category.items()
+        if category in (question.categories or CATEGORIES) and kind in kinds_of(category, question.kinds)
     ]
-    return complete(cases, groups, partial(_record, settings), "refining", keep, report)
+    return progress.complete("refining", cases, groups, record)
 
 
 def judge(
     name: str,
     question: Question,
     cases: list[tuple[AccuracyCase, Truth]],
-    config: EvidenceConfig,
+    seed: int,
+    device: str,
     network: BaseNetwork | None,
-) -> list[dict[str, Any]]:
+) -> Cases:
     """Every row of a question for cases of one kind and category; a row that a case cannot have is left out of it."""
-    records: list[dict[str, Any]] = [
-        {"question": name, "kind": case.kind, "category": case.category, "shape": case.shape, "view": case.view, "rows": {}}
-        for case, _ in cases
-    ]
-    for words, row in question.rows.items():
+    keys = ("kind", "category", "shape", "view")
+    records: Cases = [{"question": name, **{key: getattr(case, key) for key in keys}, "rows": {}} for case, _ in cases]
+    for label, row in question.rows.items():
         # The same random numbers for each row: what is compared differs in nothing else.
-        altered = [row.alter(case, truth, _rng(config.seed, name, case)) for case, truth in cases]
-        had = [number for number, case in enumerate(altered) if case is not None]
+        altered = [row.alter(case, truth, _rng(seed, name, case)) for case, truth in cases]
+        numbers = [number for number, case in enumerate(altered) if case is not None]
         changed = [case for case in altered if case is not None]
         if isinstance(row.variant, Variant):
-            results = refined(changed, row.variant, config.device, network)[0] if changed else []
+            results = refined(changed, row.variant, device, network)[0] if changed else []
         else:
-            results = [alone(case, row.variant(case), config.device, network)[0] for case in changed]
-        for number, case, result in zip(had, changed, results, strict=True):
-            found: dict[str, float | None] = {
-                "before": case.chamfer_of(case.initial),
-                "chamfer": case.chamfer_of(result.points),
-            }
-            found |= {about: tell(cases[number][0], case, result) for about, tell in question.told.items()}
-            records[number]["rows"][words] = {
-                key: None if value is None else float(f"{value:.5g}") for key, value in found.items()
-            }
+            results = [alone(case, row.variant(case), device, network)[0] for case in changed]
+        for number, case, result in zip(numbers, changed, results, strict=True):
+            figures: dict[str, Any] = {"before": case.chamfer_of(case.initial), "chamfer": case.chamfer_of(result.points)}
+            figures |= {key: measure(cases[number][0], case, result) for key, measure in question.measures.items()}
+            records[number]["rows"][label] = rounded(figures)
     return records
 
 
@@ -141,57 +112,77 @@ def _rng(seed: int, question: str, case: AccuracyCase) -> np.random.Generator:
     return np.random.default_rng([seed, zlib.crc32(f"{question} {case.shape}".encode()), case.view])
 
 
-def _of_each_category(folder: Path, split_file: Path, config: EvidenceConfig) -> dict[str, list[Shape]]:
-    categories = [
-        name for name in CATEGORIES if any(name in (QUESTIONS[one].categories or CATEGORIES) for one in config.questions)
-    ]
-    shapes = shapes_of_part(folder, split_file, config.part, categories, config.limit)
-    return {name: [shape for shape in shapes if shape.category == name] for name in categories}
-
-
-def _groups(asked: dict[str, Question], shapes: dict[str, list[Shape]]) -> list[tuple[str, str, list[Shape]]]:
-    """(question, kind, shapes of one category) that are worked on together."""
-    return [
-        (name, kind, own)
-        for name, question in asked.items()
-        for kind in question.kinds
-        for category, own in shapes.items()
-        if category in (question.categories or CATEGORIES) and kind in kinds_of(category, question.kinds)
-    ]
-
-
-def _record(settings: dict[str, Any], cases: list[dict[str, Any]], complete: bool) -> dict[str, Any]:
-    return {
-        "study": "evidence",
-        "version": __version__,
-        "complete": complete,
-        "settings": settings,
-        "convention": CONVENTION,
-        "summary": summarise(cases),
-        "cases": cases,
-    }
-
-
-def summarise(cases: list[dict[str, Any]]) -> dict[str, Any]:
+def summarise(cases: Cases) -> dict[str, Any]:
     """{question: {kind: {category, and "all": {row: {"cases", "mean_ratio", "worst_ratio", "worse", ...}}}}}."""
-    found: dict[str, Any] = {}
+    summary: dict[str, Any] = {}
     for case, category in [(case, case["category"]) for case in cases] + [(case, ALL) for case in cases]:
-        own = found.setdefault(case["question"], {}).setdefault(case["kind"], {}).setdefault(category, {})
-        for row, values in case["rows"].items():
-            own.setdefault(row, []).append(values)
-    return {
-        question: {
-            kind: {category: {row: _means(values) for row, values in rows.items()} for category, rows in categories.items()}
+        rows = summary.setdefault(case["question"], {}).setdefault(case["kind"], {}).setdefault(category, {})
+        for label, figures in case["rows"].items():
+            rows.setdefault(label, []).append(figures)
+    for kinds in summary.values():
+        for categories in kinds.values():
+            for category, rows in categories.items():
+                categories[category] = {label: _means(figures) for label, figures in rows.items()}
+    return summary
+
+
+def _means(figures: Cases) -> dict[str, Any]:
+    ratios = np.array([row["chamfer"] / row["before"] for row in figures])
+    columns = {key: [row[key] for row in figures] for key in figures[0] if key not in ("before", "chamfer")}
+    means = {key: float(np.mean(values)) for key, values in columns.items() if None not in values}
+    counts = {"cases": len(figures), "worse": int((ratios > 1.0).sum())}
+    return rounded({**counts, "mean_ratio": float(ratios.mean()), "worst_ratio": float(ratios.max()), **means})
+
+
+def tables(record: Record) -> list[Table]:
+    """A table for each question."""
+    result = []
+    for question, kinds in record["summary"].items():
+        rows = [
+            (kind, category, label, figures)
             for kind, categories in kinds.items()
-        }
-        for question, kinds in found.items()
-    }
+            for category, rows in categories.items()
+            for label, figures in rows.items()
+        ]
+        # Not every row has everything: of three views there is no fourth.
+        further = list(dict.fromkeys(key for *_, figures in rows for key in figures if key not in FIGURES))
+        cells = [[*names, *(figures.get(key) for key in (*FIGURES, *further))] for *names, figures in rows]
+        header = ["kind", "category", question, "cases", "ratio", "worst", "worse", *further]
+        result.append(Table(header, cells, title=QUESTIONS[question].title))
+    return result
 
 
-def _means(values: list[dict[str, Any]]) -> dict[str, float]:
-    ratios = np.array([one["chamfer"] / one["before"] for one in values])
-    told = {key: [one[key] for one in values] for key in values[0] if key not in ("before", "chamfer")}
-    means = {key: float(np.mean(own)) for key, own in told.items() if None not in own}
-    found = {"mean_ratio": float(ratios.mean()), "worst_ratio": float(ratios.max()), **means}
-    counts = {"cases": len(values), "worse": int((ratios > 1.0).sum())}
-    return counts | {key: float(f"{value:.5g}") for key, value in found.items()}
+def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+    """Chamfer after / before of every case; a row of panels for each question and kind, a panel for each category."""
+    grid: dict[tuple[str, str], dict[str, dict[str, list[float]]]] = {}
+    for case in record["cases"]:
+        panel = grid.setdefault((case["question"], case["kind"]), {}).setdefault(case["category"], {})
+        for label, figures in case["rows"].items():
+            panel.setdefault(label, []).append(figures["chamfer"] / figures["before"])
+    panels = [
+        [Panel(f"{category}, {kind}", rows) for category, rows in categories.items()] for (_, kind), categories in grid.items()
+    ]
+    draw_ratios(path, panels, overwrite)
+
+
+STUDY = Study(
+    "evidence",
+    "Objects in larger photos (framing), depth maps (depth), photos of painted objects (colours), objects of which a part is "
+    "missing (missing), wrong views among right ones (wrong), cameras that are off (cameras), predictions whose distance is "
+    "not known (placing), the learning rates of the network's variants (rates), and starts that are meshes (meshes).",
+    (
+        *COMMON,
+        CHECKPOINT,
+        part("validation"),
+        Option("--question", "May be repeated.", str, tuple(QUESTIONS), tuple(QUESTIONS), multiple=True, name="questions"),
+        VIEWS,
+        DEVICE,
+    ),
+    run,
+    tables,
+    draw,
+    "Each question alters cases in one way and compares rows that see the same random numbers. Evidence that is right "
+    "helps: more masks, depth, a photo of an object whose colours are known. What matters as much is the harm that wrong "
+    "evidence does: a method that weighs its evidence loses little to one wrong view, camera or plane.",
+    kept="after every group of shapes",
+)

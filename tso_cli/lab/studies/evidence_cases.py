@@ -1,8 +1,8 @@
-"""Cases of the study of accuracy with other evidence: depth maps, wrong views, wrong cameras, objects that lack a part."""
+"""Cases with other evidence: depth maps, wrong views, wrong cameras, objects that lack a part, starts that are meshes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import cycle
@@ -15,19 +15,27 @@ from ...geometry.points import farthest_point_sample, sample_surface
 from ...geometry.rotations import from_vectors
 from ...geometry.view import View
 from ...io.meshes import Mesh, read_mesh
+from ...refinement.surface import Surface
 from ...refinement.symmetry import find_mirror_plane
 from ...render import RayScene, fitting_distance, look_at, normalise, render_view
 from ...scene.placing import align_silhouette, place_in_front
 from .accuracy_cases import SAMPLES, AccuracyCase
 from .parts import Shape
 
-# What a mask needs to be a case at all, once a part of the object is gone.
+# Fewer than these, once a part of the object is gone, make no case.
 FEWEST_FACES, FEWEST_PIXELS = 20, 50
-# A camera that is off by so many degrees stands off by this share of its distance for each of them.
+# A wrong camera is shifted by this share of its distance for each degree that it is turned.
 SHIFT = 0.005
 WRONG_TURN = 30.0
 # Three cameras that stand close together, and one to the side of them; degrees.
 BUNCHED = (0.0, 10.0, 20.0, 100.0)
+
+
+MOST_VERTICES = 20_000
+"""Of a mesh that is still refined as a cloud."""
+VERTICES, SAMPLED, FACES = "its vertices as a cloud", "the cloud of its samples", "as a mesh"
+
+Rng = np.random.Generator
 
 
 @dataclass(frozen=True)
@@ -50,25 +58,20 @@ class Truth:
         return None if self.other is None else RayScene(normalise(read_mesh(self.other.path)))
 
 
-Alter = Callable[[AccuracyCase, Truth, np.random.Generator], AccuracyCase | None]
-"""Makes another case of a case; None where that cannot be had."""
+Alter = Callable[[AccuracyCase, Truth, Rng], AccuracyCase | None]
+"""Alters a case; None where that is not possible."""
 
 
-def as_it_is(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> AccuracyCase:
+def as_it_is(case: AccuracyCase, truth: Truth, rng: Rng) -> AccuracyCase:
     return case
 
 
-def in_photo(*widths: int, across: float = 0.5, down: float = 0.3) -> Alter:
-    """Each picture lies in a photo so many times as wide and high, at a share of the free way; around it is background.
-
-    ``widths`` are those of the views by turns.
-    """
-
-    def altered(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> AccuracyCase:
-        views = zip(case.views, cycle(widths), strict=False)
-        return replace(case, views=tuple(framed(view, times, across, down) for view, times in views))
-
-    return altered
+def in_photo(
+    case: AccuracyCase, truth: Truth, rng: Rng, widths: Sequence[int], across: float = 0.5, down: float = 0.3
+) -> AccuracyCase:
+    """Each picture lies in a larger photo, see `framed`; ``widths`` are those of the views by turns."""
+    views = zip(case.views, cycle(widths), strict=False)
+    return replace(case, views=tuple(framed(view, times, across, down) for view, times in views))
 
 
 def framed(view: View, times: int, across: float, down: float) -> View:
@@ -81,49 +84,41 @@ def framed(view: View, times: int, across: float, down: float) -> View:
     return View(mask, replace(view.camera, K=K, width=mask.shape[1], height=mask.shape[0]), name=view.name)
 
 
-def with_depth(noise: float = 0.0) -> Alter:
+def with_depth(case: AccuracyCase, truth: Truth, rng: Rng, noise: float = 0.0) -> AccuracyCase:
     """Each view with the depth of the true surface in the middle of its pixels, and Gaussian noise (longest side 1) on it."""
-
-    def altered(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> AccuracyCase:
-        views = []
-        for view in case.views:
-            columns, rows = np.arange(view.camera.width), np.arange(view.camera.height)
-            depth = truth.scene.cast(view.camera, columns.astype(float), rows.astype(float))["depth"]
-            depth = np.where(np.isfinite(depth), depth + noise * rng.normal(size=depth.shape), 0.0)
-            views.append(replace(view, depth=depth))
-        return replace(case, views=tuple(views))
-
-    return altered
+    views = []
+    for view in case.views:
+        columns, rows = np.arange(view.camera.width), np.arange(view.camera.height)
+        depth = truth.scene.cast(view.camera, columns.astype(float), rows.astype(float))["depth"]
+        depth = np.where(np.isfinite(depth), depth + noise * rng.normal(size=depth.shape), 0.0)
+        views.append(replace(view, depth=depth))
+    return replace(case, views=tuple(views))
 
 
-def without(part: str) -> Alter:
+def without(case: AccuracyCase, truth: Truth, rng: Rng, part: str) -> AccuracyCase | None:
     """The object lacks "side", "high" or "low" parts on one side of the start's mirror plane; the start has them.
 
     Faces go whose middle lies more than 0.12 beyond the plane through the middle, or more than 0.03 and higher than 0 or lower
     than -0.1 (longest side 1, y up).
     """
-
-    def altered(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> AccuracyCase | None:
-        normal = np.abs(find_mirror_plane(case.initial).normal)
-        middles = truth.mesh.vertices[truth.mesh.faces].mean(1)
-        beyond, height = middles[:, 0 if normal[0] >= normal[2] else 2], middles[:, 1]
-        gone = {"side": beyond > 0.12, "high": (beyond > 0.03) & (height > 0.0), "low": (beyond > 0.03) & (height < -0.1)}[part]
-        faces = truth.mesh.faces[~gone]
-        if len(faces) < FEWEST_FACES:
-            return None
-        mesh = replace(truth.mesh, faces=faces, colours=None)
-        scene = RayScene(mesh)
-        masks = [_mask(scene, view.camera) for view in case.views]
-        if min(int((mask > 0.5).sum()) for mask in masks) < FEWEST_PIXELS:
-            return None
-        views = tuple(replace(view, mask=mask) for view, mask in zip(case.views, masks, strict=True))
-        dense = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
-        return replace(case, views=views, dense=dense, target=dense[farthest_point_sample(dense, len(case.target))])
-
-    return altered
+    normal = np.abs(find_mirror_plane(case.initial).normal)
+    middles = truth.mesh.vertices[truth.mesh.faces].mean(1)
+    beyond, height = middles[:, 0 if normal[0] >= normal[2] else 2], middles[:, 1]
+    gone = {"side": beyond > 0.12, "high": (beyond > 0.03) & (height > 0.0), "low": (beyond > 0.03) & (height < -0.1)}[part]
+    faces = truth.mesh.faces[~gone]
+    if len(faces) < FEWEST_FACES:
+        return None
+    mesh = replace(truth.mesh, faces=faces, colours=None)
+    scene = RayScene(mesh)
+    masks = [_mask(scene, view.camera) for view in case.views]
+    if min(int((mask > 0.5).sum()) for mask in masks) < FEWEST_PIXELS:
+        return None
+    views = tuple(replace(view, mask=mask) for view, mask in zip(case.views, masks, strict=True))
+    dense = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
+    return replace(case, views=views, dense=dense, target=dense[farthest_point_sample(dense, len(case.target))])
 
 
-def bunched(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> AccuracyCase:
+def bunched(case: AccuracyCase, truth: Truth, rng: Rng) -> AccuracyCase:
     """Three of the four cameras within 20 degrees, the last to the side of them."""
     size = case.views[0].camera.width, case.views[0].camera.height
     azimuth, elevation = rng.uniform(0.0, 360.0), rng.uniform(-5.0, 40.0)
@@ -135,7 +130,7 @@ def bunched(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> Accur
     return replace(case, views=tuple(views))
 
 
-def anothers_mask(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> AccuracyCase | None:
+def anothers_mask(case: AccuracyCase, truth: Truth, rng: Rng) -> AccuracyCase | None:
     """The last view's mask is that of another shape of the category."""
     if truth.other_scene is None:
         return None
@@ -143,7 +138,7 @@ def anothers_mask(case: AccuracyCase, truth: Truth, rng: np.random.Generator) ->
     return replace(case, views=(*case.views[:-1], replace(wrong, mask=_mask(truth.other_scene, wrong.camera))))
 
 
-def turned_away(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> AccuracyCase:
+def turned_away(case: AccuracyCase, truth: Truth, rng: Rng) -> AccuracyCase:
     """The last view's camera is taken to stand 30 degrees to the side, left or right, of where it stood."""
     wrong = case.views[-1]
     turn = from_vectors(np.array([0.0, np.radians(WRONG_TURN) * rng.choice([-1.0, 1.0]), 0.0]))
@@ -151,32 +146,54 @@ def turned_away(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> A
     return replace(case, views=(*case.views[:-1], replace(wrong, camera=camera)))
 
 
-def cameras_off(degrees: float) -> Alter:
+def cameras_off(case: AccuracyCase, truth: Truth, rng: Rng, degrees: float) -> AccuracyCase:
     """Every camera is turned by so many degrees about the object's middle, about any axis, and shifted in proportion."""
-
-    def altered(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> AccuracyCase:
-        views = []
-        for view in case.views:
-            turn, shift = (vector / np.linalg.norm(vector) for vector in rng.normal(size=(2, 3)))
-            turned = from_vectors(np.radians(degrees) * turn)
-            moved = view.camera.t + degrees * SHIFT * view.camera.t[2] * shift
-            views.append(replace(view, camera=replace(view.camera, R=turned @ view.camera.R, t=moved)))
-        return replace(case, views=tuple(views))
-
-    return altered
+    views = []
+    for view in case.views:
+        turn, shift = (vector / np.linalg.norm(vector) for vector in rng.normal(size=(2, 3)))
+        turned = from_vectors(np.radians(degrees) * turn)
+        moved = view.camera.t + degrees * SHIFT * view.camera.t[2] * shift
+        views.append(replace(view, camera=replace(view.camera, R=turned @ view.camera.R, t=moved)))
+    return replace(case, views=tuple(views))
 
 
-def placed_by(placing: str) -> Alter:
+def placed_by(case: AccuracyCase, truth: Truth, rng: Rng, placing: str) -> AccuracyCase:
     """A network's prediction set before the camera by its "box" or its "silhouette", as if t were unknown."""
+    view = case.views[0]
+    placed = replace(view, camera=place_in_front(case.initial, view))
+    if placing == "silhouette":
+        placed = replace(placed, camera=align_silhouette(case.initial, placed))
+    return replace(case, views=(placed,))
 
-    def altered(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> AccuracyCase:
-        view = case.views[0]
-        placed = replace(view, camera=place_in_front(case.initial, view))
-        if placing == "silhouette":
-            placed = replace(placed, camera=align_silhouette(case.initial, placed))
-        return replace(case, views=(placed,))
 
-    return altered
+def from_mesh(case: AccuracyCase, truth: Truth, rng: Rng, form: str, faces: int | None = None) -> AccuracyCase | None:
+    """The start is the mesh that its cloud was sampled from, in one of three forms; first simplified to ``faces`` if given.
+
+    Vertices, as a cloud or as a mesh, are judged by the surface that the mesh then has.
+    """
+    assert case.start_file is not None
+    mesh = normalise(read_mesh(case.start_file))
+    if faces is not None:
+        if len(mesh.faces) <= faces:
+            return None
+        mesh = _simplified(mesh, faces)
+    surface = Surface(mesh.vertices, mesh.faces)
+    if form == SAMPLED:
+        return replace(case, initial=surface.samples)
+    if form == VERTICES and len(mesh.vertices) > MOST_VERTICES:
+        return None
+    return replace(case, initial=mesh.vertices, faces=mesh.faces if form == FACES else None, surface=surface)
+
+
+def _simplified(mesh: Mesh, faces: int) -> Mesh:
+    """The mesh with so many faces, by quadric decimation."""
+    import open3d
+
+    simplified = open3d.geometry.TriangleMesh(
+        open3d.utility.Vector3dVector(mesh.vertices), open3d.utility.Vector3iVector(mesh.faces.astype(np.int32))
+    ).simplify_quadric_decimation(faces)
+    simplified.remove_unreferenced_vertices()
+    return Mesh(np.asarray(simplified.vertices), np.asarray(simplified.triangles).astype(np.int64))
 
 
 def _mask(scene: RayScene, camera: Camera) -> NDArray[np.float32]:

@@ -14,7 +14,7 @@ from ...geometry.view import View
 from ...render import RayScene
 from ...render.rays import AMBIENT, RAYS_ACROSS
 from .accuracy_cases import AccuracyCase
-from .evidence_cases import Alter, Truth
+from .evidence_cases import Rng, Truth
 
 # Waves of a paint, and their lengths (longest side 1): stripes and patches of the size of a window or a cheat line, up to whole
 # parts in one colour.
@@ -28,7 +28,7 @@ HALVINGS = 25
 Paint = Callable[[Array], Array]
 
 
-def paint_of(rng: np.random.Generator) -> Paint:
+def paint_of(rng: Rng) -> Paint:
     """Colours [..., 3] in [0, 1] of places [..., 3]: two of each channel's tones in patches with clear edges."""
     lengths = np.exp(rng.uniform(np.log(SHORTEST), np.log(LONGEST), (3, WAVES, 1)))
     directions = _directions(rng, (3, WAVES)) * (2.0 * np.pi / lengths)
@@ -47,19 +47,19 @@ def photo(scene: RayScene, view: View, paint: Paint, light: Array, exposure: flo
     camera = view.camera
     offsets = (np.arange(RAYS_ACROSS) + 0.5) / RAYS_ACROSS - 0.5
     columns, rows = ((np.arange(size)[:, None] + offsets).ravel() for size in (camera.width, camera.height))
-    found = scene.cast(camera, columns, rows)
+    hits = scene.cast(camera, columns, rows)
     x, y = np.meshgrid((columns - camera.K[0, 2]) / camera.K[0, 0], (rows - camera.K[1, 2]) / camera.K[1, 1])
-    hit = found["hit"]
-    depth = found["depth"][hit][:, None]
+    hit = hits["hit"]
+    depth = hits["depth"][hit][:, None]
     places = (np.stack([x[hit], y[hit], np.ones(hit.sum())], 1) * depth - camera.t) @ camera.R
-    shade = AMBIENT + (1.0 - AMBIENT) * np.abs(found["normal"][hit] @ light)
+    shade = AMBIENT + (1.0 - AMBIENT) * np.abs(hits["normal"][hit] @ light)
     image = np.ones((*hit.shape, 3))
     image[hit] = np.minimum(exposure * shade[:, None] * paint(places), 1.0)
     means: Array = image.reshape(camera.height, RAYS_ACROSS, camera.width, RAYS_ACROSS, 3).mean((1, 3))
     return means.astype(np.float32)
 
 
-def painted(start: str, exposure: float | None) -> Alter:
+def painted(case: AccuracyCase, truth: Truth, rng: Rng, start: str, exposure: float | None) -> AccuracyCase:
     """The object is painted, its photos are taken under a random light, and the cloud has colours of its own.
 
     Parameters
@@ -68,27 +68,21 @@ def painted(start: str, exposure: float | None) -> Alter:
         off (Chamfer x1000), or "other", the case's own start in another paint.
     exposure : how many times as long as needed; None: no photo is taken.
     """
-
-    def altered(case: AccuracyCase, truth: Truth, rng: np.random.Generator) -> AccuracyCase:
-        own, others, bend = paint_of(rng), paint_of(rng), _bend_of(rng)
-        lights = _directions(rng, (len(case.views),))
-        if start == "other":
-            initial, colours = case.initial, others(case.initial)
-        else:
-            again = case.dense[rng.choice(len(case.dense), len(case.target), replace=False)]
-            initial, colours = _bent(again, bend, case.target, 1e-3 * float(start.split()[1])), own(again)
-        if exposure is None:
-            return replace(case, initial=initial, colours=colours)
-        views = tuple(
-            replace(view, image=photo(truth.scene, view, own, light, exposure))
-            for view, light in zip(case.views, lights, strict=True)
-        )
-        return replace(case, initial=initial, colours=colours, views=views)
-
-    return altered
+    paint, other_paint, bend = paint_of(rng), paint_of(rng), _bend_of(rng)
+    lights = _directions(rng, (len(case.views),))
+    if start == "other":
+        initial, colours = case.initial, other_paint(case.initial)
+    else:
+        resampled = case.dense[rng.choice(len(case.dense), len(case.target), replace=False)]
+        initial, colours = _bent(resampled, bend, case.target, 1e-3 * float(start.split()[1])), paint(resampled)
+    if exposure is None:
+        return replace(case, initial=initial, colours=colours)
+    photos = [photo(truth.scene, view, paint, light, exposure) for view, light in zip(case.views, lights, strict=True)]
+    views = tuple(replace(view, image=image) for view, image in zip(case.views, photos, strict=True))
+    return replace(case, initial=initial, colours=colours, views=views)
 
 
-def _bend_of(rng: np.random.Generator) -> Callable[[Array], Array]:
+def _bend_of(rng: Rng) -> Callable[[Array], Array]:
     waves = _directions(rng, (BENDS,)) * (2.0 * np.pi / rng.uniform(*BEND_LENGTHS, (BENDS, 1)))
     sizes, phases = rng.normal(size=(BENDS, 3)), rng.uniform(0.0, 2.0 * np.pi, BENDS)
     return lambda points: np.cos(points @ waves.T + phases) @ sizes / np.sqrt(BENDS)
@@ -105,7 +99,7 @@ def _bent(points: Array, bend: Callable[[Array], Array], target: Array, level: f
     return moved
 
 
-def _directions(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
+def _directions(rng: Rng, shape: tuple[int, ...]) -> Array:
     """Unit vectors [*shape, 3]."""
     vectors = rng.normal(size=(*shape, 3))
     directions: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)

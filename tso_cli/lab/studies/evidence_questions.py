@@ -1,9 +1,10 @@
-"""What the study of evidence asks: how far other evidence than one right mask of the whole object helps, or misleads."""
+"""The questions of the study of evidence."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -15,11 +16,15 @@ from ...refinement.symmetry import find_mirror_plane
 from .accuracy_cases import AccuracyCase
 from .accuracy_variants import NETWORK_MODES, Variant
 from .evidence_cases import (
+    FACES,
+    SAMPLED,
+    VERTICES,
     Alter,
     anothers_mask,
     as_it_is,
     bunched,
     cameras_off,
+    from_mesh,
     in_photo,
     placed_by,
     turned_away,
@@ -27,15 +32,14 @@ from .evidence_cases import (
     without,
 )
 from .evidence_colours import painted
-from .evidence_meshes import FACES, SAMPLES, VERTICES, from_mesh
 
-Told = Callable[[AccuracyCase, AccuracyCase, RefineResult], float | None]
-"""Something else about a result, of the case as it was, as it was altered, and what came of it; None where it is untold."""
+Measure = Callable[[AccuracyCase, AccuracyCase, RefineResult], float | None]
+"""A further figure: of the case as it was, the altered case, and its result; None where there is none."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """What is done to a case, and how it is then refined; a function where that hangs on the case."""
+    """How a case is altered, and how it is then refined; a function where that depends on the case."""
 
     alter: Alter
     variant: Variant | Callable[[AccuracyCase], Variant]
@@ -47,17 +51,19 @@ class Question:
 
     Parameters
     ----------
+    title : of its table.
     kinds : of `KINDS`. categories : None for all.
-    rows : by what they are called. told : more to know of each result, by name.
+    rows : by label. measures : further figures of each result, by name.
     """
 
+    title: str
     kinds: tuple[str, ...]
     rows: dict[str, Row]
     categories: tuple[str, ...] | None = None
-    told: dict[str, Told] = field(default_factory=dict)
+    measures: dict[str, Measure] = field(default_factory=dict)
 
 
-def _of(masks: int = 1, **settings: object) -> Variant:
+def _variant(masks: int = 1, **settings: object) -> Variant:
     return Variant(RefineConfig(**settings), masks)  # type: ignore[arg-type]
 
 
@@ -65,7 +71,7 @@ def _plane_of(case: AccuracyCase) -> Variant:
     """The plane that the start itself suggests, whatever the picture says; none where it has none."""
     plane = find_mirror_plane(case.initial)
     given = ",".join(repr(float(value)) for value in (*plane.normal, plane.offset)) if plane.symmetric else "none"
-    return _of(symmetry=given)
+    return _variant(symmetry=given)
 
 
 def _no_plane(case: AccuracyCase, altered: AccuracyCase, result: RefineResult) -> float:
@@ -92,12 +98,12 @@ def _iou(case: AccuracyCase, altered: AccuracyCase, result: RefineResult) -> flo
 
 def _framing_rows() -> dict[str, Row]:
     photos: dict[str, Alter] = {"the picture itself": as_it_is}
-    photos |= {f"in a photo {times} times as wide": in_photo(times) for times in (2, 4, 8, 16)}
-    photos["in the corner of a photo 8 times as wide"] = in_photo(8, across=1.0, down=1.0)
-    rows = {what: Row(alter, _of()) for what, alter in photos.items()}
+    photos |= {f"in a photo {times} times as wide": partial(in_photo, widths=(times,)) for times in (2, 4, 8, 16)}
+    photos["in the corner of a photo 8 times as wide"] = partial(in_photo, widths=(8,), across=1.0, down=1.0)
+    rows = {what: Row(alter, _variant()) for what, alter in photos.items()}
     for masks, words in ((2, "two"), (4, "four")):
-        rows[f"{words} masks"] = Row(as_it_is, _of(masks))
-        rows[f"{words} masks, in photos of other widths each"] = Row(in_photo(1, 4, 2, 8), _of(masks))
+        rows[f"{words} masks"] = Row(as_it_is, _variant(masks))
+        rows[f"{words} masks, in photos of other widths each"] = Row(partial(in_photo, widths=(1, 4, 2, 8)), _variant(masks))
     return rows
 
 
@@ -105,24 +111,27 @@ def _depth_rows() -> dict[str, Row]:
     rows = {}
     for planes in ("none", "auto"):
         words = "no symmetry" if planes == "none" else "symmetry auto"
-        rows[f"mask, {words}"] = Row(as_it_is, _of(symmetry=planes))
-        rows[f"mask and depth, {words}"] = Row(with_depth(), _of(symmetry=planes))
+        rows[f"mask, {words}"] = Row(as_it_is, _variant(symmetry=planes))
+        rows[f"mask and depth, {words}"] = Row(with_depth, _variant(symmetry=planes))
     for noise in (0.01, 0.03):
-        rows[f"mask and depth with noise of {noise}, no symmetry"] = Row(with_depth(noise), _of(symmetry="none"))
-    rows["two masks, no symmetry"] = Row(as_it_is, _of(2, symmetry="none"))
-    rows["two masks and their depths, no symmetry"] = Row(with_depth(), _of(2, symmetry="none"))
+        rows[f"mask and depth with noise of {noise}, no symmetry"] = Row(
+            partial(with_depth, noise=noise), _variant(symmetry="none")
+        )
+    rows["two masks, no symmetry"] = Row(as_it_is, _variant(2, symmetry="none"))
+    rows["two masks and their depths, no symmetry"] = Row(with_depth, _variant(2, symmetry="none"))
     return rows
 
 
 def _missing_rows() -> dict[str, Row]:
     objects: dict[str, Alter] = {"whole": as_it_is}
     objects |= {
-        f"{part} missing": without(key) for part, key in (("a side", "side"), ("what is high", "high"), ("what is low", "low"))
+        f"{part} missing": partial(without, part=key)
+        for part, key in (("a side", "side"), ("what is high", "high"), ("what is low", "low"))
     }
     planes: dict[str, Variant | Callable[[AccuracyCase], Variant]] = {
-        "no plane": _of(symmetry="none"),
+        "no plane": _variant(symmetry="none"),
         "the start's plane": _plane_of,
-        "the start's, if the picture bears it out": _of(),
+        "the start's, if the picture bears it out": _variant(),
     }
     return {f"{what}; {plane}": Row(alter, variant) for what, alter in objects.items() for plane, variant in planes.items()}
 
@@ -136,19 +145,19 @@ def _wrong_rows() -> dict[str, Row]:
     }
     rows: dict[str, Row] = {}
     for preset in ("paper", "best"):
-        rows |= {f"{what}; {preset}": Row(alter, _of(4, preset=preset)) for what, alter in views.items()}
+        rows |= {f"{what}; {preset}": Row(alter, _variant(4, preset=preset)) for what, alter in views.items()}
         if preset == "best":
-            full = _of(4, coarse_to_fine=replace(BEST, weigh_views=False))
+            full = _variant(4, coarse_to_fine=replace(BEST, weigh_views=False))
             rows |= {f"{what}; best, all in full": Row(alter, full) for what, alter in views.items()}
-        rows[f"the first three alone; {preset}"] = Row(as_it_is, _of(3, preset=preset))
-        rows[f"the three close together alone; {preset}"] = Row(bunched, _of(3, preset=preset))
+        rows[f"the first three alone; {preset}"] = Row(as_it_is, _variant(3, preset=preset))
+        rows[f"the three close together alone; {preset}"] = Row(bunched, _variant(3, preset=preset))
     return rows
 
 
 def _camera_rows() -> dict[str, Row]:
     return {
         f"{masks} mask{'s' * (masks > 1)}, {degrees} degrees off; {words}": Row(
-            cameras_off(degrees), _of(masks, refine_camera=refined)
+            partial(cameras_off, degrees=degrees), _variant(masks, refine_camera=refined)
         )
         for masks in (1, 2)
         for degrees in (0, 2, 5)
@@ -157,8 +166,12 @@ def _camera_rows() -> dict[str, Row]:
 
 
 def _placing_rows() -> dict[str, Row]:
-    placings: dict[str, Alter] = {"box": placed_by("box"), "silhouette": placed_by("silhouette"), "camera": as_it_is}
-    refined = {"points, paper": _of(preset="paper"), "points": _of(), "latent": _of(mode="latent")}
+    placings: dict[str, Alter] = {
+        "box": partial(placed_by, placing="box"),
+        "silhouette": partial(placed_by, placing="silhouette"),
+        "camera": as_it_is,
+    }
+    refined = {"points, paper": _variant(preset="paper"), "points": _variant(), "latent": _variant(mode="latent")}
     return {f"{place}; {what}": Row(alter, variant) for place, alter in placings.items() for what, variant in refined.items()}
 
 
@@ -166,49 +179,57 @@ def _colour_rows() -> dict[str, Row]:
     starts = {"bent 2": "bent until 2 off", "bent 6": "bent until 6 off", "other": "another shape's, in another paint"}
     rows = {}
     for start, words in starts.items():
-        rows[f"{words}; mask"] = Row(painted(start, None), _of(symmetry="none"))
+        rows[f"{words}; mask"] = Row(partial(painted, start=start, exposure=None), _variant(symmetry="none"))
         for exposure in (0.7, 1.4):
-            rows[f"{words}; mask and photo, exposed {exposure} times"] = Row(painted(start, exposure), _of(symmetry="none"))
+            rows[f"{words}; mask and photo, exposed {exposure} times"] = Row(
+                partial(painted, start=start, exposure=exposure), _variant(symmetry="none")
+            )
     return rows
 
 
 def _mesh_rows() -> dict[str, Row]:
     meshes = {"as it is": None, "cut down to 400 faces": 400}
-    forms = VERTICES, SAMPLES, FACES
-    return {f"{what}; {form}": Row(from_mesh(form, faces), _of()) for what, faces in meshes.items() for form in forms}
+    forms = VERTICES, SAMPLED, FACES
+    return {
+        f"{what}; {form}": Row(partial(from_mesh, form=form, faces=faces), _variant())
+        for what, faces in meshes.items()
+        for form in forms
+    }
 
 
-# About the chosen one a third and three times of it, and the paper's.
+# A third and three times the preset's rate, and the paper's.
 RATES = {"encoder": (1e-6, 1e-5, 3e-5, 1e-4), "encoder-decoder": (5e-6, 2e-5, 6e-5, 2e-4), "latent": (3e-4, 1e-3, 3e-3)}
 
 
 def _rate_rows() -> dict[str, Row]:
     rows: dict[str, Row] = {}
     for mode in NETWORK_MODES:
-        own = RefineConfig(mode)
-        rows |= {f"{mode}, {rate:g}": Row(as_it_is, Variant(replace(own, learning_rate=rate))) for rate in RATES[mode]}
-        chosen = own.settings()
+        config = RefineConfig(mode)
+        rows |= {f"{mode}, {rate:g}": Row(as_it_is, Variant(replace(config, learning_rate=rate))) for rate in RATES[mode]}
+        chosen = config.settings()
         paper = RefineConfig(mode, chosen.steps, chosen.learning_rate, PAPER_GAMMA["points"], preset="paper")
         rows[f"{mode}, {chosen.learning_rate:g}, BCE and Chamfer"] = Row(as_it_is, Variant(paper))
-        rows[f"{mode}, {chosen.learning_rate:g}, then points"] = Row(as_it_is, Variant(own, then=RefineConfig()))
+        rows[f"{mode}, {chosen.learning_rate:g}, then points"] = Row(as_it_is, Variant(config, then=RefineConfig()))
     return rows
 
 
+COMMON = ("chair", "airplane", "car")
 QUESTIONS = {
-    "framing": Question(("other", "near"), _framing_rows(), told={"IoU": _iou}),
-    "depth": Question(("other", "near"), _depth_rows(), ("chair", "airplane", "car")),
-    "colours": Question(("other",), _colour_rows(), ("chair", "airplane", "car")),
-    "missing": Question(("other",), _missing_rows(), ("chair", "airplane", "car", "sofa"), {"without a plane": _no_plane}),
-    "wrong": Question(("other",), _wrong_rows(), told={"trust in the fourth": _trust_in_fourth}),
+    "framing": Question("The object in a larger photo", ("other", "near"), _framing_rows(), measures={"IoU": _iou}),
+    "depth": Question("Depth maps", ("other", "near"), _depth_rows(), COMMON),
+    "colours": Question("Photos of painted objects", ("other",), _colour_rows(), COMMON),
+    "missing": Question(
+        "Objects of which a part is missing", ("other",), _missing_rows(), (*COMMON, "sofa"), {"without a plane": _no_plane}
+    ),
+    "wrong": Question("Wrong views among four", ("other",), _wrong_rows(), measures={"trust in the fourth": _trust_in_fourth}),
     "cameras": Question(
+        "Cameras that are off",
         ("other", "near"),
         _camera_rows(),
-        ("chair", "airplane", "car"),
+        COMMON,
         {"corrected": _corrected, "degrees left": _degrees_left},
     ),
-    "placing": Question(("network",), _placing_rows()),
-    "rates": Question(("network",), _rate_rows()),
-    "meshes": Question(("other",), _mesh_rows()),
+    "placing": Question("Where a prediction stands", ("network",), _placing_rows()),
+    "rates": Question("Learning rates of the network's variants", ("network",), _rate_rows()),
+    "meshes": Question("Starts that are meshes", ("other",), _mesh_rows()),
 }
-"""By name: objects in larger photos, depth maps, photos of painted objects, objects of which a part is missing, wrong views,
-cameras that are off, predictions at an unknown distance, learning rates of the network's variants, starts that are meshes."""

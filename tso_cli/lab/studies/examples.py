@@ -14,70 +14,52 @@ from ...io.shipped import CATEGORIES, examples_folder
 from ...refinement import RefineConfig, RefineResult, refine
 from ...scene.load import Scene, load_points_scene
 from ...scene.network import load_network_scene
-from ...version import __version__
-from .protocol import Report
+from ..charts.ratios import Panel, draw_ratios
+from ..study import Option, Progress, Record, Study, Table, record_of
 
 RUNS = 5
+CONVENTION = {
+    "chamfer": "squared distances, mean over points, forward (target -> cloud) + backward; target's longest side 1",
+    "chamfer_capnet": "the same after each cloud was centred and scaled to longest side 1 by its own box",
+    "iou": IOU_MEANS,
+    "seconds": f"median of {RUNS} runs of the optimisation alone, after one that is not counted",
+}
 
 
-def study_examples(checkpoint: Path | None = None, report: Report | None = None) -> dict[str, Any]:
+def run(progress: Progress, *, checkpoint: Path | None) -> Record:
     """Refine each shipped example with the paper's settings and judge it by Chamfer to its target.
 
-    Parameters
-    ----------
-    checkpoint : a view-aligned network; with it the two network modes are run too. Their clouds are judged in the world
-        of the camera file, as `--frame world` writes them.
-    report : called with (what, done, total).
-
-    Returns
-    -------
-    A JSON-able record with one entry for each example and mode. Distances are raw.
+    With a view-aligned network in ``checkpoint`` its two modes are run too; their clouds are judged in the world of the
+    camera file.
     """
     modes = ["points", "encoder", "encoder-decoder"] if checkpoint else ["points"]
-    records = []
-    for i, name in enumerate(CATEGORIES):
-        for j, mode in enumerate(modes):
-            records.append(_run(examples_folder() / name, name, mode, checkpoint))
-            if report:
-                report("examples", i * len(modes) + j + 1, len(CATEGORIES) * len(modes))
-    return {
-        "study": "examples",
-        "version": __version__,
-        "convention": {
-            "chamfer": "squared distances, mean over points, forward (target -> cloud) + backward; target's longest side 1",
-            "chamfer_capnet": "the same after each cloud was centred and scaled to longest side 1 by its own box",
-            "iou": IOU_MEANS,
-            "seconds": f"median of {RUNS} runs of the optimisation alone, after one that is not counted",
-        },
-        "examples": records,
-    }
+    rows: list[dict[str, Any]] = []
+    for name in CATEGORIES:
+        for mode in modes:
+            rows.append(_run(name, mode, checkpoint))
+            progress.report("examples", len(rows), len(CATEGORIES) * len(modes))
+    return record_of("examples", CONVENTION, examples=rows)
 
 
-def _run(folder: Path, name: str, mode: str, checkpoint: Path | None) -> dict[str, Any]:
+def _run(name: str, mode: str, checkpoint: Path | None) -> dict[str, Any]:
+    folder = examples_folder() / name
     target = read_cloud(folder / "target.ply").points
     scene = example_scene(folder, mode, checkpoint)
     config = RefineConfig(mode, sigma_sq=scene.sigma_sq, preset="paper")
-    results: list[RefineResult] = []
-    seconds = []
+    results, seconds = [], []
     for _ in range(RUNS + 1):
         start = time.perf_counter()
         results.append(refine_scene(scene, config))
         seconds.append(time.perf_counter() - start)
     result = results[0]
-    before, after = (scene.to_output(points) for points in (result.initial, result.points))
-    own = normalise_longest_side
-    plain = [chamfer(points, target).chamfer for points in (before, after)]
-    capnet = [chamfer(own(points), own(target)).chamfer for points in (before, after)]
+    clouds = [scene.to_output(points) for points in (result.initial, result.points)]
+    plain = [chamfer(points, target).chamfer for points in clouds]
+    capnet = [chamfer(normalise_longest_side(points), normalise_longest_side(target)).chamfer for points in clouds]
     return {
         "example": name,
         "mode": mode,
         "points": len(result.points),
-        "steps": result.steps,
-        "learning_rate": result.learning_rate,
-        "gamma": result.gamma,
-        "sigma_sq": result.sigma_sq,
-        "iou_before": result.iou_before,
-        "iou_after": result.iou_after,
+        **{key: getattr(result, key) for key in ("steps", "learning_rate", "gamma", "sigma_sq", "iou_before", "iou_after")},
         "chamfer_before": plain[0],
         "chamfer_after": plain[1],
         "ratio": plain[1] / plain[0],
@@ -97,3 +79,34 @@ def example_scene(folder: Path, mode: str, checkpoint: Path | None) -> Scene:
 def refine_scene(scene: Scene, config: RefineConfig) -> RefineResult:
     """Refine what was loaded, a cloud or a network."""
     return refine(None if scene.network else scene.points, scene.view, config=config, network=scene.network, image=scene.image)
+
+
+def tables(record: Record) -> list[Table]:
+    """A row for each example and mode."""
+    header = ["example", "mode", "IoU before", "after", "Chamfer x1000 before", "after", "ratio", "seconds"]
+    rows = [
+        [row["example"], row["mode"], row["iou_before"], row["iou_after"]]
+        + [1e3 * row["chamfer_before"], 1e3 * row["chamfer_after"], row["ratio"], row["seconds"]]
+        for row in record["examples"]
+    ]
+    return [Table(header, rows)]
+
+
+def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+    """Chamfer after / before of each mode, a panel for each example."""
+    panels: dict[str, dict[str, list[float]]] = {}
+    for row in record["examples"]:
+        panels.setdefault(row["example"], {})[row["mode"]] = [row["ratio"]]
+    draw_ratios(path, [[Panel(name, rows) for name, rows in panels.items()]], overwrite)
+
+
+STUDY = Study(
+    "examples",
+    "IoU, Chamfer and time of every mode with the paper's settings.",
+    (Option("--checkpoint", "View-aligned network, or `default`, the shipped one; adds the two network modes.", Path),),
+    run,
+    tables,
+    draw,
+    "Points mode raises the IoU most, but one mask says nothing of depth: the gain in Chamfer is far smaller than the gain "
+    "in IoU. The network modes move less, and move what the picture does not show as well.",
+)

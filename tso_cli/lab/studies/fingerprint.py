@@ -1,6 +1,6 @@
-"""Which method a record is of: beside its figures it keeps what that method did to the shipped examples.
+"""Which method a record is of: it keeps what that method did to the shipped examples.
 
-A record of another method than today's is not gone on from, and no page may show it.
+A record of another method than today's is not resumed, and no page may show it.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ Record = dict[str, Any]
 Fingerprint = dict[str, Numbers]
 
 KEY = "fingerprint"
-# Shares up to which two numbers are the same. On one or two threads, in plain or compiled loops, with another BLAS or set of
+# Relative tolerances of two numbers. On one or two threads, in plain or compiled loops, with another BLAS or set of
 # instructions they differ by 3e-4 at most. Where points move in stages the last bit of a start can choose other nodes, which
-# more masks and steps amplify: there Chamfer distances differ by up to 0.014, the ways of the points by up to 0.029.
+# more masks and steps amplify: there Chamfer distances differ by up to 0.014, displacements by up to 0.029.
 TOLERANCE = 0.005
 STAGED, STAGED_TOLERANCES = "points, best", {"Chamfer": 0.02, "moved": 0.04, "IoU": 0.01}
 
@@ -69,7 +69,7 @@ JUDGED: dict[str, Callable[[Record], Iterable[str]]] = {
     "photos": lambda record: [PAPER, BEST, f"{PAPER}, {FOUR}", f"{BEST}, {FOUR}"],
     "speed": lambda record: [part for row in record["records"] for part in TIMED.get(row["what"], ())],
 }
-"""Study -> what its record judges, of `PARTS`."""
+"""Study -> the parts of the method that its record judges."""
 
 _known: Fingerprint = {}
 
@@ -93,7 +93,7 @@ def study_of(record: Record) -> str | None:
 
 
 def parts_of(record: Record) -> list[str]:
-    """What ``record`` judges; InputError where it does not say so."""
+    """The parts that ``record`` depends on; InputError where its settings do not say."""
     name = study_of(record)
     if name is None:
         raise InputError(f"the record is of the study {shown(record.get('study'))}, expected one of {', '.join(JUDGED)}")
@@ -104,7 +104,7 @@ def parts_of(record: Record) -> list[str]:
 
 
 def fingerprint(record: Record) -> Fingerprint:
-    """Of the method as it is, what ``record`` judges of it; numbers have five digits. Worked out once in a process."""
+    """The numbers of today's method that ``record`` depends on, five digits each; computed once in a process."""
     parts = parts_of(record)
     for part in parts:
         if part not in _known:
@@ -118,27 +118,27 @@ def stamped(record: Record) -> Record:
 
 
 def differences(record: Record, lacking: bool = True) -> list[str]:
-    """What sets the method of ``record`` apart from the method as it is, a line a number; empty where nothing does.
+    """How the method of ``record`` differs from today's, a line a number; empty where it does not.
 
-    ``lacking`` : numbers that one of both lacks set them apart too.
+    ``lacking`` : a number that only one of the two has is a difference too.
     """
     parts_of(record)
     kept = record.get(KEY)
     if not isinstance(kept, dict):
         return [f"it has no {KEY}"]
-    found = []
+    lines = []
     for part, numbers in fingerprint(record).items():
-        own = kept.get(part)
-        own = own if isinstance(own, dict) else {}
-        for what in dict.fromkeys((*numbers, *own)):
-            then, now = own.get(what), numbers.get(what)
-            if (lacking or None not in (then, now)) and not _alike(part, what, then, now):
-                found.append(f"{part}: {what} {then}, now {now}")
-    return found
+        earlier = kept.get(part)
+        earlier = earlier if isinstance(earlier, dict) else {}
+        for what in dict.fromkeys((*numbers, *earlier)):
+            then, today = earlier.get(what), numbers.get(what)
+            if (lacking or None not in (then, today)) and not _alike(part, what, then, today):
+                lines.append(f"{part}: {what} {then}, now {today}")
+    return lines
 
 
-def _alike(part: str, what: str, then: object, now: float | None) -> bool:
-    if not isinstance(then, (int, float)) or now is None:
+def _alike(part: str, what: str, then: object, today: float | None) -> bool:
+    if not isinstance(then, (int, float)) or today is None:
         return False
     tolerance = STAGED_TOLERANCES.get(what.split(": ")[-1], TOLERANCE) if part.startswith(STAGED) else TOLERANCE
-    return abs(then - now) <= tolerance * abs(now)
+    return abs(then - today) <= tolerance * abs(today)

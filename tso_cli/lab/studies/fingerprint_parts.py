@@ -1,4 +1,4 @@
-"""What fingerprints are made of: each part is something that records judge, done to the shipped examples, in a few numbers."""
+"""The parts of fingerprints: each a piece of the method, run on the shipped examples, in a few numbers."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from .mean_shape import mean_shape, pair_chamfer
 from .parts import Shape, see
 
 Numbers = dict[str, float]
-# What takes longer than points mode is done to one example alone, and weights take so many steps at most.
+# What takes longer than points mode is run on one example alone, and weights take at most so many steps.
 ONE = "chair"
 WEIGHT_STEPS = 12
 QUARTER_TURNS = (90.0, 180.0, 270.0)
@@ -49,30 +49,30 @@ RATE = 3e-6
 
 
 def refined(mode: str, preset: str) -> Numbers:
-    """Settings of the refinement, and for each example Chamfer distance to the truth and mean way of the points, x1000."""
-    own = RefineConfig(mode, preset=preset)
-    settings = own.settings()
-    found: Numbers = {"steps": settings.steps, "learning rate": settings.learning_rate, "gamma": settings.gamma}
+    """Settings of the refinement, and for each example Chamfer distance to the truth and mean displacement, x1000."""
+    config = RefineConfig(mode, preset=preset)
+    settings = config.settings()
+    numbers: Numbers = {"steps": settings.steps, "learning rate": settings.learning_rate, "gamma": settings.gamma}
     steps = settings.steps if mode == "points" else min(settings.steps, WEIGHT_STEPS)
     for name in CATEGORIES if mode == "points" else (ONE,):
         scene = example_scene(examples_folder() / name, mode, default_checkpoint())
-        result = refine_scene(scene, replace(own, sigma_sq=scene.sigma_sq, steps=steps))
+        result = refine_scene(scene, replace(config, sigma_sq=scene.sigma_sq, steps=steps))
         after = _after(name, result, scene.to_output(result.points))
-        found |= {f"{name}: {what}": value for what, value in after.items()}
-    return found
+        numbers |= {f"{name}: {what}": value for what, value in after.items()}
+    return numbers
 
 
 def predicted() -> Numbers:
     """Chamfer distance x1000 of the shipped network's predictions to the truth, placed by silhouette and by box."""
-    found: Numbers = {}
+    numbers: Numbers = {}
     for name in CATEGORIES:
         folder, target = examples_folder() / name, _truth(name)
         for placing in ("silhouette", "box"):
             scene = load_network_scene(
                 folder / "image.png", folder / "mask.png", default_checkpoint(), world=True, placing=placing
             )
-            found[f"{name}: {placing}"] = 1e3 * chamfer(scene.to_output(scene.points), target).chamfer
-    return found
+            numbers[f"{name}: {placing}"] = 1e3 * chamfer(scene.to_output(scene.points), target).chamfer
+    return numbers
 
 
 def from_four_sides(preset: str) -> Numbers:
@@ -141,25 +141,25 @@ def camera_fitted() -> Numbers:
 
 def silhouettes() -> Numbers:
     """Mean |silhouette - mask| over the pixels of 64x64, by sigma^2."""
-    found: Numbers = {}
+    numbers: Numbers = {}
     for name in CATEGORIES:
         view = _of_64_pixels(_view(name))
         for sigma_sq in SIGMAS:
             error = np.abs(silhouette_of(_truth(name), view.camera, sigma_sq) - view.mask).mean()
-            found[f"{name}: sigma^2 {sigma_sq:g}"] = float(error)
-    return found
+            numbers[f"{name}: sigma^2 {sigma_sq:g}"] = float(error)
+    return numbers
 
 
 def pictures() -> Numbers:
     """A shipped mesh as the studies render theirs: foreground, brightness, distance of its views; how far its points reach."""
     shape = Shape(MESH, examples_folder() / "meshes" / f"{MESH}.ply")
     seen = see(shape, RenderSettings(views=2, size=(96, 96)), SEED)
-    found: Numbers = {"points": float(np.abs(seen.target).mean())}
+    numbers: Numbers = {"points": float(np.abs(seen.target).mean())}
     for number, view in enumerate(seen.views, 1):
-        found[f"view {number}: foreground"] = float(view.mask.mean())
-        found[f"view {number}: brightness"] = float(view.image.mean())
-        found[f"view {number}: distance"] = float(view.camera.t[2])
-    return found
+        numbers[f"view {number}: foreground"] = float(view.mask.mean())
+        numbers[f"view {number}: brightness"] = float(view.image.mean())
+        numbers[f"view {number}: distance"] = float(view.camera.t[2])
+    return numbers
 
 
 def trained(projection: str = GAUSSIAN, **changes: Any) -> Numbers:
@@ -172,7 +172,7 @@ def trained(projection: str = GAUSSIAN, **changes: Any) -> Numbers:
     result = train(data, config, objective=objective)
     losses = {f"loss {step}": float(row[0]) for step, row in enumerate(result.history, 1)}
     judged = judge(predict(result.network, data, config.frame, views=1))
-    return losses | {category: 1e3 * own["capnet"]["chamfer"] for category, own in judged.items()}
+    return losses | {category: 1e3 * row["capnet"]["chamfer"] for category, row in judged.items()}
 
 
 def mean_shape_of_the_examples() -> Numbers:
@@ -204,7 +204,6 @@ PARTS: dict[str, Callable[[], Numbers]] = {
     **{f"training on masks, {projection} projection": partial(trained, projection, **MASKS) for projection in PROJECTIONS},
     "mean shape": mean_shape_of_the_examples,
 }
-"""By what they are called."""
 
 
 def _refined(views: tuple[View, ...], preset: str = "best", colours: Array | None = None) -> Numbers:
@@ -213,7 +212,7 @@ def _refined(views: tuple[View, ...], preset: str = "best", colours: Array | Non
 
 
 def _after(name: str, result: RefineResult, points: Array | None = None) -> Numbers:
-    """Of the cloud that came of it, in the truth's frame: that of the result, unless ``points`` are given."""
+    """Of the refined cloud in the truth's frame: that of the result, unless ``points`` are given."""
     points = result.points if points is None else points
     moved = np.linalg.norm(result.points - result.initial, axis=1).mean()
     distance = 1e3 * chamfer(points, _truth(name)).chamfer
@@ -235,9 +234,8 @@ def _start() -> Array:
 
 
 def _from_four_sides() -> tuple[View, ...]:
-    view = _view()
-    others = [_turned(view, degrees) for degrees in QUARTER_TURNS]
-    return (view, *(replace(other, mask=silhouette_of(_truth(ONE), other.camera)) for other in others))
+    turned = [_turned(_view(), degrees) for degrees in QUARTER_TURNS]
+    return (_view(), *(replace(view, mask=silhouette_of(_truth(ONE), view.camera)) for view in turned))
 
 
 def _of_64_pixels(view: View) -> View:
@@ -256,18 +254,18 @@ def _nearest(view: View) -> NDArray[np.int64]:
     from scipy.spatial import cKDTree
 
     rows, columns = np.indices(view.mask.shape)
-    found: NDArray[np.int64] = cKDTree(view.camera.project(_truth(ONE))[0]).query(np.stack([columns, rows], -1))[1]
-    return found
+    indices: NDArray[np.int64] = cKDTree(view.camera.project(_truth(ONE))[0]).query(np.stack([columns, rows], -1))[1]
+    return indices
 
 
 def _seen_from_four_sides() -> TrainingData:
     """The examples as training data: their own picture, and white silhouettes of the truth from the three other sides."""
     objects = []
     for name in CATEGORIES:
-        own, image = _view(name), read_image(examples_folder() / name / "image.png")[..., :3]
-        pictures = [(own.camera, (image, own.mask))]
+        view, image = _view(name), read_image(examples_folder() / name / "image.png")[..., :3]
+        pictures = [(view.camera, (image, view.mask))]
         for degrees in QUARTER_TURNS:
-            camera = _turned(own, degrees).camera
+            camera = _turned(view, degrees).camera
             mask = silhouette_of(_truth(name), camera)
             pictures.append((camera, (np.repeat(np.uint8(255.0 * mask)[..., None], 3, -1), mask)))
         views = [ViewItem(f"{name} view {i}", camera, partial(_same, shown)) for i, (camera, shown) in enumerate(pictures)]

@@ -1,20 +1,25 @@
-"""The shapes of one part of a split, as a study goes through them."""
+"""What studies are made on: the shapes of one part of a split, and a network."""
 
 from __future__ import annotations
 
+import hashlib
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from ...datasets.splits import read_part
 from ...errors import InputError
 from ...geometry.points import Array
+from ...io.checkpoints import load_network
 from ...io.meshes import Mesh, find_meshes, read_mesh
+from ...network.model import BaseNetwork, NetworkConfig
 from ...render import RayScene, RenderedView, RenderSettings, ground_truth, normalise, render_view, sample_cameras
 
+Item = TypeVar("Item")
 SPLIT = Path(__file__).with_name("split.json")
 """Training, validation and test types of the shapes that the shipped network is from."""
 
@@ -74,17 +79,14 @@ def shapes_of_part(
     names = read_part(split_file, part)
     if not names:
         raise InputError(f"{split_file}: names no shape for {part}, expected some")
-    found = sorted({name.split("/")[0] for name in names})
+    known = sorted({name.split("/")[0] for name in names})
     for category in categories:
-        if category not in found:
-            raise InputError(f"{split_file}: names no {category} for {part}, expected some of {', '.join(found)}")
+        if category not in known:
+            raise InputError(f"{split_file}: names no {category} for {part}, expected some of {', '.join(known)}")
     meshes = {path.relative_to(folder).with_suffix("").as_posix(): path for path in find_meshes(folder)}
     chosen = []
-    for category in [name for name in found if not categories or name in categories]:
-        own = [name for name in names if name.split("/")[0] == category]
-        if limit is not None and limit < len(own):
-            own = [own[i] for i in np.linspace(0, len(own) - 1, limit).round().astype(int)]
-        chosen += own
+    for category in [name for name in known if not categories or name in categories]:
+        chosen += spread([name for name in names if name.split("/")[0] == category], limit)
     missing = [name for name in chosen if name not in meshes]
     if missing:
         raise InputError(
@@ -92,6 +94,12 @@ def shapes_of_part(
             f"{split_file} names for {part}"
         )
     return [Shape(name, meshes[name]) for name in chosen]
+
+
+def spread(items: Sequence[Item], limit: int | None) -> list[Item]:
+    """At most ``limit`` of ``items``, evenly over their order."""
+    count = len(items) if limit is None else min(limit, len(items))
+    return [items[i] for i in np.linspace(0, len(items) - 1, count).round().astype(int)]
 
 
 def see(shape: Shape, settings: RenderSettings, seed: int) -> SeenShape:
@@ -102,3 +110,19 @@ def see(shape: Shape, settings: RenderSettings, seed: int) -> SeenShape:
     scene = RayScene(mesh)
     views = [render_view(scene, camera, rng) for camera in sample_cameras(settings, mesh.vertices, rng)]
     return SeenShape(mesh, scene, target, views)
+
+
+def view_aligned_network(checkpoint: Path) -> tuple[BaseNetwork, NetworkConfig]:
+    """The network of a checkpoint; InputError if it does not predict in the axes of the view."""
+    network, about = load_network(checkpoint)
+    if about.frame != "view":
+        raise InputError(f"{checkpoint}: predicts in the {about.frame} frame, expected a view-aligned network")
+    return network, about
+
+
+def weights_hash(network: BaseNetwork) -> str:
+    """Changes when a weight does; what else is in a checkpoint says nothing of its predictions."""
+    digest = hashlib.sha256()
+    for name, tensor in sorted(network.state_dict().items()):
+        digest.update(name.encode() + tensor.float().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:16]

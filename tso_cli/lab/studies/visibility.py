@@ -27,10 +27,10 @@ def visible_points(scene: RayScene, points: Array, camera: Camera, tolerance: fl
     normals = np.zeros((len(points), 3))
     for start in range(0, len(points), POINTS_AT_ONCE):
         part = slice(start, start + POINTS_AT_ONCE)
-        found = scene.cast(camera, pixels[part, 0], pixels[part, 1])
-        own = np.arange(len(pixels[part]))
-        hits[part], normals[part] = found["hit"][own, own], found["normal"][own, own]
-        faces[part] = np.where(hits[part], found["face"][own, own].astype(np.int64), 0)
+        rays_hit = scene.cast(camera, pixels[part, 0], pixels[part, 1])
+        diagonal = np.arange(len(pixels[part]))
+        hits[part], normals[part] = rays_hit["hit"][diagonal, diagonal], rays_hit["normal"][diagonal, diagonal]
+        faces[part] = np.where(hits[part], rays_hit["face"][diagonal, diagonal].astype(np.int64), 0)
     corners = scene.mesh.vertices[scene.mesh.faces[faces, 0]]
     along = (normals * rays).sum(1)
     # Where the plane of the hit face meets the ray; a face seen edge-on hides nothing.
