@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
 PAGES = (README, *sorted(DOCS.glob("*.md")))
-RECORDS = next(folder for folder in (DOCS / "records", DOCS / "figures") if any(folder.glob("*.json")))
+RECORDS = DOCS / "records"
 CONSOLE = re.compile(r"```console\n(.*?)```", re.DOTALL)
 
 
@@ -236,7 +236,7 @@ def kernels() -> str:
 
 def stages() -> str:
     """The stages of the default preset."""
-    from tso_cli.refinement.coarse_to_fine import STAGES
+    from tso_cli.refinement.presets import STAGES
 
     rows = [[str(number), *(f"{value:g}" for value in astuple(stage)[:5])] for number, stage in enumerate(STAGES, 1)]
     header = ["stage", "smoothness lambda", "robust scale r", "learning-rate scale", "nodes", "averaging weight"]

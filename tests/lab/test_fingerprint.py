@@ -18,7 +18,7 @@ from tso_cli.refinement import camera_correction, presets, problem, resampled_vi
 from tso_cli.silhouette import affinity, bce, chamfer, mask_chamfer, projection
 from tso_cli.train import losses
 
-from ..readme import FIGURES
+from ..readme import RECORDS
 from ..training import make_known
 from .studying import tso
 
@@ -114,7 +114,7 @@ def test_every_study_and_the_measurement_of_speed_say_what_they_judge(monkeypatc
     assert set(prints.QUESTIONS) == set(evidence_questions.QUESTIONS)
     assert set(JUDGED) == set(STUDIES) | {"speed", "photos"}
     judged = set()
-    for path in FIGURES.glob("*.json"):
+    for path in RECORDS.glob("*.json"):
         record = {"study": "photos"} | json.loads(path.read_text())
         judged |= set(fingerprint(record))
         assert fingerprint(record)
@@ -125,7 +125,7 @@ def test_every_study_and_the_measurement_of_speed_say_what_they_judge(monkeypatc
 def test_a_record_of_another_method_is_not_gone_on_from(name, tmp_path, monkeypatch):
     make_known(monkeypatch)
     path = tmp_path / "record.json"
-    record = json.loads((FIGURES / f"{name}.json").read_text())
+    record = json.loads((RECORDS / f"{name}.json").read_text())
     write_record(record, path)
     assert earlier_record(name, path, True)["fingerprint"] == fingerprint(record)
     part = next(iter(fingerprint(record)))

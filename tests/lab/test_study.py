@@ -14,7 +14,7 @@ from tso_cli.lab.commands.study import command_of
 from tso_cli.lab.studies import QUESTIONS, fingerprint
 from tso_cli.lab.study import MESHES, Option, Progress, Study, Table, claim, page, record_of
 
-from ..readme import FIGURES
+from ..readme import RECORDS
 from ..training import make_known
 from .studying import tso
 
@@ -152,7 +152,7 @@ def test_pages_are_written_anew_of_records_alone(tmp_path, monkeypatch, capsys):
     "name", ["accuracy", "accuracy-ablation", "evidence", "tso", "points", "examples", "network", "pose", "sigma"]
 )
 def test_kept_records_have_pages(name):
-    record = json.loads((FIGURES / f"{name}.json").read_text())
+    record = json.loads((RECORDS / f"{name}.json").read_text())
     study = pages.load(record["study"])
     assert study.name == record["study"] in QUESTIONS
     assert len(study.reading.split()) <= 120

@@ -22,7 +22,7 @@ from tso_cli.render import look_at
 from tso_cli.train.batches import Draw, assemble
 from tso_cli.train.data import TrainingData
 
-from ..readme import FIGURES
+from ..readme import RECORDS
 from ..training import box_surface, make_objects, make_thin
 from .studying import MESHES, check_command, tso, write_split
 
@@ -269,7 +269,7 @@ def test_the_failures_show_where_bodies_are_narrow_and_depth_errs_most(widths, d
 @pytest.mark.parametrize("study", [supervision, views, weight, affinity, failures, departures])
 def test_the_runs_of_a_kept_record_give_its_conclusions_and_tables(study):
     name = study.STUDY.name
-    record = json.loads((FIGURES / f"{name}.json").read_text())
+    record = json.loads((RECORDS / f"{name}.json").read_text())
     conclusions = json.loads(json.dumps(study.conclude(record["runs"])))
     assert conclusions == {key: record[key] for key in conclusions}
     assert page(study.STUDY, record, f"{name}.json").startswith(f"# {study.STUDY.question}\n")

@@ -154,7 +154,7 @@ class Study:
     Parameters
     ----------
     name : of the command `tso lab NAME` and of the record's "study"; its question is that of `lab.studies.QUESTIONS`.
-    about : what the command's help says below the question.
+    about : what the command's help says below the question; the question itself where the study is no command of `tso lab`.
     options : of the command, beside -o, --overwrite, --json and, where records are kept, --resume.
     run : (progress, one keyword for each option) -> the record, JSON-able.
     tables : record -> its tables.
@@ -174,7 +174,7 @@ class Study:
 
     @property
     def question(self) -> str:
-        return QUESTIONS[self.name][1]
+        return QUESTIONS[self.name][1] if self.name in QUESTIONS else self.about
 
 
 def record_of(study: str, convention: dict[str, str] | str, **content: Any) -> Record:

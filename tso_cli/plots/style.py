@@ -16,16 +16,20 @@ COLOURS = (BETTER, WORSE, "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 
 @contextmanager
 def figure_file(path: Path, overwrite: bool, size: tuple[float, float], dpi: int = 110) -> Iterator[Any]:
-    """A figure of ``size`` inches, written to ``path`` after the block; InputError if it cannot be written."""
+    """A figure of ``size`` inches, written to ``path`` in 256 colours after the block; InputError if it cannot be written."""
     check_output(path, overwrite)
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from PIL import Image
 
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
     yield figure
     with atomic_output(path) as temporary:
         figure.savefig(temporary, dpi=dpi)
+        with Image.open(temporary) as picture:
+            small = picture.convert("RGB").quantize(256, dither=Image.Dither.NONE)
+        small.save(temporary, optimize=True)
 
 
 @contextmanager

@@ -62,6 +62,7 @@ def speed(setting: Setting, only: Sequence[str] = ()) -> dict[str, Any]:
     memory.add_peaks(records, setting)
     return {
         "bench": "speed",
+        "command": "tso bench speed" + (" --full" if setting.full else ""),
         "machine": machine(setting.device),
         "versions": versions(),
         "threads": setting.threads,

@@ -20,16 +20,16 @@ class Panel:
     references: Mapping[str, float] = field(default_factory=dict)
 
 
-def draw_ratios(path: Path, grid: Sequence[Sequence[Panel]], overwrite: bool) -> None:
-    """Panels in rows that share their labels; a case that got worse is red, the line is at 1.
+def draw_ratios(path: Path, grid: Sequence[Sequence[Panel]], overwrite: bool, row_height: float = 0.18) -> None:
+    """Panels in rows that share their labels; a case that got worse is red, the line is at 1. ``row_height`` : inches.
 
     Raises InputError if ``path`` cannot be written to.
     """
     labels = [list(dict.fromkeys(label for panel in row for label in panel.rows)) for row in grid]
-    heights = [0.8 + 0.2 * len(names) for names in labels]
+    heights = [0.5 + row_height * len(names) for names in labels]
     columns = max(map(len, grid))
     rng = np.random.default_rng(0)
-    with page(path, overwrite, (2.5 + 2.6 * columns, sum(heights)), dpi=100) as figure:
+    with page(path, overwrite, (2.5 + 2.4 * columns, 0.4 + sum(heights)), dpi=100) as figure:
         axes = figure.subplots(len(grid), columns, squeeze=False, height_ratios=heights)
         for axis in axes.flat:
             axis.set_yticks([])
@@ -48,5 +48,5 @@ def draw_ratios(path: Path, grid: Sequence[Sequence[Panel]], overwrite: bool) ->
                 axis.tick_params(labelsize=8)
             for axis in row[len(panels) :]:
                 axis.set_xticks([])
-            row[0].set_yticks(range(len(names)), names, fontsize=8)
+            row[0].set_yticks(range(len(names)), names, fontsize=8 if row_height > 0.15 else 7)
         figure.supxlabel("Chamfer after / before of each case, and their mean", fontsize=9)

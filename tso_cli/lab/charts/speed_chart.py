@@ -23,7 +23,7 @@ def draw_speed(path: Path, record: dict[str, Any], overwrite: bool = False) -> N
     panels = [(panel, rows) for whats, panel in PANELS.items() if (rows := [r for r in measured if r["what"] in whats])]
     columns = min(3, len(panels)) or 1
     rows_of_panels = -(-len(panels) // columns) or 1
-    with page(path, overwrite, (max(7.0, 5.4 * columns), 0.4 + 5.2 * rows_of_panels)) as figure:
+    with page(path, overwrite, (max(7.0, 5.4 * columns), 0.4 + 4.6 * rows_of_panels)) as figure:
         axes = figure.subplots(rows_of_panels, columns, squeeze=False).flatten()
         for axis in axes[len(panels) :]:
             axis.remove()

@@ -3,35 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-from ...plots.table import Cell, text_table
+from ..study import Table
 
 Record = dict[str, Any]
 Records = Sequence[Record]
-
-
-@dataclass(frozen=True)
-class Section:
-    """A table of what was measured under ``name``."""
-
-    name: str
-    title: str
-    header: list[str]
-    rows: list[list[Cell]]
-
-
-def speed_table(record: Record) -> str:
-    """All tables, what was left out, the targets, and the machine."""
-    parts = [f"{section.title}\n{text_table(section.header, section.rows)}" for section in sections(record)]
-    if left_out := left_out_lines(record["records"]):
-        parts.append("left out:\n" + "\n".join(f"  {line}" for line in left_out))
-    if record["claims"]:
-        claims = [f"target {'met' if c['holds'] else 'missed'}: {c['claim']} ({c['found']})" for c in record["claims"]]
-        parts.append("\n".join(claims))
-    parts.append(machine_line(record))
-    return "\n\n".join(parts)
 
 
 def machine_line(record: Record) -> str:
@@ -44,18 +21,18 @@ def machine_line(record: Record) -> str:
     return f"{on}, {machine['cores']} cores, {threads}, {record['device']}; {versions}; {run}"
 
 
-def left_out_lines(records: Records) -> list[str]:
+def left_out(records: Records) -> list[list[str]]:
     """Contestants without a measurement, and why."""
     reasons: dict[tuple[str, str], list[str]] = {}
     for record in records:
         if reason := record.get("left_out"):
             size = "" if reason == "not installed" else f" ({_size(record)})"
             reasons.setdefault((record["what"], record["name"]), []).append(reason + size)
-    return [f"{what}, {name}: {'; '.join(dict.fromkeys(lines))}" for (what, name), lines in reasons.items()]
+    return [[f"{what}, {name}", "; ".join(dict.fromkeys(lines))] for (what, name), lines in reasons.items()]
 
 
-def sections(record: Record) -> list[Section]:
-    """The tables of whatever was measured."""
+def tables(record: Record) -> list[Table]:
+    """Of whatever was measured; the last says what was left out, and where the record was made."""
     records = [r for r in record["records"] if r["seconds"]]
 
     def of(*whats: str) -> Records:
@@ -64,26 +41,25 @@ def sections(record: Record) -> list[Section]:
     peaks = [r for r in records if r["peak_memory_bytes"] is not None]
     work = "{name}, {points:,} points"
     training = of("training, points", "training, masks")
-    tables = [
-        _pivot("silhouette", "silhouette, forward and backward: ms (x tso's)", of("silhouette"), _ms_and("over_tso")),
-        _pivot("chamfer", "Chamfer to the start, a step: ms (x tso's)", of("chamfer"), _ms_and("over_tso")),
-        _pivot("memory", "peak memory of a call: MiB", peaks, _mib, "{what}: {name}", "{points:,}"),
-        _pivot("terms", "value and gradient: ms (x the projector)", of("terms"), _ms_and("over_projector")),
-        _pivot("step", "a step in points mode: ms (share of the whole)", of("step"), _ms_and_share),
-        _pivot("network", "a step: ms", of("step, encoder", "step, encoder-decoder"), _ms, "{what}", "{name}"),
-        _pivot(
-            "batch", "1,024 points: ms a cloud (x `refine`'s rate)", of("batch"), _batch, "{preset}, {name}", "batch {batch}"
-        ),
-        _pivot("threads", "more threads: ms (x quicker)", of("threads"), _ms_and("over_first"), work, "threads: {threads}"),
-        _pivot("training", "images a second", training, _images, "{what}, {precision}", "{name}"),
-        Section(
-            "start-up",
-            "whole processes: s",
+    measured = [
+        _pivot("silhouette, forward and backward: ms (x tso's)", of("silhouette"), _ms_and("over_tso")),
+        _pivot("Chamfer to the start, a step: ms (x tso's)", of("chamfer"), _ms_and("over_tso")),
+        _pivot("peak memory of a call: MiB", peaks, _mib, "{what}: {name}", "{points:,}"),
+        _pivot("value and gradient: ms (x the projector)", of("terms"), _ms_and("over_projector")),
+        _pivot("a step in points mode: ms (share of the whole)", of("step"), _ms_and_share),
+        _pivot("a step: ms", of("step, encoder", "step, encoder-decoder"), _ms, "{what}", "{name}"),
+        _pivot("1,024 points: ms a cloud (x `refine`'s rate)", of("batch"), _batch, "{preset}, {name}", "batch {batch}"),
+        _pivot("more threads: ms (x quicker)", of("threads"), _ms_and("over_first"), work, "threads: {threads}"),
+        _pivot("images a second", training, _images, "{what}, {precision}", "{name}"),
+        Table(
             ["", "median", "low", "high"],
             [[r["name"], *(f"{r['seconds'][key]:.2f}" for key in ("median", "low", "high"))] for r in of("start-up")],
+            "whole processes: s",
         ),
+        Table(["left out", "why"], left_out(record["records"])),
+        Table(["measured on"], [[machine_line(record)]]),
     ]
-    return [table for table in tables if table.rows]
+    return [table for table in measured if table.rows]
 
 
 def _size(record: Record) -> str:
@@ -122,12 +98,12 @@ def _ms_and_share(record: Record) -> str:
 
 
 def _pivot(
-    name: str, title: str, records: Records, cell: Callable[[Record], str], row: str = "{name}", column: str | None = None
-) -> Section:
+    title: str, records: Records, cell: Callable[[Record], str], row: str = "{name}", column: str | None = None
+) -> Table:
     """A table of cells; ``row`` and ``column`` are templates of their labels, by default a column is a size."""
     cells: dict[str, dict[str, str]] = {}
     for record in records:
         label = column.format(**record) if column else _size(record)
         cells.setdefault(row.format(**record), {})[label] = cell(record)
     columns = list(dict.fromkeys(label for values in cells.values() for label in values))
-    return Section(name, title, ["", *columns], [[label, *map(values.get, columns)] for label, values in cells.items()])
+    return Table(["", *columns], [[label, *map(values.get, columns)] for label, values in cells.items()], title)

@@ -10,14 +10,15 @@ from pathlib import Path
 import click
 
 from ...commands import options
-from .records import answer, check_outputs, keep
+from . import records
+from .page import write_page
 
 PARTS = ("silhouette", "chamfer", "terms", "step", "batch", "threads", "training", "start-up")
 
 
 @click.group("bench")
 def command() -> None:
-    """Measure this machine, and keep the answer as JSON beside a chart."""
+    """Measure this machine, and keep the answer as JSON beside a chart and a page."""
 
 
 @command.command("speed")
@@ -31,7 +32,7 @@ def command() -> None:
     show_default=True,
     help="Measure each contestant about so long.",
 )
-@answer
+@records.output
 @options.device
 @options.seed
 @options.overwrite
@@ -58,21 +59,22 @@ def speed(
     """
     if not math.isfinite(seconds):
         raise click.BadParameter(f"{seconds} is no finite number.", param_hint="'--seconds'")
-    check_outputs(output, overwrite)
+    records.check_outputs(output, overwrite)
     from ...device import resolve
-    from ..bench.speed import speed as measure
+    from ..bench.study import STUDY
     from ..bench.timing import Setting
-    from ..charts.speed_chart import draw_speed
-    from ..charts.speed_table import speed_table
+    from ..study import answer
 
     begun = time.monotonic()
 
     def report(name: str) -> None:
         options.log(f"tso: {time.monotonic() - begun:4.0f} s  {name}")
 
-    record = measure(Setting(resolve(device), threads, seconds, full, seed, report), only)
-    keep(record, output, draw_speed, overwrite)
+    record = STUDY.run(Setting(resolve(device), threads, seconds, full, seed, report), only)
+    if output is not None:
+        records.write_record(record, output)
+        write_page(STUDY, record, output)
     if as_json:
         options.echo_json(record)
     else:
-        click.echo(speed_table(record))
+        click.echo(answer(STUDY, record))

@@ -18,7 +18,8 @@ from .records import read_record
 
 def load(name: str) -> Study:
     """The study of that name."""
-    study: Study = import_module(f"tso_cli.lab.studies.{QUESTIONS[name][0]}").STUDY
+    module = "bench.study" if name == "speed" else f"studies.{QUESTIONS[name][0]}"
+    study: Study = import_module(f"tso_cli.lab.{module}").STUDY
     return study
 
 
@@ -35,8 +36,8 @@ def command(records: tuple[Path, ...]) -> None:
     """Write the pages and charts of RECORDS anew, beside them, and run nothing."""
     for path in records:
         record = read_record(path)
-        name = record.get("study")
-        if name not in QUESTIONS:
-            raise InputError(f"{path}: is of the study {shown(name)}, expected one of {', '.join(QUESTIONS)}")
+        name = record.get("study", record.get("bench"))
+        if name not in (*QUESTIONS, "speed"):
+            raise InputError(f"{path}: is of the study {shown(name)}, expected one of {', '.join(QUESTIONS)}, speed")
         write_page(load(name), record, path)
         click.echo(path.with_suffix(".md"))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,21 +13,19 @@ from ...errors import InputError
 from ...io.output import atomic_output, check_output
 from ...io.reading import read_bytes
 
-answer = click.option(
-    "-o", "--output", type=options.FilePath(), help="Write the record here (.json) and a chart beside it (.png)."
+output = click.option(
+    "-o", "--output", type=options.FilePath(), help="Write the record here (.json), a chart (.png) and a page (.md) beside it."
 )
 
 
-def check_outputs(
-    output: Path | None, overwrite: bool, resume: bool = False, suffixes: Sequence[str] = (".json", ".png")
-) -> None:
+def check_outputs(output: Path | None, overwrite: bool, resume: bool = False) -> None:
     """Refuse outputs that cannot be written before the long work starts; with ``resume`` they may be there."""
     if resume and output is None:
         raise InputError("--resume goes on from a record, expected its name after -o")
     if output is not None:
         if output.suffix.lower() != ".json":
             raise InputError(f"{output}: the suffix is {output.suffix!r}, expected .json (the chart goes beside it as .png)")
-        for suffix in suffixes:
+        for suffix in (".json", ".png", ".md"):
             check_output(output.with_suffix(suffix), overwrite or resume)
 
 
@@ -74,13 +71,6 @@ def write_record(record: dict[str, Any], output: Path) -> None:
         text = f'{text[:-2]},\n "cases": [\n{lines}\n]}}'
     with atomic_output(output) as temporary:
         temporary.write_text(text + "\n")
-
-
-def keep(record: dict[str, Any], output: Path | None, draw: Callable[..., None], overwrite: bool) -> None:
-    """Write the record and its chart, if there is an output."""
-    if output is not None:
-        write_record(record, output)
-        draw(output.with_suffix(".png"), record, overwrite)
 
 
 class Reporter:

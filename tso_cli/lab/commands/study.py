@@ -11,17 +11,16 @@ import click
 from ...commands import options
 from ...io.shipped import named_checkpoint
 from ..study import Option, Progress, Record, Study, answer
+from . import records
 from .page import write_page
 from .records import Reporter, check_outputs, earlier_record, write_record
-
-SUFFIXES = (".json", ".png", ".md")
 
 
 def command_of(study: Study) -> click.Command:
     """`tso lab NAME`."""
 
     def run(output: Path | None, overwrite: bool, as_json: bool, resume: bool = False, **values: Any) -> None:
-        check_outputs(output, overwrite, resume, SUFFIXES)
+        check_outputs(output, overwrite, resume)
         command_line = _command_line(study, values)
         for option in study.options:
             if option.multiple:
@@ -45,9 +44,7 @@ def command_of(study: Study) -> click.Command:
         else:
             click.echo(answer(study, record))
 
-    write = "Write the record here (.json), a chart (.png) and a page (.md) beside it."
-    decorators = [_click_option(option) for option in study.options]
-    decorators.append(click.option("-o", "--output", type=options.FilePath(), help=write))
+    decorators = [*map(_click_option, study.options), records.output]
     if study.kept:
         again = f"Go on from the record at -o, kept {study.kept}, if there is one."
         decorators.append(click.option("--resume", is_flag=True, help=again))
@@ -73,7 +70,7 @@ def _click_option(option: Option) -> Callable[..., Any]:
         option.parameter,
         required=option.required,
         multiple=option.multiple,
-        show_default=option.default not in (None, (), False),
+        show_default=not (option.default is None or option.default is False or option.default == ()),
         help=option.help,
         **settings,
     )

@@ -153,16 +153,14 @@ def tables(record: Record) -> list[Table]:
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """Chamfer after / before of every case; a row of panels for each question and kind, a panel for each category."""
-    grid: dict[tuple[str, str], dict[str, dict[str, list[float]]]] = {}
+    """Chamfer after / before of every case; a row of panels for each question, a panel for each kind."""
+    grid: dict[str, dict[str, dict[str, list[float]]]] = {}
     for case in record["cases"]:
-        panel = grid.setdefault((case["question"], case["kind"]), {}).setdefault(case["category"], {})
+        panel = grid.setdefault(case["question"], {}).setdefault(case["kind"], {})
         for label, figures in case["rows"].items():
             panel.setdefault(label, []).append(figures["chamfer"] / figures["before"])
-    panels = [
-        [Panel(f"{category}, {kind}", rows) for category, rows in categories.items()] for (_, kind), categories in grid.items()
-    ]
-    draw_ratios(path, panels, overwrite)
+    panels = [[Panel(f"{question}, {kind}", rows) for kind, rows in kinds.items()] for question, kinds in grid.items()]
+    draw_ratios(path, panels, overwrite, row_height=0.112)
 
 
 STUDY = Study(
