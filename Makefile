@@ -47,16 +47,19 @@ lint: $(VENV)/ready-to-test
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 
-# Two processes of one thread each: torch's threads wait for one another on a busy machine. The loops are compiled before, as
-# what one test compiled would change the form, and so the last digits, of what another is in the midst of.
+# Two processes of one thread each: torch's threads wait for one another on a busy machine. The kernels are compiled first, since
+# what one test compiled would change the last digits of another.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
+
+# The product and a quick part of the laboratory.
 test: open3d-libraries lint
 	@$(BIN)/tso compile
-	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "not slow"
+	@$(PYTEST) -m "not slow"
 
-# The laboratory's slow tests too.
-test-lab: open3d-libraries lint
+# What takes longer: studies, records, trainings in several processes, the commands of the pages.
+test-lab: open3d-libraries
 	@$(BIN)/tso compile
-	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 tests/lab
+	@$(PYTEST) -m slow
 
 clean:
 	rm -rf $(VENV) demo

@@ -406,10 +406,10 @@ def test_an_interrupt_writes_the_best_so_far(folder, capsys, monkeypatch):
     calls = iter(range(100))
     true_call = MaskChamferObjective.__call__
 
-    def interrupted(self, moved, reach):
+    def interrupted(self, points):
         if next(calls) == 8:  # one for the anchor, one for the start
             raise KeyboardInterrupt
-        return true_call(self, moved, reach)
+        return true_call(self, points)
 
     monkeypatch.setattr(MaskChamferObjective, "__call__", interrupted)
     assert tso(*POINTS, "--symmetry", "none") == 130

@@ -118,7 +118,6 @@ def test_tables_and_chart_show_every_part(record, tmp_path):
     for part in (
         "silhouette",
         "Chamfer",
-        "memory",
         "projector",
         "points mode",
         "a step: ms",

@@ -50,6 +50,10 @@ def hidden(folder: Path) -> list[str]:
     return [path.name for path in folder.rglob(".*")]
 
 
+def interrupt() -> None:
+    raise KeyboardInterrupt
+
+
 def at_tenth_picture(monkeypatch: pytest.MonkeyPatch, action: Callable[[], object]) -> None:
     """Do ``action`` before the tenth picture is written: in the middle of the second object."""
     write, calls = rendered.write_image, []
@@ -89,7 +93,7 @@ def test_an_interrupted_run_leaves_only_whole_objects_and_resumes(
 ) -> None:
     render_folder(meshes, tmp_path / "whole", FAST)
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        at_tenth_picture(patch, lambda: signal.raise_signal(signal.SIGINT))
+        at_tenth_picture(patch, interrupt)
         render_folder(meshes, tmp_path / "out", FAST)
     assert {name.split("/")[0] for name in contents(tmp_path / "out")} == {"c"}
     summary = render_folder(meshes, tmp_path / "out", FAST)
