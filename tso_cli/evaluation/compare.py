@@ -49,10 +49,7 @@ class EvalConfig:
     sigma_sq : IoU of the paper's silhouette, Gaussians of this variance in px^2, instead of that of `footprint`.
     as_vertices : of meshes take the vertices, not the surface.
 
-    Raises
-    ------
-    InputError
-        A value is out of range.
+    Raises InputError for a value out of range.
     """
 
     metrics: tuple[str, ...] = ("chamfer",)
@@ -88,18 +85,9 @@ class EvalConfig:
 def evaluate(pairs: Sequence[Pair], config: EvalConfig, progress: Progress | None = None) -> dict[str, Any]:
     """Measure every pair; ``progress`` is called with (done, total) after each.
 
-    Returns
-    -------
-    JSON-able {"pairs": [{"name", ...}], "mean": {...}, "convention": {...}}; distances are raw, in units of the files or, under
-    the capnet protocol, of the longest side.
-
-    Raises
-    ------
-    InputError
-        A file cannot be used; the message names it.
+    Returns JSON-able {"pairs": [{"name", ...}], "mean": {...}, "convention": {...}}; distances are raw, in units of the files
+    or, under the capnet protocol, of the longest side. Raises InputError naming a file that cannot be used.
     """
-    if not pairs:
-        raise InputError("no pair to judge, expected at least one")
     records = []
     for done, pair in enumerate(pairs, 1):
         records.append(_measure(pair, config))
@@ -111,7 +99,6 @@ def evaluate(pairs: Sequence[Pair], config: EvalConfig, progress: Progress | Non
 
 
 def _measure(pair: Pair, config: EvalConfig) -> dict[str, Any]:
-    """The metrics of one pair, and what was read from the two files."""
     prediction = _read(pair.prediction, config, [config.seed, 1])
     target = _read(pair.target, config, config.seed)
     record: dict[str, Any] = {"name": pair.name}
@@ -156,7 +143,6 @@ def _centre(points: Array) -> Array:
 
 
 def _measure_iou(points: Array, pair: Pair, sigma_sq: float | None) -> dict[str, Any]:
-    """Mean IoU over the views of a pair."""
     scores = []
     for file, mask, camera in pair.views():
         if sigma_sq is None:
@@ -200,7 +186,6 @@ def _convention(config: EvalConfig) -> dict[str, Any]:
 
 @contextmanager
 def _prefixed(files: str) -> Iterator[None]:
-    """Name the files in errors about their arrays."""
     try:
         yield
     except InputError as error:
