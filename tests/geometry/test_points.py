@@ -49,7 +49,7 @@ def naive_farthest(points: np.ndarray, count: int) -> list[int]:
     return chosen
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(clouds(), st.data())
 def test_farthest_points_are_those_of_a_plain_loop(points: np.ndarray, data: st.DataObject) -> None:
     count = data.draw(st.integers(1, len(points)))

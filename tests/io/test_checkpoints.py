@@ -198,6 +198,6 @@ def test_any_damage_is_refused_in_one_line_or_leaves_a_usable_network(checkpoint
         assert config.points == 4
         assert all(torch.isfinite(parameter).all() for parameter in network.parameters())
 
-    was_read, refused = assert_reads_or_refuses(read, checkpoint, count=60)
+    was_read, refused = assert_reads_or_refuses(read, checkpoint, count=30)
     assert was_read
-    assert refused > 25
+    assert refused > 12

@@ -119,6 +119,7 @@ def test_the_window_follows_a_cloud_that_starts_far_from_its_mask():
     np.testing.assert_allclose(last, window_of(photo, target))
 
 
+@pytest.mark.slow
 def test_a_refinement_ends_in_the_window_of_its_result_on_the_grid_that_its_mask_bears():
     _, target, view = _example("chair")
     photo = framed(view, 4, 0.5, 0.3)
@@ -179,6 +180,7 @@ def test_objects_of_different_size_give_the_same_results_in_one_batch_and_alone(
         np.testing.assert_allclose(result.points, refine(points, view, config=config).points, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_large_clouds_of_different_numbers_of_points_give_the_same_results_in_one_batch_and_alone():
     _, target, view = _example("chair")
     rng = np.random.default_rng(0)
