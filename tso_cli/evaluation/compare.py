@@ -40,7 +40,6 @@ class EvalConfig:
 
     Parameters
     ----------
-    metrics : some of `METRICS`.
     protocol : "plain" takes coordinates as they are. "capnet" is the paper's: each cloud is thinned to ``points``, then centred
         on its own bounding box and scaled to longest side 1, which hides errors of scale and place; EMD squares its distances.
     points : thin every cloud first (`farthest_point_sample`). None: all points; under "capnet" at most 1,024.

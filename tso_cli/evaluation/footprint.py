@@ -39,11 +39,11 @@ IOU_MEANS = (
 
 
 class Seen(NamedTuple):
-    """Silhouette and mask in a window, [H, W] each."""
+    """In a window, [H, W] each; known is None where all pixels are."""
 
     silhouette: Bools
     mask: Bools
-    known: Bools | None  # None: all pixels
+    known: Bools | None
 
 
 def common_window(stages: Sequence[tuple[Array, View]]) -> Box:

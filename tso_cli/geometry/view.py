@@ -120,8 +120,7 @@ def object_box(inside: NDArray[np.bool_]) -> tuple[int, int, int, int]:
     """First column and row of the object in ``inside`` [H, W], and those behind its last, without specks far off.
 
     A speck is a connected part of at most 1 % of the foreground, more than a quarter of the object's size beside it. Specks
-    are left out if together they are at most 1 % too: a stray pixel of a segmentation would otherwise stretch the object's
-    window over half the photo.
+    are left out if together they are at most 1 % too.
     """
     counts = inside.sum(0), inside.sum(1)
     limit = SPECK * int(counts[0].sum())

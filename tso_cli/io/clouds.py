@@ -24,20 +24,12 @@ _LARGEST = 1e100  # beyond it squares of coordinates overflow
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """A cloud as read from a file.
+    """A cloud as read from a file."""
 
-    Parameters
-    ----------
-    points : [N, 3] float64, in the file's order and units.
-    path : where it came from.
-    precision : "float32" or "float64", the type to write coordinates with.
-    ply : the PLY file it came from, to write it again with other coordinates.
-    """
-
-    points: Points
+    points: Points  # [N, 3], in the file's order and units
     path: Path
-    precision: str = "float64"
-    ply: PlyFile | None = field(default=None, repr=False)
+    precision: str = "float64"  # or "float32", the type to write coordinates with
+    ply: PlyFile | None = field(default=None, repr=False)  # to write it again with other coordinates
 
     def colours(self) -> Points:
         """Red, green and blue [N, 3] of the points, in [0, 1]; InputError where the file has none or no such numbers."""
