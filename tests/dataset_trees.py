@@ -64,18 +64,14 @@ def pictured(vertices: np.ndarray, faces: np.ndarray, focal: float, size: tuple[
     return view.image, view.mask
 
 
-def silhouette(points: np.ndarray, camera: Camera) -> np.ndarray:
-    """Where points fall, with the gaps between them closed: bool [H, W]."""
+def iou(points: np.ndarray, camera: Camera, mask: np.ndarray) -> float:
+    """Of a mask and the pixels where points fall, with the gaps between them closed."""
     pixels = np.rint(camera.project(points.astype(np.float64))[0])
     size = np.array([camera.width, camera.height])
     columns, rows = pixels[((pixels >= 0) & (pixels < size)).all(axis=1)].astype(int).T
     hit = np.zeros((camera.height, camera.width), dtype=bool)
     hit[rows, columns] = True
-    return ndimage.binary_closing(np.pad(hit, 4), np.ones((3, 3)), iterations=2)[4:-4, 4:-4]
-
-
-def iou(points: np.ndarray, camera: Camera, mask: np.ndarray) -> float:
-    covered = silhouette(points, camera)
+    covered = ndimage.binary_closing(np.pad(hit, 4), np.ones((3, 3)), iterations=2)[4:-4, 4:-4]
     return float((covered & (mask > 0.5)).sum() / (covered | (mask > 0.5)).sum())
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
 from tests.painted import MASK, photo, sheet
@@ -17,7 +18,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     points, colours = sheet(2.0)
     start = points + np.stack([0.03 * np.cos(3.3 * points[:, 0]), 0.0 * points[:, 0], 0.0 * points[:, 0]], 1)
-    write_cloud("cloud.ply", start, colours=np.rint(255.0 * colours).astype(np.uint8))
+    trimesh.PointCloud(start, np.rint(255.0 * colours).astype(np.uint8)).export("cloud.ply")
     write_cloud("plain.ply", start)
     Image.fromarray((255 * MASK).astype(np.uint8)).save("mask.png")
     Image.fromarray(np.rint(255.0 * photo(0.8)).astype(np.uint8)).save("photo.png")

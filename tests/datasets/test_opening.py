@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -45,13 +44,6 @@ def test_the_folder_above_the_renders_of_3d_r2n2_will_do(tmp_path: Path) -> None
     assert len(open_dataset(tmp_path).objects) == len(open_dataset(tmp_path / "ShapeNetRendering").objects) == 1
 
 
-def test_a_relative_folder_will_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_shapenet(tmp_path)
-    monkeypatch.chdir(tmp_path / "ShapeNet_rendered")
-    item = open_dataset(".", strict=True).objects[0]
-    assert item.target is not None and item.target().shape == (1024, 3)
-
-
 def test_an_unknown_layout_is_one_line_that_names_those_known(tmp_path: Path) -> None:
     (tmp_path / "a/b").mkdir(parents=True)
     for path, message in ((tmp_path, "has no layout known here"), (tmp_path / "none", "does not exist")):
@@ -79,8 +71,7 @@ def test_a_json_split_is_read_in_its_order(tmp_path: Path) -> None:
     assert read_split(path) == {"train": ["b", "a"], "test": ["t"]}
 
 
-@pytest.mark.parametrize("inside", ["", "splits", "ShapeNet_rendered/splits"])
-@pytest.mark.parametrize("kind", ["txt", "npy", "bytes"])
+@pytest.mark.parametrize(("inside", "kind"), [("", "txt"), ("splits", "npy"), ("ShapeNet_rendered/splits", "bytes")])
 def test_the_authors_lists_are_a_split_with_their_category_before_the_name(tmp_path: Path, inside: str, kind: str) -> None:
     folder = tmp_path / inside
     folder.mkdir(parents=True, exist_ok=True)
@@ -119,11 +110,9 @@ def test_a_split_selects_objects_and_skipped_ones_are_not_missed(tmp_path: Path)
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("", "is empty"),
         ("{", "is not JSON"),
         ("[]", r"holds \[\], expected"),
         ('{"training": []}', "has the part 'training', expected train, validation, test"),
-        ('{"train": "a"}', "train is 'a', expected a list of names"),
         ('{"train": [1]}', r"train is \[1\], expected a list of names"),
         ('{"train": []}', "names no object"),
         ('{"train": ["a", "b"], "test": ["b"]}', "names 'b' for train and for test"),
@@ -137,46 +126,21 @@ def test_a_split_of_another_form_is_one_clear_line(tmp_path: Path, content: str,
     assert str(path) in str(raised.value) and "\n" not in str(raised.value)
 
 
-class Trap:
-    def __reduce__(self) -> tuple[object, ...]:
-        return pytest.fail, ("unpickled",)
-
-
-def test_a_pickled_list_is_refused_unopened_and_the_way_out_is_named(tmp_path: Path) -> None:
-    path = tmp_path / f"{CHAIR}_train_list.npy"
-    np.save(path, np.array([Trap()], dtype=object), allow_pickle=True)
-    with pytest.raises(InputError, match=r"holds pickled Python objects.*numpy\.save.*astype\(str\).*\.txt") as raised:
-        read_split(tmp_path)
-    assert "\n" not in str(raised.value)
-    with pytest.raises(pytest.fail.Exception, match="unpickled"):
-        np.load(path, allow_pickle=True)
-
-
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
         ("val_list.npy", b"PK\x03\x04", r"is not a readable \.npy file"),
-        ("val_list.npy", b"\x93NUMPY\x01\x00\x10\x00{'descr': oh no}", r"is not a readable \.npy file"),
-        ("val_list.npy", None, r"holds 'float64' \[3\], expected an array of texts"),
+        ("val_list.npy", np.zeros(3), r"holds 'float64' \[3\], expected an array of texts"),
+        ("val_list.npy", np.array([{}]), r"holds pickled Python objects.*numpy\.save.*astype\(str\).*\.txt"),
         ("test_list.txt", b"\xff\xfe\x00", "is not text"),
         ("notes.txt", b"a", "holds no list, expected SYNSET_train_list"),
     ],
 )
 def test_a_folder_with_a_damaged_list_or_none_is_one_clear_line(
-    tmp_path: Path, name: str, content: bytes | None, message: str
+    tmp_path: Path, name: str, content: bytes | np.ndarray, message: str
 ) -> None:
     path = tmp_path / f"{CHAIR}_{name}"
-    np.save(path, np.zeros(3)) if content is None else path.write_bytes(content)
+    path.write_bytes(content) if isinstance(content, bytes) else np.save(path, content)
     with pytest.raises(InputError, match=message) as raised:
         read_split(tmp_path)
     assert str(tmp_path) in str(raised.value) and "\n" not in str(raised.value)
-    with pytest.raises(InputError, match="does not exist"):
-        read_split(tmp_path / "none.json")
-
-
-def test_names_in_json_are_those_of_the_data_set(tmp_path: Path) -> None:
-    write_pix3d(tmp_path / "data")
-    path = tmp_path / "split.json"
-    path.write_text(json.dumps({"validation": ["chair/IKEA_X/model"]}))
-    data = open_dataset(tmp_path / "data")
-    assert len(data.select(read_split(path)["validation"], str(path)).objects) == 1

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +10,11 @@ import open3d  # noqa: F401  pictures are made by casting rays
 import pytest
 from PIL import Image
 
-from tests.dataset_trees import PIX3D_SIZE, about, agreement, agreement_of_surface, iou, lopsided, write_entries, write_pix3d
+from tests.dataset_trees import agreement, agreement_of_surface, lopsided, write_entries, write_pix3d
 from tso_cli.datasets import pix3d
 from tso_cli.datasets.pix3d import open_pix3d
 from tso_cli.errors import InputError
-from tso_cli.geometry.points import bounding_box_normalisation, normalise_longest_side
+from tso_cli.geometry.points import normalise_longest_side
 from tso_cli.io.meshes import Mesh
 
 NAME = "chair/IKEA_X/model"
@@ -34,18 +32,10 @@ def entries(tmp_path: Path) -> list[dict[str, Any]]:
 def test_the_target_seen_by_the_cameras_covers_the_masks(tmp_path: Path, entries: list[dict[str, Any]]) -> None:
     (item,) = open_pix3d(tmp_path).objects
     assert (item.name, item.category, len(item.views)) == (NAME, "chair", 3)
+    assert item.target is not None
+    assert np.ptp(item.target(), axis=0).max() == pytest.approx(1.0, abs=0.02)
     assert agreement(item) > 0.75
     assert agreement_of_surface(item, Mesh(normalise_longest_side(model_vertices()), lopsided().faces)) > 0.98
-
-
-def test_the_frame_of_an_object_is_centred_with_longest_side_1(tmp_path: Path, entries: list[dict[str, Any]]) -> None:
-    target = open_pix3d(tmp_path).objects[0].target
-    assert target is not None
-    points = target()
-    assert points.shape == (1024, 3) and points.dtype == np.float32
-    np.testing.assert_array_equal(points, target())
-    np.testing.assert_allclose((points.max(0) + points.min(0)) / 2, 0.0, atol=0.02)
-    assert np.ptp(points, axis=0).max() == pytest.approx(1.0, abs=0.02)
 
 
 def test_a_point_lands_where_the_data_sets_own_formula_puts_it(tmp_path: Path, entries: list[dict[str, Any]]) -> None:
@@ -58,27 +48,6 @@ def test_a_point_lands_where_the_data_sets_own_formula_puts_it(tmp_path: Path, e
         focal = entry["focal_length"] / 32 * width
         expected = np.stack([width / 2 - focal * x / z, height / 2 - focal * y / z], axis=1) - 0.5
         np.testing.assert_allclose(view.camera.project(normalised)[0], expected, atol=1e-4)
-
-
-def test_no_other_choice_of_axes_covers_the_masks(tmp_path: Path, entries: list[dict[str, Any]]) -> None:
-    (item,) = open_pix3d(tmp_path).objects
-    assert item.target is not None
-    points, (centre, scale) = item.target(), bounding_box_normalisation(model_vertices())
-    wrong: dict[str, list[float]] = {}
-    for entry, view in zip(entries, item.views, strict=True):
-        rotation, shift, mask = np.array(entry["rot_mat"]), np.array(entry["trans_mat"]), view.load()[1]
-        right = np.diag([-1.0, -1.0, 1.0])
-        for name, R, t in (
-            ("as they are", rotation, shift),
-            ("camera looking along -z", np.diag([1.0, -1.0, -1.0]) @ rotation, np.diag([1.0, -1.0, -1.0]) @ shift),
-            ("transposed", right @ rotation.T, right @ shift),
-            ("z up", right @ rotation @ about(0, 90.0), right @ shift),
-            ("x and z turned", right @ rotation @ np.diag([-1.0, 1.0, -1.0]), right @ shift),
-        ):
-            camera = replace(view.camera, R=R, t=t).for_normalised(centre, scale)
-            wrong.setdefault(name, []).append(iou(points, camera, mask))
-    for name, values in wrong.items():
-        assert np.mean(values) < 0.6, name
 
 
 def test_models_are_read_once_and_only_when_needed(
@@ -95,12 +64,7 @@ def test_models_are_read_once_and_only_when_needed(
     assert len(reads) == 1
 
 
-def test_views_can_go_to_another_process(tmp_path: Path, entries: list[dict[str, Any]]) -> None:
-    view = pickle.loads(pickle.dumps(open_pix3d(tmp_path).objects[0].views))[1]
-    np.testing.assert_array_equal(view.load()[0].shape, (*PIX3D_SIZE[::-1], 3))
-
-
-@pytest.mark.parametrize("flag", ["truncated", "occluded", "slightly_occluded"])
+@pytest.mark.parametrize("flag", ["truncated", "slightly_occluded"])
 def test_objects_partly_out_of_sight_are_left_out_even_if_strict(
     tmp_path: Path, entries: list[dict[str, Any]], flag: str
 ) -> None:
@@ -116,13 +80,10 @@ def test_objects_partly_out_of_sight_are_left_out_even_if_strict(
     [
         ("img", None, r"pix3d\.json: entry 1 \(entry 1\): img is None, expected a text"),
         ("mask", "mask/chair/none.png", r"mask/chair/none\.png: does not exist, .*entry 1 \(img/chair/0001\.png\) names it"),
-        ("model", "model/none.obj", r"model/none\.obj: does not exist"),
         ("category", 3, "category is 3, expected a text"),
         ("rot_mat", [[1, 0], [0, 1]], "rot_mat is .*, expected 3 x 3 finite numbers"),
         ("rot_mat", [[1, 0, 0], [0, 1, 0], [0, 0, -1]], r"entry 1 \(img/chair/0001\.png\): R is not a rotation"),
-        ("trans_mat", [0, 0, "far"], r"trans_mat is \[0, 0, 'far'\], expected 3 finite numbers"),
         ("focal_length", None, "focal_length is None, expected a finite number"),
-        ("focal_length", -35.0, "K is singular or mirrored"),
         ("img_size", [88.5, 60], r"img_size is \[88\.5, 60\], expected 2 whole numbers"),
     ],
 )
@@ -143,30 +104,16 @@ def test_pictures_of_another_size_than_the_table_says_are_named_when_loaded(
 ) -> None:
     Image.new("RGB", (60, 88)).save(tmp_path / "img/chair/0000.png")
     Image.new("L", (88, 61)).save(tmp_path / "mask/chair/0001.png")
-    (tmp_path / "mask/chair/0002.png").write_bytes(b"not a picture")
     views = open_pix3d(tmp_path, strict=True).objects[0].views
-    for number, message in enumerate(
-        ("img/chair/0000.png: is 60x88, expected 88x60 as pix3d.json", "0001.png: is 88x61", "0002.png: is not a readable")
-    ):
+    for number, message in enumerate(("img/chair/0000.png: is 60x88, expected 88x60 as pix3d.json", "0001.png: is 88x61")):
         with pytest.raises(InputError, match=message):
             views[number].load()
-
-
-def test_a_damaged_model_is_named_when_its_views_are_loaded(tmp_path: Path, entries: list[dict[str, Any]]) -> None:
-    (tmp_path / entries[0]["model"]).write_text("v 0 0 0\n")
-    item = open_pix3d(tmp_path).objects[0]
-    assert item.target is not None
-    for load in (item.views[0].load, item.target):
-        with pytest.raises(InputError, match=r"model\.obj: "):
-            load()
 
 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", "is empty"),
         (b"[{", "is not JSON"),
-        (b"\xff\xfe", "is not JSON"),
         (b"{}", "holds a dict, expected a list"),
         (b"[]", "holds no object, expected entries"),
         (b"[3]", "no object can be used, the first: .*entry 0.*: is a int"),

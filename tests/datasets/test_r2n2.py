@@ -59,16 +59,6 @@ def test_voxels_are_a_target_in_the_frame_of_the_cameras(tmp_path: Path, in_the_
     np.testing.assert_allclose(points.max(0) + points.min(0), 0.0, atol=extent.max() / 16)
 
 
-def test_clouds_go_before_voxels_and_neither_is_needed(root: Path) -> None:
-    assert [item.target for item in open_r2n2(root).objects] == [None, None]
-    for model in ("abc", "def"):
-        write_binvox(root.parent / "ShapeNetVox32" / CHAIR / model / "model.binvox", True)
-    write_clouds(root.parent, "abc", "def")
-    target = open_r2n2(root).objects[0].target
-    assert target is not None
-    np.testing.assert_array_equal(target(), lopsided_points().astype(np.float32))
-
-
 def test_the_mask_is_the_alpha_channel_soft_edges_and_all(root: Path) -> None:
     pixels = np.zeros((64, 64, 4), dtype=np.uint8)
     pixels[5, 7] = 10, 20, 30, 51
@@ -92,11 +82,3 @@ def test_the_focal_length_is_35_of_a_sensor_of_32_whatever_the_field_of_view_say
     camera = r2n2_camera(0.0, 0.0, 0.8, (137, 137))
     assert camera.K[0, 0] == pytest.approx(35 / 32 * 137) and camera.K[0, 2] == 68.0
     np.testing.assert_allclose(-camera.R.T @ camera.t, [1.4, 0.0, 0.0], atol=1e-12)
-
-
-def test_a_name_in_the_list_cannot_lead_out_of_the_folder(root: Path) -> None:
-    (root / "secret.png").write_bytes((pictures(root) / "00.png").read_bytes())
-    (pictures(root) / "renderings.txt").write_text("../../../secret.png\n01.png\n")
-    data = open_r2n2(root)
-    assert [view.name[-6:] for view in data.objects[0].views] == ["01.png"]
-    assert len(data.skipped) == 1

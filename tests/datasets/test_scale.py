@@ -8,14 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.dataset_trees import CHAIR, agreement, iou, lopsided_points, write_clouds, write_r2n2, write_shapenet
+from tests.dataset_trees import CHAIR, agreement, iou, lopsided_points, write_clouds, write_r2n2
 from tso_cli.datasets.items import Dataset
 from tso_cli.datasets.opening import open_dataset
 from tso_cli.datasets.scale import normalised, of_unit_diagonal
-from tso_cli.io.checkpoints import load_network
-from tso_cli.io.shipped import DEFAULT, named_checkpoint
-from tso_cli.train import evaluate
-from tso_cli.train.data import TrainingData
 
 
 @pytest.fixture
@@ -36,28 +32,15 @@ def test_targets_are_centred_with_longest_side_1_and_still_fill_their_masks(root
     assert agreement(one) == pytest.approx(agreement(raw), abs=0.01)
 
 
-def test_the_layout_of_the_authors_is_scaled_alike(tmp_path: Path) -> None:
-    item = open_dataset(write_shapenet(tmp_path)).objects[0]
-    np.testing.assert_allclose(np.ptp(item.target(), axis=0).max(), 1.0, rtol=1e-6)
-    assert agreement(item) > 0.8
-
-
 def test_objects_of_two_sizes_come_out_alike(root: Path) -> None:
-    """A shape twice as large, seen from twice as far, is the same item, and the shipped network is as good on it."""
+    """A shape twice as large, seen from twice as far, is the same item."""
     item = open_dataset(root, own_scale=True).objects[0]
     views = [replace(view, camera=replace(view.camera, t=2.0 * view.camera.t)) for view in item.views]
     large = replace(item, name="large", views=views, target=lambda: 2.0 * item.target())
-    both = normalised(Dataset([item, large], "both")).objects
-    one, other = both
+    one, other = normalised(Dataset([item, large], "both")).objects
     np.testing.assert_allclose(one.target(), other.target(), atol=1e-6)
     for ours, theirs in zip(one.views, other.views, strict=True):
         np.testing.assert_allclose(ours.camera.t, theirs.camera.t, rtol=1e-6)
-    network, config = load_network(named_checkpoint(DEFAULT))
-    judged = [sum(evaluate(network, TrainingData([own], own.name), config.frame)[:2]) for own in both]
-    assert judged[0] == pytest.approx(judged[1], rel=1e-4)
-    # As they are read the larger one would look as bad as its scale is wrong.
-    raw = sum(evaluate(network, TrainingData([large], "large"), config.frame)[:2])
-    assert raw > 2.0 * judged[0]
 
 
 def test_an_object_without_a_3d_file_takes_the_size_that_is_usual_for_its_category(root: Path) -> None:
@@ -89,8 +72,7 @@ def test_shapes_that_have_lost_their_size_get_a_unit_diagonal_where_sizes_are_ke
 
 
 def test_a_damaged_3d_file_does_not_stop_masks(root: Path) -> None:
-    path = root / "ShapeNet_pcl" / CHAIR / "abc" / "pcl_1024_fps_trimesh.npy"
-    path.write_bytes(b"no array")
+    (root / "ShapeNet_pcl" / CHAIR / "abc" / "pcl_1024_fps_trimesh.npy").write_bytes(b"no array")
     data = open_dataset(root)
     np.testing.assert_allclose(data.objects[0].views[0].camera.t, data.objects[1].views[0].camera.t)
 

@@ -10,7 +10,6 @@ import pytest
 from PIL import Image
 
 from tests.dataset_trees import (
-    ANGLES,
     CHAIR,
     agreement,
     agreement_of_surface,
@@ -20,9 +19,7 @@ from tests.dataset_trees import (
     write_shapenet,
 )
 from tso_cli.datasets import common
-from tso_cli.datasets.r2n2 import r2n2_camera
 from tso_cli.datasets.shapenet import open_shapenet, shapenet_camera
-from tso_cli.errors import InputError
 
 
 @pytest.fixture
@@ -34,7 +31,7 @@ def model(root: Path, name: str = "abc") -> Path:
     return root / "ShapeNet_rendered" / CHAIR / name
 
 
-@pytest.mark.parametrize(("azimuth", "elevation"), [(0.0, 0.0), (30.0, 20.0), (-110.0, -15.0), (179.0, 40.0)])
+@pytest.mark.parametrize(("azimuth", "elevation"), [(0.0, 0.0), (-110.0, -15.0)])
 def test_a_point_lands_where_the_formula_of_the_authors_code_puts_it(azimuth: float, elevation: float) -> None:
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 3))
     x = authors_points(points, azimuth, elevation)
@@ -43,12 +40,6 @@ def test_a_point_lands_where_the_formula_of_the_authors_code_puts_it(azimuth: fl
     # Theirs is half a pixel off the middle of the image.
     np.testing.assert_allclose(pixels, np.stack([columns, rows], axis=1) - 0.5, atol=1e-9)
     np.testing.assert_allclose(depth, -x[:, 2], atol=1e-12)
-
-
-def test_the_camera_circles_the_other_way_round_than_in_the_renders_of_3d_r2n2() -> None:
-    for azimuth, elevation in ANGLES:
-        here, there = shapenet_camera(azimuth, elevation, (64, 64)), r2n2_camera(-azimuth, elevation, 1.0, (64, 64))
-        np.testing.assert_allclose(here.R, there.R, atol=1e-12)
 
 
 @pytest.mark.parametrize("clouds", ["ShapeNet_pcl", "ShapeNet_v1_pcl"])
@@ -91,10 +82,3 @@ def test_only_the_first_picture_of_a_category_is_read_on_opening(root: Path, mon
     data = open_shapenet(root / "ShapeNet_rendered")
     assert [path.name for path in reads] == ["depth_0.png"]
     assert [item.name for item in data.objects] == [f"{CHAIR}/abc", f"{CHAIR}/def"]
-
-
-def test_a_category_without_any_readable_picture_is_left_out(root: Path) -> None:
-    for path in model(root).parent.rglob("depth_*.png"):
-        path.write_bytes(b"not a picture")
-    with pytest.raises(InputError, match=r"no object can be used, the first: .*abc: no picture of the category can be read"):
-        open_shapenet(root)

@@ -29,16 +29,6 @@ def test_chamfer_is_the_mean_of_the_smallest_of_all_squared_distances(prediction
     assert result.chamfer == result.forward + result.backward
 
 
-@settings(max_examples=20, deadline=None)
-@given(clouds(), clouds())
-def test_swapping_the_clouds_swaps_the_directions(a: np.ndarray, b: np.ndarray) -> None:
-    one, other = chamfer(a, b), chamfer(b, a)
-    assert (one.forward, one.backward) == (other.backward, other.forward)
-    scores = f_score(a, b, 0.5), f_score(b, a, 0.5)
-    assert (scores[0].precision, scores[0].recall) == (scores[1].recall, scores[1].precision)
-    assert scores[0].f_score == scores[1].f_score
-
-
 @settings(max_examples=40, deadline=None)
 @given(clouds(), st.integers(0, 1000))
 def test_a_cloud_is_at_distance_zero_of_itself_in_any_order(points: np.ndarray, seed: int) -> None:
@@ -147,10 +137,3 @@ def test_iou_of_nothing_with_nothing_is_agreement_and_of_no_known_pixel_undefine
     empty = np.zeros((3, 3))
     assert iou(empty, empty) == 1.0
     assert math.isnan(iou(np.ones((3, 3)), empty, np.zeros((3, 3), bool)))
-
-
-def test_iou_refuses_images_of_different_size() -> None:
-    with pytest.raises(InputError, match=r"\[3, 4\], \[4, 3\]"):
-        iou(np.zeros((3, 4)), np.zeros((4, 3)))
-    with pytest.raises(InputError, match="one size"):
-        iou(np.zeros((3, 4)), np.zeros((3, 4)), np.ones((1, 4), bool))

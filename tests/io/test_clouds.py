@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import os
-import pickle
 import re
 import struct
 import warnings
 
 import numpy as np
 import pytest
+import trimesh
 
 from tests.corruption import assert_one_line, assert_reads_or_refuses
 from tso_cli.errors import InputError, TsoError
-from tso_cli.io.clouds import PointCloud, read_cloud, write_cloud
+from tso_cli.io.clouds import read_cloud, write_cloud
 
 POINTS = np.array([[0.1, -2.5, 3.0], [1e-7, 4.25, -0.0], [7.0, 1 / 3, -9.875], [0.5, 0.5, 0.5]])
 FACES = [[0, 1, 2], [0, 1, 2, 3], [1, 2, 3]]
@@ -61,10 +61,8 @@ SHAPES = [
     {"eol": "\r\n"},
     {"eol": "\r"},
     {"extra_first": True},
-    {"faces": [[0, 1, 2], [1, 2, 3]]},
     {"faces": []},
     {"lists": [[1], [], [0, 3], [2]]},
-    {"lists": [[1], [0], [3], [2]], "extra_first": True},
 ]
 
 
@@ -143,26 +141,13 @@ def test_integer_coordinates_become_double_when_they_move(save, tmp_path, form, 
     assert written.split() == expected.split() if form == "ascii" else written == expected
 
 
-@every_form
-@pytest.mark.parametrize("kind", ["float", "int"])
-def test_coordinates_may_stand_in_any_order(save, tmp_path, form, kind):
+def test_coordinates_may_stand_in_any_order(save, tmp_path):
     """x, y, z are known by name: here z comes first and y last."""
-    letter = "<>"[form.endswith("big_endian")] + CODES[kind]
-
-    def body(points, letter):
-        rows = [[z, x, y] for x, y, z in points.tolist()]
-        if form == "ascii":
-            return "".join("{} {} {}\n".format(*row) for row in rows).encode()
-        return b"".join(struct.pack(letter, value) for row in rows for value in row)
-
-    head = f"ply\nformat {form} 1.0\nelement vertex 4\nproperty {kind} z\nproperty {kind} x\nproperty {kind} y\nend_header\n"
-    points = np.arange(12).reshape(4, 3) * (1.0 if kind == "float" else 1)
-    cloud = read_cloud(save("a.ply", head.encode() + body(points, letter)))
-    assert np.array_equal(cloud.points, points)
-    write_cloud(tmp_path / "b.ply", points + 0.5, like=cloud)
-    if kind == "int":
-        head, letter = head.replace("int", "double"), letter[0] + "d"
-    assert (tmp_path / "b.ply").read_bytes() == head.encode() + body(points + 0.5, letter)
+    head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty {0} z\nproperty {0} x\nproperty {0} y\nend_header\n"
+    cloud = read_cloud(save("a.ply", head.format("int") + "1 2 3\n4 5 6\n"))
+    assert cloud.points.tolist() == [[2, 3, 1], [5, 6, 4]]
+    write_cloud(tmp_path / "b.ply", cloud.points + [0.5, 0.25, 0.0], like=cloud)
+    assert (tmp_path / "b.ply").read_text() == head.format("double") + "1 2.5 3.25\n4 5.5 6.25\n"
 
 
 def test_a_body_may_begin_with_the_byte_of_a_line_break(save):
@@ -195,15 +180,6 @@ def test_text_is_written_in_the_digits_of_its_type_or_in_as_many_as_it_has(save,
     assert np.array_equal(read_cloud(tmp_path / "c.ply").points, moved)
 
 
-def test_a_scan_far_from_the_origin_keeps_its_precision(save, tmp_path):
-    far = 4e6 + np.random.default_rng(0).random((100, 3))
-    write_cloud(tmp_path / "a.ply", far)
-    cloud = read_cloud(tmp_path / "a.ply")
-    assert np.array_equal(cloud.points, far)
-    write_cloud(tmp_path / "b.ply", cloud.points + 1e-6, like=cloud)
-    assert np.array_equal(read_cloud(tmp_path / "b.ply").points, far + 1e-6)
-
-
 def test_old_normals_stay_with_a_warning(save, tmp_path):
     names = ("x", "y", "z", "nx", "ny", "nz")
     head = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {name}\n" for name in names)
@@ -216,24 +192,17 @@ def test_old_normals_stay_with_a_warning(save, tmp_path):
         write_cloud(tmp_path / "c.ply", cloud.points, like=cloud)
 
 
-def test_a_new_cloud_round_trips_with_colours(tmp_path):
-    colours = np.arange(12, dtype=np.uint8).reshape(4, 3)
-    for dtype in ("float32", "float64"):
-        write_cloud(tmp_path / f"{dtype}.ply", POINTS, colours=colours, dtype=dtype)
-        cloud = read_cloud(tmp_path / f"{dtype}.ply")
+def test_a_new_cloud_is_written_in_the_precision_of_its_source_or_as_asked(save, tmp_path):
+    write_cloud(tmp_path / "a.ply", POINTS, dtype="float32")
+    write_cloud(tmp_path / "b.ply", POINTS, like=read_cloud(save("b.xyz", "0 0 0\n1 1 1\n2 2 2\n3 3 3")))
+    for name, dtype in (("a", "float32"), ("b", "float64")):
+        cloud = read_cloud(tmp_path / f"{name}.ply")
         assert np.array_equal(cloud.points, POINTS.astype(dtype))
         assert cloud.precision == dtype
-    data = (tmp_path / "float32.ply").read_bytes()
-    assert data.endswith(POINTS[3].astype("<f4").tobytes() + bytes([9, 10, 11]))
-    assert b"property uchar red" in data
-
-
-def test_other_programs_agree_on_what_was_written(tmp_path):
-    trimesh = pytest.importorskip("trimesh")
-    write_cloud(tmp_path / "a.ply", POINTS, colours=np.full((4, 3), 7, dtype=np.uint8))
-    theirs = trimesh.load(tmp_path / "a.ply", process=False)
-    assert np.allclose(theirs.vertices, POINTS, atol=1e-6)
-    assert (theirs.colors[:, :3] == 7).all()
+    far = 4e6 + np.random.default_rng(0).random((100, 3))
+    write_cloud(tmp_path / "far.ply", far)
+    assert np.array_equal(read_cloud(tmp_path / "far.ply").points, far)
+    assert np.array_equal(trimesh.load(tmp_path / "a.ply", process=False).vertices, POINTS.astype(np.float32))
 
 
 def test_arrays_and_tables_are_clouds_too(save, tmp_path):
@@ -248,13 +217,6 @@ def test_arrays_and_tables_are_clouds_too(save, tmp_path):
     assert np.array_equal(read_cloud(save("a.TXT", text.replace("\n", "\r\n").replace(" ", "\t"))).points, POINTS)
     with pytest.warns(UserWarning, match=r"six\.xyz: only the first three"):
         assert np.array_equal(read_cloud(save("six.xyz", "1 2 3 255 0 0\n4 5 6 255 0 0\n")).points, [[1, 2, 3], [4, 5, 6]])
-
-
-def test_a_table_is_written_as_a_ply_of_its_precision(save, tmp_path):
-    np.save(tmp_path / "a.npy", POINTS.astype(np.float32))
-    write_cloud(tmp_path / "a.ply", POINTS, like=read_cloud(tmp_path / "a.npy"))
-    write_cloud(tmp_path / "b.ply", POINTS, like=read_cloud(save("b.xyz", "0 0 0\n1 1 1\n2 2 2\n3 3 3")))
-    assert (read_cloud(tmp_path / "a.ply").precision, read_cloud(tmp_path / "b.ply").precision) == ("float32", "float64")
 
 
 HEAD = "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
@@ -275,14 +237,11 @@ BAD_PLY = {
     "list with a float length": (
         HEAD.format(2).replace("end_header", "property list float int a\nend_header") + "0 0 0 0\n", "expected an integer type",
     ),
-    "zero points": (HEAD.format(0), "0 points, expected at least 2"),
     "one point": (HEAD.format(1) + "0 0 0\n", "1 point, expected at least 2"),
-    "truncated": (HEAD.format(3) + "0 0 0\n1 1 1\n", "ends after 2 of 3 rows"),
     "cut line": (HEAD.format(2) + "0 0 0\n1 1", "line 9 has 2 values, expected 3"),
     "too many": (HEAD.format(2) + "0 0 0\n1 1 1\n2 2 2\n", "has 3 lines of data, the header accounts for 2"),
     "huge count": (HEAD.format(10**18) + "0 0 0\n1 1 1\n", "ends after 2 of 1000000000000000000"),
     "impossible count": (HEAD.format(10**30) + "0 0 0\n1 1 1\n", "expected a name and a count"),
-    "negative count": (HEAD.format(-2) + "0 0 0\n1 1 1\n", "expected a name and a count"),
     "words": (HEAD.format(2) + "0 0 0\n1 one 1\n", "line 9 has 'one', expected a number"),
     "not finite": (HEAD.format(4) + "0 0 0\n1 1 1\n1 nan 1\n2 inf 2\n", "2 of 4 points .*not finite.* point 2 "),
     "huge number": (HEAD.format(2) + "0 0 0\n1 1e200 1\n", "coordinate of 1e\\+200"),
@@ -315,18 +274,10 @@ def test_a_binary_body_of_another_length_than_the_header_says_is_refused(save, f
 
 @every_form
 def test_a_count_that_lies_allocates_nothing(save, form):
-    data = a_ply(form).replace(b"element vertex 4", b"element vertex 900000000000000000")
-    with pytest.raises(InputError, match=r"of 900000000000000000 rows of element 'vertex'"):
-        read_cloud(save("a.ply", data))
-    data = a_ply(form).replace(b"element face 3", b"element face 900000000000000000")
-    with pytest.raises(InputError, match=r"of 900000000000000000 rows of element 'face'"):
-        read_cloud(save("a.ply", data))
-
-
-def test_a_header_without_end_is_given_up_on(save):
-    data = "ply\nformat ascii 1.0\n" + "comment\n" * 200_000 + HEAD.format(2)[21:] + "0 0 0\n1 1 1\n"
-    with pytest.raises(InputError, match="no end_header line within its first"):
-        read_cloud(save("a.ply", data))
+    for element, count in ((b"vertex", b"4"), (b"face", b"3")):
+        data = a_ply(form).replace(element + b" " + count, element + b" 900000000000000000")
+        with pytest.raises(InputError, match=f"of 900000000000000000 rows of element '{element.decode()}'"):
+            read_cloud(save("a.ply", data))
 
 
 def test_files_that_cannot_be_opened_are_refused(save, tmp_path):
@@ -356,12 +307,9 @@ def npy(kind, shape, size):
     ("content", "message"),
     [
         (np.zeros((4, 2)), r"float64 \[4, 2\], expected numbers \[N, 3\]"),
-        (np.zeros(3), r"\[3\], expected"),
-        (np.zeros((2, 3), dtype=complex), "complex128"),
         (np.zeros((2, 3), dtype=bool), "bool"),
         (np.array([[{}] * 3] * 2), "object"),
         (np.zeros((0, 3)), "0 points"),
-        (np.full((5, 3), np.nan), "5 of 5 points .* first is point 0"),
         (npy("<f8", (2000000000000, 3), 48), "has 48 bytes of values, expected .2000000000000, 3"),
         (npy("<f8", (2, 3), 56), "has 56 bytes of values, expected .2, 3. of float64"),
         (npy("<\x1b[", (2, 3), 48), "is not a readable"),
@@ -373,25 +321,13 @@ def test_arrays_that_are_no_clouds_are_refused(save, content, message):
     assert_one_line(str(caught.value))
 
 
-class Trap:
-    def __reduce__(self):
-        return pytest.fail, ("unpickled",)
-
-
-def test_a_pickle_is_never_opened(save):
-    with pytest.raises(InputError, match=r"p\.npy: is not a readable \.npy"):
-        read_cloud(save("p.npy", pickle.dumps(Trap())))
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("1 2 3\n4 5\n", "line 2 has 2 columns, expected at least 3"),
-        ("1,2,3\n4,5,6\n", "line 1 has 1 columns"),
         ("x y z\n1 2 3\n", "line 1 has 'x', expected a number"),
         ("1 2 3\n4 5 6_0\n", "line 2 has '6_0', expected a number"),
         ("# nothing\n", "0 points"),
-        ("  \n \n", "0 points"),
         ("1 2 3\x00\n4 5 6", "line 1 has .*expected a number"),
     ],
 )
@@ -409,7 +345,6 @@ def test_nothing_is_written_for_points_that_cannot_be(save, tmp_path):
         (bad, TsoError, r"b\.ply: point 3 is not finite"),
         (POINTS[:3], InputError, "3 points to write, expected 4 as in .*a.ply"),
         (huge, TsoError, "does not fit into the float"),
-        (POINTS[:, :2], InputError, r"shape \[4, 2\]"),
     ]:
         with pytest.raises(error, match=message):
             write_cloud(tmp_path / "b.ply", points, like=cloud)
@@ -421,20 +356,13 @@ def test_nothing_is_written_for_points_that_cannot_be(save, tmp_path):
     write_cloud(tmp_path / "a.ply", POINTS, like=cloud, overwrite=True)
 
 
-def test_a_cloud_made_in_memory_can_be_the_model_of_another(tmp_path):
-    write_cloud(tmp_path / "a.ply", POINTS, like=PointCloud(POINTS, tmp_path / "memory"))
-    assert np.array_equal(read_cloud(tmp_path / "a.ply").points, POINTS)
-
-
 DAMAGED = {
     "ascii.ply": a_ply("ascii", extra_first=True, lists=[[1], [], [0, 3], [2]]),
-    "little.ply": a_ply("binary_little_endian"),
     "lists.ply": a_ply("binary_little_endian", "double", extra_first=True, lists=[[1], [], [0, 3], [2]]),
     "big.ply": a_ply("binary_big_endian", "double", eol="\r\n", faces=FACES[:1]),
     "integers.ply": a_ply("binary_big_endian", "short", eol="\r"),
     "table.xyz": b"# table\n" + b"0.5 -1e-3 7\n1 2 3\n" * 4,
     "array.npy": POINTS.astype(np.float32),
-    "fortran.npy": np.asfortranarray(POINTS),
 }
 
 
@@ -450,9 +378,9 @@ def test_any_damage_is_read_or_refused_in_one_line(save, tmp_path, name):
         again = read_cloud(tmp_path / "rewritten.ply").points
         assert np.allclose(again, cloud.points * 0.5, rtol=1e-6, atol=1e-40)
 
-    was_read, refused = assert_reads_or_refuses(read_and_rewrite, tmp_path / name, count=200)
-    assert was_read > 5
-    assert refused > 30
+    was_read, refused = assert_reads_or_refuses(read_and_rewrite, tmp_path / name, count=120)
+    assert was_read > 3
+    assert refused > 20
 
 
 @every_form
@@ -469,12 +397,7 @@ def test_colours_are_read_as_shares_of_what_their_type_can_hold(save, form):
     cloud = read_cloud(save("b.ply", head + b"".join(body)))
     assert np.array_equal(cloud.points, [[0.5, 1.0, 2.0], [1.5, 1.0, 2.0]])
     assert np.allclose(cloud.colours(), [[200 / 255, 0.25, 1.0], [0.0, 1.0, 13 / 65535]], rtol=0.0, atol=1e-12)
-
-
-def test_floating_point_colours_outside_0_to_1_are_refused(tmp_path):
-    header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(
-        f"property float {name}\n" for name in ("x", "y", "z", "red", "green", "blue")
-    )
-    (tmp_path / "a.ply").write_text(header + "end_header\n0 0 0 0.5 1 0\n1 1 1 200 0 0\n")
-    with pytest.raises(InputError, match="colours span 0 to 200 of their type's range, expected 0 to 1"):
-        read_cloud(tmp_path / "a.ply").colours()
+    if form == "ascii":
+        too_bright = save("c.ply", head + body[0].replace(b"0.25", b"200") + body[1])
+        with pytest.raises(InputError, match="colours span 0 to 200 of their type's range, expected 0 to 1"):
+            read_cloud(too_bright).colours()

@@ -9,7 +9,7 @@ from tests.corruption import assert_one_line, assert_reads_or_refuses
 from tso_cli.errors import InputError
 from tso_cli.io import shapes
 from tso_cli.io.clouds import write_cloud
-from tso_cli.io.shapes import grid_surface, read_binvox, read_shape, shape_kind
+from tso_cli.io.shapes import grid_surface, read_shape, shape_kind
 
 SQUARE_OFF = "OFF\n4 2 0\n0 0 0\n2 0 0\n2 2 0\n0 2 0\n3 0 1 2\n3 0 2 3\n"
 SQUARE_PLY = (
@@ -60,12 +60,6 @@ def test_axes_of_both_grids_are_x_y_z(save) -> None:
     np.testing.assert_allclose(vertices, expected - (expected.min(0) + expected.max(0)) / 2, atol=1e-6)
 
 
-def test_the_longest_side_of_an_npy_grid_spans_one(save) -> None:
-    vertices, _ = grid_surface(save("slab.npy", np.ones((4, 10, 2))))
-    np.testing.assert_allclose(vertices.max(0), [0.2, 0.5, 0.1], atol=1e-6)
-    np.testing.assert_allclose(vertices.min(0), [-0.2, -0.5, -0.1], atol=1e-6)
-
-
 def test_the_scale_of_a_binvox_file_counts_and_its_occupied_part_is_centred(save) -> None:
     grid = np.zeros((4, 4, 4), dtype=bool)
     grid[:3, 1:, :2] = True
@@ -74,10 +68,11 @@ def test_the_scale_of_a_binvox_file_counts_and_its_occupied_part_is_centred(save
     np.testing.assert_allclose(vertices.min(0), [-0.75, -0.75, -0.5], atol=1e-6)
 
 
-def test_the_surface_of_a_grid_is_closed_at_its_border(save) -> None:
-    _, faces = grid_surface(save("full.npy", np.ones((3, 3, 3))))
+def test_the_surface_of_a_grid_is_closed_at_its_border_and_its_longest_side_is_1(save) -> None:
+    vertices, faces = grid_surface(save("full.npy", np.ones((4, 10, 2))))
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
+    np.testing.assert_allclose([vertices.min(0), vertices.max(0)], [[-0.2, -0.5, -0.1], [0.2, 0.5, 0.1]], atol=1e-6)
 
 
 def test_soft_occupancy_places_the_surface_between_voxels(save) -> None:
@@ -89,7 +84,7 @@ def test_soft_occupancy_places_the_surface_between_voxels(save) -> None:
     assert vertices[:, 2].max() == pytest.approx(-0.05 + 0.1 * 2 / 3, abs=1e-6)
 
 
-@pytest.mark.parametrize("dtype", [bool, np.uint8, np.float32, np.float64, np.int32, ">f4", np.float16])
+@pytest.mark.parametrize("dtype", [bool, np.int32, ">f4", np.float16])
 def test_grids_of_any_number_type_are_read(save, dtype: object) -> None:
     expected = grid_surface(save("a.npy", ball(8, 0.3)))[0]
     np.testing.assert_allclose(grid_surface(save("b.npy", np.asfortranarray(ball(8, 0.3).astype(dtype))))[0], expected)
@@ -120,12 +115,6 @@ def test_a_mesh_gives_points_of_its_surface_or_on_request_its_vertices(save, nam
     assert sorted(read_shape(path, 300, as_vertices=True).tolist()) == [[0, 0, 0], [0, 2, 0], [2, 0, 0], [2, 2, 0]]
 
 
-def test_a_cloud_keeps_its_points_and_their_order(tmp_path: Path) -> None:
-    points = np.random.default_rng(0).normal(size=(20, 3))
-    write_cloud(tmp_path / "a.ply", points, dtype="float64")
-    np.testing.assert_array_equal(read_shape(tmp_path / "a.ply", 5), points)
-
-
 GOOD = binvox_bytes(ball(6, 0.4))
 
 
@@ -136,12 +125,9 @@ GOOD = binvox_bytes(ball(6, 0.4))
         (b"#binvox 2\n", "expected a .binvox header"),
         (GOOD[:40], "expected a .binvox header"),
         (GOOD.replace(b"dim 6 6 6", b"dim 6 6"), "dim is '6 6'"),
-        (GOOD.replace(b"dim 6 6 6", b"dim 6 6 x"), "dim is"),
         (GOOD.replace(b"dim 6 6 6\n", b""), "dim is missing"),
         (GOOD.replace(b"dim 6 6 6", b"dim 6 6 6.5"), "dim is"),
         (GOOD.replace(b"dim 6 6 6", b"dim 0 6 6"), "expected 1 to"),
-        (GOOD.replace(b"dim 6 6 6", b"dim -6 -6 6"), "expected 1 to"),
-        (GOOD.replace(b"dim 6 6 6", b"dim 99999 99999 99999"), "expected 1 to"),
         (GOOD.replace(b"dim 6 6 6", b"dim 1e300 1e300 1"), "expected 1 to"),
         (GOOD.replace(b"dim 6 6 6", b"dim 6 6 7"), "hold 216 voxels, dim promises 252"),
         (GOOD.replace(b"scale 1", b"scale 0"), "scale is 0"),
@@ -150,12 +136,10 @@ GOOD = binvox_bytes(ball(6, 0.4))
         (GOOD[:-2], "dim promises 216"),
         (GOOD[:-2] + b"\x02" + GOOD[-1:], "value 2, expected 0 or 1"),
         (binvox_bytes(np.zeros((4, 4, 4))), "no voxel of the 4 x 4 x 4 grid"),
-        (np.zeros((3, 3, 3)), "no voxel"),
         (np.full((3, 3, 3), np.nan), "NaN"),
         (np.ones((3, 0, 3)), "expected 1 to"),
         (np.ones((3, 3, 3), complex), "expected a grid of numbers"),
         (np.full((3, 3, 3), None), "expected numbers"),
-        (np.ones((2, 3, 3, 3)), "expected numbers"),
     ],
 )
 def test_a_wrong_grid_is_refused_in_one_line(save, content: bytes | np.ndarray, message: str) -> None:
@@ -188,9 +172,3 @@ def test_any_damage_to_a_grid_is_read_or_refused(save, name: str) -> None:
     read, refused = assert_reads_or_refuses(lambda path: read_shape(path, 4), path, 150)
     assert read > 0
     assert refused > 30
-
-
-def test_a_binvox_file_gives_its_grid_and_its_side(save) -> None:
-    grid, side = read_binvox(save("good.binvox", GOOD))
-    np.testing.assert_array_equal(grid, ball(6, 0.4))
-    assert side == 1.0

@@ -6,10 +6,11 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple, overload
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +18,14 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.camera import Camera
 from ..geometry.points import Array, farthest_point_sample, sample_surface
-from ..io.images import read_image
+from ..io.images import read_image, read_mask
 from ..io.output import reason
 from ..io.reading import read_bytes, shown
-from .items import Dataset, Floats, ObjectItem, ViewItem
+from .items import Dataset, Floats, ObjectItem, Pixels, ViewItem
 
 Targets = tuple[Path, str, Callable[[str], Floats]]
 """The folder that has SYNSET/MODEL/FILE, FILE, and what reads it."""
+View = Callable[[Path, str, list[float], tuple[int, int]], ViewItem]
 
 SAMPLES, POINTS = 16384, 1024
 """Points drawn from a surface, and how many of them farthest-point sampling keeps, as in the paper."""
@@ -49,13 +51,8 @@ class LazyViews(Sequence[ViewItem]):
     def __len__(self) -> int:
         return self._count
 
-    @overload
-    def __getitem__(self, index: int) -> ViewItem: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[ViewItem]: ...
-    def __getitem__(self, index: int | slice) -> ViewItem | list[ViewItem]:
-        numbers = range(self._count)[index]
-        return [self._build(i) for i in numbers] if isinstance(numbers, range) else self._build(numbers)
+    def __getitem__(self, index: int) -> ViewItem:  # type: ignore[override]
+        return self._build(range(self._count)[index])
 
 
 class Skipped:
@@ -66,7 +63,6 @@ class Skipped:
         self.reasons: dict[str, str] = {}
 
     def add(self, item: str, why: str) -> None:
-        """Note that ``item`` cannot be used; ``why`` is one line that names the file."""
         if self.strict:
             raise InputError(why)
         self.reasons[item] = why
@@ -98,17 +94,12 @@ def require_folder(folder: Path, what: str) -> None:
 
 
 class Picture(NamedTuple):
-    """A picture of a model.
-
-    file, row : its name, and its row of the table of cameras [1, columns].
-    problem : why it cannot be used, "" if it can.
-    measured : the file whose size is that of the view.
-    """
+    """A picture of a model."""
 
     file: str
-    row: Array
-    problem: str
-    measured: str
+    row: Array  # of the table of cameras, [1, columns]
+    problem: str  # why it cannot be used, "" if it can
+    measured: str  # the file whose size is that of the view
 
 
 @dataclass(frozen=True)
@@ -117,18 +108,16 @@ class ModelLayout:
 
     Attributes
     ----------
-    title : what the data set is called. expected : what messages expect in its folder.
-    pictures : the pictures in the folder of a model; InputError where the model cannot be used.
+    pictures : those in the folder of a model; InputError where the model cannot be used.
     view : from that folder, the file of a picture, its row and the size (width, height).
-    inside : folder inside that of the model. not_a_category : a folder beside the categories.
     """
 
     title: str
     expected: str
     pictures: Callable[[Path], list[Picture]]
-    view: Callable[[Path, str, list[float], tuple[int, int]], ViewItem]
-    inside: str = ""
-    not_a_category: str = ""
+    view: View
+    inside: str = ""  # folder inside that of the model
+    not_a_category: str = ""  # a folder beside the categories
 
 
 def open_models(name: str, folder: Path, layout: ModelLayout, targets: Targets | None, strict: bool) -> Dataset:
@@ -160,24 +149,18 @@ def open_models(name: str, folder: Path, layout: ModelLayout, targets: Targets |
 
 
 def _usable(model: str, folder: Path, layout: ModelLayout, skipped: Skipped) -> list[Picture]:
-    pictures = layout.pictures(folder)
+    pictures, usable = layout.pictures(folder), []
     for picture in pictures:
         if picture.problem:
             skipped.add(f"{model}/{picture.file}", picture.problem)
-    usable = [picture for picture in pictures if not picture.problem]
+        else:
+            usable.append(picture)
     if not usable:
         raise InputError(f"{folder}: none of its {len(pictures)} pictures can be used")
     return usable
 
 
-def _view(
-    view: Callable[[Path, str, list[float], tuple[int, int]], ViewItem],
-    folder: str,
-    files: list[str],
-    rows: Array,
-    size: tuple[int, int],
-    index: int,
-) -> ViewItem:
+def _view(view: View, folder: str, files: list[str], rows: Array, size: tuple[int, int], index: int) -> ViewItem:
     return view(Path(folder), files[index], rows[index].tolist(), size)
 
 
@@ -199,10 +182,7 @@ def clouds_beside(pictures: Path) -> Targets | None:
 
 
 def read_table(path: Path, least: int, most: int, what: str) -> Array:
-    """A text file of numbers, one row a line: [rows, most], with NaN where a line has only ``least`` or a few more.
-
-    Raises InputError naming the line if one has fewer, or a word there is not a finite number.
-    """
+    """A text file of numbers, ``least`` to ``most`` a line: [rows, most], with NaN for those that a line lacks."""
     text = read_bytes(path, what, limit=_TABLE_LIMIT).decode("utf-8", "replace")
     rows = []
     for number, line in enumerate(text.rstrip().splitlines(), 1):
@@ -224,11 +204,9 @@ def read_table(path: Path, least: int, most: int, what: str) -> Array:
 def _first_size(paths: Iterable[Path]) -> tuple[int, int] | None:
     """Width and height of the first picture that can be read, None if none can."""
     for path in paths:
-        try:
+        with suppress(InputError):
             height, width = read_image(path).shape[:2]
-        except InputError:
-            continue
-        return width, height
+            return width, height
     return None
 
 
@@ -237,6 +215,14 @@ def require_size(path: Path, pixels: NDArray[np.generic], camera: Camera, expect
     height, width = pixels.shape[:2]
     if (width, height) != (camera.width, camera.height):
         raise InputError(f"{path}: is {width}x{height}, expected {camera.width}x{camera.height} {expected}")
+
+
+def load_pair(image_path: Path, mask_path: Path, camera: Camera, expected: str) -> tuple[Pixels, Floats]:
+    """Image [H, W, 3] and mask [H, W] of two files; InputError unless both are of the camera's size."""
+    image, mask = read_image(image_path)[..., :3], read_mask(mask_path)
+    require_size(image_path, image, camera, expected)
+    require_size(mask_path, mask, camera, expected)
+    return image, mask
 
 
 def surface_target(vertices: Array, faces: NDArray[np.int64]) -> Floats:

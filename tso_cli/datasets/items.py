@@ -22,10 +22,8 @@ class ViewItem:
 
     Attributes
     ----------
-    name : what messages call it, a path as a rule.
     camera : from the object's own frame to the pixels of image and mask.
-    load : gives image [H, W, 3] uint8 and mask [H, W] float32 in [0, 1], both of the camera's size; InputError naming the file
-        if they cannot be read.
+    load : gives image [H, W, 3] and mask [H, W] in [0, 1], both of the camera's size; InputError if they cannot be read.
     """
 
     name: str
@@ -39,9 +37,10 @@ class ObjectItem:
 
     Attributes
     ----------
-    name : unique in its data set, CATEGORY/NAME as a rule. category : "" where the data set knows none.
+    name : unique in its data set, CATEGORY/NAME as a rule.
+    category : "" where the data set knows none.
     views : at least one.
-    target : gives points of the surface [P, 3] float32 in the object's own frame; None where there is no such file.
+    target : gives points of the surface [P, 3] in the object's own frame; None where there is no such file.
     lacking : one line naming the 3D file that is missing, where other objects of the data set have theirs.
     """
 
@@ -54,24 +53,17 @@ class ObjectItem:
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Objects that can be used, sorted by name, and why the others cannot.
-
-    Attributes
-    ----------
-    description : what it is, in words; it is stored in checkpoints.
-    skipped : item -> why it was left out.
-    scale : that of all clouds and cameras, in words.
-    """
+    """Objects that can be used, sorted by name, and why the others cannot."""
 
     objects: Sequence[ObjectItem]
-    description: str
-    skipped: dict[str, str] = field(default_factory=dict)
-    scale: str = "longest side 1"
+    description: str  # stored in checkpoints
+    skipped: dict[str, str] = field(default_factory=dict)  # item -> why it was left out
+    scale: str = "longest side 1"  # that of all clouds and cameras, in words
 
     def select(self, names: Sequence[str], source: str) -> Dataset:
-        """The objects that the list of a split names, with their warped copies (NAME~0001 and so on).
+        """The objects that the split in the file ``source`` names, with their warped copies (NAME~0001 and so on).
 
-        Raises InputError naming ``source``, the file of the split, if it names an object that is neither here nor skipped.
+        Raises InputError if it names an object that is neither here nor skipped.
         """
         listed = set(names)
         chosen = [item for item in self.objects if original(item.name) in listed]

@@ -32,14 +32,12 @@ def open_dataset(folder: Path | str, strict: bool = False, own_scale: bool = Fal
 
     Parameters
     ----------
-    folder : see `shapenet`, `r2n2`, `pix3d` and `rendered` for the layouts.
-    strict : what cannot be used is an error; else it is named in ``skipped`` and left out. Pictures are read, and found to be
-        damaged, only when they are loaded.
+    strict : what cannot be used is an InputError; else it is named in ``skipped`` and left out. Pictures are read, and found to
+        be damaged, only when they are loaded.
     own_scale : keep the sizes of objects. Those that have lost it, rendered here or of Pix3D, get a unit diagonal as ShapeNet's
         have. Else every object is centred and of longest side 1.
 
-    Raises InputError if ``folder`` is none, has no layout known here or two of them, or no object of it can be used; or, with
-    ``strict``, one cannot.
+    Raises InputError if ``folder`` has no layout known here or two of them, or no object of it can be used.
     """
     folder = Path(folder)
     common.require_folder(folder, f"a data set: {LAYOUTS}")

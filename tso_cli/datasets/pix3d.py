@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.camera import Array, Camera
 from ..geometry.points import bounding_box_normalisation
-from ..io.images import read_image, read_mask
 from ..io.reading import read_json, shown
 from . import common
 from .items import Dataset, Floats, ObjectItem, Pixels, ViewItem
@@ -39,7 +38,7 @@ _IMAGE_AXES = np.diag([-1.0, -1.0, 1.0])
 
 @dataclass(frozen=True)
 class _Entry:
-    """One photo: its files, the object it shows, and the camera from the model's own coordinates."""
+    """One photo and the camera from the model's own coordinates."""
 
     image: str
     mask: str
@@ -51,8 +50,7 @@ class _Entry:
 def open_pix3d(folder: Path | str, strict: bool = False) -> Dataset:
     """The objects of Pix3D; they are named after their models, CATEGORY/FOLDER/FILE, and every photo is a view.
 
-    ``folder`` is ROOT; the rest is as for `opening.open_dataset`. No picture and no model is read yet. With ``strict`` the
-    first entry that cannot be used is an error, but not one with part of the object out of sight.
+    No picture and no model is read yet. Entries with part of the object out of sight are left out even with ``strict``.
     """
     root = Path(folder)
     table = root / TABLE
@@ -119,7 +117,6 @@ def _numbers(values: dict[str, Any], key: str, shape: tuple[int, ...], where: st
 
 
 def _title(values: Any, number: int) -> str:
-    """What messages call an entry: its picture."""
     name = values.get("img") if isinstance(values, dict) else None
     return name if isinstance(name, str) and name.isprintable() and name else f"entry {number}"
 
@@ -158,14 +155,7 @@ def _view(root: str, photos: list[_Entry], index: int) -> ViewItem:
         camera = entry.camera.for_normalised(*_normalisation(str(model)))
     except InputError as error:
         return ViewItem(str(image), entry.camera, partial(_fail, str(error)))
-    return ViewItem(str(image), camera, partial(_load, image, mask, camera))
-
-
-def _load(picture: Path, mask_path: Path, camera: Camera) -> tuple[Pixels, Floats]:
-    image, mask = read_image(picture)[..., :3], read_mask(mask_path)
-    for path, pixels in ((picture, image), (mask_path, mask)):
-        common.require_size(path, pixels, camera, f"as {TABLE} says")
-    return image, mask
+    return ViewItem(str(image), camera, partial(common.load_pair, image, mask, camera, f"as {TABLE} says"))
 
 
 def _fail(message: str) -> tuple[Pixels, Floats]:

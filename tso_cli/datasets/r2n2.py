@@ -39,10 +39,7 @@ _PICTURE = re.compile(r"([0-9]{2,9})\.png")
 
 
 def open_r2n2(folder: Path | str, strict: bool = False) -> Dataset:
-    """The objects of this layout; they are named SYNSET/MODEL, in the frame and scale of ShapeNet's models.
-
-    ``folder`` is ROOT, or the folder that holds ShapeNetRendering; the rest is as for `opening.open_dataset`.
-    """
+    """The objects of this layout; they are named SYNSET/MODEL, in the frame and scale of ShapeNet's models."""
     root = Path(folder)
     if (root / RENDERED).is_dir():
         root = root / RENDERED
@@ -55,13 +52,9 @@ def open_r2n2(folder: Path | str, strict: bool = False) -> Dataset:
 
 
 def r2n2_camera(azimuth: float, elevation: float, ratio: float, size: tuple[int, int], rotation: float = 0.0) -> Camera:
-    """The camera of a view: from the axes of ShapeNet's models (y up) to pixels.
+    """The camera of a view: from the axes of ShapeNet's models (y up) to pixels of an image of ``size`` (width, height).
 
-    Parameters
-    ----------
-    azimuth, elevation, rotation : as in the table, degrees; the last is the in-plane rotation.
-    ratio : distance from the origin in units of 1.75.
-    size : width, height in pixels.
+    The other values are as in the table: degrees, and the distance ratio.
     """
     az, el, roll = np.radians([azimuth, elevation, rotation])
     right = np.array([np.sin(az), 0.0, -np.cos(az)])

@@ -33,20 +33,17 @@ from ..errors import InputError, TsoError
 from ..geometry.camera import Camera
 from ..io.cameras import CameraRecord, read_cameras, write_cameras
 from ..io.clouds import write_cloud
-from ..io.images import read_image, read_mask, write_image
+from ..io.images import write_image
 from ..io.output import atomic_output, reason
 from . import common
-from .items import Dataset, Floats, ObjectItem, Pixels, ViewItem
+from .items import Dataset, ObjectItem, Pixels, ViewItem
 
 CAMERAS, TARGET, RECORD = "cameras.json", "target.ply", "render.json"
 _LEFT = re.compile(r"\.(.{1,40})\.[0-9a-f]{8}\.(partial|old)", re.DOTALL)
 
 
 def open_rendered(folder: Path | str, strict: bool = False) -> Dataset:
-    """The objects of a rendered folder as a data set; the category of CATEGORY/NAME is CATEGORY, of NAME "".
-
-    ``folder`` is as `tso render` wrote it, or one object of it; the rest is as for `opening.open_dataset`.
-    """
+    """The objects of a rendered folder, or of one object in it; the category of CATEGORY/NAME is CATEGORY, of NAME ""."""
     root = Path(folder)
     common.require_folder(root, "one that tso render wrote")
     skipped, objects = common.Skipped(strict), []
@@ -68,10 +65,7 @@ def holds_object(folder: Path) -> bool:
 
 
 def stored_record(folder: Path) -> dict[str, Any] | None:
-    """The settings that the object in ``folder`` was made with, None where there is no such folder.
-
-    Raises InputError if the folder holds something else.
-    """
+    """The settings of the object in ``folder``, None where there is no such folder; InputError if it holds something else."""
     if not folder.exists():
         return None
     try:
@@ -91,13 +85,7 @@ def write_object(
     record: dict[str, Any],
     overwrite: bool = False,
 ) -> None:
-    """Write one object; ``folder`` appears whole or not at all.
-
-    Parameters
-    ----------
-    views : image [H, W, 3], mask [H, W] and camera of each.
-    samples, target : [S, 3] and [P, 3].
-    record : the settings, to be found again by `stored_record`.
+    """Write one object of images [H, W, 3], masks [H, W] and cameras; ``folder`` appears whole or not at all.
 
     Raises InputError if the folder exists (without ``overwrite``) or is not an object (with it), TsoError if writing failed.
     """
@@ -180,14 +168,13 @@ def _lock(folder: Path) -> int | None:
 
 
 def _records(folder: Path) -> list[CameraRecord]:
-    """All views of the object in ``folder``; InputError if one lacks its image or mask."""
     path = folder / CAMERAS
     return _read_records(path, path.stat().st_mtime_ns if path.exists() else 0)
 
 
 @lru_cache(maxsize=256)
 def _read_records(path: Path, changed: int) -> list[CameraRecord]:
-    """The views in a camera file that was last ``changed`` then."""
+    """The views in a camera file last ``changed`` then; InputError if one lacks its image or mask."""
     records = read_cameras(path)
     for number, record in enumerate(records):
         if record.image is None or record.mask is None:
@@ -200,14 +187,8 @@ def _view(folder: str, index: int) -> ViewItem:
     record = _records(Path(folder))[index]
     assert record.image is not None
     assert record.mask is not None
-    return ViewItem(str(record.mask), record.camera, partial(_load, record.image, record.mask, record.camera))
-
-
-def _load(image_path: Path, mask_path: Path, camera: Camera) -> tuple[Pixels, Floats]:
-    image, mask = read_image(image_path), read_mask(mask_path)
-    for path, pixels in ((image_path, image), (mask_path, mask)):
-        common.require_size(path, pixels, camera, f"as its camera in {CAMERAS}")
-    return image[..., :3], mask
+    load = partial(common.load_pair, record.image, record.mask, record.camera, f"as its camera in {CAMERAS}")
+    return ViewItem(str(record.mask), record.camera, load)
 
 
 def _walk(folder: Path) -> Iterator[tuple[str, Path, bool]]:

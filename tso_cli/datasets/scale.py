@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 from collections import defaultdict
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -27,9 +28,8 @@ TYPICAL = 32
 def normalised(dataset: Dataset) -> Dataset:
     """The objects with targets of longest side 1, centred on their box, and with cameras moved so that no picture changes.
 
-    Centre and size of an object are those of its target, read when one of its views or its target is first asked for. An
-    object without a readable target takes the median of its category, or of all where the category has none. Without any 3D
-    file everything stays as it is.
+    A target is read when it or a view of its object is first asked for. An object without a readable one takes the median of
+    its category, or of all where the category has none. Without any 3D file everything stays as it is.
     """
     if all(item.target is None for item in dataset.objects):
         return replace(dataset, scale=AS_READ)
@@ -93,11 +93,9 @@ class _Boxes:
                 members = self._members[category] or [item for items in self._members.values() for item in items]
                 boxes = []
                 for item in members[:: max(1, -(-len(members) // TYPICAL))]:
-                    try:
-                        assert item.target is not None
+                    assert item.target is not None
+                    with suppress(InputError):
                         boxes.append(self._measured(item, item.target()))
-                    except InputError:
-                        continue
                 centre = np.median([centre for centre, _ in boxes], axis=0) if boxes else np.zeros(3)
                 self._medians[category] = centre, float(np.median([size for _, size in boxes])) if boxes else 1.0
             return self._medians[category]

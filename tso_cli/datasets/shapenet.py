@@ -41,10 +41,7 @@ _IMAGE_AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 def open_shapenet(folder: Path | str, strict: bool = False) -> Dataset:
-    """The objects of this layout; they are named SYNSET/MODEL, in the frame and scale of their clouds.
-
-    ``folder`` is ROOT, or ROOT/ShapeNet_rendered; the rest is as for `opening.open_dataset`.
-    """
+    """The objects of this layout in ROOT or ROOT/ShapeNet_rendered; they are named SYNSET/MODEL, as their clouds are."""
     root = Path(folder)
     if not (root / RENDERED).is_dir() and root.resolve().name == RENDERED:
         root = root.resolve().parent
@@ -54,14 +51,7 @@ def open_shapenet(folder: Path | str, strict: bool = False) -> Dataset:
 
 
 def shapenet_camera(azimuth: float, elevation: float, size: tuple[int, int], distance: float = CANONICAL_DISTANCE) -> Camera:
-    """The camera of a view: from the axes (a, b, c) of the clouds to pixels.
-
-    Parameters
-    ----------
-    azimuth, elevation : as in view.txt, degrees.
-    size : width, height in pixels.
-    distance : from the origin, in units of the cloud.
-    """
+    """The camera of a view: from the axes (a, b, c) of the clouds to pixels of an image of ``size`` (width, height)."""
     az, el = np.radians(azimuth), np.radians(elevation)
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(az), -np.sin(az)], [0.0, np.sin(az), np.cos(az)]])
     about_y = np.array([[np.cos(el), 0.0, np.sin(el)], [0.0, 1.0, 0.0], [-np.sin(el), 0.0, np.cos(el)]])

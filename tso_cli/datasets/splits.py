@@ -27,10 +27,7 @@ _LIMIT = 1 << 28
 
 
 def read_split(path: Path | str) -> dict[str, list[str]]:
-    """Names of the objects of each part, in the order of the JSON file or folder ``path``, each once.
-
-    Raises InputError if it cannot be read, has another form, has no names, or has an object in two parts.
-    """
+    """Names of the objects of each part, each once; InputError if there are none, or an object is in two parts."""
     path = Path(path)
     split = _from_folder(path) if path.is_dir() else _from_json(path)
     split = {part: list(dict.fromkeys(split[part])) for part in PARTS if part in split}
@@ -46,7 +43,7 @@ def read_split(path: Path | str) -> dict[str, list[str]]:
 
 
 def read_part(path: Path | str, part: str) -> list[str]:
-    """Names of the objects of one ``part``; InputError as from `read_split`, or if the split has no such list."""
+    """Names of the objects of one ``part``; InputError if the split has no such list."""
     split = read_split(path)
     if part not in split:
         raise InputError(f"{path}: has no list {part!r}, expected one beside {', '.join(map(repr, split))}")

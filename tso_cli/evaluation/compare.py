@@ -40,7 +40,6 @@ class EvalConfig:
 
     Parameters
     ----------
-    metrics : some of `METRICS`.
     protocol : "plain" takes coordinates as they are. "capnet" is the paper's: each cloud is thinned to ``points``, then centred
         on its own bounding box and scaled to longest side 1, which hides errors of scale and place; EMD squares its distances.
     points : thin every cloud first (`farthest_point_sample`). None: all points; under "capnet" at most 1,024.
@@ -49,10 +48,7 @@ class EvalConfig:
     sigma_sq : IoU of the paper's silhouette, Gaussians of this variance in px^2, instead of that of `footprint`.
     as_vertices : of meshes take the vertices, not the surface.
 
-    Raises
-    ------
-    InputError
-        A value is out of range.
+    Raises InputError for a value out of range.
     """
 
     metrics: tuple[str, ...] = ("chamfer",)
@@ -88,18 +84,9 @@ class EvalConfig:
 def evaluate(pairs: Sequence[Pair], config: EvalConfig, progress: Progress | None = None) -> dict[str, Any]:
     """Measure every pair; ``progress`` is called with (done, total) after each.
 
-    Returns
-    -------
-    JSON-able {"pairs": [{"name", ...}], "mean": {...}, "convention": {...}}; distances are raw, in units of the files or, under
-    the capnet protocol, of the longest side.
-
-    Raises
-    ------
-    InputError
-        A file cannot be used; the message names it.
+    Returns JSON-able {"pairs": [{"name", ...}], "mean": {...}, "convention": {...}}; distances are raw, in units of the files
+    or, under the capnet protocol, of the longest side. Raises InputError naming a file that cannot be used.
     """
-    if not pairs:
-        raise InputError("no pair to judge, expected at least one")
     records = []
     for done, pair in enumerate(pairs, 1):
         records.append(_measure(pair, config))
@@ -111,7 +98,6 @@ def evaluate(pairs: Sequence[Pair], config: EvalConfig, progress: Progress | Non
 
 
 def _measure(pair: Pair, config: EvalConfig) -> dict[str, Any]:
-    """The metrics of one pair, and what was read from the two files."""
     prediction = _read(pair.prediction, config, [config.seed, 1])
     target = _read(pair.target, config, config.seed)
     record: dict[str, Any] = {"name": pair.name}
@@ -156,7 +142,6 @@ def _centre(points: Array) -> Array:
 
 
 def _measure_iou(points: Array, pair: Pair, sigma_sq: float | None) -> dict[str, Any]:
-    """Mean IoU over the views of a pair."""
     scores = []
     for file, mask, camera in pair.views():
         if sigma_sq is None:
@@ -200,7 +185,6 @@ def _convention(config: EvalConfig) -> dict[str, Any]:
 
 @contextmanager
 def _prefixed(files: str) -> Iterator[None]:
-    """Name the files in errors about their arrays."""
     try:
         yield
     except InputError as error:

@@ -39,11 +39,11 @@ IOU_MEANS = (
 
 
 class Seen(NamedTuple):
-    """Silhouette and mask in a window, [H, W] each."""
+    """In a window, [H, W] each; known is None where all pixels are."""
 
     silhouette: Bools
     mask: Bools
-    known: Bools | None  # None: all pixels
+    known: Bools | None
 
 
 def common_window(stages: Sequence[tuple[Array, View]]) -> Box:
@@ -55,16 +55,9 @@ def common_window(stages: Sequence[tuple[Array, View]]) -> Box:
 
 
 def window_iou(points: Array, view: View, box: Box | None = None) -> float:
-    """Intersection over union of a cloud's silhouette and the mask (> 0.5), over the known pixels of a window.
+    """IoU of the silhouette of ``points`` [N, 3] and the mask (> 0.5), over the known pixels of the window ``box``.
 
-    Parameters
-    ----------
-    points : [N, 3], N >= 1, in the units of the view's camera.
-    box : left, top, right, bottom in pixel coordinates of the mask; None for the square around mask and cloud.
-
-    Returns
-    -------
-    In [0, 1]; 0 where the window is so large that its cells miss all known pixels.
+    That is by default the square around mask and cloud. 0 where it is so large that its cells miss all known pixels.
     """
     score = iou(*in_window(points, view, window_of(view, points) if box is None else box))
     return 0.0 if np.isnan(score) else score
@@ -101,9 +94,7 @@ def in_window(points: Array, view: View, box: Box) -> Seen:
 def spacing(points: Array) -> tuple[float, float]:
     """Spacing of the points [N, 3] of a surface, and the radius of the disc that closes the gaps between them.
 
-    Returns
-    -------
-    1 / sqrt(points per area), the median over the cloud, and 1 to 1.4 times that, in units of the points; 0 if all are equal.
+    They are 1 / sqrt(points per area), the median over the cloud, and 1 to 1.4 times that; 0 if all points are equal.
     """
     unit = float(np.ptp(points, axis=0).max())
     if unit == 0.0:
@@ -128,21 +119,15 @@ def spacing(points: Array) -> tuple[float, float]:
 
 
 def _subset(points: Array, most: int) -> Array:
-    """At most so many of the points, drawn at random with a fixed seed."""
     if len(points) <= most:
         return points
     return points[np.random.default_rng(0).choice(len(points), most, replace=False, shuffle=False)]
 
 
 def footprint(points: Array, camera: Camera) -> Bools:
-    """The silhouette [H, W] of a cloud: a closing by a disc of 1 to 1.4 spacings, and a rim of 0.15 spacings.
+    """The silhouette [H, W] of a cloud [N, 3]: a closing by a disc of 1 to 1.4 spacings, and a rim of 0.15 spacings.
 
-    Points beyond the borders of the image count, those at or behind the camera do not.
-
-    Parameters
-    ----------
-    points : [N, 3], N >= 1.
-    camera : its image is the grid, of some hundred pixels a side; time and memory grow with it.
+    The camera's image is the grid. Points beyond its borders count, those at or behind the camera do not.
     """
     size = np.array([camera.width, camera.height])
     widest = WIDEST * float(size.max())

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.camera import Camera
-from ..io.cameras import find_camera, read_camera, read_cameras
+from ..io.cameras import check_size, find_camera, read_camera, read_cameras
 from ..io.images import read_mask
 from ..io.shapes import SUFFIXES
 
@@ -34,26 +34,20 @@ class Pair:
     def views(self) -> Iterator[tuple[Path, NDArray[np.float32], Camera]]:
         """Files of the masks, masks and cameras; InputError where files are missing or sizes differ."""
         if self.mask is not None:
-            rows: list[tuple[Path, Camera | None]] = [(self.mask, None)]
-        elif self.camera is None:
-            raise InputError("IoU needs --mask, with --camera or a camera file beside the mask")
-        else:
-            rows = []
-            for number, record in enumerate(read_cameras(self.camera)):
-                if record.mask is None:
-                    raise InputError(f"{self.camera}: view {number} names no mask, expected one or --mask")
-                rows.append((record.mask, record.camera))
-        for file, camera in rows:
-            mask = read_mask(file)
-            height, width = mask.shape
-            if camera is None:
-                source = self.camera or find_camera(file)
-                if source is None:
-                    raise InputError(f"{file}: no {file.stem}.camera.json or camera.json beside it, expected one or --camera")
-                camera = read_camera(source, width, height, file)
-            if (camera.width, camera.height) != (width, height):
-                raise InputError(f"{self.camera}: a camera is for {camera.width}x{camera.height}, {file} is {width}x{height}")
-            yield file, mask, camera
+            mask = read_mask(self.mask)
+            source = self.camera or find_camera(self.mask)
+            if source is None:
+                beside = f"{self.mask.stem}.camera.json or camera.json"
+                raise InputError(f"{self.mask}: no {beside} beside it, expected one or --camera")
+            yield self.mask, mask, read_camera(source, mask.shape[1], mask.shape[0], self.mask)
+            return
+        assert self.camera is not None
+        for number, record in enumerate(read_cameras(self.camera)):
+            if record.mask is None:
+                raise InputError(f"{self.camera}: view {number} names no mask, expected one or --mask")
+            mask = read_mask(record.mask)
+            check_size(self.camera, record.camera, mask.shape[1], mask.shape[0], record.mask)
+            yield record.mask, mask, record.camera
 
 
 def find_pairs(
@@ -63,14 +57,10 @@ def find_pairs(
 
     Parameters
     ----------
-    prediction, target : both files or both folders (with subfolders; without hidden files, and files of other kinds).
     mask, camera : a file for all pairs, or a folder with one file for each name (NAME.png, NAME.camera.json and the like).
     suffix : in folders, take only predictions whose names end in this, and match them without it: ".refined".
 
-    Raises
-    ------
-    InputError
-        A file and a folder; a folder without shapes; a name on one side only, or twice on a side; no mask or camera for a name.
+    Raises InputError if the two sides do not match, or a name has no mask or camera.
     """
     for path in (prediction, target, *(extra for extra in (mask, camera) if extra is not None)):
         if not path.exists():

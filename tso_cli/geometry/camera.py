@@ -25,32 +25,18 @@ NEAR = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """One calibrated view. All arrays are float64.
+    """One calibrated view; InputError if a shape is wrong, a number is not finite, K is singular or R is not a rotation."""
 
-    Parameters
-    ----------
-    K : [3, 3] intrinsics in pixels of the image; last row (0, 0, 1).
-    R : [3, 3] rotation, world to camera.
-    t : [3] translation, world units.
-    width, height : size of the image in pixels.
-    model : "perspective" (u = fx X/Z + cx) or "orthographic" (u = fx X + cx).
-
-    Raises InputError if a shape is wrong, a number is not finite, K is singular or R is not a rotation.
-    """
-
-    K: Array
-    R: Array
-    t: Array
-    width: int
+    K: Array  # [3, 3] intrinsics in pixels of the image; last row (0, 0, 1)
+    R: Array  # [3, 3] rotation, world to camera
+    t: Array  # [3] translation, world units
+    width: int  # of the image in pixels
     height: int
-    model: str = "perspective"
+    model: str = "perspective"  # u = fx X/Z + cx, or "orthographic": u = fx X + cx
 
     def __post_init__(self) -> None:
         for name, shape in (("K", (3, 3)), ("R", (3, 3)), ("t", (3,))):
-            try:
-                value = np.asarray(getattr(self, name), dtype=np.float64)
-            except (TypeError, ValueError):
-                raise InputError(f"{name} is not an array of numbers, expected shape {list(shape)}") from None
+            value = np.asarray(getattr(self, name), dtype=np.float64)
             if value.shape != shape:
                 raise InputError(f"{name} has shape {list(value.shape)}, expected {list(shape)}")
             if not np.isfinite(value).all():
@@ -93,10 +79,7 @@ class Camera:
         return self.cropped((-0.5, -0.5, self.width - 0.5, self.height - 0.5), width, height)
 
     def cropped(self, box: tuple[float, float, float, float], width: int, height: int) -> Camera:
-        """The camera of the image region ``box`` (left, top, right, bottom edges) resampled to ``width`` x ``height``.
-
-        Edges are in pixel coordinates, where the whole image spans -0.5 to width - 0.5.
-        """
+        """The camera of the region ``box`` resized: left, top, right, bottom, where the whole image is -0.5 to width - 0.5."""
         left, top, right, bottom = box
         sx, sy = width / (right - left), height / (bottom - top)
         change = np.array([[sx, 0.0, -left * sx - 0.5], [0.0, sy, -top * sy - 0.5], [0.0, 0.0, 1.0]])
@@ -110,10 +93,7 @@ class Camera:
         return replace(self, K=K, t=(self.R @ centre + self.t) / scale)
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Pixel coordinates [N, 2] and depth [N] of ``points`` [N, 3], in float64 (Eq. 1 of the paper).
-
-        Points at or behind the camera get NaN pixel coordinates under the perspective model.
-        """
+        """Pixel coordinates [N, 2] and depth [N] of ``points`` [N, 3] (Eq. 1 of the paper); NaN behind a perspective camera."""
         camera = points @ self.R.T + self.t
         depth = camera[:, 2]
         plane = camera[:, :2]

@@ -15,10 +15,7 @@ CANDIDATES = 16_384
 
 def as_points(points: ArrayLike, name: str = "cloud") -> Array:
     """``points`` as a float64 array [N, 3] with N >= 1 and finite coordinates; InputError naming ``name`` otherwise."""
-    try:
-        array = np.asarray(points, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"{name}: not an array of numbers, expected points [N, 3]") from None
+    array = np.asarray(points, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"{name}: shape is {list(array.shape)}, expected points [N, 3]")
     if len(array) == 0:
@@ -32,9 +29,8 @@ def as_points(points: ArrayLike, name: str = "cloud") -> Array:
 def farthest_point_sample(points: ArrayLike, count: int) -> NDArray[np.int64]:
     """Indices [count] of a subset spread out greedily, in the order of choice: the first k are the sample of size k.
 
-    Each new point is the one farthest from all chosen so far; among equals the first in file order. Exact and deterministic:
-    O(N count) time, O(N) memory. The first index is 0. Points [N, 3] may coincide; no index is chosen twice. Raises InputError
-    where ``points`` is not a finite [N, 3] or ``count`` is out of range.
+    The first index is 0; each new point is the one farthest from all chosen so far, among equals the first. Points [N, 3] may
+    coincide; no index is chosen twice. O(N count) time. Raises InputError where ``count`` is out of range.
     """
     array = as_points(points)
     total = len(array)
@@ -62,10 +58,7 @@ def farthest_point_sample(points: ArrayLike, count: int) -> NDArray[np.int64]:
 
 
 def spread_subset(points: ArrayLike, count: int) -> NDArray[np.int64]:
-    """Indices of at most ``count`` evenly spread points [N, 3]; all of them where there are no more.
-
-    Of a large cloud, at most 16,384 points at equal steps are candidates of `farthest_point_sample`, which bounds the time.
-    """
+    """Indices of at most ``count`` evenly spread points [N, 3]; of a large cloud, chosen among some at equal steps."""
     array = as_points(points)
     indices = np.arange(len(array))
     if len(array) <= count:
@@ -77,7 +70,7 @@ def spread_subset(points: ArrayLike, count: int) -> NDArray[np.int64]:
 def bounding_box_normalisation(points: ArrayLike, name: str = "cloud") -> tuple[Array, float]:
     """Centre [3] and longest side of a cloud's bounding box: ``(points - centre) / scale`` is centred, of longest side 1.
 
-    Raises InputError naming ``name`` where all points are equal (one point included), or the box has no finite size.
+    Raises InputError naming ``name`` where all points are equal, or the box has no finite size.
     """
     array = as_points(points, name)
     low, high = array.min(0), array.max(0)
@@ -98,10 +91,7 @@ def normalise_longest_side(points: ArrayLike, name: str = "cloud") -> Array:
 
 
 def sample_surface(vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.random.Generator) -> Array:
-    """Points [count, 3] drawn uniformly by area from the triangles ``faces`` [F, 3] between ``vertices`` [V, 3].
-
-    Raises InputError where there are no faces, a face names a vertex that does not exist, or the surface has no area.
-    """
+    """Points [count, 3] drawn uniformly by area from the triangles ``faces`` [F, 3]; InputError where they have no area."""
     corners = as_points(vertices, "mesh")
     triangles = as_triangles(faces, len(corners), "mesh")
     drawn, barycentric = draw_surface(corners, triangles, count, rng)
@@ -128,28 +118,17 @@ def as_triangles(faces: ArrayLike, count: int, name: str) -> NDArray[np.int64]:
 def draw_surface(
     corners: Array, triangles: NDArray[np.int64], count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], Array]:
-    """Places of ``count`` points drawn uniformly by area, arguments as of `sample_surface`.
-
-    Returns
-    -------
-    drawn : [count] int64, the triangle of each.
-    barycentric : [count, 2], its coordinates of the second and the third corner.
-
-    Raises InputError if ``count`` is under 1, there are no triangles, or they have no area.
+    """Of ``count`` points drawn uniformly by area the triangles [count], and [count, 2] their barycentric coordinates of the
+    second and the third corner; InputError if there are no triangles, or they have no area.
     """
-    if count < 1:
-        raise InputError(f"asked for {count} surface points, expected at least 1")
     if len(triangles) == 0:
         raise InputError("mesh: there are no faces, expected at least one triangle")
     origin = corners[triangles[:, 0]]
     first, second = corners[triangles[:, 1]] - origin, corners[triangles[:, 2]] - origin
     # In units of the longest edge: areas of very small or very large meshes neither vanish nor overflow.
-    unit = max(float(np.abs(first).max()), float(np.abs(second).max()))
-    total = 0.0
-    if 0.0 < unit < np.inf:
-        area = np.linalg.norm(np.cross(first / unit, second / unit), axis=1)
-        total = float(area.sum())
-    if total == 0.0:
+    unit = max(float(np.abs(first).max()), float(np.abs(second).max())) or 1.0
+    area = np.linalg.norm(np.cross(first / unit, second / unit), axis=1)
+    if not area.any():
         raise InputError(f"mesh: the {len(triangles)} triangles have no area, expected a surface")
     cumulative = np.cumsum(area)
     # Searching right of equal sums passes over triangles without area.

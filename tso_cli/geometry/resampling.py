@@ -43,33 +43,27 @@ def area_resize(
 ) -> tuple[Array, Array]:
     """Resample the region ``box`` of ``array`` to ``width`` x ``height`` pixels by exact area averaging.
 
-    Every new pixel is a cell of the box; its value is the mean of the old pixels, each weighted by the area of it that
-    lies in the cell, even if the cell is smaller than a pixel. The overlaps factor into rows and columns, so that this is two
-    matrix products, ``Ry @ array @ Rx^T``.
+    Every new pixel is a cell of the box: the mean of the old pixels, weighted by their areas in the cell. The overlaps factor
+    into rows and columns, so that this is two matrix products, ``Ry @ array @ Rx^T``.
 
     Parameters
     ----------
-    array : [H, W] or [H, W, C], any real type.
+    array : [H, W] or [H, W, C].
     box : left, top, right, bottom edges in pixel coordinates; it may reach outside the array.
-    width, height : size of the result in pixels.
-    weights : [H, W] in [0, 1], how much each old pixel counts (a bool map of known pixels will do); all 1 if None.
+    weights : [H, W] in [0, 1], how much each old pixel counts; all 1 if None.
     interpolate : average over at least one old pixel: cells smaller than that are interpolated linearly between pixels.
 
     Returns
     -------
-    values : float64 [height, width] or [height, width, C], the mean over the covered part of the cell; 0 where none is.
-    coverage : float64 [height, width] in [0, 1], the part of the cell's area that the array (times weights) covers.
+    values : [height, width] or [height, width, C], the mean over the covered part of the cell; 0 where none is.
+    coverage : [height, width] in [0, 1], the part of the cell's area that the array (times weights) covers.
 
-    Raises InputError if the box is empty or not finite, or the sizes do not fit.
+    Raises InputError if the box is empty or not finite.
     """
     array = np.asarray(array)
     left, top, right, bottom = (float(edge) for edge in box)
     if not (np.isfinite([left, top, right, bottom]).all() and right > left and bottom > top):
         raise InputError(f"box is {tuple(box)}, expected finite left < right and top < bottom")
-    if width < 1 or height < 1 or array.ndim not in (2, 3):
-        raise InputError(f"cannot resize an array of shape {list(array.shape)} to {width}x{height}")
-    if weights is not None and np.shape(weights) != array.shape[:2]:
-        raise InputError(f"weights have shape {list(np.shape(weights))}, expected {list(array.shape[:2])}")
 
     # Only the touched part is converted to float64: a photo may have a hundred million pixels.
     rows, columns = _touched(top, bottom, array.shape[0]), _touched(left, right, array.shape[1])

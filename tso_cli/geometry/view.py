@@ -21,12 +21,11 @@ class View:
 
     Parameters
     ----------
-    mask : [H, W] float in [0, 1], inside 1; foreground is > 0.5. Soft values are kept.
-    camera : its width and height are the mask's.
-    known : [H, W] bool, False where the mask says nothing, or None when every pixel counts.
+    mask : [H, W] in [0, 1], inside 1; foreground is > 0.5. Soft values are kept.
+    known : [H, W], False where the mask says nothing, or None when every pixel counts.
     name : what messages call it, usually the file.
-    depth : [H, W] depth of the surface along the camera's z axis, in the units of its t; 0 and what is not finite are unknown.
-        It counts for foreground pixels alone.
+    depth : [H, W] of the surface along the camera's z axis, in the units of its t; 0 and what is not finite are unknown. It
+        counts for foreground pixels alone.
     image : [H, W, 3] red, green, blue in [0, 1], the photo that the mask is of, for clouds with colours.
     """
 
@@ -121,8 +120,7 @@ def object_box(inside: NDArray[np.bool_]) -> tuple[int, int, int, int]:
     """First column and row of the object in ``inside`` [H, W], and those behind its last, without specks far off.
 
     A speck is a connected part of at most 1 % of the foreground, more than a quarter of the object's size beside it. Specks
-    are left out if together they are at most 1 % too: a stray pixel of a segmentation would otherwise stretch the object's
-    window over half the photo.
+    are left out if together they are at most 1 % too.
     """
     counts = inside.sum(0), inside.sum(1)
     limit = SPECK * int(counts[0].sum())

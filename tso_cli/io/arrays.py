@@ -24,10 +24,9 @@ def array_type(data: bytes, path: Path) -> tuple[np.dtype[Any], tuple[int, ...]]
 
 
 def read_array(data: bytes, path: Path, kinds: str = "biufc", expected: str = "numbers") -> NDArray[Any]:
-    """The array in the bytes of a .npy file, read-only.
+    """The array in the bytes of a .npy file, read-only; its type is one of numpy's ``kinds``, which messages call ``expected``.
 
-    Raises InputError if it is not a .npy file, holds values of none of the ``kinds`` of numpy's types (which messages call
-    ``expected``), or is shorter or longer than its header says.
+    Raises InputError if it is no such file, or is shorter or longer than its header says.
     """
     dtype, shape, fortran, begin = _header(data, path)
     if dtype.kind not in kinds:

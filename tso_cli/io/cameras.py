@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..geometry.camera import MODELS, Camera
+from ..geometry.camera import Camera
 from .images import PIXEL_LIMIT
-from .output import atomic_output, check_output, reason
-from .reading import read_bytes, shown
+from .output import atomic_output, check_output
+from .reading import read_json, shown
 
-FILE_LIMIT = 64 << 20
+_FILE_LIMIT = 64 << 20
 _REQUIRED = ("width", "height", "K", "R", "t")
 _OPTIONAL = ("model", "mask", "image")
 _LARGEST = 1e15  # beyond it products of the entries say nothing any more
@@ -48,10 +48,7 @@ class CameraRecord:
 
 
 def find_camera(mask_path: str | Path) -> Path | None:
-    """The camera file beside a mask: ``MASKSTEM.camera.json``, else ``camera.json``, else ``cameras.json``, else None.
-
-    The last is what ``tso render`` writes: all views of an object, each naming its mask.
-    """
+    """The camera file beside a mask: ``MASKSTEM.camera.json``, else ``camera.json``, else ``cameras.json`` of `tso render`."""
     mask_path = Path(mask_path)
     for name in (f"{mask_path.stem}.camera.json", "camera.json", "cameras.json"):
         path = mask_path.with_name(name)
@@ -61,12 +58,9 @@ def find_camera(mask_path: str | Path) -> Path | None:
 
 
 def read_cameras(path: str | Path) -> list[CameraRecord]:
-    """Read all views of a camera file; at least one.
-
-    Raises InputError if the file is not JSON of this form, or a camera in it is impossible; the message names file and key.
-    """
+    """Read all views of a camera file, at least one; InputError names file and key."""
     path = Path(path)
-    document = _load(path)
+    document = read_json(path, "a camera file (JSON)", "a camera file", _FILE_LIMIT, lambda pairs: _unique(pairs, path))
     if not isinstance(document, dict):
         raise InputError(f"{path}: holds {_kind(document)}, expected an object with width, height, K, R, t or views")
     views, ignored = {"": document}, set()
@@ -87,12 +81,7 @@ def read_cameras(path: str | Path) -> list[CameraRecord]:
 
 
 def read_camera(path: str | Path, width: int, height: int, mask: str | Path | None = None) -> Camera:
-    """Read the one camera of a mask.
-
-    Parameters
-    ----------
-    width, height : size of the mask in pixels; the camera's must be the same.
-    mask : the mask's file, for the message, and to choose from a file with several views.
+    """Read the camera of a mask of ``width`` x ``height`` pixels; of several views the one that names the file ``mask``.
 
     Raises InputError as `read_cameras`, or if the size differs, or not just one of several views names ``mask``.
     """
@@ -125,14 +114,9 @@ def check_size(path: str | Path, camera: Camera, width: int, height: int, mask: 
 
 
 def write_cameras(path: str | Path, records: Sequence[CameraRecord], overwrite: bool = False) -> None:
-    """Write a camera file that reads back exactly; one record without files in the flat form, others as views.
-
-    Raises InputError if ``path`` cannot be written.
-    """
+    """Write a camera file that reads back exactly; one record without files in the flat form, others as views."""
     path = Path(path)
     check_output(path, overwrite)
-    if not records:
-        raise InputError(f"{path}: no camera to write, expected at least one")
     views = [_as_json(record, path) for record in records]
     if len(records) == 1 and records[0].mask is None and records[0].image is None:
         text = _lines(views[0], "")
@@ -149,25 +133,13 @@ def _lines(view: dict[str, Any], indent: str) -> str:
 
 
 def _as_json(record: CameraRecord, path: Path) -> dict[str, Any]:
-    files = {"mask": record.mask, "image": record.image}
     folder, camera = os.path.realpath(path.parent), record.camera
+    files = {"mask": record.mask, "image": record.image}
     return {
         **{key: Path(os.path.relpath(os.path.realpath(file), folder)).as_posix() for key, file in files.items() if file},
         **{"width": camera.width, "height": camera.height, "model": camera.model},
         **{"K": camera.K.tolist(), "R": camera.R.tolist(), "t": camera.t.tolist()},
     }
-
-
-def _load(path: Path) -> Any:
-    data = read_bytes(path, "a camera file (JSON)", FILE_LIMIT)
-    try:
-        return json.loads(data.decode("utf-8-sig"), object_pairs_hook=lambda pairs: _unique(pairs, path))
-    except RecursionError:
-        raise InputError(f"{path}: is nested too deep for a camera file") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8 text ({reason(error)}), expected a camera file (JSON)") from None
-    except ValueError as error:
-        raise InputError(f"{path}: is not JSON ({reason(error)})") from None
 
 
 def _unique(pairs: list[tuple[str, Any]], path: Path) -> dict[str, Any]:
@@ -187,31 +159,28 @@ def _kind(value: Any) -> str:
 
 def _unknown_keys(path: Path, where: str, view: dict[str, Any], known: Sequence[str]) -> set[str]:
     """Keys to ignore; InputError for one that other programs give to a camera."""
-    unknown = {key for key in view if key not in known}
-    for key in view:
+    unknown = [key for key in view if key not in known]
+    for key in unknown:
         meant = _MEANT.get(key.casefold())
-        if key in unknown and meant == key:
+        if meant == key:
             raise InputError(f"{path}: the key {where}{key} is out of place, expected views or a single camera")
-        if key in unknown and meant is not None:
+        if meant is not None:
             raise InputError(f"{path}: the key {where}{shown(key)} is not one of camera files, expected {meant}")
-    return unknown
+    return set(unknown)
 
 
 def _record(path: Path, where: str, view: dict[str, Any]) -> CameraRecord:
     for key in _REQUIRED:
         if key not in view:
             raise InputError(f"{path}: {where}{key} is missing, expected width, height, K, R and t")
-    width, height = (_size(path, where + key, view[key]) for key in ("width", "height"))
-    if width * height > PIXEL_LIMIT:
+    width, height = (view[key] for key in ("width", "height"))
+    if _number(path, where + "width", width) * _number(path, where + "height", height) > PIXEL_LIMIT:
         raise InputError(f"{path}: {where}width x height is {width}x{height}, expected at most {PIXEL_LIMIT:,} pixels")
     K, R = (_numbers(path, where + key, view[key], "3x3") for key in ("K", "R"))
     t = _numbers(path, where + "t", view["t"], "[3]")
-    model = view.get("model", "perspective")
-    if not isinstance(model, str) or model not in MODELS:
-        raise InputError(f"{path}: {where}model is {shown(model)}, expected one of {', '.join(MODELS)}")
     try:
         with np.errstate(all="ignore"):
-            camera = Camera(np.array(K), np.array(R), np.array(t), width, height, model)
+            camera = Camera(np.array(K), np.array(R), np.array(t), width, height, view.get("model", "perspective"))
     except InputError as error:
         raise InputError(f"{path}: {where}{error}") from None
     return CameraRecord(camera, _file(path, where, view, "mask"), _file(path, where, view, "image"))
@@ -225,13 +194,6 @@ def _number(path: Path, where: str, value: Any) -> float:
     if abs(value) > _LARGEST:
         raise InputError(f"{path}: {where} is {shown(value)}, expected at most {_LARGEST:g}")
     return float(value)
-
-
-def _size(path: Path, where: str, value: Any) -> int:
-    number = _number(path, where, value)
-    if number % 1 or number < 1:
-        raise InputError(f"{path}: {where} is {shown(value)}, expected a whole number of pixels, 1 or more")
-    return int(number)
 
 
 def _numbers(path: Path, where: str, value: Any, shape: str) -> list[Any]:

@@ -33,10 +33,7 @@ MOST_POINTS = 1_000_000
 def save_network(
     path: Path | str, network: BaseNetwork, config: NetworkConfig, overwrite: bool = False, dtype: torch.dtype | None = None
 ) -> None:
-    """Write ``network`` and ``config`` as one safetensors file; ``dtype`` is the type to store the weights in.
-
-    Raises InputError when the file cannot or must not be written, or a weight is too large for ``dtype``.
-    """
+    """Write one safetensors file, weights as ``dtype`` (None: as they are); InputError where one is too large for it."""
     tensors = network.state_dict()
     if dtype is not None:
         tensors = {name: tensor.to(dtype) for name, tensor in tensors.items()}
@@ -62,11 +59,7 @@ def save_tensors(
 
 
 def load_network(path: Path | str) -> tuple[BaseNetwork, NetworkConfig]:
-    """Read a network, as float32 on the CPU in evaluation mode whatever type the file stores.
-
-    Raises InputError if the file is not a whole checkpoint, or its tensors are not those of the network that its configuration
-    describes.
-    """
+    """Read a network, as float32 on the CPU in evaluation mode; InputError unless its tensors fit its configuration."""
     import torch
 
     from ..network.model import BaseNetwork, Decoder, Encoder
@@ -121,7 +114,6 @@ def read_metadata(path: Path | str) -> tuple[NetworkConfig, dict[str, Any]]:
 
 
 def _refuse_other_files(path: Path) -> None:
-    """Name what the file is when it is plainly no safetensors file."""
     expected = "a checkpoint (.safetensors)"
     start = read_bytes(path, expected, most=16)
     # The header's length comes first and may begin like a pickle; the brace behind it tells the two apart.
@@ -134,23 +126,20 @@ def _refuse_other_files(path: Path) -> None:
 
 
 def _damage(error: Exception) -> str:
-    """A short reason for a file that safetensors cannot open."""
     text = reason(error).removeprefix("Error while deserializing header: ")
     truncated = "incomplete metadata" in text or "invalid header length" in text
     return f"{'truncated or ' if truncated else ''}damaged ({shown(text)})"
 
 
 def _config(path: Path, values: dict[str, Any]) -> NetworkConfig:
-    """The configuration, every value checked."""
     from ..network.input import BACKGROUNDS
     from ..network.model import FRAMES, IMAGE_SIZE, SUPERVISIONS, NetworkConfig
 
     names = [field.name for field in dataclasses.fields(NetworkConfig)]
-    missing = next((name for name in names if name not in values), None)
-    unknown = next((name for name in values if name not in names), None)
-    if missing or unknown is not None:
-        problem = f"lacks {missing!r}" if missing else f"holds the unknown {shown(unknown)}"
-        raise InputError(f"{path}: the configuration {problem}, expected {', '.join(names)}")
+    problems = [f"lacks {name!r}" for name in names if name not in values]
+    problems += [f"holds the unknown {shown(name)}" for name in values if name not in names]
+    if problems:
+        raise InputError(f"{path}: the configuration {problems[0]}, expected {', '.join(names)}")
 
     def whole(value: object, low: float = -math.inf, high: float = math.inf) -> bool:
         return isinstance(value, int) and number(value, low, high)

@@ -24,20 +24,12 @@ _LARGEST = 1e100  # beyond it squares of coordinates overflow
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """A cloud as read from a file.
+    """A cloud as read from a file."""
 
-    Parameters
-    ----------
-    points : [N, 3] float64, in the file's order and units.
-    path : where it came from.
-    precision : "float32" or "float64", the type to write coordinates with.
-    ply : the PLY file it came from, to write it again with other coordinates.
-    """
-
-    points: Points
+    points: Points  # [N, 3], in the file's order and units
     path: Path
-    precision: str = "float64"
-    ply: PlyFile | None = field(default=None, repr=False)
+    precision: str = "float64"  # or "float32", the type to write coordinates with
+    ply: PlyFile | None = field(default=None, repr=False)  # to write it again with other coordinates
 
     def colours(self) -> Points:
         """Red, green and blue [N, 3] of the points, in [0, 1]; InputError where the file has none or no such numbers."""
@@ -57,11 +49,7 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
     The suffix decides: .ply; .npy with an array [N, 3]; .xyz and .txt with three numbers or more a line, of which the
     first three count, and comment lines that start with #.
 
-    Parameters
-    ----------
-    extended : refuse a cloud without extent: a single point, or equal ones.
-
-    Raises InputError if the file cannot be read, is damaged, holds no point or one that is not finite, or has no extent.
+    Raises InputError if the file cannot be read, holds no point or one that is not finite, or (``extended``) has no extent.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -86,19 +74,15 @@ def write_cloud(
     path: str | Path,
     points: Points,
     like: PointCloud | None = None,
-    colours: NDArray[np.uint8] | None = None,
     overwrite: bool = False,
     dtype: Literal["float32", "float64"] | None = None,
 ) -> None:
-    """Write a .ply file.
+    """Write ``points`` [N, 3] as a .ply file.
 
     Parameters
     ----------
-    points : [N, 3].
-    like : the cloud that ``points`` are the moved points of. If it came from a PLY file, only the coordinates change:
-        form, order, precision, colours, faces and every other attribute stay as they are, byte for byte. Normals stay
-        too, with a warning that they are those of the old points.
-    colours : [N, 3] uint8 red, green, blue; not together with ``like``.
+    like : the cloud before its points moved. If it came from a PLY file, all else in that stays byte for byte; a warning says
+        that normals are those of the old points.
     dtype : of the coordinates, without a ``like`` from PLY. By default the precision of ``like``; without it float32 where
         that moves no point by over a millionth of the cloud's extent.
 
@@ -110,15 +94,11 @@ def write_cloud(
         raise InputError(f"{path}: the suffix is {path.suffix!a}, expected .ply for a point cloud to write")
     check_output(path, overwrite)
     points = np.asarray(points, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"{path}: the points to write have shape {list(points.shape)}, expected [N, 3]")
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
         raise TsoError(f"{path}: point {finite.argmin()} is not finite, nothing was written")
     if like is not None and len(points) != len(like.points):
         raise InputError(f"{path}: {len(points)} points to write, expected {len(like.points)} as in {like.path}")
-    if like is not None and colours is not None:
-        raise InputError(f"{path}: colours come from {like.path}, expected no others")
     with np.errstate(over="ignore", invalid="ignore"):
         rounding = np.abs(points.astype(np.float32) - points).max(initial=0.0)
     extent = np.ptp(points, axis=0).max() if len(points) else 0.0
@@ -137,7 +117,7 @@ def write_cloud(
             warnings.warn(f"{path}: the normals are those of {like.path}, before the points moved", stacklevel=2)
     else:
         precise = "float32" if rounding <= 1e-6 * extent else "float64"
-        data = new_ply(points, dtype or (like.precision if like is not None else precise), colours)
+        data = new_ply(points, dtype or (like.precision if like is not None else precise))
     with atomic_output(path) as temporary:
         temporary.write_bytes(data)
 

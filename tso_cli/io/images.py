@@ -21,23 +21,17 @@ if TYPE_CHECKING:
 
 PIXEL_LIMIT = 100_000_000
 FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "GIF", "BMP", "PPM")
-WRITABLE = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF", ".bmp": "BMP"}
 _FILE_LIMIT = 1 << 31
 Convert = Callable[["Image.Image", Path], NDArray[Any]]
 _WITH_ALPHA = ("RGBA", "LA", "PA", "RGBa", "La")
 
 
 def read_mask(path: str | Path, invert: bool = False) -> NDArray[np.float32]:
-    """Read a mask as [H, W] in [0, 1], inside 1, or with ``invert`` what is dark; soft values are kept.
+    """Read a picture or .npy file as a mask [H, W] in [0, 1], inside 1, or with ``invert`` what is dark; soft values stay.
 
-    - An alpha channel that is not opaque everywhere is the mask; else the brightness is (the largest channel of a
-      colour).
+    - An alpha channel that is not opaque everywhere is the mask; else the brightness is (the largest channel of a colour).
     - A palette whose used colours are all grey counts by its greys; of any other, index 0 is outside, the rest inside.
-    - Integers are divided by the largest value of their type. If the largest value there is 1, they are labels 0 and 1,
-      and a warning says so. Floating-point numbers must lie in [0, 1].
-    - Of several frames the first counts. A .npy file holds [H, W]: bool, integers or floating-point numbers.
-
-    `View` checks that there is both inside and outside.
+    - Integers are divided by the largest value of their type, or are labels 0 and 1, with a warning, if the largest is 1.
 
     Raises InputError if the file is not a readable image, has over 100 megapixels, or values outside [0, 1].
     """
@@ -47,16 +41,10 @@ def read_mask(path: str | Path, invert: bool = False) -> NDArray[np.float32]:
 
 
 def read_depth(path: str | Path, scale: float = 1.0) -> NDArray[np.float64]:
-    """Read a depth map as [H, W], in the units of the camera, NaN where it is unknown.
+    """Read a depth map [H, W], in the units of the camera, from a picture of one grey channel or a .npy file.
 
-    A picture has one grey channel, best of 16 bits (PNG, TIFF; floating-point TIFF too); a .npy file holds [H, W], integers
-    or floating-point numbers. 0, NaN and infinity are unknown.
-
-    Parameters
-    ----------
-    scale : units of the camera to a step of the file: 0.001 for a file in millimetres and a camera in metres.
-
-    Raises InputError if the file is not such a map, or a depth is negative.
+    ``scale`` is the camera's units to a step of the file. 0, NaN and infinity are unknown: NaN in the result. Raises InputError
+    if the file is not such a map, or a depth is negative.
     """
     path = Path(path)
     with np.errstate(invalid="ignore"):  # signalling NaN
@@ -71,7 +59,7 @@ def read_depth(path: str | Path, scale: float = 1.0) -> NDArray[np.float64]:
 
 
 def _read_values(path: Path, what: str, form: str, kinds: str, convert: Convert) -> NDArray[Any]:
-    """[H, W] from a picture by ``convert``, or from a .npy file with a type of one of numpy's ``kinds``."""
+    """[H, W] from a picture by ``convert``, or from a .npy file with one of numpy's ``kinds``."""
     data = read_bytes(path, what, _FILE_LIMIT)
     if path.suffix.lower() != ".npy":
         return _decode(data, path, what, convert)
@@ -83,10 +71,7 @@ def _read_values(path: Path, what: str, form: str, kinds: str, convert: Convert)
 
 
 def read_image(path: str | Path) -> NDArray[np.uint8]:
-    """Read a picture as [H, W, 3], or [H, W, 4] where it has an alpha channel.
-
-    Raises InputError if the file is not a readable image or has over 100 megapixels.
-    """
+    """Read a picture as [H, W, 3], or [H, W, 4] where it has an alpha channel; InputError as `read_mask`."""
     path = Path(path)
     return _decode(read_bytes(path, "an image", _FILE_LIMIT), path, "an image", _colours)
 
@@ -98,27 +83,13 @@ def as_colours(image: Image.Image, path: Path) -> NDArray[np.uint8]:
 
 
 def write_image(path: str | Path, array: NDArray[np.uint8], overwrite: bool = False) -> None:
-    """Write ``array`` ([H, W], [H, W, 3] or [H, W, 4], uint8 or bool) in the format of the suffix, .png for instance.
-
-    Raises InputError if ``path`` cannot be written, or its suffix is not that of an image format that can hold ``array``.
-    """
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in WRITABLE:
-        raise InputError(f"{path}: the suffix is {path.suffix!a}, expected one of {', '.join(WRITABLE)}")
-    check_output(path, overwrite)
-    array = np.asarray(array)
-    if array.dtype == bool:
-        array = array.astype(np.uint8) * np.uint8(255)
-    if array.dtype != np.uint8 or array.ndim < 2 or array.shape[2:] not in ((), (3,), (4,)) or array.size == 0:
-        what = f"{array.dtype} {list(array.shape)}"
-        raise InputError(f"{path}: {what} to write, expected uint8 [H, W], [H, W, 3] or [H, W, 4]")
-    if array.shape[2:] == (4,) and WRITABLE[suffix] in ("JPEG", "BMP"):
-        raise InputError(f"{path}: {WRITABLE[suffix]} holds no alpha channel, expected .png")
+    """Write ``array``, [H, W], [H, W, 3] or [H, W, 4] of uint8 (or bool, [H, W]), as PNG."""
     from PIL import Image
 
+    path = Path(path)
+    check_output(path, overwrite)
     with atomic_output(path) as temporary:
-        Image.fromarray(np.ascontiguousarray(array)).save(temporary, format=WRITABLE[suffix])
+        Image.fromarray(array).save(temporary, format="PNG")
 
 
 def _check_size(width: int, height: int, path: Path) -> None:
@@ -136,8 +107,6 @@ def _decode(data: bytes, path: Path, what: str, convert: Convert) -> NDArray[Any
             with Image.open(io.BytesIO(data), formats=FORMATS) as image:
                 # The header gives the size; nothing has been decoded yet.
                 _check_size(image.width, image.height, path)
-                if image.width * image.height == 0:
-                    raise InputError(f"{path}: is {image.width}x{image.height}, expected {what}")
                 image.load()
                 array: NDArray[Any] = convert(ImageOps.exif_transpose(image), path)
     except InputError:

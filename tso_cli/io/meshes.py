@@ -26,34 +26,20 @@ SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles of one object, in the file's own frame and units.
+    """Triangles of one object, in the file's own frame and units."""
 
-    Parameters
-    ----------
-    vertices : [V, 3] float64.
-    faces : [F, 3] int64, indices of vertices.
-    colours : [F, 3] uint8, one RGB colour a face (vertex colours averaged), or None where the file has none.
-    textures : pictures, used in place of the colours of their faces.
-    """
-
-    vertices: Array
-    faces: NDArray[np.int64]
-    colours: NDArray[np.uint8] | None = None
-    textures: tuple[Texture, ...] = ()
+    vertices: Array  # [V, 3]
+    faces: NDArray[np.int64]  # [F, 3], indices of vertices
+    colours: NDArray[np.uint8] | None = None  # [F, 3], one RGB colour a face (vertex colours averaged)
+    textures: tuple[Texture, ...] = ()  # used in place of the colours of their faces
 
 
 def find_meshes(folder: Path | str) -> list[Path]:
-    """All mesh files under ``folder``, sorted, subfolders included; hidden files and folders are left out.
-
-    Raises InputError if it is not a folder, cannot be listed, or holds no mesh.
-    """
+    """All mesh files under ``folder``, sorted, without hidden ones; InputError if it is not a folder or holds no mesh."""
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(f"{folder}: not a folder, expected one with meshes ({', '.join(SUFFIXES)})")
-    try:
-        meshes = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in SUFFIXES and path.is_file()]
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be listed ({error.strerror or error})") from None
+    meshes = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in SUFFIXES and path.is_file()]
     meshes = [path for path in meshes if not any(part.startswith(".") for part in path.relative_to(folder).parts)]
     if not meshes:
         raise InputError(f"{folder}: no mesh in this folder or below, expected {', '.join(SUFFIXES)} files")
@@ -65,13 +51,11 @@ def read_mesh(path: Path | str, textures: bool = True, within: Path | None = Non
 
     Parameters
     ----------
-    path : a .ply, .obj, .off, .stl or .glb file.
     textures : read pictures on it too: baseColorTexture (times baseColorFactor) of .glb, map_Kd of .obj. They are inside the
         file or in the folder ``within`` or below; of one that cannot be read a warning says so, the material's colour stays.
-    within : a folder above the file, such as the one that a user named; None for the file's own.
+    within : a folder above the file; None for the file's own.
 
-    Raises InputError if the file cannot be read, is of another format, damaged, or without a face; a coordinate is not finite;
-    a face names a vertex that does not exist; all faces together have no area.
+    Raises InputError if the file cannot be read, holds no face, one of a missing vertex, or no area; or is not finite.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES and path.is_file():
@@ -156,13 +140,8 @@ def _face_colours(part: Any, count: int) -> NDArray[np.uint8] | None:
 
 
 def write_mesh(path: Path | str, mesh: Mesh, overwrite: bool = False) -> None:
-    """Write vertices (float32) and faces as binary little-endian PLY; colours are left out.
-
-    Raises InputError where ``path`` must not or cannot be written.
-    """
+    """Write vertices (float32) and faces as binary little-endian PLY; colours are left out."""
     path = Path(path)
-    if path.suffix.lower() != ".ply":
-        raise InputError(f"{path}: ends in {path.suffix or 'nothing'!r}, expected .ply (the mesh format written here)")
     check_output(path, overwrite)
     with atomic_output(path) as temporary:
         temporary.write_bytes(new_ply(mesh.vertices, "float32", faces=mesh.faces))

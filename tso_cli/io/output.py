@@ -12,11 +12,7 @@ from ..errors import InputError
 
 
 def check_output(path: Path, overwrite: bool) -> None:
-    """Refuse an output that could not or should not be written; call it before the work starts.
-
-    Raises InputError if the folder is missing or not writable, ``path`` is a folder or a device, or it exists and
-    ``overwrite`` is false.
-    """
+    """Before the work starts, raise InputError for an output that cannot or, without ``overwrite``, must not be written."""
     path = Path(path)
     try:
         folder = Path(os.path.realpath(path)).parent
@@ -40,9 +36,7 @@ def check_output(path: Path, overwrite: bool) -> None:
 def atomic_output(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside ``path``, with its suffix; on success it takes that name, else it is removed.
 
-    A symbolic link is followed, so that the file it points to is replaced and the link stays.
-
-    Raises InputError if writing failed (disk full, no permission); the message names ``path``.
+    A symbolic link stays, and the file it points to is replaced. Raises InputError if writing failed.
     """
     path = Path(path)
     try:

@@ -23,15 +23,12 @@ def named_masks(path: str | Path) -> list[Path]:
 def pair_with_masks(path: str | Path, masks: Sequence[str | Path]) -> list[Camera]:
     """The camera of each of several masks: of the view that names it, where views name them all, else by order.
 
-    Parameters
-    ----------
-    masks : files, two or more. A view names one by its path, or failing that by the last part of the path.
-
-    Raises InputError as `read_cameras`, or if the views do not name all masks, and are not as many or contradict the order.
+    A view names a mask by its path, or failing that by the last part of the path. Raises InputError as `read_cameras`, or if
+    the views do not name all masks, and are not as many or contradict the order.
     """
     records = read_cameras(path)
     naming: list[list[int]] = []  # views, of each mask
-    for alike in (same_file, _same_name):
+    for alike in (same_file, lambda a, b: Path(a).name == Path(b).name):
         naming = [[i for i, r in enumerate(records) if r.mask is not None and alike(r.mask, mask)] for mask in masks]
         if all(len(views) == 1 for views in naming) and len({views[0] for views in naming}) == len(masks):
             return [records[views[0]].camera for views in naming]
@@ -48,7 +45,3 @@ def pair_with_masks(path: str | Path, masks: Sequence[str | Path]) -> list[Camer
         if not views and record.mask is not None:
             warnings.warn(f"{path}: views[{i}] names the mask {record.mask}, used for {mask}", stacklevel=2)
     return [record.camera for record in records]
-
-
-def _same_name(a: str | Path, b: str | Path) -> bool:
-    return Path(a).name == Path(b).name

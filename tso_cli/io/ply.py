@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,15 +21,9 @@ NORMALS = {"nx", "ny", "nz", "normal_x", "normal_y", "normal_z"}
 
 
 class PlyFile:
-    """A PLY file, text or binary, with the vertex element anywhere among others.
+    """A PLY file with the bytes ``data``, text or binary, with the vertex element anywhere among others.
 
-    Parameters
-    ----------
-    data : the whole file.
-    path : for messages.
-
-    Raises InputError if it is not a PLY file, has no x, y, z, or its body is shorter or longer than the header says: with a
-    count that is too low, points would be lost.
+    Raises InputError if it is not a PLY file, has no x, y, z, or its body is shorter or longer than the header says.
     """
 
     def __init__(self, data: bytes, path: Path) -> None:
@@ -76,10 +69,7 @@ class PlyFile:
         return self._body.columns(self._places, self.kinds)
 
     def read_colours(self) -> Points | None:
-        """Red, green and blue [N, 3] of the vertices in [0, 1], None where the file has none.
-
-        Raises InputError where numbers of a floating-point type lie outside.
-        """
+        """Red, green and blue [N, 3] in [0, 1], None where the file has none; InputError where floats lie outside."""
         kinds = [p.kind for name in COLOURS if (p := self.vertex.properties.get(name)) and not p.length_kind]
         if len(kinds) < 3:
             return None
@@ -91,10 +81,7 @@ class PlyFile:
         return colours
 
     def read_faces(self) -> Integers | None:
-        """Triangles [F, 3] of the faces, polygons as fans around their first corner; None where the file has no faces.
-
-        Raises InputError where a face names a vertex that is not there.
-        """
+        """Triangles [F, 3], polygons as fans; None where the file has no faces, InputError for a vertex that is not there."""
         element = self.header.elements.get("face")
         lists = [p for p in element.properties.values() if p.name in CORNERS and p.length_kind] if element else []
         if element is None or not element.count or not lists:
@@ -118,9 +105,8 @@ class PlyFile:
     def with_points(self, points: Points) -> bytes:
         """The file with its vertices moved to ``points`` [N, 3]; what is not a coordinate keeps its bytes.
 
-        Numbers are rounded to the type the file declares; integer coordinates become double. In text only numbers that
-        change are rewritten, with as many digits as tell apart two values of the type; where the text holds more digits
-        than its type, those of a double.
+        Integer coordinates become double. In text only numbers that change are rewritten, with the digits of their type, or of
+        a double where the text holds more.
         """
         old = self.read()
         if np.array_equal(old, points):
@@ -132,23 +118,11 @@ class PlyFile:
         return head + self._body.moved(self._places, self.kinds, old, points)
 
 
-def new_ply(
-    points: Points, dtype: str, colours: NDArray[np.uint8] | None = None, faces: NDArray[np.integer] | None = None
-) -> bytes:
-    """A binary PLY file with ``points`` [N, 3] as "float32" or "float64", and optional ``colours`` [N, 3], ``faces`` [F, 3]."""
-    lines = [
-        f"element vertex {len(points)}",
-        *(f"property {'float' if dtype == 'float32' else 'double'} {axis}" for axis in AXES),
-    ]
-    fields: list[Any] = [("points", np.dtype(dtype).newbyteorder("<"), 3)]
-    if colours is not None:
-        lines += [f"property uchar {name}" for name in COLOURS]
-        fields.append(("colours", "u1", 3))
-    rows = np.empty(len(points), dtype=fields)
-    rows["points"] = points
-    if colours is not None:
-        rows["colours"] = colours
-    body = rows.tobytes()
+def new_ply(points: Points, dtype: str, faces: NDArray[np.integer] | None = None) -> bytes:
+    """A binary PLY file with ``points`` [N, 3] as "float32" or "float64", and ``faces`` [F, 3] if any."""
+    kind = "float" if dtype == "float32" else "double"
+    lines = [f"element vertex {len(points)}", *(f"property {kind} {axis}" for axis in AXES)]
+    body = points.astype(np.dtype(dtype).newbyteorder("<")).tobytes()
     if faces is not None:
         lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
         polygons = np.empty(len(faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])

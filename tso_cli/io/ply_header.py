@@ -21,7 +21,7 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Property:
-    """One value of an element, or a list of values where ``length_kind`` is set. Kinds are numpy's: "f4", "u1"."""
+    """One value of an element, or a list where ``length_kind`` is set. Kinds are numpy's: "f4", "u1"."""
 
     name: str
     kind: str
@@ -31,8 +31,6 @@ class Property:
 
 @dataclass(frozen=True)
 class Element:
-    """``count`` rows, each with the same properties."""
-
     name: str
     count: int
     properties: dict[str, Property]
@@ -49,7 +47,7 @@ class Header:
 
 
 def parse_header(data: bytes, path: Path) -> Header:
-    """Read the header at the start of ``data``; InputError where it is none, is longer than 1 MiB or contradicts itself."""
+    """Read the header at the start of ``data``; InputError where it is none or contradicts itself."""
     first = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
     if first is None:
         raise InputError(f"{path}: is not a PLY file (starts with {shown(data[:12])}), expected a first line 'ply'")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import stat
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,8 @@ from .output import reason
 def read_bytes(path: Path, expected: str, limit: int | None = None, most: int = -1) -> bytes:
     """The bytes of the regular file ``path``, or the first ``most`` of them.
 
-    Parameters
-    ----------
-    expected : what the file should be, for the messages: "a point cloud".
-    limit : the largest file to accept, in bytes.
-
-    Raises InputError if the file is missing, a folder, a device, unreadable, empty or larger than ``limit``.
+    Raises InputError, which names what is ``expected``, if it is missing, a folder, a device, unreadable, empty or larger than
+    ``limit`` bytes.
     """
     try:
         about = path.stat()
@@ -41,12 +38,16 @@ def read_bytes(path: Path, expected: str, limit: int | None = None, most: int = 
         raise InputError(f"{path}: cannot be read ({reason(error)}), expected {expected}") from None
 
 
-def read_json(path: Path, expected: str, form: str, limit: int | None = None) -> Any:
-    """The JSON document in ``path``; InputError as `read_bytes`, or if it is not JSON, naming the ``form`` expected."""
+def read_json(
+    path: Path, expected: str, form: str, limit: int | None = None, build: Callable[[list[tuple[str, Any]]], Any] = dict
+) -> Any:
+    """The JSON document in ``path``, its objects made by ``build``; InputError as `read_bytes`, or if it is not JSON."""
     try:
-        return json.loads(read_bytes(path, expected, limit))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is not JSON ({shown(str(error))}), expected {form}") from None
+        return json.loads(read_bytes(path, expected, limit), object_pairs_hook=build)
+    except RecursionError:
+        raise InputError(f"{path}: is not JSON (nested too deep), expected {form}") from None
+    except ValueError as error:
+        raise InputError(f"{path}: is not JSON ({reason(error)}), expected {form}") from None
 
 
 def shown(value: object) -> str:

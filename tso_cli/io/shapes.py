@@ -39,11 +39,7 @@ _THREE_SIDES = re.compile(rb"\A\x93NUMPY[^\n]{0,200}'shape': *\([0-9]+, *[0-9]+,
 
 
 def shape_kind(path: Path | str) -> str:
-    """What the file at ``path`` will be read as: "cloud", "mesh" or "voxels".
-
-    The name decides, and the header where the name leaves it open: a .ply with faces is a mesh, a .npy with 3 dimensions a
-    grid. What cannot be read counts as a cloud. Raises InputError if the name has no known suffix.
-    """
+    """What the file at ``path`` will be read as: "cloud" (also if it cannot be read), "mesh" or "voxels"."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES and not path.is_dir():
@@ -60,20 +56,9 @@ def shape_kind(path: Path | str) -> str:
 
 
 def read_shape(path: Path | str, samples: int = 16384, seed: int | Sequence[int] = 0, as_vertices: bool = False) -> Array:
-    """The points by which the shape in a file is judged.
+    """The points [N, 3] by which the shape in a file is judged; InputError if it describes no points and no surface.
 
-    Parameters
-    ----------
-    path : point cloud, mesh or voxel grid; `shape_kind` says which.
-    samples : how many points to draw from a surface; a cloud keeps all of its own.
-    seed : of the drawing, as `numpy.random.default_rng` takes it.
-    as_vertices : of a mesh, take the vertices instead of its surface.
-
-    Returns
-    -------
-    [N, 3] float64, finite.
-
-    Raises InputError if the file cannot be read, is damaged, or describes no points and no surface.
+    ``samples`` points are drawn from a surface; a cloud keeps its points, and with ``as_vertices`` a mesh its vertices.
     """
     path = Path(path)
     kind = shape_kind(path)
@@ -93,13 +78,10 @@ def read_shape(path: Path | str, samples: int = 16384, seed: int | Sequence[int]
 
 
 def grid_surface(path: Path | str) -> tuple[Array, NDArray[np.int64]]:
-    """Vertices [V, 3] and faces [F, 3] of the closed boundary of the voxel grid in a .npy or .binvox file.
-
-    The module says where it stands and how large it is. Raises InputError.
-    """
+    """Vertices [V, 3] and faces [F, 3] of the closed boundary of the voxel grid in a .npy or .binvox file."""
     path = Path(path)
     placed = path.suffix.lower() != ".binvox"
-    grid, side = (_read_npy_grid(path), 1.0) if placed else read_binvox(path)
+    grid, side = (_read_npy_grid(path), 1.0) if placed else _read_binvox(path)
     occupied = grid > 0.5
     if not occupied.any():
         sides = " x ".join(map(str, grid.shape))
@@ -118,21 +100,14 @@ def grid_surface(path: Path | str) -> tuple[Array, NDArray[np.int64]]:
     return side / max(grid.shape) * (centres - middle), np.asarray(faces, dtype=np.int64)
 
 
-def read_binvox(path: Path | str) -> tuple[NDArray[np.bool_], float]:
-    """A .binvox file: occupancy [X, Y, Z] and the longest side of the whole grid, in model units.
-
-    Raises InputError if the header is not one of version 1, the sizes are out of bounds or the runs do not fill the grid.
-    """
-    path = Path(path)
+def _read_binvox(path: Path) -> tuple[NDArray[np.bool_], float]:
+    """Occupancy [X, Y, Z] and the longest side of the whole grid, in model units."""
     # Two bytes hold at least one voxel, so a longer file would be wrong anyway.
     content = read_bytes(path, "a .binvox grid", limit=2 * MAX_VOXELS + 4096)
-    head, mark, data = content[:4096].partition(b"\ndata")
-    if not content.startswith(b"#binvox 1") or not mark:
+    header = re.compile(rb"#binvox 1\s(.*?)\ndata\r?\n", re.DOTALL).match(content, 0, 4096)
+    if header is None:
         raise InputError(f"{path}: starts with {shown(content[:12])}, expected a .binvox header (#binvox 1 ... data)")
-    data = content[len(head) + len(mark) :].lstrip(b"\r")
-    if data[:1] != b"\n":
-        raise InputError(f"{path}: the data line is not ended, expected a .binvox header")
-    fields = {line.split()[0]: line.split()[1:] for line in head.splitlines()[1:] if line.strip()}
+    fields = {line.split()[0]: line.split()[1:] for line in header[1].splitlines() if line.strip()}
     depth, height, width = (int(side) for side in _numbers(path, fields, b"dim", 3))
     scale = _numbers(path, fields, b"scale", 1)[0] if b"scale" in fields else 1.0
     total = depth * height * width
@@ -140,7 +115,7 @@ def read_binvox(path: Path | str) -> tuple[NDArray[np.bool_], float]:
         raise InputError(f"{path}: dim is {shown(f'{depth} {height} {width}')}, expected 1 to {MAX_VOXELS:,} voxels")
     if not 1e-30 < scale < 1e30:
         raise InputError(f"{path}: scale is {scale:g}, expected a size > 0")
-    runs = np.frombuffer(data[1:], dtype=np.uint8)
+    runs = np.frombuffer(content[header.end() :], dtype=np.uint8)
     if len(runs) % 2:
         raise InputError(f"{path}: the data end in the middle of a run, the file is cut off")
     values, counts = runs[0::2], runs[1::2].astype(np.int64)
@@ -158,8 +133,7 @@ def _read_npy_grid(path: Path) -> NDArray[Any]:
     if grid.ndim != 3 or grid.dtype.kind not in "biuf":
         raise InputError(f"{path}: holds {grid.dtype} {list(grid.shape)}, expected a grid of numbers [X, Y, Z]")
     if not 1 <= grid.size <= MAX_VOXELS:
-        sides = " x ".join(map(str, grid.shape))
-        raise InputError(f"{path}: the grid is {sides}, expected 1 to {MAX_VOXELS:,} voxels")
+        raise InputError(f"{path}: the grid is {' x '.join(map(str, grid.shape))}, expected 1 to {MAX_VOXELS:,} voxels")
     if not np.isfinite(grid).all():
         raise InputError(f"{path}: a voxel is NaN or infinite, expected occupancy from 0 to 1")
     return grid
@@ -168,9 +142,8 @@ def _read_npy_grid(path: Path) -> NDArray[Any]:
 def _numbers(path: Path, fields: dict[bytes, list[bytes]], key: bytes, count: int) -> list[float]:
     try:
         values = [float(word) for word in fields[key]]
-        if len(values) != count or not all(map(math.isfinite, values)):
-            raise ValueError
-        if key == b"dim" and any(value != int(value) for value in values):
+        fits = len(values) == count and all(map(math.isfinite, values))
+        if not fits or (key == b"dim" and any(value % 1 for value in values)):
             raise ValueError
     except (KeyError, ValueError):
         what = shown(b" ".join(fields[key]).decode("latin-1")) if key in fields else "missing"

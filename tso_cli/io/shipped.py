@@ -13,7 +13,7 @@ WEIGHTS = Path(__file__).resolve().parent.parent / "weights"
 
 
 def examples_folder() -> Path:
-    """The folder ``examples`` inside the installed package, else beside it in a clone; InputError if there is neither."""
+    """The folder ``examples`` inside the installed package, else beside it in a clone."""
     package = Path(__file__).resolve().parent.parent
     for folder in (package / "examples", package.parent / "examples"):
         if (folder / "meshes").is_dir():

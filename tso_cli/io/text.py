@@ -16,12 +16,9 @@ _BLANK = np.isin(np.arange(256), list(b"\t\n\v\f\r "))
 
 
 class TextTable:
-    """The words of ``data[offset:]`` and the lines they stand in; blank lines do not count.
+    """The words of ``data[offset:]``, spanning bytes ``starts`` to ``ends`` [T], and the lines they stand in.
 
-    Attributes
-    ----------
-    starts, ends : [T] the bytes of ``data`` that each word spans.
-    first, counts, numbers : [L] of each line the index of its first word, how many words it has, and its number from 1.
+    ``first``, ``counts``, ``numbers`` [L]: of each line that is not blank the index of its first word, its words, its number.
     """
 
     def __init__(self, data: bytes, path: Path, offset: int = 0, lines_before: int = 0) -> None:

@@ -26,25 +26,14 @@ _FORMATS = (*FORMATS, "TGA")
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """A picture on faces of a mesh.
+    """A picture on faces of a mesh; beyond texture coordinates 0 to 1 it repeats."""
 
-    Parameters
-    ----------
-    pixels : [H, W, 3] uint8, the first row on top.
-    faces : [K] int64, which faces of the mesh it covers.
-    corners : [K, 3, 2], texture coordinates of their corners: u to the right, v up, from (0, 0) at the lower left to (1, 1) at
-        the upper right. Beyond that the picture repeats.
-    """
-
-    pixels: NDArray[np.uint8]
-    faces: NDArray[np.int64]
-    corners: Array
+    pixels: NDArray[np.uint8]  # [H, W, 3], the first row on top
+    faces: NDArray[np.int64]  # [K], which faces of the mesh it covers
+    corners: Array  # [K, 3, 2], texture coordinates of their corners: u to the right, v up from the lower left
 
     def at(self, rows: NDArray[np.int64], barycentric: Array) -> NDArray[np.uint8]:
-        """Colours [N, 3] of the pixels at points in the faces ``faces[rows]``, ``rows`` [N].
-
-        ``barycentric`` [N, 2] are the coordinates of the second and the third corner.
-        """
+        """Colours [N, 3] at points in the faces ``faces[rows]``; ``barycentric`` [N, 2] are those of corners 2 and 3."""
         first, second, third = self.corners[rows].transpose(1, 0, 2)
         place = first + barycentric[:, :1] * (second - first) + barycentric[:, 1:] * (third - first)
         sides = np.array(self.pixels.shape[1::-1])
@@ -56,10 +45,7 @@ class Texture:
 class Pictures:
     """The pictures of the parts of a scene in the file ``path`` with the bytes ``content``.
 
-    Parameters
-    ----------
-    decode : False only takes the pictures away.
-    within : the folder that they are in, or below; None for that of ``path``.
+    Without ``decode`` they are only taken away. They lie in the folder ``within`` (None: that of ``path``) or below.
 
     Attributes
     ----------
@@ -76,11 +62,7 @@ class Pictures:
             self._miss(name, "cannot be decoded")
 
     def take(self, geometry: Any) -> NDArray[np.uint8] | None:
-        """The picture [H, W, 3] on a part, None where it has none that can be used.
-
-        The part keeps the plain colour of its material alone: trimesh would copy and decode all pictures of a material for
-        each place where the part stands.
-        """
+        """The picture [H, W, 3] on a part, None where it has none that can be used; the part keeps the plain colour alone."""
         # A picture only decorates: an odd material must not stop the work.
         try:
             return self._taken(geometry) if geometry.visual.kind == "texture" else None
@@ -94,6 +76,7 @@ class Pictures:
         material = visual.material
         factor = getattr(material, "baseColorFactor", None)
         image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+        # Else trimesh would copy and decode all pictures of the material for each place where the part stands.
         visual.material = SimpleMaterial(diffuse=material.main_color)
         if image is None or not self._decode:
             return None
