@@ -19,7 +19,7 @@ from tso_cli.io.shipped import example_meshes
 from tso_cli.train.backgrounds import Backgrounds
 from tso_cli.train.batches import Batch, Draw, Drawing, assemble, draw_batch, recoloured
 from tso_cli.train.data import TrainingData
-from tso_cli.train.sources import from_dataset, from_meshes, shipped_examples
+from tso_cli.train.sources import from_meshes, shipped_examples
 
 from ..training import make_objects
 
@@ -248,7 +248,7 @@ def test_the_fingerprint_changes_with_the_pictures_of_the_same_objects() -> None
 def test_a_rendered_folder_gives_the_same_batches_as_its_pictures_in_memory(folder: Path) -> None:
     read, in_memory = (
         draw_batch(source, Drawing(0, 2, "view", 2), 0)
-        for source in (from_dataset(open_dataset(folder)), TrainingData(make_objects(2), "boxes"))
+        for source in (TrainingData(open_dataset(folder).objects, "boxes"), TrainingData(make_objects(2), "boxes"))
     )
     for name in ("images", "masks", "K", "targets"):
         np.testing.assert_allclose(getattr(read, name), getattr(in_memory, name), atol=1e-6, rtol=1e-7)

@@ -115,8 +115,6 @@ def test_averaging_saves_other_weights_than_the_last_and_keeps_constant_ones(thi
 @pytest.mark.parametrize(
     ("changes", "masked", "processes", "message"),
     [
-        ({"supervision": "joint"}, False, 1, "'joint' without images that have one mask each"),
-        ({}, True, 1, "'points' with images"),
         ({"supervision": "joint", "batch_size": 3}, True, 1, "batch size is 3, expected a multiple of 2"),
         ({"batch_size": 3}, False, 2, "batch size is 3, expected a multiple of 2"),
         ({"supervision": "masks", "views": 5}, False, 1, "box0: has 4 views, expected at least the 5"),

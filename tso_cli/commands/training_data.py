@@ -47,12 +47,13 @@ class DataSelection:
 
 def load(selection: DataSelection, quiet: bool = False) -> TrainingData:
     """Open the data set, or render the shipped meshes; name skipped items on stderr."""
-    from ..train.sources import from_dataset, from_meshes
+    from ..train.data import TrainingData
 
     if selection.data is None:
         if selection.split_file is not None or selection.categories or selection.behind is not None:
             raise InputError("--split, --category or --backgrounds without DATA, expected a data set")
         from ..io.shipped import example_meshes
+        from ..train.sources import from_meshes
 
         meshes = example_meshes()
         description = f"{len(meshes)} shipped example meshes"
@@ -70,7 +71,16 @@ def load(selection: DataSelection, quiet: bool = False) -> TrainingData:
         from ..train.backgrounds import Backgrounds
 
         backgrounds = Backgrounds(selection.behind, selection.strict)
-    return from_dataset(dataset, selection.crop_share, selection.background, selection.strict, backgrounds)
+    return TrainingData(
+        dataset.objects,
+        f"{dataset.description}: {len(dataset.objects)} objects",
+        selection.crop_share,
+        selection.background,
+        selection.strict,
+        backgrounds,
+        dataset.skipped,
+        dataset.scale,
+    )
 
 
 def _select(selection: DataSelection, folder: Path) -> Dataset:
