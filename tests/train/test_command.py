@@ -147,7 +147,7 @@ def test_ctrl_c_exits_with_130_and_resume_continues_bit_for_bit(
         (["none"], "none"),
         (["boxes", "-o", "there.safetensors"], "exists"),
         (["boxes", "-o", "missing/a.safetensors"], "missing"),
-        (["boxes", "-o", "a.pth"], "expected a checkpoint name in .safetensors"),
+        (["boxes", "-o", "a.pth"], "the suffix is '.pth', expected .safetensors"),
         (["boxes", "--resume"], "base.training.safetensors: does not exist"),
         (["boxes", "--steps", 0], "steps is 0"),
         (["none", "--crop-share", "-1"], "--crop-share is -1, expected 0 to 1"),

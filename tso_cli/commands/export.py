@@ -36,16 +36,9 @@ def command(checkpoint: Path, output: Path, overwrite: bool, as_json: bool) -> N
     moved = max(_largest_change(folder, checkpoint, output) for folder in examples)
     before, after = checkpoint.stat().st_size, output.stat().st_size
     if as_json:
-        options.echo_json(
-            {
-                "output": output,
-                "bytes_before": before,
-                "bytes_after": after,
-                "largest_change": moved,
-                "convention": "largest distance that a predicted point moves, shapes of longest side about 1",
-                "version": __version__,
-            }
-        )
+        convention = "largest distance that a predicted point moves, shapes of longest side about 1"
+        sizes = {"output": output, "bytes_before": before, "bytes_after": after}
+        options.echo_json(sizes | {"largest_change": moved, "convention": convention, "version": __version__})
         return
     click.echo(f"{output}: {before / 1e6:.1f} MB -> {after / 1e6:.1f} MB")
     click.echo(f"  moved  {moved:.2g} at most, of a shape's longest side (predicted points of {', '.join(CATEGORIES)})")

@@ -26,13 +26,9 @@ DEFAULTS = {"steps": 20_000, "learning_rate": 5e-5, "averaging": 0.0}
 EXAMPLE_DEFAULTS = {"steps": 600, "learning_rate": 3e-4, "averaging": 0.99}
 # Options that serve only some supervisions.
 SERVES = {
+    **dict.fromkeys(("affinity_weight", "affinity", "saturation_steps", "category_sigma_sq"), ("masks", "joint")),
+    **dict.fromkeys(("mask_split", "mask_categories"), ("joint",)),
     "views": ("masks",),
-    "affinity_weight": ("masks", "joint"),
-    "affinity": ("masks", "joint"),
-    "saturation_steps": ("masks", "joint"),
-    "category_sigma_sq": ("masks", "joint"),
-    "mask_split": ("joint",),
-    "mask_categories": ("joint",),
 }
 HEADINGS = {
     "split_file": "Data",
@@ -73,15 +69,13 @@ class TrainOutputs:
         from ..io.output import check_output
         from ..train.state import state_path
 
-        if self.output.suffix != ".safetensors":
-            raise InputError(
-                f"{self.output}: ends in {self.output.suffix or 'nothing'!r}, expected a checkpoint name in .safetensors"
-            )
-        files = [self.output, state_path(self.output), *([self.log_file] if self.log_file else [])]
-        for path in files:
-            check_output(path, self.overwrite or self.resume)
-        if self.log_file and self.log_file.resolve() in [path.resolve() for path in files[:2]]:
-            raise InputError(f"--log-file {self.log_file}: is the checkpoint or its state, expected a file of its own")
+        replace_files, state = self.overwrite or self.resume, state_path(self.output)
+        options.require_output(self.output, ".safetensors", replace_files)
+        check_output(state, replace_files)
+        if self.log_file is not None:
+            check_output(self.log_file, replace_files)
+            if self.log_file.resolve() in (self.output.resolve(), state.resolve()):
+                raise InputError(f"--log-file {self.log_file}: is the checkpoint or its state, expected a file of its own")
 
     def save(self, state: TrainingState, config: NetworkConfig) -> None:
         """Write checkpoint, state and log."""
@@ -208,16 +202,8 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
         data, masked_data = sets[0], sets[1] if len(sets) > 1 else None
         state = _initial_state(data, config, outputs, chosen["initial"], quiet)
         prepared, first_step = time.perf_counter(), state.step
-        result = train(
-            data,
-            config,
-            state,
-            masked=masked_data,
-            processes=processes,
-            progress=options.ProgressBar("train"),
-            save=outputs.save,
-            save_every=chosen["checkpoint_every"],
-        )
+        bar, saves = options.ProgressBar("train"), {"save": outputs.save, "save_every": chosen["checkpoint_every"]}
+        result = train(data, config, state, masked=masked_data, processes=processes, progress=bar, **saves)
     if not processes.first:
         return
     trained = time.perf_counter()
