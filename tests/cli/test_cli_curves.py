@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +23,7 @@ from .run import tso
 
 
 @pytest.fixture
-def log(tmp_path: Path) -> Path:
+def log(tmp_path):
     """Twelve steps with masks, lambda dropped after the eighth."""
     rows = [(20.0 - step, 10.0, 1.0, 1.0 if step <= 8 else 0.02) for step in range(1, 13)]
     path = tmp_path / "masks.jsonl"
@@ -32,7 +31,7 @@ def log(tmp_path: Path) -> Path:
     return path
 
 
-def run(*arguments: object) -> int:
+def run(*arguments):
     return tso("curves", *arguments)
 
 

@@ -175,13 +175,10 @@ def tso(capfd):
 def test_the_command_fits_refines_and_writes_a_camera_that_reads_back(tmp_path, tso):
     chair, out, written = EXAMPLES / "chair", tmp_path / "out.ply", tmp_path / "found.json"
     cloud, mask = chair / "target.ply", chair / "mask.png"
-    code, stdout, stderr = tso(
-        cloud, mask, "--camera", "fit", "--refine-camera", "--steps", "5", "-o", out, "--write-camera", written, "-v"
-    )
+    code, stdout, stderr = tso(cloud, mask, "--camera", "fit", "--steps", "0", "-o", out, "--write-camera", written, "-v")
     assert code == 0, stderr
     assert "tso: camera: fitted, IoU 0." in stderr and "next best" in stderr
-    assert "used   camera fitted to cloud and mask (sure), kept: " in stdout
-    assert "camera kept" in stdout and f"{written}: camera" in stdout
+    assert "used   camera fitted to cloud and mask (sure); " in stdout and f"{written}: camera" in stdout
     assert angle_between(read_camera(written, 256, 256, mask).R, example("chair")[2].R) < 8.0
     assert tso(cloud, mask, "--camera", written, "--check")[0] == 0
 
