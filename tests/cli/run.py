@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -21,3 +23,19 @@ def tso(*arguments):
 def errors(capsys):
     """The lines of stderr that are no warnings."""
     return [line for line in capsys.readouterr().err.splitlines() if "warning" not in line]
+
+
+class Run(NamedTuple):
+    """The end of a command, and what it printed."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def document(self) -> dict[str, Any]:
+        return json.loads(self.out)
+
+
+def run(capsys, *arguments) -> Run:
+    return Run(tso(*arguments), *capsys.readouterr())

@@ -16,7 +16,6 @@ from PIL import Image
 
 from tso_cli import __version__
 from tso_cli.evaluation.metrics import chamfer
-from tso_cli.geometry.camera import Camera
 from tso_cli.io.cameras import CameraRecord, read_camera, write_cameras
 from tso_cli.io.clouds import read_cloud, write_cloud
 
@@ -139,14 +138,6 @@ def test_check_explains_a_cloud_that_does_not_meet_the_mask(folder, capsys):
     assert "behind the camera" in captured.err
 
 
-def test_a_view_that_tso_render_wrote_finds_its_camera(folder, capsys):
-    camera = read_camera("camera.json", 256, 256)
-    records = [CameraRecord(Camera.canonical(256, 256), Path("else.png")), CameraRecord(camera, Path("mask.png"))]
-    write_cameras("cameras.json", records)
-    Path("camera.json").unlink()
-    assert document_of(capsys, *POINTS, "--steps", "0")["camera"]["t"] == camera.t.tolist()
-
-
 def test_a_camera_that_names_another_mask_is_warned_of(folder, capsys):
     document = json.loads(Path("camera.json").read_text())
     Path("camera.json").write_text(json.dumps({"views": [document | {"mask": "else.png"}]}))
@@ -263,18 +254,6 @@ def test_a_view_that_the_others_contradict_is_discounted_and_named(views, capsys
     assert re.findall(r"warning: (\S+): the other views contradict it", captured.err) == ["side.png"]
     weights = [float(weight) for weight in re.findall(r"loss weight ([\d.]+), ", captured.out)]
     assert weights[1] < 0.2 < 0.8 < min(weights[0], weights[2])
-
-
-def test_pictures_of_one_side_share_a_weight_and_are_not_doubted(views, capsys):
-    document = json.loads(Path("views.json").read_text())
-    document["views"] = [document["views"][0]] * 3
-    Path("same.json").write_text(json.dumps(document))
-    assert tso("refine", "initial.ply", *views[:1] * 3, "--camera", "same.json", "--json", "--steps", "6") == 0
-    captured = capsys.readouterr()
-    assert "contradict" not in captured.err
-    same = json.loads(captured.out)["views"]
-    assert [view["trust"] for view in same] == [1.0] * 3
-    assert [view["weight"] for view in same] == pytest.approx([1 / 3] * 3)
 
 
 @pytest.mark.parametrize("mode", ["encoder", "encoder-decoder", "latent"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -15,9 +14,8 @@ from tso_cli.io.checkpoints import load_network
 from tso_cli.train.data import TrainingData
 
 from ..training import make_objects
-from .conftest import Run, write
+from .conftest import write
 
-Command = Callable[..., Run]
 MASKS = ("--supervision", "masks", "--views", 2)
 
 

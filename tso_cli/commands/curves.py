@@ -16,9 +16,7 @@ if TYPE_CHECKING:
 
 @click.command("curves")
 @click.argument("logs", nargs=-1, required=True, type=options.FilePath())
-@click.option(
-    "-o", "--output", type=options.FilePath(), default=Path("curves.png"), show_default=True, help="Picture to write."
-)
+@click.option("-o", "--output", type=options.FilePath(), default="curves.png", show_default=True, help="Picture to write.")
 @click.option("--checkpoint", type=options.FilePath(), help="Network to draw samples of, into NAME.samples.png beside it.")
 @click.option("--data", type=options.FilePath(), help="Data set of the samples.")
 @click.option("--split", "split_file", type=options.FilePath(), help='Take samples only from its list "test".')

@@ -115,9 +115,7 @@ class TrainOutputs:
 @click.option("--views", type=int, default=4, help="Supervising masks of each object in a step, for --supervision masks.")
 @click.option("--mask-data", type=PATH, help="Images with one mask each, for --supervision joint.")
 @click.option("--mask-split", type=PATH, help='Of --mask-data take only the list "train" of this split.')
-@click.option(
-    "--mask-category", "mask_categories", multiple=True, help="Of --mask-data take only this category; may be repeated."
-)
+@click.option("--mask-category", "mask_categories", multiple=True, help="Of --mask-data take only this category; repeatable.")
 @click.option(
     "--lambda", "affinity_weight", type=float, default=1.0, help="Weight of the affinity loss; x0.02 after saturation."
 )
@@ -129,17 +127,9 @@ class TrainOutputs:
     "--steps, 10 to 500]",
 )
 @click.option("--sigma-sq", type=float, default=0.4, help="Variance of the projector's Gaussian, px^2 of the 64x64 mask.")
-@click.option(
-    "--category-sigma-sq",
-    multiple=True,
-    metavar="CATEGORY=VALUE",
-    type=CategoryValue(),
-    help="The same for one category; may be repeated.",
-)
+@click.option("--category-sigma-sq", multiple=True, type=CategoryValue(), help="The same for one category; repeatable.")
 @click.option("--points", type=int, default=1024, help="Points of the predicted cloud.")
-@click.option(
-    "--frame", type=click.Choice(["view", "canonical"]), default="view", help="Axes of the cloud: the camera's or the object's."
-)
+@click.option("--frame", type=click.Choice(["view", "canonical"]), default="view", help="Axes: the camera's or the object's.")
 @click.option(
     "--init",
     "initial",
@@ -157,9 +147,7 @@ class TrainOutputs:
 @click.option("--precision", type=click.Choice(["float32", "bfloat16"]), default="float32", help="bfloat16: mixed precision.")
 @click.option("-o", "--output", type=PATH, default=Path("base.safetensors"), help="Checkpoint to write.")
 @options.overwrite
-@click.option(
-    "--checkpoint-every", type=click.IntRange(min=0), default=500, help="Steps between checkpoints; 0: only at the end."
-)
+@click.option("--checkpoint-every", type=click.IntRange(min=0), default=500, help="Save after so many steps; 0: at the end.")
 @click.option("--resume", is_flag=True, help="Go on from the state beside the checkpoint.")
 @click.option("--log-file", type=PATH, help="Settings and losses of every step, .jsonl.")
 @options.as_json
