@@ -46,13 +46,6 @@ def test_area_resize_is_the_exact_average_when_shrinking_enlarging_and_reaching_
     np.testing.assert_allclose(values, brute_force(array, box, 4, 3), atol=1e-12)
 
 
-def test_area_resize_of_the_whole_image_to_its_own_size_changes_nothing():
-    array = np.random.default_rng(0).random((5, 7, 3))
-    values, coverage = area_resize(array, (-0.5, -0.5, 6.5, 4.5), 7, 5)
-    np.testing.assert_allclose(values, array, atol=1e-12)
-    np.testing.assert_allclose(coverage, 1.0)
-
-
 def test_coverage_is_the_share_of_the_cell_inside_the_image():
     for box, width, expected in (((-2.5, -0.5, 1.5, 3.5), 4, [0.0, 0.0, 1.0, 1.0]), ((-1.25, -0.5, 0.25, 3.5), 1, [0.5])):
         np.testing.assert_allclose(area_resize(np.ones((4, 4)), box, width, 1)[1], [expected])
@@ -103,14 +96,6 @@ def test_the_background_follows_the_mask(background, value):
     inside = crop.mask == 1.0
     np.testing.assert_allclose(crop.image[:, inside], 0.6, atol=1e-6)
     np.testing.assert_allclose(crop.image[:, crop.mask == 0.0], value, atol=1e-6)
-
-
-def test_soft_mask_values_are_kept():
-    view = rectangle(64, 64, slice(20, 44), slice(20, 44))
-    soft = view.mask.copy()
-    soft[20:44, 30:34] = 0.7
-    crop = network_input(np.zeros((64, 64, 3), np.uint8), View(soft, view.camera))
-    assert np.isclose(crop.mask, 0.7).any()
 
 
 def test_what_lies_outside_the_photo_is_unknown_and_has_the_background_colour():
