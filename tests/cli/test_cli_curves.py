@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +13,7 @@ from tso_cli.errors import InputError
 from tso_cli.io.checkpoints import save_network
 from tso_cli.io.logs import read_log
 from tso_cli.network.model import NetworkConfig
-from tso_cli.plots.curves import labels, lambda_drop, running_mean
-from tso_cli.plots.samples import sample_predictions
+from tso_cli.plots.curves import labels, lambda_drop, running_mean, sample_predictions
 from tso_cli.train import train
 from tso_cli.train.data import TrainingData
 from tso_cli.train.state import write_history
@@ -25,7 +23,7 @@ from .run import tso
 
 
 @pytest.fixture
-def log(tmp_path: Path) -> Path:
+def log(tmp_path):
     """Twelve steps with masks, lambda dropped after the eighth."""
     rows = [(20.0 - step, 10.0, 1.0, 1.0 if step <= 8 else 0.02) for step in range(1, 13)]
     path = tmp_path / "masks.jsonl"
@@ -33,7 +31,7 @@ def log(tmp_path: Path) -> Path:
     return path
 
 
-def run(*arguments: object) -> int:
+def run(*arguments):
     return tso("curves", *arguments)
 
 
@@ -111,7 +109,8 @@ def test_the_command_draws_several_logs_of_different_losses_and_one_that_is_zero
     assert output.read_bytes() == before
 
 
-def test_the_command_draws_samples_beside_the_curves(monkeypatch, tmp_path, capsys):
+@pytest.mark.slow
+def test_the_command_draws_samples_spread_over_the_data_beside_the_curves(monkeypatch, tmp_path, capsys):
     make_thin(monkeypatch)
     objects = make_objects(3, 2)
     for item in objects:
@@ -125,20 +124,11 @@ def test_the_command_draws_samples_beside_the_curves(monkeypatch, tmp_path, caps
     asked = ["--checkpoint", tmp_path / "net.safetensors", "--data", tmp_path / "data", "--samples", 2]
     assert run(tmp_path / "log.jsonl", "-o", output, *asked) == 0
     assert "2 samples" in capsys.readouterr().out
+    samples = sample_predictions(result.network, TrainingData(objects, "three boxes"), "view", 2)
+    assert [sample.name for sample in samples] == ["box0", "box2"]
+    assert samples[0].points.shape == (64, 3) and samples[0].chamfer > 0.0
     with Image.open(tmp_path / "curves.samples.png") as picture:
         assert picture.size[0] > 800
     assert run(tmp_path / "log.jsonl", "-o", tmp_path / "other.png", "--checkpoint", tmp_path / "net.safetensors") == 2
     assert "expected --checkpoint and --data together" in capsys.readouterr().err
     assert not (tmp_path / "other.png").exists()
-
-
-def test_samples_are_spread_over_the_data_and_judged(monkeypatch):
-    make_thin(monkeypatch)
-    data = TrainingData(make_objects(5, 2), "five boxes")
-    result = train(data, config(steps=1))
-    samples = sample_predictions(result.network, data, "view", 3)
-    assert [sample.name for sample in samples] == ["box0", "box2", "box4"]
-    for sample in samples:
-        assert sample.points.shape == (64, 3)
-        assert sample.chamfer is not None and sample.chamfer > 0.0
-    assert len(sample_predictions(result.network, data, "view", 50)) == 5

@@ -2,13 +2,11 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
 from PIL import Image
 from scipy.spatial import cKDTree
 
@@ -16,12 +14,10 @@ from tests.dataset_trees import lopsided, write_binvox
 from tests.io.test_shapes import SQUARE_OFF, SQUARE_PLY
 from tso_cli.commands.evaluate import command
 from tso_cli.errors import GateError, InputError
-from tso_cli.evaluation.compare import EvalConfig, evaluate
+from tso_cli.evaluation.compare import EvalConfig
 from tso_cli.evaluation.footprint import IOU_MEANS
 from tso_cli.evaluation.metrics import chamfer, emd, iou
-from tso_cli.evaluation.pairs import find_pairs
 from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.points import normalise_longest_side
 from tso_cli.io.cameras import CameraRecord, write_cameras
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.io.images import read_mask
@@ -30,18 +26,18 @@ from tso_cli.io.shipped import examples_folder
 from tso_cli.silhouette.projection import silhouette_of
 
 
-def run(*arguments: object) -> Result:
+def run(*arguments):
     return CliRunner().invoke(command, [str(argument) for argument in arguments])
 
 
-def document(*arguments: object) -> dict[str, Any]:
+def document(*arguments):
     result = run(*arguments, "--json")
     assert result.exit_code == 0, result.output + repr(result.exception)
     parsed: dict[str, Any] = json.loads(result.stdout)
     return parsed
 
 
-def refusal(*arguments: object) -> str:
+def refusal(*arguments):
     """The message of the error that a call ends with."""
     result = run(*arguments)
     assert isinstance(result.exception, InputError), repr(result.exception)
@@ -49,7 +45,7 @@ def refusal(*arguments: object) -> str:
     return str(result.exception)
 
 
-def points_of(seed: int, count: int = 40) -> np.ndarray:
+def points_of(seed, count=40):
     """A random cloud of longest side 1."""
     points = np.random.default_rng(seed).uniform(-0.5, 0.5, (count, 3))
     points[:2] = [[-0.5, 0, 0], [0.5, 0, 0]]
@@ -57,10 +53,10 @@ def points_of(seed: int, count: int = 40) -> np.ndarray:
 
 
 @pytest.fixture
-def cloud(tmp_path: Path) -> Callable[..., Path]:
+def cloud(tmp_path):
     """Write `points_of` a seed."""
 
-    def write(name: str, seed: int = 0, count: int = 40, scale: float = 1.0) -> Path:
+    def write(name, seed=0, count=40, scale=1.0):
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         write_cloud(path, scale * points_of(seed, count), dtype="float64")
@@ -70,7 +66,7 @@ def cloud(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def square(tmp_path: Path) -> Path:
+def square(tmp_path):
     """A mesh of two triangles."""
     path = tmp_path / "a.off"
     path.write_text(SQUARE_OFF)
@@ -78,13 +74,13 @@ def square(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def grid(tmp_path: Path) -> Path:
+def grid(tmp_path):
     """A full voxel grid."""
     np.save(tmp_path / "grid.npy", np.ones((4, 4, 4), bool))
     return tmp_path / "grid.npy"
 
 
-def test_two_files_give_one_pair_with_raw_numbers(cloud: Callable[..., Path]) -> None:
+def test_two_files_give_one_pair_with_raw_numbers(cloud):
     found = document("--chamfer", cloud("a.ply", 1), cloud("b.ply", 2, 50))
     (pair,) = found["pairs"]
     expected = chamfer(points_of(1), points_of(2, 50))
@@ -95,7 +91,7 @@ def test_two_files_give_one_pair_with_raw_numbers(cloud: Callable[..., Path]) ->
     assert found["convention"]["seed"] == 0
 
 
-def test_the_table_shows_thousandfold_values_and_names_its_convention(cloud: Callable[..., Path]) -> None:
+def test_the_table_shows_thousandfold_values_and_names_its_convention(cloud):
     a, b = cloud("a.ply", 1), cloud("b.ply", 2)
     result = run(a, b)
     value = chamfer(points_of(1), points_of(2)).chamfer
@@ -106,7 +102,7 @@ def test_the_table_shows_thousandfold_values_and_names_its_convention(cloud: Cal
     assert document(a, b) == document("--chamfer", a, b)
 
 
-def test_folders_are_matched_by_the_path_without_suffix(cloud: Callable[..., Path], tmp_path: Path) -> None:
+def test_folders_are_matched_by_the_path_without_suffix(cloud, tmp_path):
     cloud("ours/chair/one.ply", 1), cloud("ours/two.v2.ply", 2), cloud("theirs/two.v2.ply", 4)
     (tmp_path / "theirs" / "chair").mkdir()
     np.save(tmp_path / "theirs" / "chair" / "one.npy", points_of(3))
@@ -119,7 +115,7 @@ def test_folders_are_matched_by_the_path_without_suffix(cloud: Callable[..., Pat
     assert found["mean"]["chamfer"] == pytest.approx(np.mean(values))
 
 
-def test_an_unmatched_name_is_an_error_that_names_it(cloud: Callable[..., Path], tmp_path: Path) -> None:
+def test_an_unmatched_name_is_an_error_that_names_it(cloud, tmp_path):
     cloud("ours/a.ply"), cloud("theirs/a.ply"), cloud("ours/b.ply"), cloud("theirs/c.ply")
     message = refusal(tmp_path / "ours", tmp_path / "theirs")
     assert f"{tmp_path / 'ours'} has b, which" in message
@@ -129,14 +125,14 @@ def test_an_unmatched_name_is_an_error_that_names_it(cloud: Callable[..., Path],
     assert "b, d, e and 2 more" in refusal(tmp_path / "ours", tmp_path / "theirs")
 
 
-def test_a_suffix_of_the_predictions_is_dropped_only_on_request(cloud: Callable[..., Path], tmp_path: Path) -> None:
+def test_a_suffix_of_the_predictions_is_dropped_only_on_request(cloud, tmp_path):
     cloud("ours/a.refined.ply", 1), cloud("ours/a.ply", 2), cloud("theirs/a.ply", 3)
     assert "--suffix .refined" in refusal(tmp_path / "ours", tmp_path / "theirs")
     found = document(tmp_path / "ours", tmp_path / "theirs", "--suffix", ".refined")
     assert found["mean"]["chamfer"] == chamfer(points_of(1), points_of(3)).chamfer
 
 
-def test_inputs_that_do_not_pair_are_refused(cloud: Callable[..., Path], tmp_path: Path) -> None:
+def test_inputs_that_do_not_pair_are_refused(cloud, tmp_path):
     file, (folder, empty) = cloud("a.ply"), (tmp_path / "folder", tmp_path / "empty")
     cloud("folder/a.ply")
     empty.mkdir()
@@ -149,7 +145,7 @@ def test_inputs_that_do_not_pair_are_refused(cloud: Callable[..., Path], tmp_pat
     assert "have the same name" in refusal(folder, folder)
 
 
-def test_capnet_protocol_hides_scale_and_place_and_plain_does_not(cloud: Callable[..., Path]) -> None:
+def test_capnet_protocol_hides_scale_and_place_and_plain_does_not(cloud):
     a, b, b_large = cloud("a.ply", 1), cloud("b.ply", 2), cloud("large.ply", 2, scale=7.0)
     assert document(a, b)["mean"]["chamfer"] != pytest.approx(document(a, b_large)["mean"]["chamfer"])
     scaled = document(a, b_large, "--protocol", "capnet", "--emd", "--chamfer")
@@ -164,13 +160,13 @@ def test_capnet_protocol_hides_scale_and_place_and_plain_does_not(cloud: Callabl
 CHAIR_MESH = examples_folder() / "meshes" / "chair" / "q17_ChairHandle.ply"
 
 
-def papers_chamfer(prediction: Path, target: Path, seed: int, thinned: int | None = 1024) -> float:
+def papers_chamfer(prediction, target, seed, thinned=1024):
     """The paper's evaluation written anew: 16,384 points of a mesh, farthest-point sampling, each cloud in its own box."""
     rng, clouds = np.random.default_rng(seed), []
     for path in (prediction, target):
-        mesh = read_mesh(path) if path.parent.name == "chair" and path.parent.parent.name == "meshes" else None
         points = read_cloud(path).points
-        if mesh is not None:
+        if path == CHAIR_MESH:
+            mesh = read_mesh(path)
             a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
             area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
             drawn = rng.choice(len(area), 16384, p=area / area.sum())
@@ -191,8 +187,8 @@ def papers_chamfer(prediction: Path, target: Path, seed: int, thinned: int | Non
     return float((ours.query(theirs.data)[0] ** 2).mean() + (theirs.query(ours.data)[0] ** 2).mean())
 
 
-@pytest.mark.parametrize("prediction", ["target.ply", "initial.ply", CHAIR_MESH])
-def test_capnet_protocol_is_the_papers_evaluation(prediction: str | Path) -> None:
+@pytest.mark.parametrize("prediction", ["target.ply", "initial.ply"])
+def test_capnet_protocol_is_the_papers_evaluation(prediction):
     ours = examples_folder() / "chair" / prediction
     result = document(ours, CHAIR_MESH, "--protocol", "capnet")
     expected = papers_chamfer(ours, CHAIR_MESH, 0)
@@ -203,27 +199,22 @@ def test_capnet_protocol_is_the_papers_evaluation(prediction: str | Path) -> Non
     assert abs(papers_chamfer(ours, CHAIR_MESH, 0, thinned=None) / expected - 1) > 0.06
 
 
-def test_capnet_protocol_takes_other_numbers_on_request_and_small_clouds_whole(cloud: Callable[..., Path]) -> None:
+def test_capnet_protocol_takes_other_numbers_on_request_and_small_clouds_whole(cloud):
     a, b = cloud("a.ply", 1, 40), cloud("b.ply", 2, 1500)
 
-    def counts(*more: object) -> tuple[int, int]:
+    def counts(*more):
         (pair,) = document(a, b, *more)["pairs"]
         return pair["prediction_points"], pair["target_points"]
 
     assert counts("--protocol", "capnet") == (40, 1024)
     assert counts("--protocol", "capnet", "--points", 30) == (30, 30)
     assert counts("--protocol", "plain") == (40, 1500)
+    assert "a.ply: holds 40 points" in refusal(a, b, "--points", 50)
     assert "1024 points at most (farthest-point)" in run(a, b, "--protocol", "capnet").stdout
 
 
-def test_a_cloud_of_1024_points_is_judged_as_it_is_under_capnet(cloud: Callable[..., Path]) -> None:
-    a, b = cloud("a.ply", 1, 1024), cloud("b.ply", 2, 1024)
-    exact = chamfer(*(normalise_longest_side(read_cloud(path).points) for path in (a, b))).chamfer
-    assert document(a, b, "--protocol", "capnet")["mean"]["chamfer"] == exact
-
-
 @pytest.mark.parametrize("in_the_middle", [False, True])
-def test_a_binvox_grid_of_a_shape_lies_on_it_whatever_its_header_places_where(tmp_path: Path, in_the_middle: bool) -> None:
+def test_a_binvox_grid_of_a_shape_lies_on_it_whatever_its_header_places_where(tmp_path, in_the_middle):
     write_mesh(tmp_path / "shape.ply", lopsided())
     write_binvox(tmp_path / "grid" / "shape.binvox", in_the_middle)
     result = run(tmp_path / "shape.ply", tmp_path / "grid" / "shape.binvox", "--json")
@@ -232,7 +223,7 @@ def test_a_binvox_grid_of_a_shape_lies_on_it_whatever_its_header_places_where(tm
     assert "centres" not in result.stderr
 
 
-def test_a_grid_far_from_what_it_is_compared_with_is_remarked_on(cloud: Callable[..., Path], grid: Path) -> None:
+def test_a_grid_far_from_what_it_is_compared_with_is_remarked_on(cloud, grid):
     path = grid.with_name("shifted.ply")
     for shift, remarked in ((0.1, False), (0.4, True)):
         write_cloud(path, points_of(0) + [0, shift, 0], dtype="float64", overwrite=True)
@@ -242,7 +233,7 @@ def test_a_grid_far_from_what_it_is_compared_with_is_remarked_on(cloud: Callable
     assert "voxel grids are centred" not in run(cloud("a.ply"), path).stderr
 
 
-def test_a_surface_against_itself_is_as_far_as_two_samples_of_it(square: Path) -> None:
+def test_a_surface_against_itself_is_as_far_as_two_samples_of_it(square):
     assert "prediction and target draw their own points" in run(square, square, "--samples", 4000).stdout
     distance = document(square, square, "--samples", 4000)["mean"]
     # Of N points at random on an area A the nearest to any place is at a mean squared distance of A / (pi N).
@@ -252,7 +243,7 @@ def test_a_surface_against_itself_is_as_far_as_two_samples_of_it(square: Path) -
     assert "draw" not in run(square, square, "--vertices").stdout
 
 
-def test_a_single_point_is_judged_by_distance_and_not_by_its_own_size(tmp_path: Path) -> None:
+def test_a_single_point_is_judged_by_distance_and_not_by_its_own_size(tmp_path):
     one, two = tmp_path / "one.xyz", tmp_path / "two.xyz"
     one.write_text("1 0 0\n")
     two.write_text("0 0 0\n1 0 0\n")
@@ -268,33 +259,26 @@ def test_a_single_point_is_judged_by_distance_and_not_by_its_own_size(tmp_path: 
     assert "target: all 2 points are equal" in refusal(two, one, "--protocol", "capnet")
 
 
-def test_plain_protocol_says_when_the_target_is_not_of_size_one(cloud: Callable[..., Path]) -> None:
+def test_plain_protocol_says_when_the_target_is_not_of_size_one(cloud):
     large = cloud("large.ply", 2, scale=7.0)
     assert "longest side of the target is 7" in run(large, large).stderr
     assert run(large, large, "--protocol", "capnet").stderr == ""
 
 
-def test_points_thins_both_clouds_first_and_refuses_a_smaller_one(cloud: Callable[..., Path]) -> None:
-    a, b, small = cloud("a.ply", 1, 60), cloud("b.ply", 2, 90), cloud("small.ply", 2, 30)
-    pair = document(a, b, "--points", 25, "--emd")["pairs"][0]
-    assert (pair["prediction_points"], pair["target_points"]) == (25, 25)
-    assert "small.ply: holds 30 points" in refusal(a, small, "--points", 40)
-
-
-def test_emd_of_unequal_clouds_advises_points_and_names_the_files(cloud: Callable[..., Path]) -> None:
+def test_emd_of_unequal_clouds_advises_points_and_names_the_files(cloud):
     message = refusal(cloud("a.ply", 1, 60), cloud("b.ply", 2, 30), "--emd")
     assert "a.ply against" in message
     assert "--points 30" in message
 
 
-def test_f_score_takes_a_threshold(cloud: Callable[..., Path]) -> None:
+def test_f_score_takes_a_threshold(cloud):
     a, b = cloud("a.ply", 1), cloud("b.ply", 2)
     assert document(a, b, "--f-score")["pairs"][0]["threshold"] == pytest.approx(0.01)
     wide = document(a, b, "--f-score", "--threshold", 5)
     assert wide["mean"] == {"precision": 1.0, "recall": 1.0, "f_score": 1.0}
 
 
-def test_meshes_are_compared_by_their_surface_and_this_is_logged(square: Path) -> None:
+def test_meshes_are_compared_by_their_surface_and_this_is_logged(square):
     mesh = square.with_name("b.ply")
     mesh.write_text(SQUARE_PLY)
     result = run(square, mesh, "--samples", 500, "--json")
@@ -304,19 +288,19 @@ def test_meshes_are_compared_by_their_surface_and_this_is_logged(square: Path) -
     assert document(mesh, mesh, "--vertices")["pairs"][0]["prediction_points"] == 4
 
 
-def test_a_voxel_grid_is_compared_by_its_surface(grid: Path) -> None:
+def test_a_voxel_grid_is_compared_by_its_surface(grid):
     pair = document(grid, grid, "--samples", 300, "--points", 50)["pairs"][0]
     assert (pair["target_kind"], pair["target_points"]) == ("voxels", 50)
     assert 0.0 < pair["chamfer"] < 0.05
 
 
-def test_the_same_seed_gives_the_same_numbers(square: Path, cloud: Callable[..., Path]) -> None:
+def test_the_same_seed_gives_the_same_numbers(square, cloud):
     b = cloud("b.ply")
     means = [document(square, b, "--samples", 50, "--seed", seed)["mean"] for seed in (1, 1, 2)]
     assert means[0] == means[1] != means[2]
 
 
-def test_fail_above_prints_the_result_and_then_fails_the_gate(cloud: Callable[..., Path]) -> None:
+def test_fail_above_prints_the_result_and_then_fails_the_gate(cloud):
     a, b = cloud("a.ply", 1), cloud("b.ply", 2)
     thousandfold = 1000 * document(a, b)["mean"]["chamfer"]
     assert run(a, b, "--fail-above", thousandfold * 1.01).exit_code == 0
@@ -340,12 +324,12 @@ def test_fail_above_prints_the_result_and_then_fails_the_gate(cloud: Callable[..
         (["--fail-above", "nan"], "expected a number >= 0"),
     ],
 )
-def test_options_that_make_no_sense_are_refused(cloud: Callable[..., Path], options: list[object], message: str) -> None:
+def test_options_that_make_no_sense_are_refused(cloud, options, message):
     assert message in refusal(cloud("a.ply"), cloud("b.ply"), *options)
 
 
 @pytest.fixture
-def pictured(cloud: Callable[..., Path], tmp_path: Path) -> Path:
+def pictured(cloud, tmp_path):
     """A folder with a dense cloud in the left half of the picture, as `cloud.ply`, and its mask and camera."""
     across = np.linspace(-0.25, 0.25, 40)
     x, y = np.meshgrid(across, across)
@@ -361,7 +345,7 @@ def pictured(cloud: Callable[..., Path], tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_iou_compares_the_silhouette_with_the_mask(pictured: Path) -> None:
+def test_iou_compares_the_silhouette_with_the_mask(pictured):
     cloud = pictured / "cloud.ply"
     found = document(cloud, cloud, "--iou", "--mask", pictured / "mask.png", "--camera", pictured / "camera.json")
     assert found["pairs"][0]["iou"] > 0.85
@@ -370,7 +354,7 @@ def test_iou_compares_the_silhouette_with_the_mask(pictured: Path) -> None:
     assert document(cloud, cloud, "--iou", "--mask", pictured / "inverse.png")["mean"]["iou"] < 0.15
 
 
-def test_sigma_sq_asks_for_the_silhouette_of_the_papers_projector(pictured: Path) -> None:
+def test_sigma_sq_asks_for_the_silhouette_of_the_papers_projector(pictured):
     cloud, mask = pictured / "cloud.ply", pictured / "mask.png"
     found = document(cloud, cloud, "--iou", "--mask", mask, "--sigma-sq", 0.3)
     silhouette = silhouette_of(read_cloud(cloud).points, Camera.canonical(32, 32), 0.3)
@@ -379,7 +363,7 @@ def test_sigma_sq_asks_for_the_silhouette_of_the_papers_projector(pictured: Path
     assert "serves --iou" in refusal(cloud, cloud, "--sigma-sq", 0.3)
 
 
-def test_iou_is_the_mean_over_the_views_of_a_camera_file(pictured: Path) -> None:
+def test_iou_is_the_mean_over_the_views_of_a_camera_file(pictured):
     cloud, camera = pictured / "cloud.ply", Camera.canonical(32, 32)
     views = [CameraRecord(camera, mask=pictured / name) for name in ("mask.png", "inverse.png")]
     write_cameras(pictured / "views.json", views)
@@ -388,7 +372,7 @@ def test_iou_is_the_mean_over_the_views_of_a_camera_file(pictured: Path) -> None
     assert (pair["iou"], pair["views"]) == (pytest.approx(np.mean(single)), 2)
 
 
-def test_masks_and_cameras_of_a_folder_are_found_by_name(pictured: Path, tmp_path: Path) -> None:
+def test_masks_and_cameras_of_a_folder_are_found_by_name(pictured, tmp_path):
     for folder in ("clouds", "masks", "cameras"):
         (tmp_path / folder).mkdir()
     for name, mask in (("one", "mask.png"), ("two", "inverse.png")):
@@ -403,7 +387,7 @@ def test_masks_and_cameras_of_a_folder_are_found_by_name(pictured: Path, tmp_pat
     assert "no mask for 'two', expected two.png" in refusal(clouds, clouds, "--iou", "--mask", masks)
 
 
-def test_iou_without_a_fitting_camera_is_refused(pictured: Path) -> None:
+def test_iou_without_a_fitting_camera_is_refused(pictured):
     cloud, mask = pictured / "cloud.ply", pictured / "mask.png"
     assert "names no mask" in refusal(cloud, cloud, "--iou", "--camera", pictured / "camera.json")
     (pictured / "camera.json").unlink()
@@ -414,17 +398,9 @@ def test_iou_without_a_fitting_camera_is_refused(pictured: Path) -> None:
     assert "32x32" in message
 
 
-def test_progress_counts_the_pairs(cloud: Callable[..., Path], tmp_path: Path) -> None:
-    for i in range(3):
-        cloud(f"ours/{i}.ply", i)
-    seen: list[tuple[int, int]] = []
-    evaluate(find_pairs(tmp_path / "ours", tmp_path / "ours"), EvalConfig(), lambda done, total: seen.append((done, total)))
-    assert seen == [(1, 3), (2, 3), (3, 3)]
-
-
 @pytest.mark.parametrize(
     ("setting", "message"), [({"metrics": ("volume",)}, "metrics are"), ({"protocol": "x"}, "protocol is 'x'")]
 )
-def test_an_unknown_metric_or_protocol_is_refused(setting: dict[str, Any], message: str) -> None:
+def test_an_unknown_metric_or_protocol_is_refused(setting, message):
     with pytest.raises(InputError, match=message):
         EvalConfig(**setting)

@@ -26,7 +26,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def run(*words: str) -> int:
+def run(*words):
     return tso("refine", *words, "--symmetry", "none")
 
 

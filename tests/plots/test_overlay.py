@@ -19,10 +19,8 @@ from tso_cli.plots.overlay import (
     TITLE,
     UNKNOWN,
     _dots,
-    _fitted,
     compare,
     draw_overlay,
-    evenly_chosen,
 )  # fmt: skip
 from tso_cli.refinement import RefineConfig, refine
 from tso_cli.silhouette.projection import silhouette_of
@@ -43,28 +41,6 @@ def test_a_point_is_drawn_to_the_right_and_down_of_the_middle_as_far_as_it_lies(
     rows, columns = np.nonzero((panel < 255).any(2))
     assert rows.mean() == pytest.approx(0.1 * PANEL, abs=1.0)
     assert columns.mean() == pytest.approx(0.75 * PANEL, abs=1.0)
-
-
-def test_the_dots_of_a_large_cloud_are_small_but_there():
-    many = np.random.default_rng(0).uniform(-0.9, 0.9, (100_000, 3))
-    assert (np.asarray(_dots(*many.T)) < 255).any(2).mean() > 0.5
-
-
-@pytest.mark.parametrize(("height", "width"), [(10, 20), (1000, 2000)])
-def test_an_image_fills_its_panel_and_keeps_its_shape(height, width):
-    colours = np.zeros((height, width, 3))
-    colours[:, width // 2 :] = (1.0, 0.5, 0.0)
-    image = _fitted(colours)
-    assert image.size == (PANEL, PANEL // 2)
-    assert image.getpixel((PANEL - 1, 3)) == (255, 128, 0)
-    assert image.getpixel((0, 3)) == (0, 0, 0)
-
-
-@pytest.mark.parametrize(
-    ("count", "shown"), [(1, [0]), (6, [0, 1, 2, 3, 4, 5]), (9, [0, 2, 3, 5, 6, 8]), (500, [0, 100, 200, 299, 399, 499])]
-)
-def test_of_many_views_six_are_shown_from_first_to_last(count, shown):
-    assert evenly_chosen(count, 6) == shown
 
 
 @pytest.mark.parametrize(("count", "rows"), [(1, 2), (3, 3), (8, 6)])

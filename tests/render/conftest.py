@@ -2,32 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from tso_cli.cli import main
 from tso_cli.io.meshes import Mesh, write_mesh
 
-
-class Run(NamedTuple):
-    code: int
-    out: str
-    err: str
+from ..cli.run import run
 
 
 @pytest.fixture
-def tso_render(capsys: pytest.CaptureFixture[str]) -> Callable[..., Run]:
-    def run(source: Path, output: Path, *options: object) -> Run:
-        with pytest.raises(SystemExit) as stopped:
-            main([str(word) for word in ("render", source, "-o", output, *options)])
-        assert isinstance(stopped.value.code, int)
-        return Run(stopped.value.code, *capsys.readouterr())
-
-    return run
+def tso_render(capsys):
+    return lambda source, output, *options: run(capsys, "render", source, "-o", output, *options)
 
 
 def box(sides: tuple[float, float, float] = (1.0, 1.0, 1.0), centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Mesh:

@@ -5,12 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -19,46 +14,24 @@ from tso_cli.datasets.rendered import open_rendered
 from tso_cli.errors import InputError
 from tso_cli.render import RenderSettings, render_folder
 
-from .conftest import Run
-
 FAST = RenderSettings(views=3, size=(24, 24), samples=200, points=50)
 WORDS = "--views", 3, "--size", 24, "--samples", 200, "--points", 50
 # The command, which kills itself after the tenth picture: in the middle of the second object.
-KILLED = """
-import os, signal, sys
-from tso_cli.cli import main
-from tso_cli.datasets import rendered
-
-write, calls = rendered.write_image, []
-
-def kill(*arguments, **options):
-    write(*arguments, **options)
-    calls.append(0)
-    if len(calls) == 10:
-        os.kill(os.getpid(), signal.SIGKILL)
-
-rendered.write_image = kill
-main(sys.argv[1:])
-"""
 
 
-def contents(folder: Path) -> dict[str, bytes]:
+def contents(folder):
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
-def hidden(folder: Path) -> list[str]:
+def hidden(folder):
     return [path.name for path in folder.rglob(".*")]
 
 
-def interrupt() -> None:
-    raise KeyboardInterrupt
-
-
-def at_tenth_picture(monkeypatch: pytest.MonkeyPatch, action: Callable[[], object]) -> None:
+def at_tenth_picture(monkeypatch, action):
     """Do ``action`` before the tenth picture is written: in the middle of the second object."""
     write, calls = rendered.write_image, []
 
-    def acting(*arguments: Any, **options: Any) -> None:
+    def acting(*arguments, **options):
         calls.append(0)
         if len(calls) == 10:
             action()
@@ -67,7 +40,7 @@ def at_tenth_picture(monkeypatch: pytest.MonkeyPatch, action: Callable[[], objec
     monkeypatch.setattr(rendered, "write_image", acting)
 
 
-def test_a_folder_is_rendered_into_the_documented_layout(meshes: Path, tmp_path: Path) -> None:
+def test_a_folder_is_rendered_into_the_documented_layout(meshes, tmp_path):
     reported: list[tuple[int, int, str]] = []
     summary = render_folder(meshes, tmp_path / "out", FAST, progress=lambda *report: reported.append(report))
     assert (summary.written, summary.skipped, summary.failed) == (["c", "chair/a", "chair/b"], [], {})
@@ -79,7 +52,7 @@ def test_a_folder_is_rendered_into_the_documented_layout(meshes: Path, tmp_path:
     assert [(view["image"], view["mask"]) for view in document["views"]] == pictures
 
 
-def test_an_object_depends_on_the_seed_and_not_on_the_others(meshes: Path, tmp_path: Path) -> None:
+def test_an_object_depends_on_the_seed_and_not_on_the_others(meshes, tmp_path):
     render_folder(meshes, tmp_path / "all", FAST, seed=1)
     (meshes / "c.ply").unlink()
     render_folder(meshes, tmp_path / "two", FAST, seed=1)
@@ -88,12 +61,10 @@ def test_an_object_depends_on_the_seed_and_not_on_the_others(meshes: Path, tmp_p
     assert contents(tmp_path / "all/chair")["a/target.ply"] != contents(tmp_path / "other/chair")["a/target.ply"]
 
 
-def test_an_interrupted_run_leaves_only_whole_objects_and_resumes(
-    meshes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_run_leaves_only_whole_objects_and_resumes(meshes, tmp_path, monkeypatch):
     render_folder(meshes, tmp_path / "whole", FAST)
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        at_tenth_picture(patch, interrupt)
+        at_tenth_picture(patch, lambda: signal.raise_signal(signal.SIGINT))
         render_folder(meshes, tmp_path / "out", FAST)
     assert {name.split("/")[0] for name in contents(tmp_path / "out")} == {"c"}
     summary = render_folder(meshes, tmp_path / "out", FAST)
@@ -101,37 +72,21 @@ def test_an_interrupted_run_leaves_only_whole_objects_and_resumes(
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
 
 
-def test_a_terminated_command_cleans_up_as_after_ctrl_c(
-    tso_render: Callable[..., Run], meshes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_terminated_command_cleans_up_as_after_ctrl_c(tso_render, meshes, tmp_path, monkeypatch):
     at_tenth_picture(monkeypatch, lambda: signal.raise_signal(signal.SIGTERM))
     stopped = tso_render(meshes, tmp_path / "out", *WORDS)
     assert stopped.code == 130 and stopped.err.splitlines()[-1] == "tso: error: interrupted"
     assert hidden(tmp_path / "out") == []
 
 
-def test_what_a_killed_command_leaves_is_removed_by_the_next(
-    tso_render: Callable[..., Run], meshes: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    words = [str(word) for word in ("render", meshes, "-o", out, *WORDS)]
-    killed = subprocess.run([sys.executable, "-c", KILLED, *words], capture_output=True, check=False, timeout=120)
-    assert killed.returncode == -signal.SIGKILL
-    assert any(name.endswith(".partial") for name in hidden(out))
-    resumed = tso_render(meshes, out, *WORDS)
-    assert resumed.code == 0 and "1 rendered before, skipped" in resumed.err
-    assert hidden(out) == []
-    assert {path.parent.relative_to(out).as_posix() for path in out.glob("**/render.json")} == {"c", "chair/a", "chair/b"}
-
-
-def left_behind(out: Path, name: str) -> Path:
+def left_behind(out, name):
     folder = out / name
     folder.mkdir(parents=True)
     (folder / "000.png").write_bytes(b"half")
     return folder
 
 
-def test_only_partial_objects_that_no_living_process_writes_are_removed(meshes: Path, tmp_path: Path) -> None:
+def test_only_partial_objects_that_no_living_process_writes_are_removed(meshes, tmp_path):
     out = tmp_path / "out"
     stale, living = (left_behind(out, f".c.{number}.partial") for number in ("0123abcd", "89abcdef"))
     foreign = [left_behind(out, name) for name in (".other.0123abcd.partial", ".c.0123abcd.backup", ".c.partial")]
@@ -151,7 +106,7 @@ def test_only_partial_objects_that_no_living_process_writes_are_removed(meshes: 
     assert all((path / "000.png").exists() for path in foreign)
 
 
-def test_an_object_whose_replacement_was_killed_half_way_is_restored(meshes: Path, tmp_path: Path) -> None:
+def test_an_object_whose_replacement_was_killed_half_way_is_restored(meshes, tmp_path):
     out = tmp_path / "out"
     render_folder(meshes, out, FAST)
     before = contents(out)
@@ -166,10 +121,10 @@ def test_an_object_whose_replacement_was_killed_half_way_is_restored(meshes: Pat
     assert contents(out) == before
 
 
-def test_an_object_is_locked_while_it_is_written(meshes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_object_is_locked_while_it_is_written(meshes, tmp_path, monkeypatch):
     out, write, kept = tmp_path / "out", rendered.write_image, []
 
-    def swept(path: Path, *arguments: Any, **options: Any) -> None:
+    def swept(path, *arguments, **options):
         write(path, *arguments, **options)
         rendered.sweep([out / "c"])
         kept.append(path.exists())
@@ -181,7 +136,7 @@ def test_an_object_is_locked_while_it_is_written(meshes: Path, tmp_path: Path, m
     assert hidden(out) == []
 
 
-def test_a_folder_of_other_settings_is_only_changed_with_overwrite(meshes: Path, tmp_path: Path) -> None:
+def test_a_folder_of_other_settings_is_only_changed_with_overwrite(meshes, tmp_path):
     out = tmp_path / "out"
     render_folder(meshes, out, FAST)
     before = contents(out)
@@ -193,7 +148,7 @@ def test_a_folder_of_other_settings_is_only_changed_with_overwrite(meshes: Path,
     assert {path.name for path in out.iterdir()} == {"c", "chair"}
 
 
-def test_a_folder_of_something_else_is_never_replaced(meshes: Path, tmp_path: Path) -> None:
+def test_a_folder_of_something_else_is_never_replaced(meshes, tmp_path):
     (tmp_path / "out/c").mkdir(parents=True)
     (tmp_path / "out/c/thesis.tex").write_text("years of work")
     for overwrite in (False, True):
@@ -202,7 +157,7 @@ def test_a_folder_of_something_else_is_never_replaced(meshes: Path, tmp_path: Pa
     assert contents(tmp_path / "out") == {"c/thesis.tex": b"years of work"}
 
 
-def test_a_bad_mesh_is_named_and_the_others_are_rendered(tso_render: Callable[..., Run], meshes: Path, tmp_path: Path) -> None:
+def test_a_bad_mesh_is_named_and_the_others_are_rendered(tso_render, meshes, tmp_path):
     (meshes / "chair/broken.ply").write_text("ply\n")
     summary = render_folder(meshes, tmp_path / "out", FAST)
     assert len(summary.written) == 3
@@ -213,7 +168,7 @@ def test_a_bad_mesh_is_named_and_the_others_are_rendered(tso_render: Callable[..
     assert "3 rendered before, skipped" in again.err
 
 
-def test_a_bad_mesh_alone_is_an_error_and_writes_nothing(tmp_path: Path) -> None:
+def test_a_bad_mesh_alone_is_an_error_and_writes_nothing(tmp_path):
     (tmp_path / "broken.ply").write_text("ply\n")
     for name, message in (("broken.ply", r"broken\.ply"), ("missing.ply", "does not exist")):
         with pytest.raises(InputError, match=message):
@@ -221,7 +176,7 @@ def test_a_bad_mesh_alone_is_an_error_and_writes_nothing(tmp_path: Path) -> None
     assert not (tmp_path / "out").exists()
 
 
-def test_names_that_would_collide_are_refused(meshes: Path, tmp_path: Path) -> None:
+def test_names_that_would_collide_are_refused(meshes, tmp_path):
     (meshes / "c.stl").write_bytes(b"x")
     with pytest.raises(InputError, match="different names"):
         render_folder(meshes, tmp_path / "out", FAST)
@@ -231,21 +186,19 @@ def test_names_that_would_collide_are_refused(meshes: Path, tmp_path: Path) -> N
     assert not (tmp_path / "out").exists()
 
 
-def test_the_output_may_lie_inside_the_source(meshes: Path) -> None:
+def test_the_output_may_lie_inside_the_source(meshes):
     first, again = (render_folder(meshes, meshes / "out", FAST) for _ in range(2))
     assert again.skipped == first.written and not again.written
 
 
-def test_an_output_that_cannot_be_a_folder_is_refused(meshes: Path, tmp_path: Path) -> None:
+def test_an_output_that_cannot_be_a_folder_is_refused(meshes, tmp_path):
     (tmp_path / "file").write_text("x")
     for name, message in (("file", "is a file"), ("no/such", "does not exist")):
         with pytest.raises(InputError, match=message):
             render_folder(meshes, tmp_path / name, FAST)
 
 
-def test_the_command_prints_one_json_document_and_writes_a_data_set(
-    tso_render: Callable[..., Run], meshes: Path, tmp_path: Path
-) -> None:
+def test_the_command_prints_one_json_document_and_writes_a_data_set(tso_render, meshes, tmp_path):
     done = tso_render(meshes, tmp_path / "out", *WORDS, "--size", "32x24", "--seed", 5, "--json")
     assert "warning" not in done.err
     document = json.loads(done.out)
@@ -256,6 +209,6 @@ def test_the_command_prints_one_json_document_and_writes_a_data_set(
     assert data.objects[0].views[0].load()[0].shape == (24, 32, 3)
 
 
-def test_the_command_refuses_an_unreadable_size(tso_render: Callable[..., Run], meshes: Path, tmp_path: Path) -> None:
+def test_the_command_refuses_an_unreadable_size(tso_render, meshes, tmp_path):
     refused = tso_render(meshes, tmp_path / "out", "--size", "wide")
     assert refused.code == 2 and "128x96" in refused.err

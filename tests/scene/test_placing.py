@@ -37,16 +37,6 @@ def test_a_cloud_placed_in_front_fills_the_box_of_the_mask(cloud, focal):
     assert depth.min() > 0.0
 
 
-def test_a_cloud_at_the_canonical_distance_is_placed_there(cloud):
-    camera = Camera.canonical(64, 64)
-    pixels, _ = camera.project(cloud)
-    box = np.concatenate([pixels.min(0), pixels.max(0)]).round().astype(int)
-    mask = np.zeros((64, 64), np.float32)
-    mask[box[1] : box[3] + 1, box[0] : box[2] + 1] = 1.0
-    placed = place_in_front(cloud, View(mask, camera))
-    np.testing.assert_allclose(placed.t, [0.0, 0.0, 2.0], atol=0.1)
-
-
 def test_the_way_back_to_the_world_keeps_the_picture_and_finds_the_true_size(cloud):
     rotation = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     # an object of longest side 3 about the world's origin, 6 units from the camera
@@ -59,7 +49,7 @@ def test_the_way_back_to_the_world_keeps_the_picture_and_finds_the_true_size(clo
     np.testing.assert_allclose(camera.project(world)[0], placed.project(aligned / 3.0)[0], atol=1e-9)
 
 
-def test_settling_finds_the_camera_that_the_mask_was_seen_through(cloud):
+def test_alignment_finds_the_camera_that_the_mask_was_seen_through(cloud):
     truth = replace(Camera.canonical(64, 64), t=np.array([0.03, -0.02, 2.08]))
     view = View((silhouette_of(cloud, truth) > 0.5).astype(np.float32), Camera.canonical(64, 64))
     aligned_camera = align_silhouette(cloud, view, steps=60)
@@ -68,7 +58,7 @@ def test_settling_finds_the_camera_that_the_mask_was_seen_through(cloud):
     np.testing.assert_array_equal(aligned_camera.R, view.camera.R)
 
 
-def test_settling_is_not_misled_by_one_stray_point_as_the_box_is(cloud):
+def test_alignment_is_not_misled_by_one_stray_point_as_the_box_is(cloud):
     truth = Camera.canonical(64, 64)
     view = View((silhouette_of(cloud, truth) > 0.5).astype(np.float32), truth)
     stray = np.vstack([cloud, [[0.34, 0.0, 0.0]]])
@@ -86,7 +76,7 @@ def test_alignment_never_ends_at_a_worse_place_than_it_began(cloud, monkeypatch)
     np.testing.assert_array_equal(align_silhouette(cloud, view).t, view.camera.t)
 
 
-def test_settling_heeds_no_ignored_pixel(cloud):
+def test_alignment_heeds_no_ignored_pixel(cloud):
     mask = (silhouette_of(cloud, Camera.canonical(64, 64)) > 0.5).astype(np.float32)
     known = np.ones((64, 64), bool)
     known[:, 52:] = False

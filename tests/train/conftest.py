@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from tso_cli.cli import main
 from tso_cli.datasets.items import ObjectItem
 from tso_cli.datasets.rendered import write_object
 from tso_cli.train.data import TrainingData
 
+from ..cli.run import run
 from ..training import make_objects, make_thin
 
 
@@ -44,26 +41,8 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "boxes"
 
 
-class Run(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-    @property
-    def document(self) -> dict[str, Any]:
-        document: dict[str, Any] = json.loads(self.out)
-        return document
-
-
 @pytest.fixture
-def tso_train(thin: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., Run]:
+def tso_train(thin, tmp_path, capsys):
     """`tso train` on a data set for two short steps; of an option that is given twice the last one counts."""
-
-    def run(data: Path, *options: object) -> Run:
-        common = ["-o", tmp_path / "base.safetensors", "--steps", 2, "--batch-size", 2, "--points", 32]
-        with pytest.raises(SystemExit) as stopped:
-            main([str(word) for word in ("train", data, *common, *options)])
-        assert isinstance(stopped.value.code, int)
-        return Run(stopped.value.code, *capsys.readouterr())
-
-    return run
+    common = ("-o", tmp_path / "base.safetensors", "--steps", 2, "--batch-size", 2, "--points", 32)
+    return lambda data, *options: run(capsys, "train", data, *common, *options)

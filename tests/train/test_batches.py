@@ -3,30 +3,27 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tso_cli.datasets.items import ObjectItem, ViewItem
 from tso_cli.datasets.opening import open_dataset
 from tso_cli.errors import InputError
 from tso_cli.geometry.camera import CANONICAL_ROTATION, Camera
 from tso_cli.io.images import write_image
 from tso_cli.io.shipped import example_meshes
 from tso_cli.train.backgrounds import Backgrounds
-from tso_cli.train.batches import Batch, Draw, Drawing, assemble, draw_batch, recoloured
+from tso_cli.train.batches import Draw, Drawing, assemble, draw_batch, recoloured
 from tso_cli.train.data import TrainingData
-from tso_cli.train.sources import from_dataset, from_meshes, shipped_examples
+from tso_cli.train.sources import from_meshes, shipped_examples
 
 from ..training import make_objects
 
 # Frames and cameras
 
 
-def fills_its_masks(batch: Batch) -> bool:
+def fills_its_masks(batch):
     """Whether every target point falls, within a pixel, into every supervising mask."""
     for b, target in enumerate(batch.targets):
         for v in range(batch.masks.shape[1]):
@@ -40,11 +37,11 @@ def fills_its_masks(batch: Batch) -> bool:
 
 
 @pytest.mark.parametrize("frame", ["view", "canonical"])
-def test_true_points_in_the_frame_of_the_prediction_fill_the_supervising_masks(data: TrainingData, frame: str) -> None:
+def test_true_points_in_the_frame_of_the_prediction_fill_the_supervising_masks(data, frame):
     assert fills_its_masks(assemble(data, [Draw(0, 1, (0, 2, 3)), Draw(2, 0, (0, 1, 3))], frame))
 
 
-def test_a_mirrored_object_fills_its_mirrored_masks(data: TrainingData) -> None:
+def test_a_mirrored_object_fills_its_mirrored_masks(data):
     plain, mirrored = (assemble(data, [Draw(0, 1, (0, 2, 3), mirror)], "view") for mirror in (False, True))
     np.testing.assert_allclose(mirrored.targets[0], plain.targets[0] * np.float32([-1, 1, 1]), atol=1e-6)
     np.testing.assert_array_equal(mirrored.images[0], plain.images[0, :, :, ::-1])
@@ -54,14 +51,14 @@ def test_a_mirrored_object_fills_its_mirrored_masks(data: TrainingData) -> None:
     assert not fills_its_masks(replace(plain, targets=mirrored.targets))
 
 
-def test_a_view_aligned_batch_has_the_axes_and_the_crop_of_its_picture(data: TrainingData) -> None:
+def test_a_view_aligned_batch_has_the_axes_and_the_crop_of_its_picture(data):
     batch = assemble(data, [Draw(1, 2)], "view")
     in_camera = data.target(1) @ data.objects[1].views[2].camera.R.T
     np.testing.assert_allclose(batch.targets[0] @ CANONICAL_ROTATION.T, in_camera, atol=1e-6)
     np.testing.assert_array_equal(batch.images, data.prepared(1, 2).image[None])
 
 
-def test_an_orthographic_camera_is_refused() -> None:
+def test_an_orthographic_camera_is_refused():
     item = make_objects(count=1, views=1)[0]
     camera = replace(item.views[0].camera, model="orthographic")
     with pytest.raises(InputError, match="orthographic, expected perspective"):
@@ -71,14 +68,14 @@ def test_an_orthographic_camera_is_refused() -> None:
 # Random draws
 
 
-def test_every_object_comes_once_in_an_epoch(data: TrainingData) -> None:
+def test_every_object_comes_once_in_an_epoch(data):
     for epoch in range(4):
         targets = [draw_batch(data, Drawing(5, 1, "canonical"), epoch * 3 + i).targets[0] for i in range(3)]
         assert len({cloud.tobytes() for cloud in targets}) == 3
 
 
-def test_a_batch_depends_on_seed_and_step_alone(data: TrainingData) -> None:
-    def rotations(source: TrainingData, seed: int, step: int, size: int = 2) -> bytes:
+def test_a_batch_depends_on_seed_and_step_alone(data):
+    def rotations(source, seed, step, size=2):
         return draw_batch(source, Drawing(seed, size, "view", 2), step).R.tobytes()
 
     assert rotations(data, 1, 4) == rotations(data, 1, 4)
@@ -87,7 +84,7 @@ def test_a_batch_depends_on_seed_and_step_alone(data: TrainingData) -> None:
     assert len({rotations(single, 1, step, 1) for step in range(12)}) > 1
 
 
-def test_a_balanced_draw_takes_a_rare_category_as_often_as_a_common_one() -> None:
+def test_a_balanced_draw_takes_a_rare_category_as_often_as_a_common_one():
     data = TrainingData([*make_objects(5, 1), *make_objects(1, 1, "crate")], "boxes and a crate")
     drawn = Counter(
         name for step in range(5) for name in draw_batch(data, Drawing(0, 4, "canonical", balance=True), step).categories
@@ -95,7 +92,7 @@ def test_a_balanced_draw_takes_a_rare_category_as_often_as_a_common_one() -> Non
     assert drawn == {"box": 10, "crate": 10}
 
 
-def test_processes_share_a_batch_without_overlap(data: TrainingData) -> None:
+def test_processes_share_a_batch_without_overlap(data):
     drawing = Drawing(3, 4, "view", views=2, augment=True)
     whole = draw_batch(data, drawing, 7)
     parts = [draw_batch(data, drawing, 7, (rank, 2)) for rank in (0, 1)]
@@ -103,8 +100,8 @@ def test_processes_share_a_batch_without_overlap(data: TrainingData) -> None:
     np.testing.assert_array_equal(whole.masks[1::2], parts[1].masks)
 
 
-def test_augmentation_mirrors_half_of_the_pictures_in_the_view_frame_alone(data: TrainingData) -> None:
-    def same_targets(frame: str, step: int) -> bool:
+def test_augmentation_mirrors_half_of_the_pictures_in_the_view_frame_alone(data):
+    def same_targets(frame, step):
         plain, augmented = (draw_batch(data, Drawing(0, 1, frame, augment=on), step).targets[0] for on in (False, True))
         return np.allclose(plain, augmented)
 
@@ -112,7 +109,7 @@ def test_augmentation_mirrors_half_of_the_pictures_in_the_view_frame_alone(data:
     assert all(same_targets("canonical", step) for step in range(5))
 
 
-def test_recolouring_changes_the_object_and_not_its_surroundings(data: TrainingData) -> None:
+def test_recolouring_changes_the_object_and_not_its_surroundings(data):
     picture = data.prepared(0, 0)
     changed = recoloured(picture, np.random.default_rng(0))
     outside = picture.mask == 0.0
@@ -124,23 +121,23 @@ def test_recolouring_changes_the_object_and_not_its_surroundings(data: TrainingD
 # Unusable pictures and points
 
 
-def failing(message: str) -> Callable[[], np.ndarray]:
-    def load() -> np.ndarray:
+def failing(message):
+    def load():
         raise InputError(message)
 
     return load
 
 
-def broken(item: ObjectItem, *views: int) -> ObjectItem:
+def broken(item, *views):
     """``item`` with pictures that cannot be read: those of ``views``, or all."""
     result = list(item.views)
     for i in views or range(len(result)):
         load = failing(f"{result[i].name}.png: truncated, expected a picture")
-        result[i] = replace(result[i], load=load)  # type: ignore[arg-type]
+        result[i] = replace(result[i], load=load)
     return replace(item, views=result)
 
 
-def test_an_unreadable_picture_is_warned_of_once_and_replaced() -> None:
+def test_an_unreadable_picture_is_warned_of_once_and_replaced():
     first, second = make_objects(2, 3)
     objects = [broken(first, 0), second]
     data = TrainingData(objects, "boxes")
@@ -154,7 +151,7 @@ def test_an_unreadable_picture_is_warned_of_once_and_replaced() -> None:
         assemble(TrainingData(objects, "boxes", strict=True), [Draw(0, 0)], "view")
 
 
-def test_an_object_with_unreadable_points_is_warned_of_once_and_replaced() -> None:
+def test_an_object_with_unreadable_points_is_warned_of_once_and_replaced():
     objects = make_objects(2)
     objects[0] = replace(objects[0], target=failing("target.ply: ends after 6 of 1024 rows, expected all"))
     data = TrainingData(objects, "boxes")
@@ -169,7 +166,7 @@ def test_an_object_with_unreadable_points_is_warned_of_once_and_replaced() -> No
         assemble(TrainingData(objects, "boxes", strict=True), [Draw(0, 0)], "view")
 
 
-def test_ten_unusable_pictures_are_warned_of_and_all_are_listed() -> None:
+def test_ten_unusable_pictures_are_warned_of_and_all_are_listed():
     objects = [broken(item) for item in make_objects(5, 4)]
     data = TrainingData(objects, "boxes")
     with (
@@ -183,7 +180,7 @@ def test_ten_unusable_pictures_are_warned_of_and_all_are_listed() -> None:
 # Backgrounds
 
 
-def test_the_object_is_composited_on_its_background() -> None:
+def test_the_object_is_composited_on_its_background():
     data = TrainingData(make_objects(1), "box", background="keep", backgrounds=Backgrounds("textures"))
     draws = [Draw(0, 0, background_seed=1), Draw(0, 0, background_seed=2), Draw(0, 0, mirror=True, background_seed=1)]
     first, second, mirrored = assemble(data, draws, "view").images
@@ -197,7 +194,7 @@ def test_the_object_is_composited_on_its_background() -> None:
         TrainingData(make_objects(1), "box", backgrounds=Backgrounds("textures"))
 
 
-def test_backgrounds_are_crops_of_the_photos_of_a_folder(tmp_path: Path) -> None:
+def test_backgrounds_are_crops_of_the_photos_of_a_folder(tmp_path):
     write_image(tmp_path / "red.png", np.full((40, 90, 3), (255, 0, 0), np.uint8))
     crop = Backgrounds(str(tmp_path)).sample(np.random.default_rng(0))
     np.testing.assert_allclose(crop, np.broadcast_to(np.float32([[[1]], [[0]], [[0]]]), (3, 64, 64)), atol=1e-6)
@@ -207,7 +204,7 @@ def test_backgrounds_are_crops_of_the_photos_of_a_folder(tmp_path: Path) -> None
             Backgrounds(str(tmp_path / name))
 
 
-def test_an_unreadable_photo_is_warned_of_once_and_replaced_by_the_next(tmp_path: Path) -> None:
+def test_an_unreadable_photo_is_warned_of_once_and_replaced_by_the_next(tmp_path):
     write_image(tmp_path / "red.png", np.full((40, 90, 3), (255, 0, 0), np.uint8))
     (tmp_path / "broken.png").write_bytes(b"no picture")
     backgrounds = Backgrounds(str(tmp_path))
@@ -229,13 +226,13 @@ def test_an_unreadable_photo_is_warned_of_once_and_replaced_by_the_next(tmp_path
 # Sources
 
 
-def test_an_empty_training_set_is_refused() -> None:
+def test_an_empty_training_set_is_refused():
     with pytest.raises(InputError, match="no object"):
         TrainingData([], "nothing")
 
 
-def test_the_fingerprint_changes_with_the_pictures_of_the_same_objects() -> None:
-    def dark(view: ViewItem) -> ViewItem:
+def test_the_fingerprint_changes_with_the_pictures_of_the_same_objects():
+    def dark(view):
         image, mask = view.load()
         return replace(view, load=lambda: (image // 2, mask))
 
@@ -245,16 +242,16 @@ def test_the_fingerprint_changes_with_the_pictures_of_the_same_objects() -> None
     assert TrainingData([first, second], "two").fingerprint() == same != changed.fingerprint()
 
 
-def test_a_rendered_folder_gives_the_same_batches_as_its_pictures_in_memory(folder: Path) -> None:
+def test_a_rendered_folder_gives_the_same_batches_as_its_pictures_in_memory(folder):
     read, in_memory = (
         draw_batch(source, Drawing(0, 2, "view", 2), 0)
-        for source in (from_dataset(open_dataset(folder)), TrainingData(make_objects(2), "boxes"))
+        for source in (TrainingData(open_dataset(folder).objects, "boxes"), TrainingData(make_objects(2), "boxes"))
     )
     for name in ("images", "masks", "K", "targets"):
         np.testing.assert_allclose(getattr(read, name), getattr(in_memory, name), atol=1e-6, rtol=1e-7)
 
 
-def test_the_shipped_meshes_and_examples_are_training_data() -> None:
+def test_the_shipped_meshes_and_examples_are_training_data():
     pytest.importorskip("open3d")
     meshes = example_meshes()
     assert {path.parent.name for path in meshes} == {"airplane", "car", "chair"}

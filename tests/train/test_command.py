@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -16,13 +14,12 @@ from tso_cli.io.checkpoints import load_network
 from tso_cli.train.data import TrainingData
 
 from ..training import make_objects
-from .conftest import Run, write
+from .conftest import write
 
-Command = Callable[..., Run]
 MASKS = ("--supervision", "masks", "--views", 2)
 
 
-def test_trains_on_a_folder_and_reports_it(tso_train: Command, folder: Path, tmp_path: Path) -> None:
+def test_trains_on_a_folder_and_reports_it(tso_train, folder, tmp_path):
     document = tso_train(folder, *MASKS, "--steps", 4, "--log-file", tmp_path / "log.jsonl", "--json").document
     assert (document["steps"], document["stop_reason"], document["supervision"]) == (4, "max_steps", "masks")
     assert document["chamfer_training"]["chamfer"] > 0
@@ -35,7 +32,7 @@ def test_trains_on_a_folder_and_reports_it(tso_train: Command, folder: Path, tmp
     }  # fmt: skip
 
 
-def test_joint_training_takes_each_data_set_by_its_own_split(tso_train: Command, folder: Path, tmp_path: Path) -> None:
+def test_joint_training_takes_each_data_set_by_its_own_split(tso_train, folder, tmp_path):
     splits = tmp_path / "split.json", tmp_path / "masks.json"
     for path, names in zip(splits, (["box0"], ["box1"]), strict=True):
         path.write_text(json.dumps({"train": names, "validation": [], "test": []}))
@@ -45,7 +42,7 @@ def test_joint_training_takes_each_data_set_by_its_own_split(tso_train: Command,
     assert load_network(tmp_path / "base.safetensors")[1].settings["views"] == 1
 
 
-def test_objects_without_a_3d_file_train_masks_only_and_are_not_evaluated(tso_train: Command, tmp_path: Path) -> None:
+def test_objects_without_a_3d_file_train_masks_only_and_are_not_evaluated(tso_train, tmp_path):
     write_r2n2(tmp_path / "ShapeNetRendering", ("abc", "def"))
     write_clouds(tmp_path, "abc")
     document = tso_train(tmp_path, *MASKS, "--json").document
@@ -59,7 +56,7 @@ def test_objects_without_a_3d_file_train_masks_only_and_are_not_evaluated(tso_tr
     assert strict.code == 2 and "pcl_1024_fps_trimesh.npy: does not exist" in strict.err
 
 
-def test_a_damaged_3d_file_does_not_stop_training_by_masks(tso_train: Command, tmp_path: Path) -> None:
+def test_a_damaged_3d_file_does_not_stop_training_by_masks(tso_train, tmp_path):
     write_r2n2(tmp_path / "ShapeNetRendering", ("abc", "def", "ghi"))
     write_clouds(tmp_path, "abc", "def", "ghi")
     damaged = tmp_path / "ShapeNet_pcl" / CHAIR / "def" / "pcl_1024_fps_trimesh.npy"
@@ -71,9 +68,7 @@ def test_a_damaged_3d_file_does_not_stop_training_by_masks(tso_train: Command, t
     assert "left out" not in done.err
 
 
-def test_data_without_any_points_are_trained_on_by_masks_alone(
-    tso_train: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_data_without_any_points_are_trained_on_by_masks_alone(tso_train, tmp_path, monkeypatch):
     bare = TrainingData([replace(item, target=None) for item in make_objects(2)], "boxes without points")
     monkeypatch.setattr("tso_cli.commands.train.load", lambda wanted, quiet: bare)
     refused = tso_train(tmp_path)
@@ -82,7 +77,7 @@ def test_data_without_any_points_are_trained_on_by_masks_alone(
     assert "2 steps" in tso_train(tmp_path, *MASKS).out
 
 
-def test_a_split_may_name_absent_objects_of_categories_that_are_not_trained_on(tso_train: Command, tmp_path: Path) -> None:
+def test_a_split_may_name_absent_objects_of_categories_that_are_not_trained_on(tso_train, tmp_path):
     for item in (*make_objects(2, category="box"), *make_objects(1, category="crate")):
         write(tmp_path / "data" / item.category, item)
     (tmp_path / "data/box/box1/target.ply").unlink()
@@ -99,7 +94,7 @@ def test_a_split_may_name_absent_objects_of_categories_that_are_not_trained_on(t
     assert "split.json: has no list 'train', expected one beside 'test'" in tso_train(*common, "--overwrite").err
 
 
-def test_distances_are_reported_with_their_scale(tso_train: Command, folder: Path, tmp_path: Path) -> None:
+def test_distances_are_reported_with_their_scale(tso_train, folder, tmp_path):
     root = tmp_path / "r2n2"
     write_r2n2(root / "ShapeNetRendering")
     write_clouds(root, "abc")
@@ -111,7 +106,7 @@ def test_distances_are_reported_with_their_scale(tso_train: Command, folder: Pat
         assert load_network(tmp_path / "base.safetensors")[1].crop_share == share
 
 
-def test_a_resumed_run_keeps_its_saturation_window(tso_train: Command, folder: Path, tmp_path: Path) -> None:
+def test_a_resumed_run_keeps_its_saturation_window(tso_train, folder, tmp_path):
     assert tso_train(folder, *MASKS, "--saturation-steps", 3).code == 0
     assert tso_train(folder, *MASKS, "--steps", 4, "--resume").code == 0
     assert load_network(tmp_path / "base.safetensors")[1].settings["saturation_steps"] == 3
@@ -119,14 +114,12 @@ def test_a_resumed_run_keeps_its_saturation_window(tso_train: Command, folder: P
     assert tso_train(folder, *MASKS, "--steps", 8, "--resume", "--saturation-steps", 4).code == 2
 
 
-def test_ctrl_c_exits_with_130_and_resume_continues_bit_for_bit(
-    tso_train: Command, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_exits_with_130_and_resume_continues_bit_for_bit(tso_train, folder, tmp_path, monkeypatch):
     straight, output = tmp_path / "straight.safetensors", tmp_path / "base.safetensors"
     assert tso_train(folder, "--steps", 4, "-o", straight).code == 0
     show = options.ProgressBar.__call__
 
-    def press(bar: options.ProgressBar, done: int, total: int, note: str = "") -> None:
+    def press(bar, done, total, note=""):
         show(bar, done, total, note)
         if bar.label == "train" and done == 2:
             signal.raise_signal(signal.SIGINT)
@@ -146,13 +139,10 @@ def test_ctrl_c_exits_with_130_and_resume_continues_bit_for_bit(
     [
         (["none"], "none"),
         (["boxes", "-o", "there.safetensors"], "exists"),
-        (["boxes", "-o", "missing/a.safetensors"], "missing"),
-        (["boxes", "-o", "a.pth"], "expected a checkpoint name in .safetensors"),
+        (["boxes", "-o", "a.pth"], "the suffix is '.pth', expected .safetensors"),
         (["boxes", "--resume"], "base.training.safetensors: does not exist"),
         (["boxes", "--steps", 0], "steps is 0"),
         (["none", "--crop-share", "-1"], "--crop-share is -1, expected 0 to 1"),
-        (["none", "--crop-share", "nan"], "--crop-share is nan, expected 0 to 1"),
-        (["none", "--crop-share", "1.5"], "--crop-share is 1.5, expected 0 to 1"),
         (["boxes", "--device", "cuda:99"], "cuda:99"),
         (["boxes", "--frame", "world"], "world"),
         (["boxes", "--mask-data", "boxes"], "expected joint with --mask-data"),
@@ -164,9 +154,7 @@ def test_ctrl_c_exits_with_130_and_resume_continues_bit_for_bit(
         (["boxes", "--log-file", "base.safetensors"], "expected a file of its own"),
     ],
 )
-def test_refuses_in_one_line_and_writes_nothing(
-    tso_train: Command, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[object], message: str
-) -> None:
+def test_refuses_in_one_line_and_writes_nothing(tso_train, folder, tmp_path, monkeypatch, arguments, message):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there.safetensors").write_bytes(b"mine")
     before = sorted(tmp_path.iterdir())

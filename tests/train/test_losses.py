@@ -14,13 +14,13 @@ from tso_cli.train.losses import DROP, AffinitySchedule, mask_loss, mask_loss_by
 from ..training import make_objects
 
 
-def test_the_chamfer_loss_is_zero_for_the_targets_themselves(data: TrainingData) -> None:
+def test_the_chamfer_loss_is_zero_for_the_targets_themselves(data):
     batch = draw_batch(data, Drawing(0, 2, "view"), 0)
     loss, forward, backward = point_loss(torch.from_numpy(np.stack(batch.targets)), batch)
     assert float(loss) == forward == backward == 0.0
 
 
-def test_true_points_have_a_far_lower_mask_loss_than_displaced_ones(data: TrainingData) -> None:
+def test_true_points_have_a_far_lower_mask_loss_than_displaced_ones(data):
     batch = draw_batch(data, Drawing(0, 2, "view", 3), 0)
     points = torch.from_numpy(np.stack(batch.targets))
     true, bce, outliers = mask_loss(points, batch, 0.4, 0.01, "points")
@@ -30,9 +30,7 @@ def test_true_points_have_a_far_lower_mask_loss_than_displaced_ones(data: Traini
 
 
 @pytest.mark.parametrize("weight", [0.0, 1.0])
-def test_the_affinity_loss_moves_a_point_beyond_the_edge_of_the_crop_back_and_bce_does_not(
-    data: TrainingData, weight: float
-) -> None:
+def test_the_affinity_loss_moves_a_point_beyond_the_edge_of_the_crop_back_and_bce_does_not(data, weight):
     batch = draw_batch(data, Drawing(0, 1, "view", 1), 0)
     points = torch.from_numpy(np.stack(batch.targets))
     points[0, 0] = torch.tensor([0.9, 0.0, 0.0])
@@ -46,7 +44,7 @@ def test_the_affinity_loss_moves_a_point_beyond_the_edge_of_the_crop_back_and_bc
     assert (after < before - 0.1) == (weight > 0.0)
 
 
-def test_each_category_is_compared_with_its_own_kernel() -> None:
+def test_each_category_is_compared_with_its_own_kernel():
     data = TrainingData([*make_objects(2), *make_objects(1, category="crate")], "boxes and a crate")
     batch = assemble(data, [Draw(0, 0, (1, 2)), Draw(1, 0, (1, 2)), Draw(2, 1, (0, 3))], "canonical")
     points = torch.from_numpy(np.stack(batch.targets))[:, ::4]
@@ -61,7 +59,7 @@ def test_each_category_is_compared_with_its_own_kernel() -> None:
     torch.testing.assert_close(same, mask_loss(points, batch, 0.4, 0.5, "points")[0])
 
 
-def test_lambda_drops_once_to_a_fiftieth_when_the_running_mean_stops_falling() -> None:
+def test_lambda_drops_once_to_a_fiftieth_when_the_running_mean_stops_falling():
     schedule = AffinitySchedule(2.0, window=3)
     for step, loss in enumerate([9.0, 9.0, 9.0, 6.0, 6.0, 6.0, 5.0, 5.0, 5.0], 1):
         schedule.observe(loss, step)

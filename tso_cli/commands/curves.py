@@ -16,23 +16,13 @@ if TYPE_CHECKING:
 
 @click.command("curves")
 @click.argument("logs", nargs=-1, required=True, type=options.FilePath())
-@click.option(
-    "-o", "--output", type=options.FilePath(), default=Path("curves.png"), show_default=True, help="Picture to write."
-)
+@click.option("-o", "--output", type=options.FilePath(), default="curves.png", show_default=True, help="Picture to write.")
 @click.option("--checkpoint", type=options.FilePath(), help="Network to draw samples of, into NAME.samples.png beside it.")
 @click.option("--data", type=options.FilePath(), help="Data set of the samples.")
 @click.option("--split", "split_file", type=options.FilePath(), help='Take samples only from its list "test".')
 @click.option("--samples", "count", type=click.IntRange(min=1, max=50), default=6, show_default=True, help="How many.")
 @options.overwrite
-def command(
-    logs: tuple[Path, ...],
-    output: Path,
-    checkpoint: Path | None,
-    data: Path | None,
-    split_file: Path | None,
-    count: int,
-    overwrite: bool,
-) -> None:
+def command(logs: tuple[Path, ...], output: Path, overwrite: bool, count: int, **chosen: Path | None) -> None:
     """Draw the losses in LOGS, which `tso train --log-file` wrote: raw values under their running mean.
 
     With --checkpoint and --data also samples of a network: input, prediction and target from two sides.
@@ -40,6 +30,7 @@ def command(
     from ..io.logs import read_log
     from ..plots.curves import draw_curves, draw_samples, labels, lambda_drop, running_mean
 
+    checkpoint, data, split_file = (chosen[name] for name in ("checkpoint", "data", "split_file"))
     if (checkpoint is None) != (data is None):
         raise InputError("samples need a network and pictures, expected --checkpoint and --data together")
     if split_file is not None and data is None:
@@ -64,7 +55,7 @@ def _samples(checkpoint: Path, folder: Path, split_file: Path | None, count: int
     """The predicted first view of ``count`` objects spread evenly over the data set; and the scale of the clouds."""
     from ..io.checkpoints import load_network
     from ..io.shipped import named_checkpoint
-    from ..plots.samples import sample_predictions
+    from ..plots.curves import sample_predictions
     from .training_data import DataSelection, load
 
     network, config = load_network(named_checkpoint(checkpoint))

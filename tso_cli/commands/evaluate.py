@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from pathlib import Path
 from typing import Any
 
 import click
@@ -41,16 +40,7 @@ FAR = 0.25
 @click.option("--fail-above", type=float, metavar="X", help="Exit with 3 if the mean Chamfer x1000 is above X.")
 @options.seed
 @options.as_json
-def command(
-    prediction: Path,
-    target: Path,
-    mask: Path | None,
-    camera: Path | None,
-    suffix: str,
-    fail_above: float | None,
-    as_json: bool,
-    **chosen: Any,
-) -> None:
+def command(fail_above: float | None, as_json: bool, **chosen: Any) -> None:
     """Compare PREDICTION with TARGET: two files, or two folders matched by name.
 
     Files are point clouds (.ply .npy .xyz .txt), meshes (.obj .off .stl .glb, .ply with faces) or voxel grids (.npy .binvox);
@@ -65,15 +55,17 @@ def command(
     config = options.pick(EvalConfig, chosen | {"metrics": metrics})
     if fail_above is not None and ("chamfer" not in metrics or not fail_above >= 0.0):
         raise InputError(f"--fail-above {fail_above:g} bounds the Chamfer distance, expected a number >= 0 and --chamfer")
-    if "iou" in metrics and mask is None and camera is None:
+    masked = chosen["mask"] is not None or chosen["camera"] is not None
+    if "iou" in metrics and not masked:
         raise InputError("--iou needs --mask (with --camera, or a camera file beside it), or a --camera file that names masks")
-    if "iou" not in metrics and (mask is not None or camera is not None):
-        raise InputError("--mask and --camera serve --iou, which was not asked for")
-    if "iou" not in metrics and config.sigma_sq is not None:
-        raise InputError("--sigma-sq serves --iou, which was not asked for")
-    if "f_score" not in metrics and config.threshold is not None:
-        raise InputError("--threshold serves --f-score, which was not asked for")
-    pairs = find_pairs(prediction, target, mask, camera, suffix)
+    for used, serving, metric in (
+        (masked, "--mask and --camera serve --iou", "iou"),
+        (config.sigma_sq is not None, "--sigma-sq serves --iou", "iou"),
+        (config.threshold is not None, "--threshold serves --f-score", "f_score"),
+    ):
+        if used and metric not in metrics:
+            raise InputError(f"{serving}, which was not asked for")
+    pairs = find_pairs(*(chosen[name] for name in ("prediction", "target", "mask", "camera", "suffix")))
     result = evaluate(pairs, config, options.ProgressBar("evaluating") if len(pairs) > 1 else None)
     _log_remarks(result["pairs"], config)
     if as_json:

@@ -36,16 +36,9 @@ def command(checkpoint: Path, output: Path, overwrite: bool, as_json: bool) -> N
     moved = max(_largest_change(folder, checkpoint, output) for folder in examples)
     before, after = checkpoint.stat().st_size, output.stat().st_size
     if as_json:
-        options.echo_json(
-            {
-                "output": output,
-                "bytes_before": before,
-                "bytes_after": after,
-                "largest_change": moved,
-                "convention": "largest distance that a predicted point moves, shapes of longest side about 1",
-                "version": __version__,
-            }
-        )
+        convention = "largest distance that a predicted point moves, shapes of longest side about 1"
+        sizes = {"output": output, "bytes_before": before, "bytes_after": after}
+        options.echo_json(sizes | {"largest_change": moved, "convention": convention, "version": __version__})
         return
     click.echo(f"{output}: {before / 1e6:.1f} MB -> {after / 1e6:.1f} MB")
     click.echo(f"  moved  {moved:.2g} at most, of a shape's longest side (predicted points of {', '.join(CATEGORIES)})")
@@ -54,8 +47,18 @@ def command(checkpoint: Path, output: Path, overwrite: bool, as_json: bool) -> N
 def _largest_change(folder: Path, *checkpoints: Path) -> float:
     """The largest distance between corresponding points that two checkpoints predict for an example."""
     import numpy as np
+    import torch
 
-    from ..scene.network import load_network_scene
+    from ..io.checkpoints import load_network
+    from ..io.images import read_image
+    from ..network.input import network_input
+    from ..scene.load import ViewFiles, load_views
 
-    first, second = (load_network_scene(folder / "image.png", folder / "mask.png", path).points for path in checkpoints)
-    return float(np.sqrt(np.square(first - second).sum(1)).max())
+    (view,), _ = load_views(ViewFiles([folder / "mask.png"]))
+    clouds = []
+    for network, config in map(load_network, checkpoints):
+        image = read_image(folder / "image.png")
+        inputs = network_input(image, view, config.image_size, config.crop_share, config.background)
+        with torch.no_grad():
+            clouds.append(network(torch.from_numpy(inputs.image)[None])[0].double().numpy())
+    return float(np.linalg.norm(clouds[0] - clouds[1], axis=1).max())

@@ -88,9 +88,7 @@ HEADINGS = {
 @click.option("--write-camera", type=PATH, help="Write the fitted or refined cameras, .json.")
 @click.option("--invert-mask", is_flag=True, help="The object is dark in the mask.")
 @click.option("--ignore", type=PATH, multiple=True, help="Image whose bright pixels are unknown: left out of the loss.")
-@click.option(
-    "--depth", type=PATH, multiple=True, help="Depth map along the camera's z, 16-bit PNG or .npy, 0 or NaN where unknown."
-)
+@click.option("--depth", type=PATH, multiple=True, help="Depth map along the camera's z, 16-bit PNG or .npy; 0, NaN: unknown.")
 @click.option(
     "--depth-scale",
     type=click.FloatRange(min=0.0, min_open=True),

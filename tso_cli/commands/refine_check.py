@@ -43,11 +43,10 @@ def camera_document(camera: Camera, source: str) -> dict[str, Any]:
 
 
 def _document(scene: Scene, placements: list[Placement], overlaps: list[bool]) -> dict[str, Any]:
-    cameras = [camera_document(view.camera, source) for view, source in zip(scene.views, scene.camera_sources, strict=True)]
-    views = [
-        {"mask": view.name, "camera": camera, "placement": placement.as_dict(), "meets": overlap}
-        for view, camera, placement, overlap in zip(scene.views, cameras, placements, overlaps, strict=True)
-    ]
+    views = []
+    for view, source, placement, overlap in zip(scene.views, scene.camera_sources, placements, overlaps, strict=True):
+        camera = camera_document(view.camera, source)
+        views.append({"mask": view.name, "camera": camera, "placement": placement.as_dict(), "meets": overlap})
     return {
         "camera": views[0]["camera"],
         "frame": scene.frame,

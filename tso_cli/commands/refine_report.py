@@ -45,27 +45,13 @@ class RefineReport:
         from ..evaluation.footprint import IOU_MEANS
 
         result, scene = self.result, self.scene
-        views = [
-            {
-                "mask": view.name,
-                "camera": camera_document(view.camera, source),
-                "iou_before": before,
-                "iou_after": after,
-                "trust": trust,
-                "weight": weight,
-                "window": box,
-                "cells": cells,
-            }
-            for view, source, (before, after), trust, weight, (box, cells) in zip(
-                scene.views,
-                scene.camera_sources,
-                result.view_ious,
-                result.view_trust,
-                result.view_weights,
-                result.view_windows,
-                strict=True,
-            )
-        ]
+        views = []
+        for i, view in enumerate(scene.views):
+            before, after = result.view_ious[i]
+            box, cells = result.view_windows[i]
+            camera = {"mask": view.name, "camera": camera_document(view.camera, scene.camera_sources[i])}
+            weights = {"trust": result.view_trust[i], "weight": result.view_weights[i]}
+            views.append(camera | {"iou_before": before, "iou_after": after} | weights | {"window": box, "cells": cells})
         document = {
             **{name: getattr(result, name) for name in FROM_RESULT},
             "checkpoint": self.inputs.checkpoint,
@@ -189,9 +175,8 @@ class RefineReport:
             "directions, longest side 1)"
         )
         click.echo(f"  IoU is {IOU_MEANS}")
-        for view, (before, after), inlier, weight in zip(
-            self.scene.views, result.view_ious, result.view_trust, result.view_weights, strict=True
-        ):
+        rows = zip(self.scene.views, result.view_ious, result.view_trust, result.view_weights, strict=True)
+        for view, (before, after), inlier, weight in rows:
             click.echo(
                 f"  view   {before:.3f} -> {after:.3f}   inlier weight {inlier:.2f}, loss weight {weight:.2f}, {view.name}"
             )

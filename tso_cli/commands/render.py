@@ -47,16 +47,7 @@ class Size(click.ParamType):
 @options.overwrite
 @options.seed
 @options.as_json
-def command(
-    source: Path,
-    split: Path | None,
-    part: str,
-    output: Path,
-    overwrite: bool,
-    seed: int,
-    as_json: bool,
-    **chosen: Any,
-) -> None:
+def command(source: Path, output: Path, seed: int, as_json: bool, **chosen: Any) -> None:
     """Render a mesh, or all meshes of a folder: pictures, masks, cameras and ground truth.
 
     Every mesh is centred and scaled to longest side 1. Textures are read from its folder, the rendered folder and those below.
@@ -65,14 +56,15 @@ def command(
     from ..render import RenderSettings, render_folder
     from ..version import __version__
 
-    settings = RenderSettings(**chosen)
+    settings = options.pick(RenderSettings, chosen)
     names = None
-    if split is not None:
+    if chosen["split"] is not None:
         from ..datasets.opening import read_part
 
-        names = read_part(split, part)
+        names = read_part(chosen["split"], chosen["part"])
     with options.terminated_as_interrupted():
-        summary = render_folder(source, output, settings, seed, overwrite, options.ProgressBar("rendering"), names)
+        bar = options.ProgressBar("rendering")
+        summary = render_folder(source, output, settings, seed, chosen["overwrite"], bar, names)
     for message in summary.failed.values():
         options.log(message)
     if summary.skipped:

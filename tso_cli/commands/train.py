@@ -26,13 +26,9 @@ DEFAULTS = {"steps": 20_000, "learning_rate": 5e-5, "averaging": 0.0}
 EXAMPLE_DEFAULTS = {"steps": 600, "learning_rate": 3e-4, "averaging": 0.99}
 # Options that serve only some supervisions.
 SERVES = {
+    **dict.fromkeys(("affinity_weight", "affinity", "saturation_steps", "category_sigma_sq"), ("masks", "joint")),
+    **dict.fromkeys(("mask_split", "mask_categories"), ("joint",)),
     "views": ("masks",),
-    "affinity_weight": ("masks", "joint"),
-    "affinity": ("masks", "joint"),
-    "saturation_steps": ("masks", "joint"),
-    "category_sigma_sq": ("masks", "joint"),
-    "mask_split": ("joint",),
-    "mask_categories": ("joint",),
 }
 HEADINGS = {
     "split_file": "Data",
@@ -73,15 +69,13 @@ class TrainOutputs:
         from ..io.output import check_output
         from ..train.state import state_path
 
-        if self.output.suffix != ".safetensors":
-            raise InputError(
-                f"{self.output}: ends in {self.output.suffix or 'nothing'!r}, expected a checkpoint name in .safetensors"
-            )
-        files = [self.output, state_path(self.output), *([self.log_file] if self.log_file else [])]
-        for path in files:
-            check_output(path, self.overwrite or self.resume)
-        if self.log_file and self.log_file.resolve() in [path.resolve() for path in files[:2]]:
-            raise InputError(f"--log-file {self.log_file}: is the checkpoint or its state, expected a file of its own")
+        replace_files, state = self.overwrite or self.resume, state_path(self.output)
+        options.require_output(self.output, ".safetensors", replace_files)
+        check_output(state, replace_files)
+        if self.log_file is not None:
+            check_output(self.log_file, replace_files)
+            if self.log_file.resolve() in (self.output.resolve(), state.resolve()):
+                raise InputError(f"--log-file {self.log_file}: is the checkpoint or its state, expected a file of its own")
 
     def save(self, state: TrainingState, config: NetworkConfig) -> None:
         """Write checkpoint, state and log."""
@@ -121,9 +115,7 @@ class TrainOutputs:
 @click.option("--views", type=int, default=4, help="Supervising masks of each object in a step, for --supervision masks.")
 @click.option("--mask-data", type=PATH, help="Images with one mask each, for --supervision joint.")
 @click.option("--mask-split", type=PATH, help='Of --mask-data take only the list "train" of this split.')
-@click.option(
-    "--mask-category", "mask_categories", multiple=True, help="Of --mask-data take only this category; may be repeated."
-)
+@click.option("--mask-category", "mask_categories", multiple=True, help="Of --mask-data take only this category; repeatable.")
 @click.option(
     "--lambda", "affinity_weight", type=float, default=1.0, help="Weight of the affinity loss; x0.02 after saturation."
 )
@@ -135,17 +127,9 @@ class TrainOutputs:
     "--steps, 10 to 500]",
 )
 @click.option("--sigma-sq", type=float, default=0.4, help="Variance of the projector's Gaussian, px^2 of the 64x64 mask.")
-@click.option(
-    "--category-sigma-sq",
-    multiple=True,
-    metavar="CATEGORY=VALUE",
-    type=CategoryValue(),
-    help="The same for one category; may be repeated.",
-)
+@click.option("--category-sigma-sq", multiple=True, type=CategoryValue(), help="The same for one category; repeatable.")
 @click.option("--points", type=int, default=1024, help="Points of the predicted cloud.")
-@click.option(
-    "--frame", type=click.Choice(["view", "canonical"]), default="view", help="Axes of the cloud: the camera's or the object's."
-)
+@click.option("--frame", type=click.Choice(["view", "canonical"]), default="view", help="Axes: the camera's or the object's.")
 @click.option(
     "--init",
     "initial",
@@ -163,9 +147,7 @@ class TrainOutputs:
 @click.option("--precision", type=click.Choice(["float32", "bfloat16"]), default="float32", help="bfloat16: mixed precision.")
 @click.option("-o", "--output", type=PATH, default=Path("base.safetensors"), help="Checkpoint to write.")
 @options.overwrite
-@click.option(
-    "--checkpoint-every", type=click.IntRange(min=0), default=500, help="Steps between checkpoints; 0: only at the end."
-)
+@click.option("--checkpoint-every", type=click.IntRange(min=0), default=500, help="Save after so many steps; 0: at the end.")
 @click.option("--resume", is_flag=True, help="Go on from the state beside the checkpoint.")
 @click.option("--log-file", type=PATH, help="Settings and losses of every step, .jsonl.")
 @options.as_json
@@ -208,16 +190,8 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
         data, masked_data = sets[0], sets[1] if len(sets) > 1 else None
         state = _initial_state(data, config, outputs, chosen["initial"], quiet)
         prepared, first_step = time.perf_counter(), state.step
-        result = train(
-            data,
-            config,
-            state,
-            masked=masked_data,
-            processes=processes,
-            progress=options.ProgressBar("train"),
-            save=outputs.save,
-            save_every=chosen["checkpoint_every"],
-        )
+        bar, saves = options.ProgressBar("train"), {"save": outputs.save, "save_every": chosen["checkpoint_every"]}
+        result = train(data, config, state, masked=masked_data, processes=processes, progress=bar, **saves)
     if not processes.first:
         return
     trained = time.perf_counter()

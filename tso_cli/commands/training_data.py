@@ -22,12 +22,9 @@ class DataSelection:
     """Which objects of which data set, and how their pictures are prepared.
 
     data : folder of the data set; None renders the shipped example meshes.
-    split_file : take its list ``part``; None takes all objects.
-    categories : take these; empty takes all.
+    split_file : take its list ``part``. categories : empty takes all. points : skip objects without a 3D file.
     strict : stop at what cannot be used instead of skipping it.
-    crop_share : side of the object relative to the input's; 0 keeps sizes, of pictures and clouds.
-    behind : folder of photos, or "textures", to put the objects on.
-    points : skip objects without a 3D file.
+    crop_share, background : of `network_input`. behind : folder of photos, or "textures", to put the objects on.
     """
 
     data: Path | None
@@ -47,12 +44,13 @@ class DataSelection:
 
 def load(selection: DataSelection, quiet: bool = False) -> TrainingData:
     """Open the data set, or render the shipped meshes; name skipped items on stderr."""
-    from ..train.sources import from_dataset, from_meshes
+    from ..train.data import TrainingData
 
     if selection.data is None:
         if selection.split_file is not None or selection.categories or selection.behind is not None:
             raise InputError("--split, --category or --backgrounds without DATA, expected a data set")
         from ..io.shipped import example_meshes
+        from ..train.sources import from_meshes
 
         meshes = example_meshes()
         description = f"{len(meshes)} shipped example meshes"
@@ -70,7 +68,9 @@ def load(selection: DataSelection, quiet: bool = False) -> TrainingData:
         from ..train.backgrounds import Backgrounds
 
         backgrounds = Backgrounds(selection.behind, selection.strict)
-    return from_dataset(dataset, selection.crop_share, selection.background, selection.strict, backgrounds)
+    description = f"{dataset.description}: {len(dataset.objects)} objects"
+    pictures = (selection.crop_share, selection.background, selection.strict, backgrounds)
+    return TrainingData(dataset.objects, description, *pictures, dataset.skipped, dataset.scale)
 
 
 def _select(selection: DataSelection, folder: Path) -> Dataset:

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..io.logs import TrainingLog
-from .style import COLOURS, INK, figure_file, page
+from .style import COLOURS, INK, page
+
+if TYPE_CHECKING:
+    from ..network.model import BaseNetwork
+    from ..train.data import TrainingData
 
 # Window of the running mean, as a fraction of the steps.
 WINDOW = 0.02
@@ -21,20 +25,35 @@ MOST_POINTS = 4000
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A picture of an object and the clouds for it.
-
-    Attributes
-    ----------
-    image : [3, H, W] in [0, 1], the network's input.
-    points, target : [N, 3] and [M, 3] in one frame, y up, z toward the viewer; target None if unknown.
-    chamfer : between them; None without a target.
-    """
+    """The network's input in [0, 1], its prediction, and the true points in the same frame, y up, z toward the viewer."""
 
     name: str
-    image: NDArray[np.float32]
-    points: NDArray[np.float64]
-    target: NDArray[np.float64] | None
-    chamfer: float | None
+    image: NDArray[np.float32]  # [3, H, W]
+    points: NDArray[np.float64]  # [N, 3]
+    target: NDArray[np.float64] | None  # [M, 3]
+    chamfer: float | None  # between the two
+
+
+def sample_predictions(network: BaseNetwork, data: TrainingData, frame: str, count: int = 6) -> list[Sample]:
+    """Predictions from the first view of ``count`` objects, spread evenly over the data; fewer where there are fewer."""
+    import torch
+
+    from ..evaluation.metrics import chamfer
+    from ..train.batches import Draw, assemble
+
+    samples = []
+    device = next(network.parameters()).device
+    for index in np.linspace(0, len(data.objects) - 1, min(count, len(data.objects))).round().astype(int).tolist():
+        has_target = data.readable(index)
+        if data.usable(index, 0, has_target)[0] != index:
+            continue  # no picture of it can be read
+        batch = assemble(data, [Draw(index, 0)], frame, targets=has_target)
+        with torch.no_grad():
+            points = network(torch.as_tensor(batch.images, device=device))[0].cpu().numpy().astype(np.float64)
+        target = batch.targets[0].astype(np.float64) if batch.targets else None
+        distance = None if target is None else chamfer(points, target).chamfer
+        samples.append(Sample(data.objects[index].name, batch.images[0], points, target, distance))
+    return samples
 
 
 def running_mean(values: NDArray[np.float64], window: int) -> NDArray[np.float64]:
@@ -90,7 +109,7 @@ def draw_samples(path: Path, samples: Sequence[Sample], scale: str, overwrite: b
 
     ``scale`` of the clouds in words. Raises InputError if ``path`` cannot be written.
     """
-    with figure_file(path, overwrite, (11.0, 2.3 * len(samples))) as figure:
+    with page(path, overwrite, (11.0, 2.3 * len(samples)), frames=True) as figure:
         axes = figure.subplots(len(samples), 5, squeeze=False)
         for row, sample in zip(axes, samples, strict=True):
             _draw_sample(row, sample)
@@ -122,7 +141,5 @@ def _draw_sample(row: Sequence[Any], sample: Sample) -> None:
 def labels(logs: Sequence[TrainingLog]) -> list[str]:
     """The name of each log's file, with its folder where names coincide."""
     stems = [log.path.stem for log in logs]
-    return [
-        log.path.stem if stems.count(log.path.stem) == 1 else f"{log.path.resolve().parent.name}/{log.path.stem}"
-        for log in logs
-    ]
+    folders = [f"{log.path.resolve().parent.name}/" if stems.count(log.path.stem) > 1 else "" for log in logs]
+    return [folder + stem for folder, stem in zip(folders, stems, strict=True)]

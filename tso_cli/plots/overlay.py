@@ -61,25 +61,18 @@ def draw_overlay(path: Path, result: RefineResult, views: Sequence[View]) -> Non
     """Write a picture of a result to ``path``.
 
     One view: rows before and after, with mask against silhouette, the cloud from the camera, and from its right. Several: a row
-    for each of at most six, with mask against silhouette before and after, and the refined cloud from that camera. Masks and
-    silhouettes are cropped to the square in which their IoU is taken.
+    for each of at most six. Masks and silhouettes are cropped to the square in which their IoU is taken.
     """
     heading = None
     if len(views) == 1:
         rows = _before_and_after(result, views[0])
     else:
-        chosen = evenly_chosen(len(views), MOST_ROWS)
+        chosen = np.linspace(0, len(views) - 1, min(len(views), MOST_ROWS)).round().astype(int).tolist()
         rows = [_row_of_view(result, views, number) for number in chosen]
         shown = f"{len(views)} views" if len(chosen) == len(views) else f"{len(chosen)} of {len(views)} views, evenly chosen"
         heading = f"{shown}: mask against silhouette before and after, and the refined cloud from each camera"
     entries = LEGEND_ENTRIES[:3] if all(view.known is None for view in views) else LEGEND_ENTRIES
     _draw(rows, heading, entries).save(path, format="PNG", compress_level=COMPRESSION)
-
-
-def evenly_chosen(count: int, most: int) -> list[int]:
-    """At most ``most`` of the numbers 0 to count - 1, with the first and the last."""
-    numbers: list[int] = np.linspace(0, count - 1, min(count, most)).round().astype(int).tolist()
-    return numbers
 
 
 def _before_and_after(result: RefineResult, view: View) -> list[Row]:

@@ -15,8 +15,11 @@ COLOURS = (BETTER, WORSE, "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 
 
 @contextmanager
-def figure_file(path: Path, overwrite: bool, size: tuple[float, float], dpi: int = 110) -> Iterator[Any]:
-    """A figure of ``size`` inches, written to ``path`` in 256 colours after the block; InputError if it cannot be written."""
+def page(path: Path, overwrite: bool, size: tuple[float, float], dpi: int = 110, frames: bool = False) -> Iterator[Any]:
+    """A figure of ``size`` inches, written to ``path`` in 256 colours after the block; InputError if it cannot be written.
+
+    Without ``frames`` charts get no top and right spines, and images none.
+    """
     check_output(path, overwrite)
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -25,19 +28,12 @@ def figure_file(path: Path, overwrite: bool, size: tuple[float, float], dpi: int
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
     yield figure
+    for axis in figure.axes if not frames else ():
+        axis.spines[["top", "right"]].set_visible(False)
+        if not (len(axis.get_xticks()) or len(axis.get_yticks())):
+            axis.set_axis_off()
     with atomic_output(path) as temporary:
         figure.savefig(temporary, dpi=dpi)
         with Image.open(temporary) as picture:
             small = picture.convert("RGB").quantize(256, dither=Image.Dither.NONE)
         small.save(temporary, optimize=True)
-
-
-@contextmanager
-def page(path: Path, overwrite: bool, size: tuple[float, float], dpi: int = 110) -> Iterator[Any]:
-    """`figure_file` for charts: without top and right spines, and without frames around images."""
-    with figure_file(path, overwrite, size, dpi) as figure:
-        yield figure
-        for axis in figure.axes:
-            axis.spines[["top", "right"]].set_visible(False)
-            if not (len(axis.get_xticks()) or len(axis.get_yticks())):
-                axis.set_axis_off()

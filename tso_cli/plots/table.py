@@ -12,15 +12,10 @@ Cell = str | float | int | None
 def text_table(header: Sequence[str], rows: Sequence[Sequence[Cell]], decimals: int = 3, rule_before_last: bool = False) -> str:
     """Columns two spaces apart, text to the left, numbers to the right; without a final newline.
 
-    Parameters
-    ----------
-    rows : one cell for each title of ``header``. Floats show ``decimals`` decimals (small ones 3 digits), None and NaN a dash.
-    rule_before_last : separate the last row, a mean or a sum.
+    Floats show ``decimals`` decimals (small ones 3 digits), None and NaN a dash. ``rule_before_last`` separates the last row,
+    a mean or a sum.
     """
     texts = [[_text(cell, decimals) for cell in row] for row in rows]
-    for row in texts:
-        if len(row) != len(header):
-            raise ValueError(f"a row has {len(row)} cells, expected {len(header)}")
     widths = [max(map(len, column)) for column in zip(header, *texts, strict=True)]
     right = [
         any(isinstance(row[i], Real) for row in rows) and not any(isinstance(row[i], str) for row in rows)

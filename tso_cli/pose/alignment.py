@@ -23,19 +23,12 @@ class Poses:
     """P poses of one cloud of longest side 1 whose centre is the origin.
 
     ``scale`` and ``focal`` separate size from perspective: the depth of the centre is focal / scale.
-
-    Attributes
-    ----------
-    R : [P, 3, 3] world to camera.
-    centre : [P, 2] pixel of the cloud's centre.
-    scale : [P] px a unit at the depth of the centre.
-    focal : [P] px.
     """
 
-    R: Array
-    centre: Array
-    scale: Array
-    focal: Array
+    R: Array  # [P, 3, 3] world to camera
+    centre: Array  # [P, 2] pixel of the cloud's centre
+    scale: Array  # [P] px a unit at the depth of the centre
+    focal: Array  # [P] px
 
     def __len__(self) -> int:
         return len(self.R)
@@ -56,18 +49,12 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """The mask, resampled to a small square around the object.
+    """The mask, resampled to a small square around the object."""
 
-    Attributes
-    ----------
-    mask : [S, S] in [0, 1]. known : [S, S] weight of each pixel. principal : [2] of the whole picture, in these pixels.
-    truncated : whether the object leaves the picture, so that points outside of it are no error.
-    """
-
-    mask: Array
-    known: Array
-    principal: Array
-    truncated: bool
+    mask: Array  # [S, S] in [0, 1]
+    known: Array  # [S, S] weight of each pixel
+    principal: Array  # [2] of the whole picture, in these pixels
+    truncated: bool  # the object leaves the picture, so that points outside of it are no error
 
     def foreground(self) -> NDArray[np.bool_]:
         """[S, S] the object: known pixels covered more than half as much as the best covered one, for thin objects."""

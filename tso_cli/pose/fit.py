@@ -53,16 +53,12 @@ class Alternative:
 
 @dataclass(frozen=True)
 class FittedCamera:
-    """A camera fitted to mask and cloud, and its confidence.
+    """A perspective camera fitted to mask and cloud, its principal point in the middle of the image, and its confidence.
 
-    Attributes
-    ----------
-    camera : perspective, principal point in the middle of the image.
     iou : of mask and cloud, both dilated by the distance between points to close the cloud's gaps.
     confidence : ``iou`` less that of the best alternative.
     alternatives : poses over 20 degrees from the best (and from each other) that are no symmetry of the cloud, best first.
-    focal_range : px, shortest and longest of the focal lengths tried (half to twice the prior) with an IoU within 0.01 after
-        the rest of the pose is fitted to them.
+    focal_range : px, shortest and longest focal length tried (half to twice the prior) with an IoU within 0.01.
     """
 
     camera: Camera
@@ -102,22 +98,16 @@ class FittedCamera:
 def fit_camera(
     points: ArrayLike, mask: ArrayLike, known: NDArray[np.bool_] | None = None, focal: float | None = None, name: str = "mask"
 ) -> FittedCamera:
-    """Find the camera that projects ``points`` onto the mask. Deterministic.
+    """Find the camera that projects ``points`` [N, 3] onto the mask [H, W] in [0, 1]. Deterministic.
 
     Scores 2,700 poses over all directions by coarse silhouettes, improves the best 48 distinct ones by Gauss-Newton on two-way
     nearest neighbours in the image, then the best 12 at twice the resolution.
 
     Parameters
     ----------
-    points : [N, 3], any unit; at least 16.
-    mask : [H, W] in [0, 1]. known : [H, W], False at ignored pixels.
-    focal : mean of the prior on the focal length, px (standard deviation 0.35 of the logarithm); None for the canonical 1.875
-        times the longer side of the image.
+    known : [H, W], False at ignored pixels.
+    focal : mean of the prior on the focal length, px; None for the canonical 1.875 times the longer side of the image.
     name : what messages call the mask.
-
-    Returns
-    -------
-    FittedCamera, in the frame and unit of ``points``.
 
     Raises
     ------

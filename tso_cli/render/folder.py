@@ -46,26 +46,14 @@ def render_folder(
     """Render a mesh, or every mesh of a folder, into ``output``/NAME as `datasets.rendered` describes.
 
     NAME is the file's path below ``source`` without suffix, NAME~0001 and so on its warped copies. An object is written whole
-    or not at all and depends only on its mesh, its name, ``settings`` and ``seed``. A run after a stopped one therefore skips
-    the objects that are complete, and removes what a killed run left of others. A mesh of a folder that cannot be rendered is
-    left out and named in ``failed``.
+    or not at all and depends only on its mesh, its name, ``settings`` and ``seed``: a run after a stopped one skips what is
+    complete. A mesh of a folder that cannot be rendered is left out and named in ``failed``.
 
-    Parameters
-    ----------
-    progress : called with the number of objects done, their total and the name of the last one.
-    only : names of the meshes to render; None for all.
-
-    Raises
-    ------
-    InputError
-        There is no mesh, or one of ``only`` is missing; ``output`` cannot be a folder; two meshes have the same name; an object
-        was rendered with other settings and ``overwrite`` is false; no mesh could be rendered.
-    TsoError
-        open3d is missing, or writing failed.
+    ``progress`` is called with the number of objects done, their total and the name of the last one; ``only`` names the meshes
+    to render. Raises InputError if there is no mesh, one of ``only`` is missing or none can be rendered, names collide, or an
+    object was rendered with other settings and ``overwrite`` is false; TsoError if open3d is missing or writing failed.
     """
     source, output = Path(source), Path(output)
-    if seed < 0:
-        raise InputError(f"seed is {seed}, expected 0 or more")
     _check_folder(output)
     meshes = _names(source, output)
     if only is not None:

@@ -95,9 +95,8 @@ class RayScene:
 def render_view(scene: RayScene, camera: Camera, rng: np.random.Generator | None = None) -> RenderedView:
     """Picture and mask of ``scene`` seen by ``camera``.
 
-    A pixel is inside the mask when more than half of its 25 rays hit the mesh; its colour is their mean, over white. The
-    shading is Lambert's, the same for both sides of a face, by one distant light whose direction ``rng`` draws; without ``rng``
-    the light comes from the upper left.
+    A pixel is inside the mask when more than half of its 25 rays hit the mesh; its colour is their mean, over white. Lambert
+    shading of both sides of a face, by one distant light in a direction that ``rng`` draws; without it from the upper left.
     """
     height, width = camera.height, camera.width
     image = np.full((height, width, 3), 255, dtype=np.uint8)

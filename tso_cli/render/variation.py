@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,21 +14,23 @@ MAX_STRETCH = 0.3
 """Largest logarithm of the factor by which an axis is stretched; the other deformations scale with it."""
 
 
-def warp(mesh: Mesh, rng: np.random.Generator, strength: float = MAX_STRETCH) -> Mesh:
+def warp(mesh: Mesh, rng: np.random.Generator) -> Mesh:
     """A smoothly deformed copy of a normalised ``mesh`` (centred, longest side 1, y up).
 
     Stretches the axes, displaces each coordinate by a sine of itself, tapers and shears with height, and sweeps the sides back
-    along the other horizontal axis. One of the upright mirror planes through the origin is kept: shear and sweep move points
-    along one and the same axis. A ``strength`` of 0.3 changes proportions by up to a third, as between chairs of one kind.
+    along the other horizontal axis. Shear and sweep move points along one axis, which keeps an upright mirror plane.
     """
-    points = mesh.vertices * np.exp(rng.uniform(-strength, strength, 3))
+
+    def drawn(size: int | None = None) -> Any:
+        return rng.uniform(-MAX_STRETCH, MAX_STRETCH, size)
+
+    points = mesh.vertices * np.exp(drawn(3))
     points /= max(float(np.ptp(points, axis=0).max()), 1e-12)
-    bend = rng.uniform(-strength, strength, 3) / (4.0 * np.pi)
-    points += bend * np.sin(2.0 * np.pi * points)
-    points[:, [0, 2]] *= 1.0 + rng.uniform(-strength, strength, 2) * points[:, 1:2]
+    points += drawn(3) / (4.0 * np.pi) * np.sin(2.0 * np.pi * points)
+    points[:, [0, 2]] *= 1.0 + drawn(2) * points[:, 1:2]
     along, across = (0, 2) if rng.random() < 0.5 else (2, 0)
-    points[:, along] += rng.uniform(-strength, strength) * np.abs(points[:, across])
-    points[:, along] += 0.5 * rng.uniform(-strength, strength) * points[:, 1]
+    points[:, along] += drawn() * np.abs(points[:, across])
+    points[:, along] += 0.5 * drawn() * points[:, 1]
     return replace(mesh, vertices=points)
 
 
@@ -43,11 +46,8 @@ def paint(mesh: Mesh, rng: np.random.Generator) -> Mesh:
 
 def connected_parts(faces: NDArray[np.int64], vertices: int) -> NDArray[np.int64]:
     """For each of ``faces`` [F, 3] the number of its connected part, from 0; faces that share a vertex are connected."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
+    from trimesh.graph import connected_component_labels
 
-    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
-    graph = coo_matrix((np.ones(len(ends), dtype=np.int8), (ends[:, 0], ends[:, 1])), shape=(vertices, vertices))
-    _, label = connected_components(graph, directed=False)
+    label = connected_component_labels(np.concatenate([faces[:, :2], faces[:, 1:]]), vertices)
     _, part = np.unique(label[faces[:, 0]], return_inverse=True)
     return part.astype(np.int64)

@@ -18,16 +18,12 @@ MARGIN_PX = 2.0
 class RenderSettings:
     """What to render of every mesh. Raises InputError for impossible values.
 
-    Parameters
-    ----------
-    views : pictures of each object.
-    size : width, height in pixels.
+    views : pictures of each object. size : width, height in pixels.
     azimuth, elevation : range in degrees from which each view is drawn uniformly.
     distance : of the camera from the centre, in longest sides; None for `fitting_distance`.
     focal : focal length in pixels; None for 120 for each 64 of the longer side.
     samples : points drawn from the surface; points : how many of them farthest-point sampling keeps.
-    copies : warped copies of each mesh rendered beside it (see `variation.warp`), for training.
-    paint : give each connected part a random colour; False keeps the mesh's colours.
+    copies : warped copies of each mesh rendered beside it. paint : give each connected part a random colour.
     """
 
     views: int = 24

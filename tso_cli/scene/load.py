@@ -33,8 +33,6 @@ NO_FILE = "(no camera file was given or found beside the mask)"
 class Scene:
     """Everything one refinement needs.
 
-    Attributes
-    ----------
     points : [N, 3] float64, the start: the cloud of the file, or the network's prediction in the network's frame.
     views : masks, and the cameras that project `points` onto them (network modes: one, of the network's crop).
     camera_sources : for each view, where its camera is from; camera_summary : the same for all views, shorter.
@@ -78,16 +76,11 @@ class Scene:
 
 @dataclass(frozen=True)
 class ViewFiles:
-    """The files of one or several views.
+    """The files of one or several views; ``ignore``, ``depth`` and ``image`` hold one for each mask or none.
 
-    Attributes
-    ----------
-    masks : one for each view.
     camera : the file of all cameras; None looks for files beside the masks.
     invert : the masks show the object dark.
-    ignore : images whose foreground marks unknown pixels, one for each mask or none.
-    depth : depth maps, one for each mask or none; depth_scale : as in `read_depth`.
-    image : photos, one for each mask or none.
+    ignore : images whose foreground marks unknown pixels. depth_scale : as in `read_depth`.
     """
 
     masks: Sequence[Path]
@@ -110,16 +103,8 @@ class ViewFiles:
 def load_views(files: ViewFiles) -> tuple[list[View], list[Path | None]]:
     """Read masks and their cameras: of the file named, else of one beside the mask, else (for a single mask) the canonical one.
 
-    Views of one camera file are matched to masks by the names in it, else by order (`pair_with_masks`).
-
-    Returns
-    -------
-    The views, and the camera's file of each (None for the canonical camera).
-
-    Raises
-    ------
-    InputError
-        A file cannot be used, sizes or numbers of files differ, or a mask is all object or all background.
+    Returns the views, and the camera's file of each (None for the canonical camera). Raises InputError if a file cannot be
+    used, sizes or numbers of files differ, or a mask is all object or all background.
     """
     ignore = files.one_each("--ignore", "ignore maps", files.ignore)
     sources = [files.camera or find_camera(mask) for mask in files.masks]
@@ -185,13 +170,9 @@ def require_same_size(file: Path, shape: tuple[int, ...], mask_file: Path | str,
 
 
 def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = False) -> Scene:
-    """The scene of points mode; errors as `load_views` and `read_cloud`.
+    """The scene of points mode: a cloud, or a mesh whose surface is refined, and its views, or one mask.
 
-    Parameters
-    ----------
-    cloud_file : a cloud, or a mesh whose surface is refined.
-    files : of the views, or one mask. Images are for clouds that have colours.
-    fit : estimate the camera of the one mask from mask and cloud (`fit_camera`) instead of reading it; without depth maps.
+    ``fit`` estimates the camera of the one mask from mask and cloud (`fit_camera`). Errors as `load_views` and `read_cloud`.
     """
     files = files if isinstance(files, ViewFiles) else ViewFiles([files])
     if fit and len(files.masks) != 1:

@@ -87,13 +87,9 @@ def network_scene(
     world: bool = False,
     placing: Placing = "silhouette",
 ) -> Scene:
-    """`load_network_scene` for a photo and a network in memory.
+    """`load_network_scene` for a photo [H, W, 3] or [H, W, 4] with its mask and perspective camera, and a network in memory.
 
-    Parameters
-    ----------
-    image : [H, W, 3] or [H, W, 4]; view : its mask and perspective camera.
-    source : where the camera is from.
-    known_camera : False uses the canonical camera of the crop; for view-aligned networks only.
+    ``source`` says where the camera is from; without ``known_camera`` the crop gets the canonical one (view-aligned only).
     """
     import torch
 

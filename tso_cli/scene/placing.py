@@ -18,16 +18,10 @@ ALIGNMENT_STEPS, ALIGNMENT_STEP = 20, 0.005
 
 
 def place_in_front(points: Array, view: View) -> Camera:
-    """The canonical camera with the view's K, shifted so that a view-aligned cloud fills the mask's box.
+    """The canonical camera with the view's K, shifted so that a view-aligned, centred cloud [N, 3] fills the mask's box.
 
-    A network sees a crop, which shows neither the object's distance nor its size. The axes are the canonical ones; at the
-    distance chosen the longer side of the projected box equals the mask's, and a sideways shift centres the box on the mask's.
-    With the K of the training renders this distance is close to the canonical 2.
-
-    Parameters
-    ----------
-    points : [N, 3] view-aligned (x right, y up, z toward the viewer), about centred.
-    view : mask and camera, of which only K, width and height are used.
+    A network sees a crop, which shows neither the object's distance nor its size. At the distance chosen the longer side of
+    the projected box equals the mask's, and a sideways shift centres the box on the mask's.
     """
     left, top, right, bottom = view.box()
     size, middle = max(right - left, bottom - top), np.array([left + right, top + bottom]) / 2.0
@@ -50,18 +44,9 @@ def place_in_front(points: Array, view: View) -> Camera:
 def align_silhouette(points: Array, view: View, sigma_sq: float | None = None, steps: int = ALIGNMENT_STEPS) -> Camera:
     """The view's camera, shifted to where the silhouette of a cloud agrees best with the mask (BCE, Eq. 4).
 
-    A box depends on the outermost points of a prediction, which are often wrong; the silhouette depends on all of them. What a
-    shift explains of the misfit is then not asked of the shape.
-
-    Parameters
-    ----------
-    points : [N, 3], in the frame of the camera's R and t.
-    view : mask and a camera that is about right already, as from `place_in_front`.
-    sigma_sq : px^2; None for the view's default. steps : of Adam, each of about 1/200 of the cloud's longest side at most.
-
-    Returns
-    -------
-    The camera with another t: that of the best step, the start included.
+    A box depends on the outermost points of a prediction, which are often wrong; the silhouette depends on all of them. The
+    camera must be about right already, as from `place_in_front`; ``sigma_sq`` is in px^2, None for the view's default. The
+    best of all steps counts, the start included.
     """
     import torch
 
@@ -89,13 +74,8 @@ def align_silhouette(points: Array, view: View, sigma_sq: float | None = None, s
 def view_to_world(points: Array, placed: Camera, camera: Camera) -> Array:
     """A view-aligned cloud, which ``placed`` projects onto the picture, in the world of ``camera``.
 
-    The picture fixes the cloud up to a scale about the camera's centre, which is chosen so that the cloud's origin gets the
-    depth of the world's origin.
-
-    Raises
-    ------
-    InputError
-        The world's origin is not in front of ``camera``.
+    The picture fixes the cloud up to a scale about the camera's centre, chosen so that the cloud's origin gets the depth of
+    the world's origin. Raises InputError if that is not in front of ``camera``.
     """
     if camera.t[2] <= 0.0:
         raise InputError(f"the world's origin has depth {camera.t[2]:g} in this camera, expected it in front (> 0)")

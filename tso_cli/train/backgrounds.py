@@ -22,21 +22,10 @@ MOST_PHOTOS, PHOTO_SIDE = 2000, 256
 
 
 class Backgrounds:
-    """Random pictures [3, 64, 64] in [0, 1].
+    """Random pictures [3, 64, 64] in [0, 1]: crops of the photos in the folder ``source``, or generated ("textures").
 
-    Parameters
-    ----------
-    source : a folder of photos, or "textures" for generated ones (smooth noise at several scales over a gradient).
-    strict : a photo that cannot be read is an error; else it is warned of once, and the next one takes its place.
-
-    Attributes
-    ----------
-    unusable : photo -> why it could not be used.
-
-    Raises
-    ------
-    InputError
-        The folder is missing or holds no picture; or, when drawing, none can be read (with ``strict``: the one drawn).
+    With ``strict`` a photo that cannot be read is an error; else it is warned of once, noted in ``unusable`` (photo -> why),
+    and the next one takes its place. Raises InputError if the folder is missing or holds no picture that can be read.
     """
 
     def __init__(self, source: str, strict: bool = False) -> None:

@@ -42,12 +42,7 @@ class Batch:
 class Drawing:
     """How batches are drawn.
 
-    Parameters
-    ----------
-    seed, frame : of the training run.
-    size : objects a step.
-    views : V, the supervising masks of each object.
-    targets : whether batches hold the points of each object.
+    size : objects a step; views : V, the supervising masks of each object; targets : hold the points of each object.
     input_supervises : the mask of the input view is the one that supervises (V = 1).
     balance : draw every category equally often, however many objects it has.
     augment : mirror half of the pictures (view frame only) and change brightness, contrast and colour of the object.
@@ -143,16 +138,9 @@ def assemble(data: TrainingData, draws: list[Draw], frame: str, targets: bool = 
         K.append([_mirrored_intrinsics(view.camera) if draw.mirror else view.camera.K for view in views])
         R.append([flip @ view.camera.R @ to_frame @ flip for view in views])
         t.append([flip @ view.camera.t for view in views])
-    return Batch(
-        np.stack(images).astype(np.float32, copy=False),
-        points,
-        np.asarray(masks, dtype=np.float32),
-        np.asarray(known, dtype=np.float32),
-        np.asarray(K, dtype=np.float64),
-        np.asarray(R, dtype=np.float64),
-        np.asarray(t, dtype=np.float64),
-        categories,
-    )
+    inputs, masks_array, known_array = (np.asarray(rows, dtype=np.float32) for rows in (images, masks, known))
+    K_array, R_array, t_array = (np.asarray(rows, dtype=np.float64) for rows in (K, R, t))
+    return Batch(inputs, points, masks_array, known_array, K_array, R_array, t_array, categories)
 
 
 def recoloured(picture: NetworkInput, rng: np.random.Generator) -> Floats:

@@ -22,29 +22,19 @@ class TrainConfig:
     ----------
     supervision : "points" (Chamfer to the target, 3D), "masks" (V views through the projector, 2D) or "joint" (points of one
         data set and one mask for each image of another).
-    frame : "view" or "canonical", the frame of the predicted points (see `network.NetworkConfig`).
-    steps : Adam steps in all, those of a resumed run included.
-    batch_size : objects a step.
-    learning_rate : of Adam; the paper's is 5e-5.
+    frame : of the predicted points, "view" or "canonical" (see `NetworkConfig`).
+    steps : Adam steps in all, those of a resumed run included. batch_size : objects a step.
     views : V, supervising masks of each object a step ("masks" only); the paper's is 4.
-    affinity_weight : lambda of Eq. 6, which drops to 0.02 of itself when the loss saturates ("masks" and "joint"). With the
-        form "points", of 0, 0.01, 0.1 and 1 the last gave the lowest Chamfer distance on the shipped shapes.
-    affinity : form of Eq. 5, one of `losses.AFFINITIES`.
-    saturation_steps : window of the running mean that decides on saturation (see `losses.AffinitySchedule`). None for a sixth
-        of ``steps``, from 10 to 500, so that lambda may drop from a third of the steps on.
-    sigma_sq : variance of the projection kernel, px^2 of the 64x64 mask.
-    category_sigma_sq : category -> its own variance.
+    affinity_weight : lambda of Eq. 6 ("masks" and "joint"); affinity : form of Eq. 5.
+    saturation_steps : window of `AffinitySchedule`; None for a sixth of ``steps``, from 10 to 500.
+    sigma_sq : variance of the projection kernel, px^2 of the 64x64 mask; category_sigma_sq : category -> its own.
     points : N, size of the predicted cloud.
     joint_weight : of the Chamfer distance beside the mask loss ("joint" only); 1e6, as gamma in refinement.
-    averaging : decay of the running mean of the weights, which is what is saved (see `state.TrainingState`); 0 saves the last
-        weights.
-    balance : draw every category equally often, however many objects it has.
-    augment : mirror and recolour the pictures at random (see `batches.Drawing`).
-    precision : "bfloat16" runs the network's layers in mixed precision (about twice as fast where the processor has it);
-        weights, losses and the projector stay in float32.
+    averaging : decay of the running mean of the weights, which is what is saved; 0 saves the last weights.
+    balance, augment : see `batches.Drawing`.
+    precision : "bfloat16" runs the network's layers in mixed precision; weights, losses and the projector stay in float32.
     workers : threads that prepare batches ahead.
     seed : of the weights and of every draw. A run depends on it, the data and the device alone.
-    device : "cpu", "cuda", "auto" or any name torch knows.
 
     Raises
     ------
@@ -74,12 +64,8 @@ class TrainConfig:
     device: str = "cpu"
 
     def __post_init__(self) -> None:
-        for name, allowed in (
-            ("supervision", SUPERVISIONS),
-            ("frame", FRAMES),
-            ("affinity", AFFINITIES),
-            ("precision", PRECISIONS),
-        ):
+        choices = {"supervision": SUPERVISIONS, "frame": FRAMES, "affinity": AFFINITIES, "precision": PRECISIONS}
+        for name, allowed in choices.items():
             if getattr(self, name) not in allowed:
                 raise InputError(f"{name} is {getattr(self, name)!r}, expected {' or '.join(allowed)}")
         if self.saturation_steps is None:
@@ -91,11 +77,10 @@ class TrainConfig:
             raise InputError(f"seed is {self.seed}, expected 0 or more, below 2^63")
         if not 0.0 <= self.averaging < 1.0:
             raise InputError(f"averaging is {self.averaging:g}, expected 0 or more and below 1")
-        for name in ("learning_rate", "sigma_sq", "joint_weight"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise InputError(f"{name} is {getattr(self, name):g}, expected a finite number above 0")
-        for name, value in self.category_sigma_sq.items():
+        positive = {name: getattr(self, name) for name in ("learning_rate", "sigma_sq", "joint_weight")}
+        positive |= {f"sigma_sq of {name}": value for name, value in self.category_sigma_sq.items()}
+        for name, value in positive.items():
             if not 0.0 < value < np.inf:
-                raise InputError(f"sigma_sq of {name} is {value:g}, expected a finite number above 0")
+                raise InputError(f"{name} is {value:g}, expected a finite number above 0")
         if not 0.0 <= self.affinity_weight < np.inf:
             raise InputError(f"lambda is {self.affinity_weight:g}, expected a finite number, 0 or more")

@@ -6,7 +6,7 @@ import hashlib
 import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 from ..datasets.items import ObjectItem
 from ..errors import InputError
 from ..geometry.camera import Camera
-from ..geometry.resampling import Box
 from ..geometry.view import View
 from ..network.input import NetworkInput, network_input
 from .backgrounds import Backgrounds
 
 T = TypeVar("T")
 Floats = NDArray[np.float32]
-# Memory for prepared views, 16 KiB each, and targets; the rest is read again when it is needed.
+# Memory for prepared views, 20 KiB each, and targets; the rest is read again when it is needed.
 CACHE_BYTES = 1 << 30
 # Unusable pictures that are warned of by name; the command counts them all.
 MOST_WARNINGS = 10
@@ -38,11 +37,10 @@ class TrainingData:
     Parameters
     ----------
     objects : at least one, each with at least one view.
-    description : what they are, in words; it is written into the checkpoint.
-    crop_share, background : how a picture becomes network input (see `network_input`).
+    description : in words, for the checkpoint.
+    crop_share, background : of `network_input`.
     strict : an unusable picture is an error; else it is warned of, and another takes its place.
-    backgrounds : what `batches` puts behind the object, cut out by its mask; needs background "keep", since the network will
-        see whole photos.
+    backgrounds : what `batches` puts behind the object, cut out by its mask; needs background "keep".
     skipped : item that the data set left out -> why.
     scale : of all clouds and cameras, in words.
 
@@ -80,7 +78,7 @@ class TrainingData:
         self.categories = [np.flatnonzero(category == i) for i in range(category.max() + 1)]
         self._bad: set[tuple[int, int | None]] = set()
         self._with_points: set[int] = set()
-        self._views: dict[tuple[int, int], _Packed] = {}
+        self._views: dict[tuple[int, int], NetworkInput] = {}
         self._targets: dict[int, Floats] = {}
         self._cached_bytes = 0
         self._lock = threading.Lock()
@@ -144,23 +142,18 @@ class TrainingData:
             image, mask = source.load()
             background = "black" if self.backgrounds else self.background
             photo = View(mask, source.camera, name=source.name)
-            packed = _Packed.of(network_input(image, photo, crop_share=self.crop_share, background=background))
-            self._cache(self._views, (index, view), packed, packed.nbytes)
-        return packed.unpacked()
+            inputs = network_input(image, photo, crop_share=self.crop_share, background=background)
+            packed = replace(inputs, image=_as_bytes(inputs.image), mask=_as_bytes(inputs.mask))
+            size = packed.image.nbytes + packed.mask.nbytes + packed.known.nbytes
+            self._cache(self._views, (index, view), packed, size)
+        step = np.float32(1.0 / 255.0)
+        return replace(packed, image=packed.image * step, mask=packed.mask * step)
 
     def usable(self, index: int, view: int, points: bool = False) -> tuple[int, int, NetworkInput]:
-        """The first view that can be used, from this one on: of the same object, then of the next ones.
+        """Index, view number and picture (`prepared`) of the first usable view from this one on, in this object and the next.
 
-        With ``points`` objects whose target cannot be read are passed over.
-
-        Returns
-        -------
-        Index of the object, number of the view, and the view as `prepared` gives it.
-
-        Raises
-        ------
-        InputError
-            With ``strict`` at the first picture or target that cannot be used; else if none can.
+        With ``points`` objects whose target cannot be read are passed over. Raises InputError if no picture can be used; with
+        ``strict`` at the first picture or target that cannot.
         """
         for step in range(len(self.objects)):
             at = (index + step) % len(self.objects)
@@ -202,29 +195,8 @@ class TrainingData:
                 self._cached_bytes += size
 
 
-@dataclass(frozen=True, eq=False)
-class _Packed:
-    """A NetworkInput in bytes; ``known`` is None where all pixels are."""
-
-    image: NDArray[np.uint8]
-    mask: NDArray[np.uint8]
-    known: NDArray[np.bool_] | None
-    camera: Camera
-    box: Box
-
-    @classmethod
-    def of(cls, view: NetworkInput) -> _Packed:
-        image, mask = (np.rint(values * 255.0).astype(np.uint8) for values in (view.image, view.mask))
-        return cls(image, mask, None if view.known.all() else view.known, view.camera, view.box)
-
-    @property
-    def nbytes(self) -> int:
-        return sum(array.nbytes for array in (self.image, self.mask, self.known) if array is not None)
-
-    def unpacked(self) -> NetworkInput:
-        scale = np.float32(1.0 / 255.0)
-        known = np.ones(self.mask.shape, dtype=bool) if self.known is None else self.known
-        return NetworkInput(self.image * scale, self.mask * scale, self.camera, known, self.box)
+def _as_bytes(values: Floats) -> Any:
+    return np.rint(values * 255.0).astype(np.uint8)
 
 
 def _spread(indices: Sequence[int], most: int) -> list[int]:

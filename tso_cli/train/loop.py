@@ -41,7 +41,7 @@ class TrainResult:
 
     Attributes
     ----------
-    network, config : ready to be saved and to predict (evaluation mode, on the CPU).
+    network, config : in evaluation mode, on the CPU.
     steps : done so far, those before a resume included.
     stop_reason : "max_steps" or "interrupted" (Ctrl-C).
     history : [steps, 4]: loss, forward and backward (or BCE and affinity), lambda.
@@ -174,29 +174,18 @@ def train(
             save(state, finished)
         processes.wait()
     network = copy.deepcopy(state.averaged()).cpu().to(memory_format=torch.contiguous_format).eval()  # type: ignore[call-overload]
-    return TrainResult(
-        network,
-        finished,
-        state.step,
-        "max_steps" if state.step >= config.steps else "interrupted",
-        np.array(state.history, dtype=np.float64).reshape(-1, 4),
-        state.schedule.dropped_at,
-    )
+    stop_reason = "max_steps" if state.step >= config.steps else "interrupted"
+    history = np.array(state.history, dtype=np.float64).reshape(-1, 4)
+    return TrainResult(network, finished, state.step, stop_reason, history, state.schedule.dropped_at)
 
 
 def _require_data(data: TrainingData, masked: TrainingData | None, config: TrainConfig, processes: Processes) -> None:
     """InputError unless the data have what the supervision needs."""
-    joint = config.supervision == "joint"
-    if joint != (masked is not None):
-        raise InputError(
-            f"supervision is {config.supervision!r} {'without' if joint else 'with'} images that have one mask each, expected "
-            f"{'some' if joint else 'none'}"
-        )
     categories = {item.category for part in (data, masked) if part for item in part.objects}
     for name in config.category_sigma_sq:
         if name not in categories:
             raise InputError(f"sigma^2 is given for {name!r}, expected one of the categories {', '.join(sorted(categories))}")
-    parts = processes.count * (2 if joint else 1)
+    parts = processes.count * (2 if masked else 1)
     if config.batch_size % parts:
         raise InputError(f"batch size is {config.batch_size}, expected a multiple of {parts}")
     if config.supervision == "masks":
@@ -227,12 +216,10 @@ def prefetched(draw: Callable[[int], list[Batch]], first: int, steps: int, worke
 def evaluate(
     network: BaseNetwork, data: TrainingData, frame: str, views: int = 4, most: int = JUDGED_OBJECTS
 ) -> tuple[float, float, int]:
-    """Chamfer distance of predictions to the targets (squared, mean over points), in the scale of ``data``.
+    """Forward and backward Chamfer distance of predictions to the targets, and the number of objects they are means of.
 
-    Returns
-    -------
-    Forward and backward distance, means over the first ``views`` views of at most ``most`` objects, spread evenly over those
-    with a 3D file; and the number of these objects. Without any the distances are NaN.
+    Squared, mean over points, in the scale of ``data``; over the first ``views`` views of at most ``most`` objects, spread
+    evenly over those with a 3D file. NaN without any.
     """
     distances = []
     device = next(network.parameters()).device

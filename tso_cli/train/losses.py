@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -62,17 +61,11 @@ def mask_loss(
 ) -> tuple[Tensor, float, float]:
     """BCE + lambda * affinity (Eq. 4 to 6) of predicted points [B, N, 3], summed over views, mean over the batch.
 
-    Parameters
-    ----------
-    sigma_sq : variance of the projection kernel, px^2.
-    weight, form : lambda and the form of Eq. 5, one of `losses.AFFINITIES`.
-    silhouette : gives the sums s [B, V, H, W] of another projection; BCE then has the gradient of those sums alone.
-    bounded : add the squared distance, px^2, of each point outside the crop to the crop's edge to the affinity. BCE does not
-        see such points, and the object lies inside the crop.
+    ``weight`` and ``form`` are lambda and the form of Eq. 5. ``silhouette`` gives the sums s [B, V, H, W] of another
+    projection; BCE then has the gradient of those sums alone. ``bounded`` adds the squared distance, px^2, of each point
+    outside the crop to the crop's edge to the affinity: BCE does not see such points, and the object lies inside the crop.
 
-    Returns
-    -------
-    The loss, and the values of BCE and of the affinity term (before its weight).
+    Returns the loss, and the values of BCE and of the affinity term (before its weight).
     """
 
     def like(array: Any) -> Tensor:
@@ -134,13 +127,8 @@ class AffinitySchedule:
     @classmethod
     def from_json(cls, values: Any, name: str) -> AffinitySchedule:
         """The schedule with these fields; InputError naming the file ``name`` if they are damaged."""
-        template = asdict(cls(0.0))
-        if not isinstance(values, dict) or set(values) != set(template):
-            raise InputError(f"{name}: the schedule in the training state is damaged, expected {', '.join(template)}")
-        for key, value in values.items():
-            if value is None and template[key] is None:
-                continue
-            number = int if key in ("window", "count", "dropped_at") else (int, float)
-            if not isinstance(value, number) or isinstance(value, bool) or not math.isfinite(value):
-                raise InputError(f"{name}: {key} of the schedule in the training state is damaged, expected a number")
+        fields = asdict(cls(0.0))
+        numbers = isinstance(values, dict) and all(isinstance(value, (int, float, type(None))) for value in values.values())
+        if not numbers or set(values) != set(fields):
+            raise InputError(f"{name}: the schedule in the training state is damaged, expected numbers for {', '.join(fields)}")
         return cls(**values)

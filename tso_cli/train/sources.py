@@ -1,4 +1,4 @@
-"""Sources of training data: a data set on disk, meshes rendered in memory, the shipped examples."""
+"""Sources of training data beside data sets on disk: meshes rendered in memory, and the shipped examples."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from ..datasets.items import Dataset, ObjectItem, ViewItem
 from ..datasets.scale import of_unit_diagonal
 from ..geometry.points import normalise_longest_side
-from .backgrounds import Backgrounds
 from .data import TrainingData
 
 if TYPE_CHECKING:
@@ -22,20 +21,6 @@ T = TypeVar("T")
 Floats = NDArray[np.float32]
 # Pictures of each shipped mesh, and their side in pixels: about the size of the network's input once cropped.
 EXAMPLE_VIEWS, EXAMPLE_SIZE = 32, 96
-
-
-def from_dataset(
-    dataset: Dataset,
-    crop_share: float = 0.9,
-    background: str = "black",
-    strict: bool = False,
-    backgrounds: Backgrounds | None = None,
-) -> TrainingData:
-    """A data set as training data; pictures are read when they are first needed."""
-    description = f"{dataset.description}: {len(dataset.objects)} objects"
-    return TrainingData(
-        dataset.objects, description, crop_share, background, strict, backgrounds, dataset.skipped, dataset.scale
-    )
 
 
 def from_meshes(
@@ -72,8 +57,13 @@ def sized(dataset: Dataset, crop_share: float, background: str = "black") -> Tra
 
 def rendered_object(name: str, category: str, views: Sequence[RenderedView], target: Floats) -> ObjectItem:
     """A shape whose pictures and points [P, 3] are held in memory."""
-    items = [ViewItem(f"{name} view {i}", view.camera, _pixels_of(view)) for i, view in enumerate(views)]
-    return ObjectItem(name, category, items, _returning(target))
+
+    def pixels_of(view: RenderedView) -> Callable[[], tuple[NDArray[np.uint8], Floats]]:
+        # Kept in bytes: the float mask takes four times the memory.
+        return lambda: (view.image, view.mask.astype(np.float32) / np.float32(255.0))
+
+    items = [ViewItem(f"{name} view {i}", view.camera, pixels_of(view)) for i, view in enumerate(views)]
+    return ObjectItem(name, category, items, lambda: target)
 
 
 def shipped_examples(crop_share: float = 0.9, background: str = "black") -> TrainingData:
@@ -96,8 +86,3 @@ def shipped_examples(crop_share: float = 0.9, background: str = "black") -> Trai
 
 def _returning(value: T) -> Callable[[], T]:
     return lambda: value
-
-
-def _pixels_of(view: RenderedView) -> Callable[[], tuple[NDArray[np.uint8], Floats]]:
-    # Kept in bytes: the float mask takes four times the memory.
-    return lambda: (view.image, view.mask.astype(np.float32) / np.float32(255.0))

@@ -23,14 +23,10 @@ ROUNDS = 5
 def images_per_second(
     state: TrainingState, config: TrainConfig, data: TrainingData, masked: TrainingData | None = None
 ) -> dict[str, float]:
-    """Images a second of the bare network and of a whole step, measured alternately in this process.
+    """Images a second of ``bare`` forward and backward passes and of a ``step``, measured alternately in this process.
 
-    Returns
-    -------
-    bare : forward and backward of the network alone, on images that are there.
-    step : drawing the batch, the same passes, projector and losses. The optimiser is in neither.
-    added : relative increase in time from bare to step.
-    waiting : fraction of such steps in which the network waits for a batch, when threads prepare them ahead as in `train`.
+    A step draws the batch and has projector and losses; the optimiser is in neither. ``added`` is the relative increase in
+    time, ``waiting`` the fraction of a step in which the network waits for a batch that threads prepare ahead as in `train`.
     """
     network = state.network
     device = next(network.parameters()).device

@@ -157,7 +157,7 @@ def _require_same(path: Path, stored: NetworkConfig, current: NetworkConfig) -> 
 
 
 def write_history(path: Path, history: History, config: NetworkConfig) -> None:
-    """Write the settings, then the losses of every step, one JSON object a line; the file is replaced whole."""
+    """Write the settings, then the losses of every step, one JSON object a line."""
     terms = {"points": ("forward", "backward"), "masks": ("bce", "affinity", "lambda"), "joint": ("chamfer", "bce", "lambda")}
     names = ("step", "loss", *terms[config.supervision])
     lines = [json.dumps(dataclasses.asdict(config), allow_nan=False)]
