@@ -92,16 +92,6 @@ def test_a_point_that_is_not_finite_makes_the_distance_so_and_raises_no_error(va
     torch.testing.assert_close(nearest(start), (nearest.identity, nearest.identity))
 
 
-@settings(max_examples=50, deadline=None)
-@given(st.lists(st.tuples(*[st.floats(-1, 1, width=32)] * 6), min_size=2, max_size=30), st.floats(0, 1))
-def test_a_moved_copy_finds_its_neighbours_whatever_moved(rows, step):
-    both = torch.tensor(rows)
-    start, moved = both[:, :3], both[:, :3] + step * both[:, 3:]
-    to_moved, to_start = StaticNearest(start)(moved)
-    _assert_nearest(start, moved, to_moved)
-    _assert_nearest(moved, start, to_start)
-
-
 def _squared_distances(marked: torch.Tensor) -> torch.Tensor:
     """[M, H, W] to the nearest marked pixel; 0 where none is marked."""
     rows, columns = nearest_marked(marked)
@@ -154,3 +144,13 @@ def test_neighbours_between_clouds_are_those_of_all_pairs(dtype, first, second):
 def test_neighbours_do_not_depend_on_the_number_of_threads(assert_same_on_threads):
     clouds = [torch.rand(9, count, 3, generator=torch.Generator().manual_seed(count)) for count in (42, 44)]
     assert_same_on_threads(lambda: nearest_numba.nearest_both_ways(*clouds))
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(*[st.floats(-1, 1, width=32)] * 6), min_size=2, max_size=30), st.floats(0, 1))
+def test_a_moved_copy_finds_its_neighbours_whatever_moved(rows, step):
+    both = torch.tensor(rows)
+    start, moved = both[:, :3], both[:, :3] + step * both[:, 3:]
+    to_moved, to_start = StaticNearest(start)(moved)
+    _assert_nearest(start, moved, to_moved)
+    _assert_nearest(moved, start, to_start)

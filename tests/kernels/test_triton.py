@@ -6,20 +6,13 @@ import importlib.util
 import math
 import os
 
-import numpy as np
 import pytest
 import torch
-from torch.utils._python_dispatch import TorchDispatchMode
 
-from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.view import View
 from tso_cli.kernels import nearest as nearest_module
 from tso_cli.kernels import splat as splat_module
-from tso_cli.kernels.nearest import nearest_both_ways, nearest_in_rows, nearest_marked, nearest_points
-from tso_cli.kernels.splat import cheapest, splat
-from tso_cli.refinement.adam import Adam
-from tso_cli.refinement.objective import SilhouetteObjective
-from tso_cli.refinement.resampled_view import resample_view
+from tso_cli.kernels.nearest import nearest_both_ways, nearest_in_rows, nearest_points
+from tso_cli.kernels.splat import splat
 from tso_cli.silhouette import chamfer as chamfer_module
 from tso_cli.silhouette.bce import silhouette_bce
 from tso_cli.silhouette.chamfer import ChamferToInitial
@@ -99,15 +92,6 @@ def test_points_that_are_no_numbers_or_far_away_add_nothing_and_get_no_gradient(
     assert gradient[0, -1].abs().min() > 0.0
 
 
-@needs_triton
-def test_a_cloud_without_points_leaves_the_picture_empty(triton_kernels):
-    points = torch.zeros(2, 0, 2, device=DEVICE, requires_grad=True)
-    sums = splat(points, torch.zeros(2, 0, dtype=torch.bool, device=DEVICE), 4, 5, 0.4, "triton")
-    sums.sum().backward()
-    assert sums.shape == (2, 4, 5)
-    assert (sums == 0.0).all()
-
-
 @pytest.mark.parametrize("dimensions", [2, 3])
 @pytest.mark.parametrize(("queries", "data"), [(1, 1), (5, 200), (150, 64), (65, 129)])
 def test_the_nearest_point_of_each_row_is_that_of_all_pairs(queries, data, dimensions, in_rows):
@@ -143,23 +127,6 @@ def test_neighbours_of_batches_are_those_that_the_cpu_finds_cloud_by_cloud(in_ro
         assert torch.equal(mine.cpu(), theirs)
 
 
-@pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 40), (40, 1), (30, 47)])
-@pytest.mark.parametrize("share", [0.003, 0.05, 0.6])
-def test_the_nearest_marked_pixel_of_a_batch_is_that_of_all_pairs(height, width, share, monkeypatch):
-    monkeypatch.setattr(nearest_module, "PAIRS_PER_CHUNK", 7 * width**2)
-    _as_on_a_gpu(monkeypatch)
-    marked = _random(height * width, 4, height, width) < share
-    marked[0], marked[1, 0, -1] = False, True
-    grid = torch.stack(torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij"), -1).view(-1, 2).to(DEVICE)
-    for own, row, column in zip(marked, *nearest_marked(marked), strict=True):
-        if not own.any():
-            assert (row == -1).all() and (column == -1).all()
-            continue
-        assert own[row, column].all()
-        found = (torch.stack([row, column], -1).view(-1, 2) - grid).square().sum(1)
-        assert torch.equal(found, (grid[:, None] - grid[own.flatten()]).square().sum(2).min(1).values)
-
-
 def test_losses_of_whole_batches_are_those_of_single_clouds(in_rows, monkeypatch):
     start, counts = _random(12, 3, 60, 3), torch.tensor([60, 31, 1])
     moved, points = start + 0.2 * _random(13, 3, 60, 3), _random(14, 3, 50, 2) * 16 + 3
@@ -177,39 +144,6 @@ def _losses_and_gradients(start, counts, moved, points, valid, mask, weight):
     sums = splat(points, valid, *mask.shape[1:], 0.4)
     values = ChamferToInitial(start, counts)(moved), silhouette_bce(sums, mask, points, valid, 0.4)
     return *(value.detach() for value in values), *torch.autograd.grad((sum(values) * weight).sum(), [moved, points])
-
-
-class _Operations(TorchDispatchMode):
-    """Remembers the names of torch's operations, those of the backward pass too."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.names: set[str] = set()
-
-    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        self.names.add(func.overloadpacket.__name__)
-        return func(*args, **(kwargs or {}))
-
-
-@needs_triton
-def test_a_step_of_many_clouds_never_waits_for_the_gpu(triton_kernels):
-    views = []
-    for size in (9, 12, 14):
-        mask = np.zeros((32, 32), np.float32)
-        mask[8 : 8 + size, 8:24] = 1.0
-        views.append([resample_view(View(mask, Camera.canonical(32, 32)), 0.4, np.zeros(3), 1.0)])
-    counts, moved = torch.tensor([60, 60, 45]), (_random(17, 3, 60, 3) - 0.5).requires_grad_()
-    term, held, optimiser = SilhouetteObjective(views, counts, moved), ChamferToInitial(moved, counts), Adam([moved], 1e-3)
-    with _Operations() as operations:
-        optimiser.step((term(moved) + held(moved)).sum())
-    assert "mul" in operations.names
-    # what reads a value, or needs to know how many there are
-    assert not operations.names & {"_local_scalar_dense", "nonzero", "masked_select", "unique", "_to_copy"}
-
-
-@needs_triton
-def test_a_gpu_takes_its_own_kernel(triton_kernels):
-    assert cheapest(torch.zeros(1, 4, 2, device=DEVICE), 64, 64, 0.4) == "triton"
 
 
 def test_the_gpus_kernel_is_refused_where_it_cannot_run():

@@ -14,7 +14,6 @@ from tso_cli.geometry.view import View
 from tso_cli.refinement import refine_batch
 from tso_cli.refinement.objective import MaskChamferObjective, ViewTargets
 from tso_cli.refinement.resampled_view import resample_view
-from tso_cli.refinement.symmetry import MirrorPlane
 from tso_cli.silhouette.depth import DepthTarget, depth_loss
 from tso_cli.silhouette.projection import CameraBatch, Projected, project
 
@@ -100,11 +99,6 @@ def test_the_gradient_is_that_of_finite_differences():
     assert torch.autograd.gradcheck(lambda moved: loss(moved, depth), points, eps=1e-7, atol=1e-4, rtol=1e-4)
 
 
-def test_a_map_without_a_known_pixel_and_points_behind_the_camera_cost_nothing():
-    assert cost(grid(2.2), np.full((SIZE, SIZE), np.nan)) == 0.0
-    assert cost(np.array([[0.0, 0.0, 5.0]]), wall()) == 0.0
-
-
 def test_the_loop_samples_a_depth_map_and_never_averages_across_its_edges():
     camera = Camera.canonical(256, 256)
     depth = np.where(np.arange(256) < 130, 2.0, 3.0)[None].repeat(256, 0)
@@ -113,17 +107,6 @@ def test_the_loop_samples_a_depth_map_and_never_averages_across_its_edges():
     found = resample_view(View(mask, camera, depth=depth), 0.4, np.zeros(3), 2.0)
     assert found.depth.shape == (64, 64)
     assert set(np.unique(found.depth)) == {1.0, 1.5}
-
-
-def test_the_mirrored_view_has_the_mirrored_depth_map():
-    mask = np.zeros((SIZE, SIZE), np.float32)
-    mask[20:40, 20:30] = 1.0
-    depth = np.full((SIZE, SIZE), 2.0) + np.arange(SIZE) / 100.0
-    plane = MirrorPlane(np.array([1.0, 0.0, 0.0]), 0.0)
-    mirrored = plane.view(View(mask, CAMERA, depth=depth))
-    point = np.array([on(22, 30, 2.22)])
-    assert np.allclose(mirrored.camera.project(plane.reflect(point))[0], [[SIZE - 1 - 22, 30]])
-    assert mirrored.camera.project(plane.reflect(point))[1] == pytest.approx(mirrored.depth[30, SIZE - 1 - 22])
 
 
 def sheet(slope: float) -> np.ndarray:
