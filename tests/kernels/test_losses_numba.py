@@ -38,22 +38,19 @@ def _value_and_gradient(loss, points: torch.Tensor) -> tuple[torch.Tensor, torch
 
 LOSSES = {
     "cross-entropy": lambda s, m, k, p, v: silhouette_bce(s, m, p, v, 0.4, k),
-    "cross-entropy, all known": lambda s, m, k, p, v: silhouette_bce(s, m, p, v, 0.4),
     "affinity of points": lambda s, m, k, p, v: affinity(s, m, p, v, "points"),
 }
 
 
 @pytest.mark.parametrize("loss", LOSSES)
-@pytest.mark.parametrize("soft", [False, True])
 @pytest.mark.parametrize("count", [3, 400])
-def test_losses_and_their_gradients_are_those_of_the_plain_forms(both_forms, loss, soft, count):
+def test_losses_and_their_gradients_are_those_of_the_plain_forms(both_forms, loss, count):
     points, valid = _clouds(10, 6, count, 30.0)
     points[2] = points[2, 0]  # stacked
     points[3] = points[3] + 100.0  # all uncovered
     valid[4] = False
     masks = _masks(11, 6, 30, 33)
-    if soft:
-        masks = masks * torch.rand(masks.shape, generator=torch.Generator().manual_seed(12), dtype=torch.float64)
+    masks = masks * torch.rand(masks.shape, generator=torch.Generator().manual_seed(12), dtype=torch.float64)
     known = torch.rand(masks.shape, generator=torch.Generator().manual_seed(13), dtype=torch.float64)
     known[known < 0.3] = 0.0
     if loss == "affinity of points":
@@ -74,10 +71,9 @@ def test_losses_and_their_gradients_are_those_of_the_plain_forms(both_forms, los
 
 
 @pytest.mark.parametrize("kernel", ["compiled", "windowed"])
-@pytest.mark.parametrize("sigma_sq", [0.1, 0.4, 6.4])
-@pytest.mark.parametrize("count", [1, 900])
-def test_the_mask_loss_is_that_of_the_exact_sums(both_forms, kernel, sigma_sq, count):
-    points, valid = _clouds(count, 4, count, 30.0)
+@pytest.mark.parametrize("sigma_sq", [0.1, 6.4])
+def test_the_mask_loss_is_that_of_the_exact_sums(both_forms, kernel, sigma_sq):
+    points, valid = _clouds(900, 4, 900, 30.0)
     valid[2] = False
     target = PixelWeights.of(_masks(3, 4, 22, 30), torch.rand(4, 22, 30, dtype=torch.float64))
 
@@ -152,16 +148,6 @@ def test_pixels_attract_the_nearest_of_all_points_and_of_equally_near_ones_the_f
 def test_pixels_attract_the_nearest_of_any_few_points(rows):
     points = torch.tensor([rows], dtype=torch.float64)
     _assert_nearest(torch.ones(1, 9, 13, dtype=torch.bool), points, torch.ones(1, len(rows), dtype=torch.bool))
-
-
-def test_points_that_are_nan_or_infinite_attract_no_pixel():
-    points = torch.tensor([[[float("nan"), 3.0], [3.0, float("inf")], [2.0, 2.0]]])
-    pixels, valid = torch.ones(1, 6, 6, dtype=torch.bool), torch.ones(1, 3, dtype=torch.bool)
-    value, gradient = (
-        _value_and_gradient(lambda p: losses_numba.pixels_to_points(pixels, pixels.float(), p, valid[:, : p.shape[1]], 1.0), p)
-        for p in (points, points[:, 2:])
-    )
-    assert torch.equal(value[0], gradient[0]) and torch.equal(value[1][:, 2:], gradient[1])
 
 
 def test_the_cross_entropy_is_that_of_the_plain_form_from_the_faintest_to_the_largest_sums():

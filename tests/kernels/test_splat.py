@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests import oracles
-from tso_cli.kernels import splat as splat_module
 from tso_cli.kernels.splat import splat
 
 WINDOWED = ("windowed", "compiled")
@@ -107,13 +106,3 @@ def test_points_at_huge_coordinates_add_nothing_and_break_nothing(kernel):
     assert points.grad is not None
     assert torch.isfinite(points.grad).all()
     assert sums[0, 2, 2].item() == pytest.approx(1.0)
-
-
-def test_a_point_cloud_split_into_chunks_gives_the_same_image(monkeypatch):
-    points = _cloud(3, 200, 30)
-    valid = torch.ones(points.shape[:2], dtype=torch.bool)
-    whole = list(_both(points, valid, 30, 30, 0.4))[1]
-    monkeypatch.setattr(splat_module, "TAPS_PER_CHUNK", 81 * 2 * 7)
-    parts = list(_both(points, valid, 30, 30, 0.4))[1]
-    torch.testing.assert_close(whole[0], parts[0])
-    torch.testing.assert_close(whole[1], parts[1])

@@ -41,8 +41,3 @@ def test_very_narrow_and_very_wide_kernels_are_those_of_the_exact_product(dtype,
     torch.testing.assert_close(fast, exact, atol=1e-5 * exact.max().item(), rtol=0)
     largest = leaves[0].grad.abs().max().item()
     torch.testing.assert_close(leaves[1].grad, leaves[0].grad, atol=1e-5 * largest, rtol=0)
-
-
-def test_no_points_and_no_images_give_empty_sums():
-    assert splat(torch.empty(2, 0, 2), torch.empty(2, 0, dtype=torch.bool), 5, 6, 0.4, "compiled").abs().max() == 0.0
-    assert splat(torch.empty(0, 3, 2), torch.empty(0, 3, dtype=torch.bool), 5, 6, 0.4, "compiled").shape == (0, 5, 6)

@@ -11,7 +11,7 @@ import torch
 
 from tso_cli.kernels import nearest as nearest_module
 from tso_cli.kernels import splat as splat_module
-from tso_cli.kernels.nearest import nearest_both_ways, nearest_in_rows, nearest_points
+from tso_cli.kernels.nearest import nearest_both_ways, nearest_in_rows
 from tso_cli.kernels.splat import splat
 from tso_cli.silhouette import chamfer as chamfer_module
 from tso_cli.silhouette.bce import silhouette_bce
@@ -114,17 +114,6 @@ def test_what_is_no_number_is_nobodys_neighbour_and_has_none(in_rows):
     assert nearest_in_rows(queries, data).tolist() == [[2, -1], [-1, -1]]
     for index in nearest_both_ways(data, queries):
         assert index.min() >= 0
-
-
-def test_neighbours_of_batches_are_those_that_the_cpu_finds_cloud_by_cloud(in_rows, monkeypatch):
-    a, b = _random(7, 3, 80, 3), _random(8, 3, 130, 3)
-    pixels, points, valid = _random(9, 3, 20, 17) < 0.5, _random(10, 3, 40, 2) * 20, _random(11, 3, 40) < 0.8
-    valid[1] = False
-    found = *nearest_both_ways(a, b), nearest_points(pixels, points, valid)
-    monkeypatch.setattr(nearest_module, "whole_batches", lambda tensor: False)
-    plain = *nearest_both_ways(a.cpu(), b.cpu()), nearest_points(pixels.cpu(), points.cpu(), valid.cpu())
-    for mine, theirs in zip(found, plain, strict=True):
-        assert torch.equal(mine.cpu(), theirs)
 
 
 def test_losses_of_whole_batches_are_those_of_single_clouds(in_rows, monkeypatch):

@@ -69,10 +69,9 @@ def test_a_scan_with_coordinates_near_four_million_is_refined_as_at_the_origin(c
     assert _error(far.points - 4e6, chair) == pytest.approx(_error(expected.points, chair), rel=0.02)
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-def test_enlarging_mask_and_intrinsics_by_two_changes_nothing(chair, preset):
+def test_enlarging_mask_and_intrinsics_by_two_changes_nothing(chair):
     points, mask, camera, _ = chair
-    config = RefineConfig(preset=preset)
+    config = RefineConfig(steps=12, symmetry="none")
     finer = mask.repeat(2, axis=0).repeat(2, axis=1)
     expected = refine(points, mask, camera, config)
     result = refine(points, finer, camera.resized(2 * camera.width, 2 * camera.height), config)
@@ -264,17 +263,6 @@ def test_one_failing_cloud_of_a_batch_leaves_the_others_unaffected(chair, monkey
     assert (broken.stop_reason, broken.steps, broken.best_step) == ("non_finite", 2, 2)
     assert np.isfinite(broken.points).all()
     np.testing.assert_allclose(whole.points, refine_batch([scenes[0]] * 2, PAPER)[0].points, atol=1e-5)
-
-
-def test_a_batch_by_the_best_preset_agrees_with_single_clouds(chair):
-    points, mask, camera, _ = chair
-    scenes = [(points, View(mask, camera)), (points[:900] * 0.9, View(mask, camera))]
-    for result, (cloud, views) in zip(refine_batch(scenes), scenes, strict=True):
-        alone = refine(cloud, views)
-        # Rounding decides which of two points is nearer: the quality is the same, the bits are not.
-        assert result.loss_after == pytest.approx(alone.loss_after, rel=0.02)
-        assert result.symmetry == pytest.approx(alone.symmetry)
-        np.testing.assert_allclose(result.points, alone.points, atol=0.05)
 
 
 def test_a_pole_thinner_than_a_cell_of_the_window_moves_onto_its_mask():

@@ -31,11 +31,10 @@ def test_a_thousand_points_stacked_on_a_background_pixel_have_a_gradient():
     assert (gradient.abs().sum(1) > 1e-3).all()
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_bce_is_log_sum_exp_over_all_points_where_points_cover_the_mask(seed):
-    generator = torch.Generator().manual_seed(seed)
+def test_bce_is_log_sum_exp_over_all_points_where_points_cover_the_mask():
+    generator = torch.Generator().manual_seed(0)
     mask = disc()
-    points = torch.rand(3000, 2, generator=generator, dtype=torch.float64) * 30 + 17
+    points = torch.rand(1500, 2, generator=generator, dtype=torch.float64) * 30 + 17
     points[:5] = torch.rand(5, 2, generator=generator, dtype=torch.float64) * 63
     value, gradient = value_and_gradient(lambda p: _bce(p, mask), points)
     oracle, expected = value_and_gradient(lambda p: oracles.bce(p, mask, SIGMA_SQ), points)
@@ -77,18 +76,6 @@ def test_the_float64_gradient_of_bce_passes_finite_differences():
     mask = disc(12, 3.0)
     points = torch.tensor([[5.5, 5.5], [5.5, 5.5], [-1.2, 4.0], [3.0, 7.0]], dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda p: _bce(p, mask), (points,), eps=1e-6, atol=1e-4, rtol=1e-4)
-
-
-def test_bce_is_stated_for_64_pixels_at_any_resolution():
-    generator = torch.Generator().manual_seed(0)
-    points = torch.rand(2000, 2, generator=generator, dtype=torch.float64) * 24 + 20
-    mask = disc(64)
-    valid = torch.ones(1, 2000, dtype=torch.bool)
-    finer = mask.repeat_interleave(2, 0).repeat_interleave(2, 1)
-    finer_px = (points + 0.5) * 2 - 0.5
-    sums = splat(finer_px[None], valid, 128, 128, 4 * SIGMA_SQ)
-    fine = silhouette_bce(sums, finer[None], finer_px[None], valid, 4 * SIGMA_SQ)[0]
-    assert fine.item() == pytest.approx(_bce(points, mask).item(), rel=0.05)
 
 
 def test_unknown_pixels_change_nothing():

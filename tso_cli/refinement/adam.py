@@ -35,8 +35,8 @@ class Adam:
         """One step, given the gradient by each parameter."""
         grads = [_laid_out_as(p, grad) for p, grad in zip(self._parameters, grads, strict=True)]
         settings: dict[str, Any] = dict(amsgrad=False, beta1=0.9, beta2=0.999, weight_decay=0.0, eps=1e-8, maximize=False)
-        state: tuple[list[Tensor], ...] = self._means, self._squares, [], self._steps
-        adam(self._parameters, grads, *state, fused=self._fused, lr=self._learning_rate, **settings)
+        moments = self._means, self._squares
+        adam(self._parameters, grads, *moments, [], self._steps, fused=self._fused, lr=self._learning_rate, **settings)
 
 
 def _laid_out_as(parameter: Tensor, grad: Tensor) -> Tensor:
