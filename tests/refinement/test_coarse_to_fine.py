@@ -42,7 +42,7 @@ def test_the_result_is_the_weighted_mean_of_the_stages_and_more_masks_raise_the_
     def refined(*weights):
         stages = tuple(replace(stage, averaging_weight=weight) for stage, weight in zip(BEST.stages, weights, strict=True))
         config = replace(BEST, stages=stages, least_prior_weight=0.0)
-        return refine(points, views, config=RefineConfig(symmetry="none", coarse_to_fine=config))
+        return refine(points, views, config=RefineConfig(steps=24, symmetry="none", coarse_to_fine=config))
 
     alone = [refined(*np.eye(3)[stage].clip(1e-12)).points for stage in range(3)]
     result = refined(1.0, 2.0, 3.0)

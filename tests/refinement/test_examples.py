@@ -14,6 +14,7 @@ from .conftest import example
 NAMES = pytest.mark.parametrize("name", ["chair", "airplane", "car"])
 
 
+@pytest.mark.slow
 @NAMES
 def test_best_reduces_the_error_more_than_paper_and_still_more_with_a_mirror_plane(name):
     points, mask, camera, target = example(name)

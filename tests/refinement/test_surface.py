@@ -108,6 +108,7 @@ def test_samples_are_even_however_the_surface_is_triangulated():
     assert max(spacings) < 1.05 * min(spacings)
 
 
+@pytest.mark.slow
 def test_the_triangulation_hardly_changes_the_result(stretched, views):
     coarse, fine = (_subdivided(CORNERS, BOX, times) for times in (1, 3))
     results = [refine(vertices, views, faces=faces).points for vertices, faces in (coarse, fine)]

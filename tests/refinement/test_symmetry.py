@@ -23,7 +23,7 @@ def _rotation(seed: int) -> np.ndarray:
     return matrix * np.sign(np.linalg.det(matrix))
 
 
-@pytest.mark.parametrize("name", ["chair", "airplane", "car"])
+@pytest.mark.parametrize("name", ["chair", "car"])
 def test_the_plane_of_a_rotated_symmetric_object_is_result(name):
     points = example(name).points
     plane = find_mirror_plane(points)
@@ -99,7 +99,7 @@ def test_an_asymmetric_cloud_has_no_plane():
 def test_clouds_of_a_batch_are_checked_independently():
     start = _boxes(-0.42, 0.42)
     scenes = [(start, View(*_seen(truth))) for truth in (_boxes(-0.42), _boxes(-0.42, 0.42) * [1.1, 1.1, 1.0])]
-    config = RefineConfig(steps=12)
+    config = RefineConfig(steps=6)
     together = refine_batch(scenes, config)
     assert [result.symmetry is None for result in together] == [True, False]
     for result, (points, view) in zip(together, scenes, strict=True):

@@ -45,7 +45,7 @@ def camera_document(camera: Camera, source: str) -> dict[str, Any]:
 def _document(scene: Scene, placements: list[Placement], overlaps: list[bool]) -> dict[str, Any]:
     cameras = [camera_document(view.camera, source) for view, source in zip(scene.views, scene.camera_sources, strict=True)]
     views = [
-        {"mask": view.name, "camera": camera, "placement": placement.as_dict(), "meets": overlap}
+        {"mask": view.name, "camera": camera, "placement": vars(placement), "meets": overlap}
         for view, camera, placement, overlap in zip(scene.views, cameras, placements, overlaps, strict=True)
     ]
     return {
