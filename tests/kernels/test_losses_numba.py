@@ -117,7 +117,7 @@ def _all_pairs(pixels, weight, points, valid):
     rows, columns = torch.meshgrid(torch.arange(pixels.shape[1]), torch.arange(pixels.shape[2]), indexing="ij")
     centres = torch.stack([columns, rows], -1).view(-1, 1, 2)
     squared = [
-        (centres - own).square().sum(-1).masked_fill(~there, torch.inf) for own, there in zip(points, valid, strict=True)
+        (centres - cloud).square().sum(-1).masked_fill(~exists, torch.inf) for cloud, exists in zip(points, valid, strict=True)
     ]
     least = torch.stack([pairs.gather(1, pairs.detach().argmin(1)[:, None])[:, 0] for pairs in squared])
     used = pixels.flatten(1) & valid.any(1)[:, None]
@@ -127,8 +127,8 @@ def _all_pairs(pixels, weight, points, valid):
 def _assert_nearest(pixels, points, valid):
     weight = torch.rand(pixels.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
     expected, expected_gradient = _value_and_gradient(lambda leaf: _all_pairs(pixels, weight, leaf, valid), points)
-    found, gradient = _value_and_gradient(lambda p: losses_numba.pixels_to_points(pixels, weight, p, valid, 0.7), points)
-    torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-9)
+    value, gradient = _value_and_gradient(lambda p: losses_numba.pixels_to_points(pixels, weight, p, valid, 0.7), points)
+    torch.testing.assert_close(value, expected, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(gradient, expected_gradient, rtol=1e-9, atol=1e-9)
 
 

@@ -82,7 +82,7 @@ def test_sums_and_gradients_are_those_of_the_exact_product(count, height, width,
 
 
 @needs_triton
-def test_points_that_are_no_numbers_or_far_away_add_nothing_and_get_no_gradient(triton_kernels):
+def test_points_that_are_not_finite_or_far_away_add_nothing_and_get_no_gradient(triton_kernels):
     lost = [[math.nan, 3.0], [3.0, math.nan], [math.inf, 2.0], [1e30, 3.0], [-1e12, 4.0], [3.0, 3e9], [3.0, -4e9], [-9.0, 3.0]]
     points = torch.tensor([[*lost, [2.2, 2.1]]], device=DEVICE)
     valid = torch.ones(points.shape[:2], dtype=torch.bool, device=DEVICE)
@@ -95,20 +95,20 @@ def test_points_that_are_no_numbers_or_far_away_add_nothing_and_get_no_gradient(
 @pytest.mark.parametrize("dimensions", [2, 3])
 @pytest.mark.parametrize(("queries", "data"), [(1, 1), (5, 200), (150, 64), (65, 129)])
 def test_the_nearest_point_of_each_row_is_that_of_all_pairs(queries, data, dimensions, in_rows):
-    asked, points = _random(3, 4, queries, dimensions), _random(4, 4, data, dimensions)
-    there, asking = _random(5, 4, data) < 0.7, _random(6, 4, queries) < 0.6
-    there[:, 0] = True
-    there[1], asking[2] = False, False
+    queried, points = _random(3, 4, queries, dimensions), _random(4, 4, data, dimensions)
+    valid, active = _random(5, 4, data) < 0.7, _random(6, 4, queries) < 0.6
+    valid[:, 0] = True
+    valid[1], active[2] = False, False
     points[3] = points[3, 0]
-    index = nearest_in_rows(asked, points, there, asking)
-    pairs = (asked.double()[:, :, None] - points.double()[:, None]).square().sum(-1).masked_fill(~there[:, None], math.inf)
-    assert torch.equal(index >= 0, asking & there.any(1)[:, None])
-    found = pairs.gather(2, index.clamp_min(0)[:, :, None])[:, :, 0]
-    torch.testing.assert_close(found[index >= 0], pairs.min(2).values[index >= 0], atol=1e-12, rtol=1e-5)
+    index = nearest_in_rows(queried, points, valid, active)
+    pairs = (queried.double()[:, :, None] - points.double()[:, None]).square().sum(-1).masked_fill(~valid[:, None], math.inf)
+    assert torch.equal(index >= 0, active & valid.any(1)[:, None])
+    squared = pairs.gather(2, index.clamp_min(0)[:, :, None])[:, :, 0]
+    torch.testing.assert_close(squared[index >= 0], pairs.min(2).values[index >= 0], atol=1e-12, rtol=1e-5)
     assert (index[3][index[3] >= 0] == 0).all()
 
 
-def test_what_is_no_number_is_nobodys_neighbour_and_has_none(in_rows):
+def test_nan_and_infinite_points_are_no_neighbours_and_have_none(in_rows):
     data = torch.tensor([[[math.nan, 0.0], [math.inf, 0.0], [5.0, 5.0]], [[math.nan] * 2] * 3], device=DEVICE)
     queries = torch.tensor([[0.0, 0.0], [math.nan, 1.0]], device=DEVICE).expand(2, 2, 2)
     assert nearest_in_rows(queries, data).tolist() == [[2, -1], [-1, -1]]

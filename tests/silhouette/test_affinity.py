@@ -25,7 +25,7 @@ def test_points_outside_the_image_are_not_background():
     assert with_outside.item() == pytest.approx(_affinity(inside, mask, "points").item())
 
 
-def test_the_printed_affinity_of_a_batch_is_that_of_its_pictures_one_by_one():
+def test_the_printed_affinity_of_a_batch_is_that_of_each_image():
     generator = torch.Generator().manual_seed(17)
     points = torch.rand(4, 60, 2, generator=generator, dtype=torch.float64) * 18
     points[3] += 100.0  # no silhouette

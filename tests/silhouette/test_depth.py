@@ -99,9 +99,9 @@ def test_a_depth_map_is_resampled_without_averaging_across_edges():
     depth = np.where(np.arange(256) < 130, 2.0, 3.0)[None].repeat(256, 0)
     mask = np.zeros((256, 256), np.float32)
     mask[64:192, 64:192] = 1.0
-    found = resample_view(View(mask, camera, depth=depth), 0.4, np.zeros(3), 2.0)
-    assert found.depth.shape == (64, 64)
-    assert set(np.unique(found.depth)) == {1.0, 1.5}
+    resampled = resample_view(View(mask, camera, depth=depth), 0.4, np.zeros(3), 2.0)
+    assert resampled.depth.shape == (64, 64)
+    assert set(np.unique(resampled.depth)) == {1.0, 1.5}
 
 
 def sheet(slope: float) -> np.ndarray:
@@ -121,10 +121,10 @@ def seen_sheet() -> tuple[np.ndarray, View]:
 
 def test_a_depth_map_brings_a_cloud_nearer_than_its_mask_alone():
     start, view = seen_sheet()
-    wanted = sheet(0.4)
+    target = sheet(0.4)
     alone = View(view.mask, CAMERA)
     config = RefineConfig(steps=45, symmetry="none")
-    with_depth, without = (chamfer(refine(start, v, config=config).points, wanted).chamfer for v in (view, alone))
+    with_depth, without = (chamfer(refine(start, v, config=config).points, target).chamfer for v in (view, alone))
     assert with_depth < 0.3 * without
 
 
