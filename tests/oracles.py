@@ -10,21 +10,19 @@ from torch import Tensor
 
 def silhouette_sums(points_px: Tensor, height: int, width: int, sigma_sq: float) -> Tensor:
     """Eq. 2 and 3 before the tanh: [N, 2] -> [H, W], an N x H x W tensor."""
-    columns = torch.arange(width, dtype=points_px.dtype)
-    rows = torch.arange(height, dtype=points_px.dtype)
-    dx = points_px[:, 0, None, None] - columns[None, None, :]
-    dy = points_px[:, 1, None, None] - rows[None, :, None]
-    return torch.exp(-(dx**2 + dy**2) / (2 * sigma_sq)).sum(0)
+    return torch.exp(_exponents(points_px, height, width, sigma_sq)).sum(0)
+
+
+def _exponents(points_px: Tensor, height: int, width: int, sigma_sq: float) -> Tensor:
+    dx = points_px[:, 0, None, None] - torch.arange(width, dtype=points_px.dtype)
+    dy = points_px[:, 1, None, None] - torch.arange(height, dtype=points_px.dtype)[:, None]
+    return -(dx**2 + dy**2) / (2 * sigma_sq)
 
 
 def bce(points_px: Tensor, mask: Tensor, sigma_sq: float) -> Tensor:
     """Eq. 4 with every point and pixel, by log-sum-exp, weighted by 64^2 / (W H)."""
     height, width = mask.shape
-    columns = torch.arange(width, dtype=points_px.dtype)
-    rows = torch.arange(height, dtype=points_px.dtype)
-    dx = points_px[:, 0, None, None] - columns[None, None, :]
-    dy = points_px[:, 1, None, None] - rows[None, :, None]
-    log_s = torch.logsumexp(-(dx**2 + dy**2) / (2 * sigma_sq), 0)
+    log_s = torch.logsumexp(_exponents(points_px, height, width, sigma_sq), 0)
     s = torch.exp(log_s)
     log_one_minus = math.log(2.0) - torch.nn.functional.softplus(2.0 * s)
     # log tanh s = log s + log(tanh(s) / s), and the second term vanishes with s
@@ -34,13 +32,13 @@ def bce(points_px: Tensor, mask: Tensor, sigma_sq: float) -> Tensor:
     return loss.sum() * 4096.0 / (height * width)
 
 
-def affinity_paper(silhouette: Tensor, mask: Tensor, level: float = 0.5) -> Tensor:
-    """Eq. 5 as printed, by all pairs of pixels, M^+ being values over ``level``."""
+def affinity_paper(silhouette: Tensor, mask: Tensor) -> Tensor:
+    """Eq. 5 as printed, by all pairs of pixels, M^+ being values over 0.5."""
     height, width = mask.shape
     pixels = torch.stack(torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij"), -1).reshape(-1, 2)
     total = silhouette.new_zeros(())
     for source, goal in ((silhouette, mask), (mask, silhouette)):
-        marked = torch.nonzero(goal > level)
+        marked = torch.nonzero(goal > 0.5)
         squared = (pixels[:, None] - marked[None]).square().sum(-1)
         products = squared * source.reshape(-1, 1) * goal[marked[:, 0], marked[:, 1]]
         total = total + products.min(1).values.sum()

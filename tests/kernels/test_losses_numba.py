@@ -38,22 +38,19 @@ def _value_and_gradient(loss, points: torch.Tensor) -> tuple[torch.Tensor, torch
 
 LOSSES = {
     "cross-entropy": lambda s, m, k, p, v: silhouette_bce(s, m, p, v, 0.4, k),
-    "cross-entropy, all known": lambda s, m, k, p, v: silhouette_bce(s, m, p, v, 0.4),
     "affinity of points": lambda s, m, k, p, v: affinity(s, m, p, v, "points"),
 }
 
 
 @pytest.mark.parametrize("loss", LOSSES)
-@pytest.mark.parametrize("soft", [False, True])
 @pytest.mark.parametrize("count", [3, 400])
-def test_losses_and_their_gradients_are_those_of_the_plain_forms(both_forms, loss, soft, count):
+def test_losses_and_their_gradients_are_those_of_the_plain_forms(both_forms, loss, count):
     points, valid = _clouds(10, 6, count, 30.0)
     points[2] = points[2, 0]  # stacked
     points[3] = points[3] + 100.0  # all uncovered
     valid[4] = False
     masks = _masks(11, 6, 30, 33)
-    if soft:
-        masks = masks * torch.rand(masks.shape, generator=torch.Generator().manual_seed(12), dtype=torch.float64)
+    masks = masks * torch.rand(masks.shape, generator=torch.Generator().manual_seed(12), dtype=torch.float64)
     known = torch.rand(masks.shape, generator=torch.Generator().manual_seed(13), dtype=torch.float64)
     known[known < 0.3] = 0.0
     if loss == "affinity of points":
@@ -74,10 +71,9 @@ def test_losses_and_their_gradients_are_those_of_the_plain_forms(both_forms, los
 
 
 @pytest.mark.parametrize("kernel", ["compiled", "windowed"])
-@pytest.mark.parametrize("sigma_sq", [0.1, 0.4, 6.4])
-@pytest.mark.parametrize("count", [1, 900])
-def test_the_mask_loss_is_that_of_the_exact_sums(both_forms, kernel, sigma_sq, count):
-    points, valid = _clouds(count, 4, count, 30.0)
+@pytest.mark.parametrize("sigma_sq", [0.1, 6.4])
+def test_the_mask_loss_is_that_of_the_exact_sums(both_forms, kernel, sigma_sq):
+    points, valid = _clouds(900, 4, 900, 30.0)
     valid[2] = False
     target = PixelWeights.of(_masks(3, 4, 22, 30), torch.rand(4, 22, 30, dtype=torch.float64))
 
@@ -121,7 +117,7 @@ def _all_pairs(pixels, weight, points, valid):
     rows, columns = torch.meshgrid(torch.arange(pixels.shape[1]), torch.arange(pixels.shape[2]), indexing="ij")
     centres = torch.stack([columns, rows], -1).view(-1, 1, 2)
     squared = [
-        (centres - own).square().sum(-1).masked_fill(~there, torch.inf) for own, there in zip(points, valid, strict=True)
+        (centres - cloud).square().sum(-1).masked_fill(~exists, torch.inf) for cloud, exists in zip(points, valid, strict=True)
     ]
     least = torch.stack([pairs.gather(1, pairs.detach().argmin(1)[:, None])[:, 0] for pairs in squared])
     used = pixels.flatten(1) & valid.any(1)[:, None]
@@ -131,8 +127,8 @@ def _all_pairs(pixels, weight, points, valid):
 def _assert_nearest(pixels, points, valid):
     weight = torch.rand(pixels.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
     expected, expected_gradient = _value_and_gradient(lambda leaf: _all_pairs(pixels, weight, leaf, valid), points)
-    found, gradient = _value_and_gradient(lambda p: losses_numba.pixels_to_points(pixels, weight, p, valid, 0.7), points)
-    torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-9)
+    value, gradient = _value_and_gradient(lambda p: losses_numba.pixels_to_points(pixels, weight, p, valid, 0.7), points)
+    torch.testing.assert_close(value, expected, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(gradient, expected_gradient, rtol=1e-9, atol=1e-9)
 
 
@@ -154,34 +150,16 @@ def test_pixels_attract_the_nearest_of_any_few_points(rows):
     _assert_nearest(torch.ones(1, 9, 13, dtype=torch.bool), points, torch.ones(1, len(rows), dtype=torch.bool))
 
 
-def test_points_that_are_nan_or_infinite_attract_no_pixel():
-    points = torch.tensor([[[float("nan"), 3.0], [3.0, float("inf")], [2.0, 2.0]]])
-    pixels, valid = torch.ones(1, 6, 6, dtype=torch.bool), torch.ones(1, 3, dtype=torch.bool)
-    value, gradient = (
-        _value_and_gradient(lambda p: losses_numba.pixels_to_points(pixels, pixels.float(), p, valid[:, : p.shape[1]], 1.0), p)
-        for p in (points, points[:, 2:])
-    )
-    assert torch.equal(value[0], gradient[0]) and torch.equal(value[1][:, 2:], gradient[1])
-
-
-def test_a_stray_point_is_attracted_by_one_of_the_nearest_mask_pixels():
-    points, valid = _clouds(15, 5, 200, 33.0)
-    inside = _masks(16, 5, 30, 33) > 0.5
-    leaf = points.clone().requires_grad_()
-    value = losses_numba.points_to_mask(leaf, valid, inside)
-    value.sum().backward()
-    torch.testing.assert_close(value, leaf.grad.square().sum((1, 2)) / 4.0)
-    pixel = points.round().long()
-    in_image = valid & (pixel >= 0).all(-1) & (pixel[..., 0] < 33) & (pixel[..., 1] < 30)
-    for i, n in torch.cartesian_prod(torch.arange(5), torch.arange(200)).tolist():
-        column, row = pixel[i, n].tolist()
-        if i == 0 or not in_image[i, n] or inside[i, row, column]:
-            assert leaf.grad[i, n].abs().max() == 0.0
-            continue
-        goal = (points[i, n] - leaf.grad[i, n] / 2.0).round().long()
-        assert inside[i, goal[1], goal[0]]
-        rows, columns = torch.nonzero(inside[i], as_tuple=True)
-        assert (goal - pixel[i, n]).square().sum() == ((rows - row) ** 2 + (columns - column) ** 2).min()
+def test_the_cross_entropy_is_that_of_the_plain_form_from_the_faintest_to_the_largest_sums():
+    sums = torch.logspace(-30, 4, 500, dtype=torch.float64).view(1, 20, 25).requires_grad_()
+    for level in (0.0, 0.3, 1.0):
+        target = PixelWeights.of(torch.full((1, 20, 25), level, dtype=torch.float64))
+        plain, waiting = bce._cross_entropy(sums, target)
+        fast, fast_waiting = losses_numba.cross_entropy(sums, *target, bce.UNCOVERED)
+        torch.testing.assert_close(fast, plain, rtol=1e-9, atol=1e-9)
+        gradients = (torch.autograd.grad(value.sum(), sums)[0] for value in (fast, plain))
+        torch.testing.assert_close(*gradients, rtol=1e-6, atol=1e-7)
+        assert torch.equal(waiting, fast_waiting)
 
 
 @pytest.mark.parametrize("loss", ["cross-entropy", "affinity of points"])
@@ -197,15 +175,3 @@ def test_the_gradients_of_the_compiled_losses_are_those_of_finite_differences(mo
         return LOSSES[loss](splat(p, valid, 12, 12, 0.4, "compiled"), mask, torch.ones_like(mask), p, valid)
 
     assert torch.autograd.gradcheck(value, (points,), eps=1e-6, atol=1e-3, rtol=1e-5)
-
-
-def test_the_cross_entropy_is_that_of_the_plain_form_from_the_faintest_to_the_largest_sums():
-    sums = torch.logspace(-30, 4, 500, dtype=torch.float64).view(1, 20, 25).requires_grad_()
-    for level in (0.0, 0.3, 1.0):
-        target = PixelWeights.of(torch.full((1, 20, 25), level, dtype=torch.float64))
-        plain, waiting = bce._cross_entropy(sums, target)
-        fast, fast_waiting = losses_numba.cross_entropy(sums, *target, bce.UNCOVERED)
-        torch.testing.assert_close(fast, plain, rtol=1e-9, atol=1e-9)
-        gradients = (torch.autograd.grad(value.sum(), sums)[0] for value in (fast, plain))
-        torch.testing.assert_close(*gradients, rtol=1e-6, atol=1e-7)
-        assert torch.equal(waiting, fast_waiting)

@@ -52,25 +52,16 @@ def test_the_nearest_of_points_close_together_and_far_from_the_rest_is_exact(spr
     torch.testing.assert_close(pairs.gather(1, index[:, None])[:, 0], pairs.amin(1), atol=0.0, rtol=1e-7)
 
 
-def test_nearest_nearest_module_every_query_however_many_there_are(monkeypatch):
-    monkeypatch.setattr(nearest_module, "PAIRS_PER_PRODUCT", 64)
-    queries, data = torch.rand(2, 50, 3, generator=torch.Generator().manual_seed(3))
-    _assert_nearest(queries, data, nearest(queries, data))
-    monkeypatch.setattr(nearest_module, "PAIRS_PER_PRODUCT", 8)
-    _assert_nearest(queries, data, nearest(queries, data))
-
-
 CLOUDS = {
     "random": lambda g: torch.rand(400, 3, generator=g),
     "clustered": lambda g: torch.randn(400, 3, generator=g) * 1e-3 + torch.randint(0, 3, (400, 1), generator=g),
     "duplicated": lambda g: torch.rand(40, 3, generator=g).repeat(10, 1),
-    "on a line": lambda g: torch.linspace(0, 1, 400)[:, None] * torch.tensor([[1.0, 0.0, 0.0]]),
 }
 
 
 @pytest.mark.usefixtures("search")
 @pytest.mark.parametrize("cloud", CLOUDS)
-@pytest.mark.parametrize("step", [0.0, 1e-4, 1e-2, 0.3])
+@pytest.mark.parametrize("step", [0.0, 1e-2, 0.3])
 def test_a_moved_copy_finds_its_neighbours_exactly(cloud, step):
     generator = torch.Generator().manual_seed(1)
     start = CLOUDS[cloud](generator)
@@ -90,16 +81,6 @@ def test_a_point_that_is_not_finite_makes_the_distance_so_and_raises_no_error(va
     to_moved, to_start = nearest(moved)
     assert not torch.isfinite((start - moved[to_moved]).square().sum() + (moved - start[to_start]).square().sum())
     torch.testing.assert_close(nearest(start), (nearest.identity, nearest.identity))
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.lists(st.tuples(*[st.floats(-1, 1, width=32)] * 6), min_size=2, max_size=30), st.floats(0, 1))
-def test_a_moved_copy_finds_its_neighbours_whatever_moved(rows, step):
-    both = torch.tensor(rows)
-    start, moved = both[:, :3], both[:, :3] + step * both[:, 3:]
-    to_moved, to_start = StaticNearest(start)(moved)
-    _assert_nearest(start, moved, to_moved)
-    _assert_nearest(moved, start, to_start)
 
 
 def _squared_distances(marked: torch.Tensor) -> torch.Tensor:
@@ -154,3 +135,13 @@ def test_neighbours_between_clouds_are_those_of_all_pairs(dtype, first, second):
 def test_neighbours_do_not_depend_on_the_number_of_threads(assert_same_on_threads):
     clouds = [torch.rand(9, count, 3, generator=torch.Generator().manual_seed(count)) for count in (42, 44)]
     assert_same_on_threads(lambda: nearest_numba.nearest_both_ways(*clouds))
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(*[st.floats(-1, 1, width=32)] * 6), min_size=2, max_size=30), st.floats(0, 1))
+def test_a_moved_copy_finds_its_neighbours_whatever_moved(rows, step):
+    both = torch.tensor(rows)
+    start, moved = both[:, :3], both[:, :3] + step * both[:, 3:]
+    to_moved, to_start = StaticNearest(start)(moved)
+    _assert_nearest(start, moved, to_moved)
+    _assert_nearest(moved, start, to_start)

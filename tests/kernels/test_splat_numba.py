@@ -41,21 +41,3 @@ def test_very_narrow_and_very_wide_kernels_are_those_of_the_exact_product(dtype,
     torch.testing.assert_close(fast, exact, atol=1e-5 * exact.max().item(), rtol=0)
     largest = leaves[0].grad.abs().max().item()
     torch.testing.assert_close(leaves[1].grad, leaves[0].grad, atol=1e-5 * largest, rtol=0)
-
-
-def test_no_points_and_no_images_give_empty_sums():
-    assert splat(torch.empty(2, 0, 2), torch.empty(2, 0, dtype=torch.bool), 5, 6, 0.4, "compiled").abs().max() == 0.0
-    assert splat(torch.empty(0, 3, 2), torch.empty(0, 3, dtype=torch.bool), 5, 6, 0.4, "compiled").shape == (0, 5, 6)
-
-
-def test_points_that_are_nan_or_infinite_add_nothing():
-    points = torch.tensor([[[float("nan"), 3.0], [3.0, float("inf")], [2.0, 2.0]]])
-    valid = torch.ones(1, 3, dtype=torch.bool)
-    torch.testing.assert_close(splat(points, valid, 6, 6, 0.4, "compiled"), splat(points[:, 2:], valid[:, 2:], 6, 6, 0.4))
-
-
-def test_transposed_and_expanded_tensors_give_the_same_sums():
-    points, valid = _clouds(6, 1, 30, 20.0)
-    sums = splat(points, valid, 20, 20, 0.4, "compiled")
-    shuffled = points.transpose(1, 2).contiguous().transpose(1, 2)
-    assert torch.equal(splat(shuffled.expand(3, -1, -1), valid.expand(3, -1), 20, 20, 0.4, "compiled")[2], sums[0])

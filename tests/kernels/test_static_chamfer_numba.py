@@ -16,7 +16,6 @@ CLOUDS = {
     "of one point": lambda g: torch.rand(3, 1, 3, generator=g),
     "clustered": lambda g: torch.randn(3, 400, 3, generator=g) * 1e-3 + torch.randint(0, 3, (3, 400, 1), generator=g),
     "duplicated": lambda g: torch.rand(3, 40, 3, generator=g).repeat(1, 10, 1),
-    "on a line": lambda g: torch.linspace(0, 1, 400)[None, :, None] * torch.eye(3)[:, None],
     "all in one place": lambda g: torch.rand(3, 1, 3, generator=g).expand(-1, 300, -1).contiguous(),
 }
 
@@ -37,7 +36,7 @@ def _assert_exact(trees: StaticTrees, start: torch.Tensor, moved: torch.Tensor) 
 
 
 @pytest.mark.parametrize("cloud", CLOUDS)
-@pytest.mark.parametrize("step", [0.0, 1e-4, 1e-2, 0.3])
+@pytest.mark.parametrize("step", [0.0, 1e-2, 0.3])
 def test_the_distance_is_that_of_all_pairs_at_every_step(cloud, step):
     generator = torch.Generator().manual_seed(1)
     start = CLOUDS[cloud](generator).double()

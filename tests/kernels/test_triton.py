@@ -6,20 +6,13 @@ import importlib.util
 import math
 import os
 
-import numpy as np
 import pytest
 import torch
-from torch.utils._python_dispatch import TorchDispatchMode
 
-from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.view import View
 from tso_cli.kernels import nearest as nearest_module
 from tso_cli.kernels import splat as splat_module
-from tso_cli.kernels.nearest import nearest_both_ways, nearest_in_rows, nearest_marked, nearest_points
-from tso_cli.kernels.splat import cheapest, splat
-from tso_cli.refinement.adam import Adam
-from tso_cli.refinement.objective import SilhouetteObjective
-from tso_cli.refinement.resampled_view import resample_view
+from tso_cli.kernels.nearest import nearest_both_ways, nearest_in_rows
+from tso_cli.kernels.splat import splat
 from tso_cli.silhouette import chamfer as chamfer_module
 from tso_cli.silhouette.bce import silhouette_bce
 from tso_cli.silhouette.chamfer import ChamferToInitial
@@ -89,7 +82,7 @@ def test_sums_and_gradients_are_those_of_the_exact_product(count, height, width,
 
 
 @needs_triton
-def test_points_that_are_no_numbers_or_far_away_add_nothing_and_get_no_gradient(triton_kernels):
+def test_points_that_are_not_finite_or_far_away_add_nothing_and_get_no_gradient(triton_kernels):
     lost = [[math.nan, 3.0], [3.0, math.nan], [math.inf, 2.0], [1e30, 3.0], [-1e12, 4.0], [3.0, 3e9], [3.0, -4e9], [-9.0, 3.0]]
     points = torch.tensor([[*lost, [2.2, 2.1]]], device=DEVICE)
     valid = torch.ones(points.shape[:2], dtype=torch.bool, device=DEVICE)
@@ -99,65 +92,28 @@ def test_points_that_are_no_numbers_or_far_away_add_nothing_and_get_no_gradient(
     assert gradient[0, -1].abs().min() > 0.0
 
 
-@needs_triton
-def test_a_cloud_without_points_leaves_the_picture_empty(triton_kernels):
-    points = torch.zeros(2, 0, 2, device=DEVICE, requires_grad=True)
-    sums = splat(points, torch.zeros(2, 0, dtype=torch.bool, device=DEVICE), 4, 5, 0.4, "triton")
-    sums.sum().backward()
-    assert sums.shape == (2, 4, 5)
-    assert (sums == 0.0).all()
-
-
 @pytest.mark.parametrize("dimensions", [2, 3])
 @pytest.mark.parametrize(("queries", "data"), [(1, 1), (5, 200), (150, 64), (65, 129)])
 def test_the_nearest_point_of_each_row_is_that_of_all_pairs(queries, data, dimensions, in_rows):
-    asked, points = _random(3, 4, queries, dimensions), _random(4, 4, data, dimensions)
-    there, asking = _random(5, 4, data) < 0.7, _random(6, 4, queries) < 0.6
-    there[:, 0] = True
-    there[1], asking[2] = False, False
+    queried, points = _random(3, 4, queries, dimensions), _random(4, 4, data, dimensions)
+    valid, active = _random(5, 4, data) < 0.7, _random(6, 4, queries) < 0.6
+    valid[:, 0] = True
+    valid[1], active[2] = False, False
     points[3] = points[3, 0]
-    index = nearest_in_rows(asked, points, there, asking)
-    pairs = (asked.double()[:, :, None] - points.double()[:, None]).square().sum(-1).masked_fill(~there[:, None], math.inf)
-    assert torch.equal(index >= 0, asking & there.any(1)[:, None])
-    found = pairs.gather(2, index.clamp_min(0)[:, :, None])[:, :, 0]
-    torch.testing.assert_close(found[index >= 0], pairs.min(2).values[index >= 0], atol=1e-12, rtol=1e-5)
+    index = nearest_in_rows(queried, points, valid, active)
+    pairs = (queried.double()[:, :, None] - points.double()[:, None]).square().sum(-1).masked_fill(~valid[:, None], math.inf)
+    assert torch.equal(index >= 0, active & valid.any(1)[:, None])
+    squared = pairs.gather(2, index.clamp_min(0)[:, :, None])[:, :, 0]
+    torch.testing.assert_close(squared[index >= 0], pairs.min(2).values[index >= 0], atol=1e-12, rtol=1e-5)
     assert (index[3][index[3] >= 0] == 0).all()
 
 
-def test_what_is_no_number_is_nobodys_neighbour_and_has_none(in_rows):
+def test_nan_and_infinite_points_are_no_neighbours_and_have_none(in_rows):
     data = torch.tensor([[[math.nan, 0.0], [math.inf, 0.0], [5.0, 5.0]], [[math.nan] * 2] * 3], device=DEVICE)
     queries = torch.tensor([[0.0, 0.0], [math.nan, 1.0]], device=DEVICE).expand(2, 2, 2)
     assert nearest_in_rows(queries, data).tolist() == [[2, -1], [-1, -1]]
     for index in nearest_both_ways(data, queries):
         assert index.min() >= 0
-
-
-def test_neighbours_of_batches_are_those_that_the_cpu_finds_cloud_by_cloud(in_rows, monkeypatch):
-    a, b = _random(7, 3, 80, 3), _random(8, 3, 130, 3)
-    pixels, points, valid = _random(9, 3, 20, 17) < 0.5, _random(10, 3, 40, 2) * 20, _random(11, 3, 40) < 0.8
-    valid[1] = False
-    found = *nearest_both_ways(a, b), nearest_points(pixels, points, valid)
-    monkeypatch.setattr(nearest_module, "whole_batches", lambda tensor: False)
-    plain = *nearest_both_ways(a.cpu(), b.cpu()), nearest_points(pixels.cpu(), points.cpu(), valid.cpu())
-    for mine, theirs in zip(found, plain, strict=True):
-        assert torch.equal(mine.cpu(), theirs)
-
-
-@pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 40), (40, 1), (30, 47)])
-@pytest.mark.parametrize("share", [0.003, 0.05, 0.6])
-def test_the_nearest_marked_pixel_of_a_batch_is_that_of_all_pairs(height, width, share, monkeypatch):
-    monkeypatch.setattr(nearest_module, "PAIRS_PER_CHUNK", 7 * width**2)
-    _as_on_a_gpu(monkeypatch)
-    marked = _random(height * width, 4, height, width) < share
-    marked[0], marked[1, 0, -1] = False, True
-    grid = torch.stack(torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij"), -1).view(-1, 2).to(DEVICE)
-    for own, row, column in zip(marked, *nearest_marked(marked), strict=True):
-        if not own.any():
-            assert (row == -1).all() and (column == -1).all()
-            continue
-        assert own[row, column].all()
-        found = (torch.stack([row, column], -1).view(-1, 2) - grid).square().sum(1)
-        assert torch.equal(found, (grid[:, None] - grid[own.flatten()]).square().sum(2).min(1).values)
 
 
 def test_losses_of_whole_batches_are_those_of_single_clouds(in_rows, monkeypatch):
@@ -177,39 +133,6 @@ def _losses_and_gradients(start, counts, moved, points, valid, mask, weight):
     sums = splat(points, valid, *mask.shape[1:], 0.4)
     values = ChamferToInitial(start, counts)(moved), silhouette_bce(sums, mask, points, valid, 0.4)
     return *(value.detach() for value in values), *torch.autograd.grad((sum(values) * weight).sum(), [moved, points])
-
-
-class _Operations(TorchDispatchMode):
-    """Remembers the names of torch's operations, those of the backward pass too."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.names: set[str] = set()
-
-    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        self.names.add(func.overloadpacket.__name__)
-        return func(*args, **(kwargs or {}))
-
-
-@needs_triton
-def test_a_step_of_many_clouds_never_waits_for_the_gpu(triton_kernels):
-    views = []
-    for size in (9, 12, 14):
-        mask = np.zeros((32, 32), np.float32)
-        mask[8 : 8 + size, 8:24] = 1.0
-        views.append([resample_view(View(mask, Camera.canonical(32, 32)), 0.4, np.zeros(3), 1.0)])
-    counts, moved = torch.tensor([60, 60, 45]), (_random(17, 3, 60, 3) - 0.5).requires_grad_()
-    term, held, optimiser = SilhouetteObjective(views, counts, moved), ChamferToInitial(moved, counts), Adam([moved], 1e-3)
-    with _Operations() as operations:
-        optimiser.step((term(moved) + held(moved)).sum())
-    assert "mul" in operations.names
-    # what reads a value, or needs to know how many there are
-    assert not operations.names & {"_local_scalar_dense", "nonzero", "masked_select", "unique", "_to_copy"}
-
-
-@needs_triton
-def test_a_gpu_takes_its_own_kernel(triton_kernels):
-    assert cheapest(torch.zeros(1, 4, 2, device=DEVICE), 64, 64, 0.4) == "triton"
 
 
 def test_the_gpus_kernel_is_refused_where_it_cannot_run():

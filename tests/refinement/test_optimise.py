@@ -1,4 +1,4 @@
-"""The loop by itself: what may be the best iterate, and when."""
+"""The optimisation loop: the best iterate, and Eq. 7."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _square(side: int = 64) -> np.ndarray:
 
 
 @pytest.mark.parametrize("bad", [torch.nan, torch.inf])
-def test_a_cloud_that_is_not_finite_is_never_the_best_whatever_its_loss(bad):
+def test_an_iterate_that_is_not_finite_is_never_the_best(bad):
     start = torch.ones(2, 5, 3)
     iterates = iter([start, start, 0.5 * start, torch.full_like(start, 0.25)])
     leaf = torch.zeros(1, requires_grad=True)
@@ -43,22 +43,15 @@ def test_a_cloud_that_is_not_finite_is_never_the_best_whatever_its_loss(bad):
     def objective(moved):
         return torch.where(torch.isfinite(moved), moved, 0.0).sum((1, 2))
 
-    found = descend(forward, objective, Adam([leaf], 0.1), 2)
-    assert found.best_step.tolist() == [2, 1]
-    assert torch.isfinite(found.best).all()
-    assert np.isnan(found.losses[2]).tolist() == [False, True]
+    descent = descend(forward, objective, Adam([leaf], 0.1), 2)
+    assert descent.best_step.tolist() == [2, 1]
+    assert torch.isfinite(descent.best).all()
+    assert np.isnan(descent.losses[2]).tolist() == [False, True]
 
 
-def test_a_cloud_whose_loss_was_once_no_number_does_not_come_back():
-    leaf, values = _clouds(), iter([[3.0, 3.0], [2.0, torch.nan], [1.0, 1.0]])
-    found = descend(lambda: leaf, lambda moved: moved.sum((1, 2)) * 0.0 + torch.tensor(next(values)), Adam([leaf], 0.1), 2)
-    assert found.best_step.tolist() == [2, 0]
-    assert np.isnan(found.losses[:, 1]).tolist() == [False, True, True]
-
-
-def test_wherever_an_interrupt_falls_the_best_cloud_is_that_of_the_best_step(monkeypatch):
+def test_the_best_iterate_and_its_step_agree_wherever_an_interrupt_falls(monkeypatch):
     start, true_where = _clouds().detach(), torch.where
-    kept = []
+    best_steps = []
     for stop in range(1, 16):
         leaf, calls = start.clone().requires_grad_(), iter(range(1, 100))
 
@@ -76,17 +69,17 @@ def test_wherever_an_interrupt_falls_the_best_cloud_is_that_of_the_best_step(mon
                 return leaf
 
             try:
-                found = descend(forward, lambda moved: moved.square().sum((1, 2)), Adam([leaf], 0.01), 5)
+                descent = descend(forward, lambda moved: moved.square().sum((1, 2)), Adam([leaf], 0.01), 5)
             except KeyboardInterrupt:
                 continue
-        assert found.interrupted
-        kept.append(int(found.best_step[0]))
-        # the first iterate is produced twice
-        torch.testing.assert_close(found.best, iterates[kept[-1] + 1], rtol=0.0, atol=0.0)
-    assert len(set(kept)) > 1
+        assert descent.interrupted
+        best_steps.append(int(descent.best_step[0]))
+        # The first iterate is computed twice.
+        torch.testing.assert_close(descent.best, iterates[best_steps[-1] + 1], rtol=0.0, atol=0.0)
+    assert len(set(best_steps)) > 1
 
 
-def test_a_network_that_breaks_at_once_says_so_and_gives_no_cloud():
+def test_a_network_whose_first_step_diverges_is_an_error():
     network = build_network(points=64)
     image = torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0))
     config = RefineConfig("encoder", steps=5, learning_rate=1e4)
@@ -95,11 +88,11 @@ def test_a_network_that_breaks_at_once_says_so_and_gives_no_cloud():
 
 
 @pytest.mark.parametrize("where", ["behind the camera", "nowhere"])
-def test_a_view_that_shows_no_point_at_all_has_an_infinite_loss(where):
+def test_the_loss_of_a_view_without_visible_points_is_infinite(where):
     view = resample_view(View(_square(), Camera.canonical(64, 64)), 0.4, np.zeros(3), 1.0)
     points = _clouds(3).detach() - 0.5
     points[1] = points[1] + torch.tensor([0.0, 0.0, 9.0]) if where == "behind the camera" else torch.nan
-    # of the third cloud only a point is left
+    # Of the third cloud one point is visible.
     points[2, 1:] += torch.tensor([0.0, 0.0, 9.0])
     leaf = points.requires_grad_()
     loss = SilhouetteObjective([[view]] * 3, torch.tensor([5, 5, 5]), leaf)(leaf)
@@ -109,30 +102,30 @@ def test_a_view_that_shows_no_point_at_all_has_an_infinite_loss(where):
     assert slope[0].abs().max() > 0.0
 
 
-def test_the_papers_preset_is_adam_on_its_equation():
+def test_the_paper_preset_is_adam_on_equation_7():
     """Eq. 7 by all pairs and in float64: cross-entropy of the silhouette and 1e6 times the Chamfer distance to the start."""
     points = np.random.default_rng(0).uniform(-0.3, 0.3, (90, 3))
-    # Longest side 1 and centred: what the settings are stated for.
+    # The settings are stated for a centred cloud with longest side 1.
     points = (points - (points.min(0) + points.max(0)) / 2.0) / np.ptp(points, axis=0).max()
     mask, camera = _square(), Camera.canonical(64, 64)
-    first = torch.tensor(points)
-    moved = first.clone().requires_grad_()
+    initial = torch.tensor(points)
+    moved = initial.clone().requires_grad_()
     optimiser = torch.optim.Adam([moved], lr=5e-4)
     K, R, t = (torch.tensor(part) for part in (camera.K, camera.R, camera.t))
     losses = []
     for step in range(51):
         plane = (moved @ R.T + t) @ K.T
         loss = oracles.bce(plane[:, :2] / plane[:, 2:], torch.tensor(mask).double(), 0.4)
-        loss = loss + 1e6 * sum(oracles.chamfer(moved, first))
+        loss = loss + 1e6 * sum(oracles.chamfer(moved, initial))
         losses.append(loss.item())
         if step < 50:
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
     result = refine(points, mask, camera, RefineConfig(preset="paper"))
-    # The kernel ends where it is 1e-8: far pixels ask by their nearest point alone, half a thousandth of the loss here.
+    # The kernel ends at 1e-8, where only the nearest point attracts: half a thousandth of the loss here.
     np.testing.assert_allclose(result.losses, losses, rtol=2e-3)
     assert (result.steps, result.best_step) == (50, int(np.argmin(losses))) == (50, 50)
-    # Where a gradient is nearly 0 the sign of its last digit is a step of Adam's: of all points, not of each.
-    apart, way = result.points - moved.detach().numpy(), moved.detach().numpy() - points
-    assert np.square(apart).mean() < 1e-3 * np.square(way).mean()
+    # Adam normalises rounding errors of vanishing gradients to whole steps: single points differ, their mean does not.
+    error, displacement = result.points - moved.detach().numpy(), moved.detach().numpy() - points
+    assert np.square(error).mean() < 1e-3 * np.square(displacement).mean()

@@ -1,4 +1,4 @@
-"""Where a cloud falls."""
+"""Where a cloud projects in a view."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ def cloud():
     return np.random.default_rng(0).uniform(-0.25, 0.25, (500, 3))
 
 
-def test_points_are_counted_where_they_fall(cloud):
+def test_points_are_counted_behind_the_camera_inside_the_image_and_on_the_mask(cloud):
     view = View(_square(24, 24, 16), Camera.canonical(64, 64))
     points = np.vstack([cloud, [[0.0, 0.0, 3.0], [5.0, 0.0, 0.0]]])
-    fell = place(points, view)
-    assert (fell.points, fell.behind, fell.inside_image) == (502, 1, 500)
+    placement = place(points, view)
+    assert (placement.points, placement.behind, placement.inside_image) == (502, 1, 500)
     pixels = np.rint(view.camera.project(cloud)[0]).astype(int)
-    assert fell.inside_mask == int((view.mask[pixels[:, 1], pixels[:, 0]] > 0.5).sum())
-    assert fell.mask_box == (23.5, 23.5, 39.5, 39.5)
+    assert placement.inside_mask == int((view.mask[pixels[:, 1], pixels[:, 0]] > 0.5).sum())
+    assert placement.mask_box == (23.5, 23.5, 39.5, 39.5)
 
 
-def test_boxes_that_are_the_same_have_iou_one_and_apart_zero():
+def test_the_iou_of_boxes():
     assert box_iou((0, 0, 2, 2), (0, 0, 2, 2)) == 1.0
     assert box_iou((0, 0, 2, 2), (1, 0, 3, 2)) == pytest.approx(1 / 3)
     assert box_iou((0, 0, 2, 2), (3, 0, 4, 2)) == 0.0
@@ -42,7 +42,7 @@ def test_boxes_that_are_the_same_have_iou_one_and_apart_zero():
     ("move", "words"),
     [((0, 0, 5.0), "all 500 points lie behind"), ((9.0, 0, 0), "no point falls inside"), ((0.42, -0.4, 0), "hardly meet")],
 )
-def test_a_cloud_that_does_not_meet_the_mask_is_refused_with_advice(cloud, move, words):
+def test_a_cloud_that_misses_the_mask_is_refused_with_advice(cloud, move, words):
     view = View(_square(4, 4, 8), Camera.canonical(64, 64), name="mask.png")
     moved = cloud * 0.2 + move
     with pytest.raises(InputError, match=words) as caught:

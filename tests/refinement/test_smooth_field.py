@@ -1,4 +1,4 @@
-"""Smooth fields: what moves together, and what a field keeps."""
+"""Smooth displacement fields, averages and areas."""
 
 from __future__ import annotations
 
@@ -17,45 +17,41 @@ def _moved(field: SmoothField, weight: float, values: torch.Tensor) -> torch.Ten
     return field.displacement(field.smoother(weight), values)
 
 
-def test_moving_everything_alike_is_no_effort():
+def test_a_translation_is_not_smoothed():
     for count in (5, 200, FIELD_NODES + 500):
         field = SmoothField(_cloud(count))
-        alike = torch.tensor([0.1, -0.2, 0.3], dtype=torch.float64).expand(field.shape)
-        torch.testing.assert_close(_moved(field, 10.0, alike), alike[:, :1].expand(1, count, 3), rtol=1e-9, atol=1e-12)
+        translation = torch.tensor([0.1, -0.2, 0.3], dtype=torch.float64).expand(field.shape)
+        torch.testing.assert_close(
+            _moved(field, 10.0, translation), translation[:, :1].expand(1, count, 3), rtol=1e-9, atol=1e-12
+        )
 
 
-def test_a_point_takes_its_neighbours_along_the_further_the_larger_lambda():
+def test_a_larger_lambda_moves_a_larger_neighbourhood():
     points = _cloud(400)
     field = SmoothField(points)
-    pushed = torch.zeros(field.shape, dtype=torch.float64)
-    pushed[0, 0] = 1.0
+    values = torch.zeros(field.shape, dtype=torch.float64)
+    values[0, 0] = 1.0
     distance = (points[0] - points[0, 0]).norm(dim=1)
-    carried = []
+    mean_distances = []
     for weight in (1.0, 100.0):
-        moved = _moved(field, weight, pushed)[0, :, 0]
+        moved = _moved(field, weight, values)[0, :, 0]
         assert moved[0] == moved.max()
         assert moved[distance < 0.2].mean() > 1.5 * moved[distance > 0.6].mean() > 0.0
-        carried.append((moved * distance).sum() / moved.sum())
-    assert carried[1] > 1.3 * carried[0]
+        mean_distances.append((moved * distance).sum() / moved.sum())
+    assert mean_distances[1] > 1.3 * mean_distances[0]
 
 
-def test_without_smoothing_every_point_moves_alone():
-    field = SmoothField(_cloud(50))
-    values = torch.randn(field.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    torch.testing.assert_close(_moved(field, 0.0, values), values)
-
-
-def test_pieces_that_are_not_connected_do_not_move_each_other():
-    here, there = _cloud(60), _cloud(60, 1) + 100.0
-    field = SmoothField(torch.cat([here, there], 1))
-    pushed = torch.zeros(field.shape, dtype=torch.float64)
-    pushed[0, :60] = 1.0
-    moved = _moved(field, 10.0, pushed)
+def test_unconnected_parts_move_independently():
+    left, right = _cloud(60), _cloud(60, 1) + 100.0
+    field = SmoothField(torch.cat([left, right], 1))
+    values = torch.zeros(field.shape, dtype=torch.float64)
+    values[0, :60] = 1.0
+    moved = _moved(field, 10.0, values)
     assert moved[0, 60:].abs().max() == 0.0
 
 
 @pytest.mark.parametrize("nodes", [FIELD_NODES, 64])
-def test_a_cloud_among_others_of_other_sizes_moves_as_alone(nodes):
+def test_padding_changes_neither_displacements_nor_areas(nodes):
     small, large = _cloud(40), _cloud(90, 1)
     counts = torch.tensor([40, 90])
     padded = torch.cat([torch.cat([small, torch.zeros(1, 50, 3, dtype=torch.float64)], 1), large])
@@ -68,20 +64,8 @@ def test_a_cloud_among_others_of_other_sizes_moves_as_alone(nodes):
         torch.testing.assert_close(areas[number : number + 1, :count], alone.areas(cloud, counts[number : number + 1]))
 
 
-def test_surroundings_are_averaged_in_a_batch_as_alone():
-    clouds = _cloud(FIELD_NODES + 90), _cloud(FIELD_NODES + 700, 1)
-    counts = torch.tensor([FIELD_NODES + 90, FIELD_NODES + 700])
-    values = [torch.rand(1, int(count), dtype=torch.float64, generator=torch.Generator().manual_seed(0)) for count in counts]
-    padded = [torch.nn.functional.pad(clouds[0], (0, 0, 0, 610)), clouds[1]]
-    both = SmoothField(torch.cat(padded), counts).averaged(
-        torch.cat([torch.nn.functional.pad(values[0], (0, 610)), values[1]]), 1.0
-    )
-    for found, cloud, own in zip(both, clouds, values, strict=True):
-        torch.testing.assert_close(found[: cloud.shape[1]], SmoothField(cloud).averaged(own, 1.0)[0])
-
-
 @pytest.mark.parametrize("count", [300, FIELD_NODES + 500])
-def test_what_is_high_in_one_place_is_high_around_it_and_what_is_alike_everywhere_stays(count):
+def test_averages_spread_a_peak_to_its_neighbours_and_keep_a_constant(count):
     cloud = _cloud(count)
     field, ones = SmoothField(cloud), torch.ones(1, count, dtype=torch.float64)
     torch.testing.assert_close(field.averaged(ones, 1.0), ones)
@@ -93,18 +77,18 @@ def test_what_is_high_in_one_place_is_high_around_it_and_what_is_alike_everywher
     assert around[order[count // 2 :]].max() < 0.01
 
 
-def test_a_large_cloud_moves_by_the_field_of_its_nodes():
+def test_points_of_a_large_cloud_follow_their_nodes():
     points = _cloud(5000)
     field = SmoothField(points)
     assert field.shape == (1, FIELD_NODES, 3)
-    pushed = torch.zeros(field.shape, dtype=torch.float64)
-    pushed[0, 0] = 1.0
-    moved = _moved(field, 10.0, pushed)[0, :, 0]
+    values = torch.zeros(field.shape, dtype=torch.float64)
+    values[0, 0] = 1.0
+    moved = _moved(field, 10.0, values)[0, :, 0]
     order = (points[0] - points[0, moved.argmax()]).norm(dim=1).argsort()
     assert moved[order[:50]].mean() > 5.0 * moved[order[2500:]].mean()
 
 
-def test_points_stand_for_the_less_surface_the_closer_they_lie():
+def test_the_area_of_a_point_is_the_square_of_its_spacing():
     flat = np.stack(np.meshgrid(np.linspace(0.0, 1.0, 12), np.linspace(0.0, 1.0, 12), [0.0]), -1).reshape(-1, 3)
     cloud = torch.tensor(np.concatenate([flat, 0.5 * flat + [3.0, 0.0, 0.0]]))[None]
     areas = SmoothField(cloud).areas(cloud, torch.tensor([288]))[0]
@@ -112,7 +96,7 @@ def test_points_stand_for_the_less_surface_the_closer_they_lie():
     assert areas.mean() == pytest.approx(1.0)
 
 
-def test_points_of_a_large_cloud_share_the_surface_of_their_node():
+def test_points_share_the_area_of_their_node():
     rng = np.random.default_rng(0)
     flat = np.concatenate([rng.uniform(size=(6000, 3)), rng.uniform(size=(2000, 3)) + [1.0, 0.0, 0.0]]) * [1.0, 1.0, 0.0]
     cloud = torch.tensor(flat)[None]
@@ -120,27 +104,18 @@ def test_points_of_a_large_cloud_share_the_surface_of_their_node():
     assert areas[6000:].mean() / areas[:6000].mean() == pytest.approx(3.0, rel=0.15)
 
 
-def test_what_is_behind_the_points_of_a_cloud_does_not_change_their_areas():
-    small, large = _cloud(40), _cloud(FIELD_NODES + 90, 1)
-    padded = torch.cat([small, torch.zeros(1, FIELD_NODES + 50, 3, dtype=torch.float64)], 1)
-    both, counts = torch.cat([padded, large]), torch.tensor([40, FIELD_NODES + 90])
-    areas = SmoothField(both, counts).areas(both, counts)
-    torch.testing.assert_close(areas[:1, :40], SmoothField(small).areas(small, counts[:1]))
-    torch.testing.assert_close(areas[1:], SmoothField(large).areas(large, counts[1:]))
-
-
 def test_the_gradient_is_that_of_finite_differences():
     field = SmoothField(_cloud(FIELD_NODES + 20))
     smoother = field.smoother(3.0)
-    chosen = torch.zeros(field.shape, dtype=torch.float64)
+    padding = torch.zeros(field.shape, dtype=torch.float64)
 
-    def some(values: torch.Tensor) -> torch.Tensor:
-        return field.displacement(smoother, torch.cat([values, chosen[:, values.shape[1] :]], 1))[:, :30]
+    def displacements(values: torch.Tensor) -> torch.Tensor:
+        return field.displacement(smoother, torch.cat([values, padding[:, values.shape[1] :]], 1))[:, :30]
 
-    assert torch.autograd.gradcheck(some, torch.randn(1, 4, 3, dtype=torch.float64, requires_grad=True))
+    assert torch.autograd.gradcheck(displacements, torch.randn(1, 4, 3, dtype=torch.float64, requires_grad=True))
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
-def test_clouds_of_hardly_any_points_and_points_on_each_other_have_fields(count):
+def test_tiny_clouds_and_coinciding_points_have_fields(count):
     for points in (_cloud(count), torch.zeros(1, count, 3, dtype=torch.float64)):
         assert torch.isfinite(_moved(SmoothField(points), 10.0, torch.ones(1, count, 3, dtype=torch.float64))).all()

@@ -27,6 +27,10 @@ def hidden(folder):
     return [path.name for path in folder.rglob(".*")]
 
 
+def interrupt():
+    raise KeyboardInterrupt
+
+
 def at_tenth_picture(monkeypatch, action):
     """Do ``action`` before the tenth picture is written: in the middle of the second object."""
     write, calls = rendered.write_image, []
@@ -64,7 +68,7 @@ def test_an_object_depends_on_the_seed_and_not_on_the_others(meshes, tmp_path):
 def test_an_interrupted_run_leaves_only_whole_objects_and_resumes(meshes, tmp_path, monkeypatch):
     render_folder(meshes, tmp_path / "whole", FAST)
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        at_tenth_picture(patch, lambda: signal.raise_signal(signal.SIGINT))
+        at_tenth_picture(patch, interrupt)
         render_folder(meshes, tmp_path / "out", FAST)
     assert {name.split("/")[0] for name in contents(tmp_path / "out")} == {"c"}
     summary = render_folder(meshes, tmp_path / "out", FAST)

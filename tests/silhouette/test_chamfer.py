@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from tests import oracles
-from tso_cli.kernels import dispatch
 from tso_cli.silhouette.chamfer import ChamferToInitial, chamfer
 
 
@@ -19,15 +18,6 @@ def test_chamfer_is_that_of_all_pairs_and_its_gradient_that_of_finite_difference
         expected = oracles.chamfer(a[i], b[i])
         assert (forward[i].item(), backward[i].item()) == pytest.approx((expected[0].item(), expected[1].item()))
     assert torch.autograd.gradcheck(lambda x, y: sum(chamfer(x, y)), (a, b), eps=1e-7, atol=1e-6)
-
-
-def test_chamfer_of_a_batch_in_compiled_loops_is_that_of_its_clouds_one_by_one(monkeypatch):
-    generator = torch.Generator().manual_seed(14)
-    a, b = torch.rand(4, 60, 3, generator=generator), torch.rand(4, 50, 3, generator=generator)
-    single = [chamfer(x[None], y[None]) for x, y in zip(a, b, strict=True)]
-    monkeypatch.setattr(dispatch, "POINTS_WORTH_COMPILING", 0)
-    for batch, alone in zip(chamfer(a, b), zip(*single, strict=True), strict=True):
-        torch.testing.assert_close(batch, torch.cat(alone))
 
 
 def test_the_regulariser_is_the_chamfer_distance_to_the_start():

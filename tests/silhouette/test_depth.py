@@ -11,10 +11,8 @@ from tso_cli.errors import InputError
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.points import normalise_longest_side
 from tso_cli.geometry.view import View
-from tso_cli.refinement import refine_batch
 from tso_cli.refinement.objective import MaskChamferObjective, ViewTargets
 from tso_cli.refinement.resampled_view import resample_view
-from tso_cli.refinement.symmetry import MirrorPlane
 from tso_cli.silhouette.depth import DepthTarget, depth_loss
 from tso_cli.silhouette.projection import CameraBatch, Projected, project
 
@@ -50,10 +48,6 @@ def grid(depth: float, step: float = 1.0) -> np.ndarray:
     return np.array([on(c, r, depth) for c in np.arange(24, 40, step) for r in np.arange(24, 40, step)])
 
 
-def test_points_on_every_pixels_surface_cost_nothing():
-    assert cost(grid(2.0), wall()) == 0.0
-
-
 def test_a_surface_that_no_point_reaches_costs_the_robust_square_of_its_distance_in_pixels():
     """One pixel, one point 4 px behind its surface: 120 px to 2 units, so 60 px to one."""
     depth = np.full((SIZE, SIZE), np.nan)
@@ -63,11 +57,11 @@ def test_a_surface_that_no_point_reaches_costs_the_robust_square_of_its_distance
     assert cost(behind, depth, 3.0) == pytest.approx(distance**2 * 9.0 / (9.0 + distance**2), rel=1e-9)
 
 
-def test_what_is_hidden_behind_a_surface_that_is_reached_costs_nothing():
+def test_covered_surfaces_and_points_hidden_behind_them_cost_nothing():
     assert cost(np.concatenate([grid(2.0), grid(2.3)]), wall()) == 0.0
 
 
-def test_a_point_before_the_surface_is_pushed_back_and_counted_as_one_of_1024():
+def test_a_point_in_front_of_the_surface_is_pushed_back():
     points = np.concatenate([grid(2.0), [on(32, 32, 2.0 - 3.0 / 60.0)]])
     expected = 9.0 * 4.0 / (4.0 + 9.0) * 1024.0 / len(points)
     assert cost(points, wall(), 2.0) == pytest.approx(expected, rel=1e-9)
@@ -100,30 +94,14 @@ def test_the_gradient_is_that_of_finite_differences():
     assert torch.autograd.gradcheck(lambda moved: loss(moved, depth), points, eps=1e-7, atol=1e-4, rtol=1e-4)
 
 
-def test_a_map_without_a_known_pixel_and_points_behind_the_camera_cost_nothing():
-    assert cost(grid(2.2), np.full((SIZE, SIZE), np.nan)) == 0.0
-    assert cost(np.array([[0.0, 0.0, 5.0]]), wall()) == 0.0
-
-
-def test_the_loop_samples_a_depth_map_and_never_averages_across_its_edges():
+def test_a_depth_map_is_resampled_without_averaging_across_edges():
     camera = Camera.canonical(256, 256)
     depth = np.where(np.arange(256) < 130, 2.0, 3.0)[None].repeat(256, 0)
     mask = np.zeros((256, 256), np.float32)
     mask[64:192, 64:192] = 1.0
-    found = resample_view(View(mask, camera, depth=depth), 0.4, np.zeros(3), 2.0)
-    assert found.depth.shape == (64, 64)
-    assert set(np.unique(found.depth)) == {1.0, 1.5}
-
-
-def test_the_mirrored_view_has_the_mirrored_depth_map():
-    mask = np.zeros((SIZE, SIZE), np.float32)
-    mask[20:40, 20:30] = 1.0
-    depth = np.full((SIZE, SIZE), 2.0) + np.arange(SIZE) / 100.0
-    plane = MirrorPlane(np.array([1.0, 0.0, 0.0]), 0.0)
-    mirrored = plane.view(View(mask, CAMERA, depth=depth))
-    point = np.array([on(22, 30, 2.22)])
-    assert np.allclose(mirrored.camera.project(plane.reflect(point))[0], [[SIZE - 1 - 22, 30]])
-    assert mirrored.camera.project(plane.reflect(point))[1] == pytest.approx(mirrored.depth[30, SIZE - 1 - 22])
+    resampled = resample_view(View(mask, camera, depth=depth), 0.4, np.zeros(3), 2.0)
+    assert resampled.depth.shape == (64, 64)
+    assert set(np.unique(resampled.depth)) == {1.0, 1.5}
 
 
 def sheet(slope: float) -> np.ndarray:
@@ -143,25 +121,11 @@ def seen_sheet() -> tuple[np.ndarray, View]:
 
 def test_a_depth_map_brings_a_cloud_nearer_than_its_mask_alone():
     start, view = seen_sheet()
-    wanted = sheet(0.4)
+    target = sheet(0.4)
     alone = View(view.mask, CAMERA)
     config = RefineConfig(steps=45, symmetry="none")
-    with_depth, without = (chamfer(refine(start, v, config=config).points, wanted).chamfer for v in (view, alone))
+    with_depth, without = (chamfer(refine(start, v, config=config).points, target).chamfer for v in (view, alone))
     assert with_depth < 0.3 * without
-
-
-def test_the_result_does_not_depend_on_the_unit_and_scenes_with_and_without_depth_share_a_batch():
-    start, view = seen_sheet()
-    config = RefineConfig(steps=9, symmetry="none")
-    found = refine(start, view, config=config).points
-    camera = Camera(CAMERA.K, CAMERA.R, 1000.0 * CAMERA.t, SIZE, SIZE)
-    large = refine(1000.0 * start, View(view.mask, camera, depth=1000.0 * view.depth), config=config).points
-    assert np.abs(large / 1000.0 - found).max() < 1e-4
-    alone = View(view.mask, CAMERA)
-    both = refine_batch([(start, view), (start, alone)], config)
-    assert np.abs(both[0].points - found).max() < 1e-5
-    # Pixels as near to one point as to another go by the last bit, and that by how many clouds there are.
-    assert np.abs(both[1].points - refine_batch([(start, alone)] * 2, config)[1].points).max() < 1e-5
 
 
 def test_views_with_and_without_a_depth_map_add_up():
@@ -170,14 +134,14 @@ def test_views_with_and_without_a_depth_map_add_up():
     points = torch.tensor(start)[None]
 
     def total(*views: View) -> float:
-        working = [resample_view(one, 0.4, np.zeros(3), 1.0) for one in views]
-        return float(MaskChamferObjective(ViewTargets([working], torch.tensor([len(start)]), points), 3.0)(points))
+        resampled = [resample_view(one, 0.4, np.zeros(3), 1.0) for one in views]
+        return float(MaskChamferObjective(ViewTargets([resampled], torch.tensor([len(start)]), points), 3.0)(points))
 
     assert total(view, other) == pytest.approx(total(view) + total(other), rel=1e-6)
     assert total(view) > total(View(view.mask, CAMERA)) + 10.0
 
 
-def test_a_depth_map_that_cannot_be_used_is_refused_in_one_line():
+def test_unusable_depth_maps_are_refused():
     start, view = seen_sheet()
     mask = view.mask
     with pytest.raises(InputError, match=r"depth map has shape \[3, 3\], the mask is 64x64"):

@@ -46,7 +46,7 @@ def _document(scene: Scene, placements: list[Placement], overlaps: list[bool]) -
     views = []
     for view, source, placement, overlap in zip(scene.views, scene.camera_sources, placements, overlaps, strict=True):
         camera = camera_document(view.camera, source)
-        views.append({"mask": view.name, "camera": camera, "placement": placement.as_dict(), "meets": overlap})
+        views.append({"mask": view.name, "camera": camera, "placement": vars(placement), "meets": overlap})
     return {
         "camera": views[0]["camera"],
         "frame": scene.frame,

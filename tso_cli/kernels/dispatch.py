@@ -1,11 +1,9 @@
 """Which form of a kernel runs: plain torch, numba loops on the CPU, or Triton on a GPU (experimental).
 
-numba runs on float32 and float64 tensors on the CPU where plain torch would take longer than importing the compiler (half a
-second, once in a process). A refinement states its whole work by `planned`; elsewhere a batch of 8,192 points is taken to repay
-the import, as fifty steps of it do. Planned work that would not repay compiling either, ten seconds, runs in numba only if the
-machine code is on disk. The choice depends on the work and the disk alone, neither on what ran before in the process nor on the
-number of threads, so that a run can be repeated. Triton runs on float32 tensors on a GPU where it can be imported; builds of
-torch for GPUs bring it with them. All else is plain torch.
+numba runs on float32 and float64 CPU tensors where that repays the import of its compiler, half a second: where a refinement
+states so much work by `planned`, elsewhere for batches of 8,192 points. Work that would not repay compiling, ten seconds, needs
+the machine code on disk. The choice depends on the work and the disk alone, so that a run can be repeated. Triton runs on
+float32 tensors on a GPU where it can be imported. All else is plain torch.
 """
 
 from __future__ import annotations
@@ -33,15 +31,8 @@ _plan: ContextVar[Callable[[], bool] | None] = ContextVar("plan", default=None)
 def planned(pictures: int, points: int) -> Iterator[None]:
     """Inside, numba runs if it pays for all of this work. The outermost of nested plans counts.
 
-    Parameters
-    ----------
-    pictures : how often a cloud is drawn and compared in all: clouds x views x steps.
-    points : points in all these pictures.
-
-    Warns
-    -----
-    UserWarning
-        The work is left to plain torch because no machine code is on disk.
+    ``pictures`` is how often a cloud is drawn in all (clouds x views x steps), ``points`` the points in all these. Warns where
+    the work is left to plain torch because no machine code is on disk.
     """
     if _plan.get() is not None:
         yield

@@ -6,6 +6,7 @@ Importing numba takes half a second: import this module only where compiled code
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import os
 from collections.abc import Callable, Iterator
@@ -25,8 +26,6 @@ RANGES_PER_THREAD = 4
 
 SETTINGS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz"}}
 INSIDE: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-
-_pool: ThreadPoolExecutor | None = None
 
 
 def forget_stale(folder: Path) -> None:
@@ -75,12 +74,8 @@ def part(function: Callable[..., Any]) -> Any:
 def share(count: int, steps: int, function: Callable[..., None], *arguments: Any) -> None:
     """Call the compiled ``function(first, last, *arguments)`` on ranges that cover 0 to ``count``, on torch's threads.
 
-    Parameters
-    ----------
-    steps : work in all, roughly, in basic steps.
-    function : must write the same values however 0 to ``count`` is cut into ranges, so that results do not depend on
-        the number of threads.
-    arguments : tensors are on the CPU and passed as arrays; those written to must be contiguous.
+    It must write the same values however 0 to ``count`` is cut into ranges. ``steps`` is the work in all, roughly, in basic
+    steps. Tensors are passed as arrays; those written to must be contiguous.
     """
     arguments = tuple(a.detach().contiguous().numpy() if isinstance(a, Tensor) else a for a in arguments)
     threads = min(torch.get_num_threads(), count, max(1, steps // WORTH_A_THREAD))
@@ -113,21 +108,14 @@ def _call(function: Callable[..., None], *arguments: Any) -> None:
         function(*arguments)
 
 
+@functools.cache
 def _threads() -> ThreadPoolExecutor:
-    global _pool
-    if _pool is None:
-        _pool = ThreadPoolExecutor(max(os.cpu_count() or 1, torch.get_num_threads()), thread_name_prefix="tso-kernel")
-    return _pool
-
-
-def _forget_threads() -> None:
-    global _pool
-    _pool = None
+    return ThreadPoolExecutor(max(os.cpu_count() or 1, torch.get_num_threads()), thread_name_prefix="tso-kernel")
 
 
 if hasattr(os, "register_at_fork"):
     # A forked process has none of its parent's threads.
-    os.register_at_fork(after_in_child=_forget_threads)
+    os.register_at_fork(after_in_child=_threads.cache_clear)
 
 
 class PrecomputedGradient(torch.autograd.Function):

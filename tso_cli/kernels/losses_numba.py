@@ -21,15 +21,8 @@ LOG_TWO = math.log(2.0)
 def cross_entropy(sums: Tensor, foreground: Tensor, background: Tensor, uncovered: float) -> tuple[Tensor, Tensor]:
     """Binary cross-entropy of mask and silhouette without uncovered mask pixels, and which pixels these are.
 
-    Parameters
-    ----------
-    sums : [M, H, W]
-    foreground, background : [M, H, W] weights of the mask and of its complement.
-    uncovered : mask pixels whose sum is at most this add nothing to the loss.
-
-    Returns
-    -------
-    [M], differentiable in ``sums``, and [M, H, W] bool.
+    Uncovered are mask pixels whose sum [M, H, W] is at most ``uncovered``; ``foreground`` and ``background`` [M, H, W] are
+    `PixelWeights`. The loss [M] is differentiable in ``sums``.
     """
     images, height, width = sums.shape
     gradient = sums.detach().clone(memory_format=torch.contiguous_format)

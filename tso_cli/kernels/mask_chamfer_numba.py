@@ -22,15 +22,8 @@ def mask_chamfer_loss(
 ) -> Tensor:
     """As `tso_cli.silhouette.mask_chamfer.mask_chamfer_loss`.
 
-    Parameters
-    ----------
-    points_px, valid : [M, N, 2], [M, N]
-    observed : [M, N] points that pixels may attract.
-    weights : [M, N] of each point if it strays.
-    masks : `MaskTarget`'s inside, outside, nearest_rows, nearest_columns and bounds.
-    within : [M] distance, px, within which a point covers a pixel.
-    scale : pixels of an image of 64 to one of this image.
-    robust_scale : px of an image of 64.
+    ``observed`` [M, N] points may be attracted by pixels; ``weights`` [M, N] are of points on background; ``masks`` are
+    `MaskTarget`'s inside, outside, nearest_rows, nearest_columns and bounds; points cover pixels ``within`` [M] px.
     """
     total, gradient = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
     height, width = masks[0].shape[1:]

@@ -18,17 +18,7 @@ PAIRS_PER_CHUNK = 1 << 24
 
 
 def nearest(queries: Tensor, data: Tensor) -> Tensor:
-    """Index into ``data`` of the point nearest to each query.
-
-    Parameters
-    ----------
-    queries : [Q, D]
-    data : [N, D], N >= 1
-
-    Returns
-    -------
-    [Q] int64 on the queries' device. Nothing is differentiable here; gather with the index and subtract.
-    """
+    """Index [Q] into ``data`` [N, D], N >= 1, of the point nearest to each of ``queries`` [Q, D]; not differentiable."""
     queries, data = queries.detach(), data.detach()
     if queries.device.type == "cpu":
         if len(data) <= MULTIPLY_UP_TO:
@@ -43,12 +33,8 @@ def nearest(queries: Tensor, data: Tensor) -> Tensor:
 def nearest_in_rows(queries: Tensor, data: Tensor, valid: Tensor | None = None, active: Tensor | None = None) -> Tensor:
     """Nearest neighbours in B clouds at once by all pairs, on any device.
 
-    Parameters
-    ----------
-    queries : [B, Q, D], D = 2 or 3
-    data : [B, N, D]
-    valid : [B, N] bool, points that exist; None for all.
-    active : [B, Q] bool, queries to search for; None for all.
+    Of ``data`` [B, N, D], D = 2 or 3, the ``valid`` [B, N] points exist; of ``queries`` [B, Q, D] only those that are
+    ``active`` [B, Q] are searched for; None for all.
 
     Returns
     -------
@@ -75,15 +61,8 @@ def nearest_in_rows(queries: Tensor, data: Tensor, valid: Tensor | None = None, 
 def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     """Nearest neighbours between the clouds of B pairs, both ways.
 
-    Parameters
-    ----------
-    a : [B, N, 3]
-    b : [B, M, 3]
-
-    Returns
-    -------
-    Index into ``b`` of the point nearest to each of ``a`` [B, N], and into ``a`` of that nearest to each of ``b`` [B, M].
-    Nothing is differentiable here; gather with the index and subtract.
+    Index [B, N] into ``b`` [B, M, 3] of the point nearest to each of ``a`` [B, N, 3], and [B, M] into ``a`` of that nearest to
+    each of ``b``.
     """
     smaller, larger = (a, b) if a.shape[1] <= b.shape[1] else (b, a)
     if use_numba(smaller) and larger.shape[1] <= COMPARE_ALL_UP_TO:
@@ -100,14 +79,8 @@ def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
 def nearest_points(pixels: Tensor, points_px: Tensor, valid: Tensor) -> Tensor:
     """Which projected point is nearest to each chosen pixel.
 
-    Parameters
-    ----------
-    pixels : [M, H, W] bool.
-    points_px, valid : [M, N, 2] column and row, [M, N] bool, points that exist.
-
-    Returns
-    -------
-    [M, H, W] int64 index into the image's points; -1 at other pixels, and everywhere where an image has no valid point.
+    For ``pixels`` [M, H, W], ``points_px`` [M, N, 2] and ``valid`` [M, N] an index [M, H, W] into the image's points, -1 at
+    other pixels and in images without a valid point.
     """
     if whole_batches(pixels):
         rows, columns = (torch.arange(size, dtype=points_px.dtype, device=pixels.device) for size in pixels.shape[1:])

@@ -30,11 +30,8 @@ def add_rows(context, out, at, stride, rows, down, start, across, begin):  # typ
     """
 
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        lanes = _Vectors(context, builder, out.dtype)
-
-        def at_place(argument: int, index: Any, one: bool = False) -> Any:
-            return lanes.place(signature.args[argument], arguments[argument], index, one)
-
+        lanes = _Vectors(context, builder, out.dtype, signature.args, arguments)
+        at_place = lanes.place
         weights = lanes.load(at_place(6, arguments[7]))
         with cgutils.for_range(builder, arguments[3]) as loop:
             goal = at_place(0, builder.add(arguments[1], builder.mul(loop.index, arguments[2])))
@@ -56,11 +53,8 @@ def project_rows(context, source, at, stride, rows, down, left, start, across, r
     """
 
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        lanes = _Vectors(context, builder, source.dtype)
-
-        def at_place(argument: int, index: Any, one: bool = False) -> Any:
-            return lanes.place(signature.args[argument], arguments[argument], index, one)
-
+        lanes = _Vectors(context, builder, source.dtype, signature.args, arguments)
+        at_place = lanes.place
         by_down, by_left = (cgutils.alloca_once_value(builder, lanes.zeros) for _ in range(2))
         for total in (by_down, by_left):
             builder.store(lanes.zeros, total)
@@ -90,7 +84,7 @@ def keep_nearest(context, queries, at, data, place, best, chosen):  # type: igno
     """
 
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        lanes = _Vectors(context, builder, queries.dtype, 8)
+        lanes = _Vectors(context, builder, queries.dtype, signature.args, arguments, 8)
         arrays = dict(zip("qdbc", (0, 2, 4, 5), strict=True))
 
         def pointer(name: str, index: Any, axis: int = 0, one: bool = False) -> Any:
@@ -125,7 +119,8 @@ def keep_nearest(context, queries, at, data, place, best, chosen):  # type: igno
 class _Vectors:
     """LLVM code for vectors of numbers of one type."""
 
-    def __init__(self, context: Any, builder: Any, number: Any, lanes: int = LANES) -> None:
+    def __init__(self, context: Any, builder: Any, number: Any, kinds: Any, arguments: Any, lanes: int = LANES) -> None:
+        self._kinds, self._arguments = kinds, arguments
         self._builder = builder
         self._context = context
         self._number = context.get_value_type(number)
@@ -135,8 +130,9 @@ class _Vectors:
         self.alignment = number.bitwidth // 8
         self.zeros = ir.Constant(self._vector, [0.0] * lanes)
 
-    def place(self, array: Any, value: Any, index: Any, one: bool = False) -> Any:
-        data = make_array(array)(self._context, self._builder, value).data
+    def place(self, argument: int, index: Any, one: bool = False) -> Any:
+        """Pointer to the numbers, or to one number, of an array argument from ``index`` on."""
+        data = make_array(self._kinds[argument])(self._context, self._builder, self._arguments[argument]).data
         pointer = self._builder.gep(data, [index])
         return pointer if one else self._builder.bitcast(pointer, self._vector.as_pointer())
 

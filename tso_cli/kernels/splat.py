@@ -31,20 +31,14 @@ def splat(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: f
 
     Parameters
     ----------
-    points_px : [M, N, 2] column and row of each point, in pixels; M is any batch of images.
-    valid : [M, N] bool; points that are False add nothing and get no gradient.
+    points_px : [M, N, 2] column and row. valid : [M, N] bool; points that are False add nothing and get no gradient.
     sigma_sq : variance of the Gaussian, px^2.
     kernel : "exact" (every pixel, Eq. 2 as printed), "windowed" (only the pixels around each point; both in plain torch, on
         any device), "compiled" (windowed, numba on the CPU), "triton" (windowed, on a GPU) or "auto" (see `cheapest`).
 
     Returns
     -------
-    [M, height, width] sums, >= 0.
-
-    Raises
-    ------
-    ValueError
-        There is no kernel of that name, or it is "triton" and cannot run here.
+    [M, height, width] sums, >= 0. Raises ValueError for a kernel that does not exist or cannot run here.
     """
     if kernel == "auto":
         kernel = cheapest(points_px, height, width, sigma_sq)
@@ -127,14 +121,10 @@ class _Windows(NamedTuple):
     corner: Tensor  # [M, n] flat index of each window's first tap
 
 
-def _padding(radius: int) -> int:
-    """Pixels around the image that hold every window that touches it, and those parked beyond its corner."""
-    return 2 * radius + 1
-
-
 def _windows(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float) -> _Windows:
     radius = window_radius(sigma_sq)
-    padding, limit = _padding(radius), radius + 1
+    # The padding holds every window that touches the image, and those parked beyond its corner.
+    padding, limit = 2 * radius + 1, radius + 1
     x, y = points_px.unbind(-1)
     near = valid & (x > -limit) & (x < width - 1 + limit) & (y > -limit) & (y < height - 1 + limit)
     # Points far from the image are parked where no tap is inside: their integer coordinates could overflow.
@@ -165,7 +155,7 @@ def _chunks(images: int, count: int, sigma_sq: float) -> list[slice]:
 def _scatter(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float) -> tuple[Tensor, _Windows | None]:
     """The sums [M, H, W], and the windows if one chunk holds them all."""
     images, count = valid.shape
-    padding = _padding(window_radius(sigma_sq))
+    padding = 2 * window_radius(sigma_sq) + 1
     stride = width + 2 * padding
     sums = points_px.new_zeros(images * (height + 2 * padding) * stride)
     chunks = _chunks(images, count, sigma_sq)
@@ -182,7 +172,7 @@ def _gather(grad_sums: Tensor, points_px: Tensor, valid: Tensor, sigma_sq: float
     """Derivative [M, N, 2] by ``points_px``, from that by the sums [M, H, W]."""
     images, count = valid.shape
     height, width = grad_sums.shape[1:]
-    padding = _padding(window_radius(sigma_sq))
+    padding = 2 * window_radius(sigma_sq) + 1
     padded = torch.nn.functional.pad(grad_sums, (padding, padding, padding, padding)).flatten()
     grads = []
     for part in _chunks(images, count, sigma_sq):

@@ -26,13 +26,7 @@ DEPTH = 64
 
 
 class StaticTrees:
-    """B initial clouds, ready to be compared with their moved copies.
-
-    Parameters
-    ----------
-    start : [B, N, 3] float32 or float64.
-    counts : [B] points of each row that exist.
-    """
+    """B initial clouds [B, N, 3], of which ``counts`` [B] points exist, ready to be compared with their moved copies."""
 
     def __init__(self, start: Tensor, counts: Tensor) -> None:
         clouds, size, _ = start.shape

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -12,14 +13,8 @@ if TYPE_CHECKING:
     from .presets import PRESETS as PRESETS
     from .result import RefineResult as RefineResult
 
-_MODULES = {
-    "refine": "api",
-    "refine_batch": "api",
-    "RefineConfig": "config",
-    "MODES": "presets",
-    "PRESETS": "presets",
-    "RefineResult": "result",
-}
+_MODULES = {"refine": "api", "refine_batch": "api", "RefineConfig": "config", "RefineResult": "result"}
+_MODULES |= {"MODES": "presets", "PRESETS": "presets"}
 __all__ = ["MODES", "PRESETS", "RefineConfig", "RefineResult", "refine", "refine_batch"]
 
 
@@ -27,6 +22,4 @@ def __getattr__(name: str) -> Any:
     """Load public names when first used, so that the settings can be read without torch."""
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module
-
     return getattr(import_module(f".{_MODULES[name]}", __name__), name)

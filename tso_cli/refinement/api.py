@@ -3,26 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
 
 from .. import device as devices
 from ..errors import InputError, TsoError
 from ..geometry.camera import Camera
+from ..geometry.view import View
 from ..kernels.dispatch import planned
 from ..network.model import BaseNetwork
-from .batching import batches_of, points_and_views
 from .cloud import Cloud
 from .config import RefineConfig, Settings
-from .inputs import as_views
-from .optimise import Progress
+from .optimise import Progress, offset_progress
 from .parameters import NetworkParameters, PointParameters
 from .presets import PRESETS
 from .problem import Problem
 from .result import RefineResult
 from .run import Stopwatch, run_batch
+
+# Most points of a batch; and no cloud of a batch has less than half the points of its largest.
+BATCH_POINTS = 1 << 20
+# Most cells of a batch's resampled views: bounds memory at 1 GiB in plain torch.
+BATCH_CELLS = 1 << 24
+# Most clouds of a staged batch: the inverse matrices of a cloud's smooth fields take 12 MiB, so these 0.8 GiB.
+BATCH_FIELDS = 64
 
 
 def refine(
@@ -42,16 +49,13 @@ def refine(
     Parameters
     ----------
     points : [N, 3] array or tensor; None in the network modes, where the network's prediction is the start.
-    masks : one [H, W] array in [0, 1], a sequence of them, or `View` objects, which bring their own
-        camera, ignore map, depth map and image.
-    cameras : one for each mask; None for the canonical camera.
-    config : settings, by default those of the preset "best".
+    masks : one [H, W] array in [0, 1], a sequence of them, or `View` objects.
+    cameras : one for each mask; None for the canonical camera, and for views, which have their own.
     network : for the modes "encoder", "encoder-decoder" and "latent"; it is copied, never changed.
     image : [3, 64, 64] network input in [0, 1], array or tensor.
-    colours : [N, 3] red, green and blue of the points, in [0, 1] or uint8, array or tensor; views that have an image ask for
-        them.
-    faces : [F, 3] whole numbers, the triangles that join the points of a mesh, array or tensor; None for a cloud. Of a mesh
-        1,024 points of the surface move in place of its vertices, and these follow.
+    colours : [N, 3] RGB of the points, in [0, 1] or uint8, array or tensor; needed for views with an image.
+    faces : [F, 3] whole numbers, the triangles of a mesh, array or tensor: 1,024 points of its surface move, and its vertices
+        follow.
     progress : called after every step with (step, steps, loss).
 
     Returns
@@ -67,7 +71,7 @@ def refine(
     TsoError
         The loss of the start, or after the first step, is not a finite number.
     """
-    views = as_views(masks, cameras)
+    views = _as_views(masks, cameras)
     settings = (config or RefineConfig()).settings(len(views))
     stopwatch = Stopwatch()
     device = devices.resolve(settings.device)
@@ -94,12 +98,9 @@ def refine_batch(
 ) -> list[RefineResult | TsoError]:
     """Move many clouds, each until its projection agrees with its own masks: the results of `refine`, of all at once.
 
-    Small clouds fill the machine together where they could not alone.
-
     Parameters
     ----------
     scenes : (points [N, 3], views) of each; the views are a `View` or a sequence of them.
-    config : settings for all; mode "points".
     progress : called with (steps done, steps in all, mean loss), counted over the batches that the clouds are put into.
 
     Ctrl-C ends it: each cloud of the batch at work gets its best so far, those that had not begun their start, and the
@@ -127,8 +128,8 @@ def refine_batch(
     problems: dict[int, Problem] = {}
     for number, scene in enumerate(scenes):
         try:
-            points, masks = points_and_views(scene, number)
-            problems[number] = Problem.of(Cloud(points, f"points of scene {number}"), as_views(masks), settings)
+            points, masks = _points_and_views(scene, number)
+            problems[number] = Problem.of(Cloud(points, f"points of scene {number}"), _as_views(masks), settings)
         except TsoError as error:
             results[number] = error
     batches = batches_of(problems, settings.staged)
@@ -139,7 +140,7 @@ def refine_batch(
         batch_problems = [problems[number] for number in batch]
         with stopwatch.phase("prepare"):
             parameters = PointParameters([problem.cloud for problem in batch_problems], device)
-        report = progress and partial(_report, progress, done, total)
+        report = progress and offset_progress(progress, done, total)
         with planned(*_work(list(problems.values()), settings)):
             batch_results = run_batch(batch_problems, parameters, settings, stopwatch, report, interrupted)
         for number, result in zip(batch, batch_results, strict=True):
@@ -149,17 +150,13 @@ def refine_batch(
     return [results[number] for number in range(len(scenes))]
 
 
-def _report(on_progress: Progress, done: int, total: int, step: int, _steps_of_batch: int, loss: float) -> None:
-    on_progress(done + step, total, loss)
-
-
 def _work(problems: list[Problem], settings: Settings) -> tuple[int, int]:
-    """Pictures and points drawn in all steps, as `planned` counts them."""
+    """Images and points drawn in all steps, as `planned` counts them."""
     # In plain torch the mask Chamfer loss is half the work of the silhouette.
     steps = settings.steps // 2 if settings.staged else settings.steps
-    pictures = sum(len(problem.resampled) for problem in problems)
+    images = sum(len(problem.resampled) for problem in problems)
     points = sum(len(problem.resampled) * len(problem.cloud.initial) for problem in problems)
-    return steps * pictures, steps * points
+    return steps * images, steps * points
 
 
 def compile_loops() -> None:
@@ -171,3 +168,68 @@ def compile_loops() -> None:
     with planned(much, much):
         for preset in PRESETS:
             refine(points, mask, config=RefineConfig(steps=1, preset=preset))
+
+
+def _as_views(masks: Any, cameras: Camera | Sequence[Camera] | None = None) -> tuple[View, ...]:
+    """One `View` for each mask."""
+    if isinstance(masks, View):
+        masks = [masks]
+    if isinstance(masks, Sequence) and masks and all(isinstance(mask, View) for mask in masks):
+        if cameras is not None:
+            raise InputError("views bring their own cameras, expected none beside them")
+        return tuple(masks)
+    if isinstance(masks, (Tensor, np.ndarray)) and masks.ndim == 2:
+        masks = [masks]
+    try:
+        arrays = [_as_array(mask) for mask in masks]
+    except (TypeError, ValueError):
+        raise InputError("masks are no arrays of numbers, expected one [H, W] or a sequence of them") from None
+    if any(mask.ndim != 2 for mask in arrays):
+        raise InputError(f"a mask has shape {[list(m.shape) for m in arrays if m.ndim != 2][0]}, expected [H, W]")
+    if cameras is None:
+        cameras = [Camera.canonical(mask.shape[-1], mask.shape[0]) for mask in arrays]
+    elif isinstance(cameras, Camera):
+        cameras = [cameras]
+    if len(arrays) == 0 or len(arrays) != len(cameras):
+        raise InputError(f"found {len(arrays)} masks and {len(cameras)} cameras, expected one camera for each mask")
+    return tuple(View(mask, camera, name=f"mask {i}") for i, (mask, camera) in enumerate(zip(arrays, cameras, strict=True)))
+
+
+def _as_array(mask: Any) -> NDArray[np.float32]:
+    if isinstance(mask, Tensor):
+        mask = mask.detach().cpu().numpy()
+    return np.asarray(mask, dtype=np.float32)
+
+
+def _points_and_views(scene: Any, number: int) -> tuple[Any, Any]:
+    try:
+        points, views = scene
+    except (TypeError, ValueError):
+        shown = f"{type(scene).__name__} of {len(scene)}" if hasattr(scene, "__len__") else repr(scene)
+        raise InputError(f"scene {number} is {shown}, expected (points, views)") from None
+    return points, views
+
+
+def batches_of(problems: dict[int, Problem], staged: bool = False) -> list[list[int]]:
+    """Keys of the problems of each batch: views of one kind, cloud sizes within a factor of two, bounded memory.
+
+    ``staged`` : the clouds move by smooth fields, as the preset "best" does in points mode.
+    """
+    groups: dict[Any, list[int]] = {}
+    for number, problem in problems.items():
+        kind = (len(problem.views), problem.fine_grids, *(view.kind for view in problem.resampled))
+        groups.setdefault(kind, []).append(number)
+    batches: list[list[int]] = []
+    for group in groups.values():
+        most = BATCH_CELLS // problems[group[0]].cells
+        if staged:
+            most = min(most, BATCH_FIELDS)
+        largest = 0
+        for number in sorted(group, key=lambda number: -len(problems[number].cloud.initial)):
+            size = len(problems[number].cloud.initial)
+            full = largest and (len(batches[-1]) >= most or (len(batches[-1]) + 1) * largest > BATCH_POINTS)
+            if not largest or 2 * size < largest or full:
+                batches.append([])
+                largest = size
+            batches[-1].append(number)
+    return batches

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import torch
 from torch import Tensor
@@ -36,10 +35,6 @@ def corrected_cameras(
     Points and cameras move together with the paper's settings. The points are held near their start, which separates a motion
     of all points from one of the camera; the cameras near the given ones. A correction is kept if with it the start
     itself fits the view's mask far better (`MISFIT_LEFT`). The points' motion is discarded.
-
-    Parameters
-    ----------
-    problems : with as many views each, of the same kinds. initial, counts : [B, N, 3], [B] of their clouds.
     """
     points = initial.clone().requires_grad_()
     chamfer = ChamferToInitial(initial, counts)
@@ -48,9 +43,10 @@ def corrected_cameras(
     resampled = [problem.resampled[: len(problem.views)] for problem in problems]
     moves = CameraMoves([[view.camera for view in views] for views in resampled], points, rate)
     silhouettes = SilhouetteObjective(resampled, counts, points, camera_moves=moves)
+    # The corrections are more rows of the clouds, so that the loop keeps those of its best iterate.
     descent = descend(
-        partial(_stacked, points, moves),
-        partial(_loss, silhouettes, chamfer, moves, points),
+        lambda: torch.cat([points, moves.parameter], 1),
+        lambda _: silhouettes(points) + PAPER_GAMMA["points"] * chamfer(points) + moves.penalty(),
         Adam([points, moves.parameter], rate),
         PAPER_STEPS,
     )
@@ -70,17 +66,6 @@ def corrected_cameras(
         for problem, views, row in zip(problems, corrected, (after < MISFIT_LEFT * before).tolist(), strict=True)
     ]
     return [problem.with_views(views, settings) for problem, views in zip(problems, chosen, strict=True)], False
-
-
-def _stacked(points: Tensor, moves: CameraMoves) -> Tensor:
-    """The corrections as more rows of the clouds, so that the loop keeps those of its best iterate."""
-    return torch.cat([points, moves.parameter], 1)
-
-
-def _loss(
-    silhouettes: SilhouetteObjective, chamfer: ChamferToInitial, moves: CameraMoves, points: Tensor, _stacked: Tensor
-) -> Tensor:
-    return silhouettes(points) + PAPER_GAMMA["points"] * chamfer(points) + moves.penalty()
 
 
 def _misfits(

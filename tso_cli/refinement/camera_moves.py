@@ -26,13 +26,8 @@ LEARNING_RATE = 2e-3
 class CameraMoves:
     """Rotations and shifts of V cameras for each of B clouds, held near 0 by a quadratic penalty; K stays.
 
-    Rotations are about the cloud's centre, which separates them from shifts.
-
-    Parameters
-    ----------
-    cameras : [B][V], each seeing its cloud normalised (centre at the origin, longest side 1).
-    like : tensor whose precision and device are used.
-    learning_rate : of the Adam that moves ``parameter``, with which cameras move by a rate of their own.
+    Rotations are about the cloud's centre, which separates them from shifts. Each of the ``cameras`` [B][V] sees its cloud
+    normalised. ``learning_rate`` is that of the Adam that moves ``parameter``; cameras move by `LEARNING_RATE` all the same.
 
     Attributes
     ----------

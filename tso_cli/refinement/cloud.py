@@ -38,7 +38,6 @@ class Cloud:
             self.colours = self.surface.at(self.colours.astype(np.float64)).astype(np.float32)
 
     def normalised(self) -> Array:
-        """[N, 3]."""
         normalised: Array = (self.initial - self.centre) / self.scale
         return normalised
 
@@ -69,17 +68,11 @@ class Cloud:
 
 @dataclass(frozen=True, eq=False)
 class MovedCloud:
-    """A `Cloud` after its displacement.
+    """A `Cloud` after its displacement."""
 
-    Attributes
-    ----------
-    points : [V, 3], of the given points or vertices. judged : [S, 3], as `Cloud.judged`.
-    displacements : [N, 3] of what moved, in longest sides.
-    """
-
-    points: Array
-    judged: Array
-    displacements: Array
+    points: Array  # [V, 3], of the cloud or the vertices
+    judged: Array  # [S, 3], as `Cloud.judged`
+    displacements: Array  # [N, 3] of what moved, in longest sides
 
 
 def _as_numpy(values: Any) -> Any:

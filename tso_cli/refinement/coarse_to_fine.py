@@ -12,7 +12,7 @@ from torch import Tensor
 
 from .adam import Adam, UniformAdam
 from .objective import MaskChamferObjective, ViewTargets
-from .optimise import Descent, Objective, Progress, descend
+from .optimise import Descent, Objective, Progress, descend, offset_progress
 from .photometric import PhotometricLoss
 from .presets import NETWORK, CoarseToFineConfig, Stage
 from .prior import PositionPrior, position_prior, squared_evidence
@@ -22,12 +22,9 @@ from .smooth_field import SmoothField
 
 @dataclass(frozen=True, eq=False)
 class WindowedTargets:
-    """What the views ask of the clouds of a batch, in windows around these clouds.
+    """The targets of a batch of problems, in windows around their clouds.
 
-    Attributes
-    ----------
-    problems : with their present windows. targets : of these.
-    initial, counts, weights : [B, N, 3], [B], [B, V], as `ViewTargets` takes them.
+    ``initial`` [B, N, 3], ``counts`` [B] and ``weights`` [B, V] are as `ViewTargets` takes them.
     """
 
     problems: tuple[Problem, ...]
@@ -38,7 +35,6 @@ class WindowedTargets:
 
     @classmethod
     def of(cls, problems: Sequence[Problem], initial: Tensor, counts: Tensor, weights: Tensor) -> WindowedTargets:
-        """The targets in the problems' present windows."""
         targets = ViewTargets([problem.resampled for problem in problems], counts, initial, weights)
         return cls(tuple(problems), initial, counts, weights, targets)
 
@@ -76,14 +72,12 @@ class CoarseToFine:
 
     Parameters
     ----------
-    windowed : the clouds and their views at the start. fields : of the clouds at the start.
-    config : of the stages and the prior.
+    windowed, fields : of the clouds at the start.
     learning_rate : about how far the node with the largest gradient moves in one of the first steps.
     follow : whether windows follow the clouds from stage to stage.
     evidence : [B], `Problem.evidence`; None for one mask. The more views, the less is the detail of the last stage a guess: its
         averaging weight grows with the square.
     photometric : of a single cloud with colours.
-    regulariser : one more term.
     """
 
     windowed: WindowedTargets
@@ -128,7 +122,7 @@ class CoarseToFine:
             rate = stage.learning_rate_scale * self.learning_rate
             optimiser = (UniformAdam if config.per_cloud_adam else Adam)([parameter], rate)
             end = round(steps * number / len(stages))
-            report = on_progress and partial(_report, on_progress, done, steps)
+            report = on_progress and offset_progress(on_progress, done, steps)
             part = descend(forward, objective, optimiser, end - done, report)
             parts.append(part)
             points, done = part.best, end
@@ -170,10 +164,6 @@ def total_loss(terms: Sequence[Objective], points: Tensor) -> Tensor:
 
 def _displaced(points: Tensor, mobility: Tensor, field: SmoothField, smoother: Tensor, parameter: Tensor) -> Tensor:
     return points + mobility * field.displacement(smoother, parameter)
-
-
-def _report(on_progress: Progress, done: int, steps: int, step: int, _steps_of_stage: int, loss: float) -> None:
-    on_progress(done + step, steps, loss)
 
 
 def _averaged(parts: list[Descent], weights: Tensor, initial: Tensor, objective: Objective) -> Descent:

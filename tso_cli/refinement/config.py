@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from ..errors import InputError
 from .presets import (
@@ -89,19 +90,14 @@ class RefineConfig:
         steps = BEST_STEPS[self.mode] * (min(views, MAX_VIEWS_FOR_STEPS) if staged else 1) if best else PAPER_STEPS
         rates = BEST_LEARNING_RATE if best else PAPER_LEARNING_RATE
         gamma = BEST_GAMMA if best else PAPER_GAMMA[self.mode]
-        return Settings(
-            mode=self.mode,
-            preset=self.preset,
-            steps=steps if self.steps is None else self.steps,
-            learning_rate=rates[self.mode] if self.learning_rate is None else self.learning_rate,
-            gamma=gamma if self.gamma is None else self.gamma,
-            symmetry=("auto" if staged else "none") if self.symmetry is None else self.symmetry,
-            sigma_sq=PAPER_SIGMA_SQ if self.sigma_sq is None else self.sigma_sq,
-            device=self.device,
-            seed=self.seed,
-            refine_camera=self.refine_camera,
-            coarse_to_fine=self.coarse_to_fine,
+        defaults: dict[str, Any] = dict(
+            steps=steps,
+            learning_rate=rates[self.mode],
+            gamma=gamma,
+            symmetry="auto" if staged else "none",
+            sigma_sq=PAPER_SIGMA_SQ,
         )
+        return Settings(**(defaults | {name: value for name, value in vars(self).items() if value is not None}))
 
 
 @dataclass(frozen=True)

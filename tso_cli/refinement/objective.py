@@ -29,11 +29,9 @@ class SilhouetteObjective:
 
     Parameters
     ----------
-    views : [B][V] views of each cloud; view v is of one kind (`ResampledView.kind`) for all clouds.
-    counts : [B] points of each cloud; what is behind them is padding.
-    like : [B, N, 3] tensor whose precision and device are used.
+    views : [B][V]; view v is of one kind (`ResampledView.kind`) for all clouds.
+    counts : [B] points of each cloud, the rest is padding. like : [B, N, 3], gives precision and device.
     weights : [B, V] of the views' losses; None for 1.
-    camera_moves : corrections of the cameras.
     """
 
     def __init__(
@@ -85,11 +83,7 @@ class ViewGroup(NamedTuple):
 
 
 class ViewTargets:
-    """What the masks and depth maps of all views ask of B clouds.
-
-    Parameters
-    ----------
-    views, counts, like, weights : as `SilhouetteObjective`.
+    """The masks and depth maps of all views of B clouds, prepared for the losses; parameters as `SilhouetteObjective`.
 
     Attributes
     ----------
@@ -145,9 +139,7 @@ class ViewTargets:
 class MaskChamferObjective:
     """Weighted sum over views of `mask_chamfer_loss`, and of `depth_loss` where views have depth maps.
 
-    Parameters
-    ----------
-    robust_scale : px of a mask of 64. resolvability : None where every part counts.
+    ``robust_scale`` is in pixels of a mask of 64; without ``resolvability`` all parts count.
     """
 
     targets: ViewTargets

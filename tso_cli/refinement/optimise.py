@@ -20,6 +20,11 @@ Objective = Callable[[Tensor], Tensor]
 STEPS_UNREAD = 10
 
 
+def offset_progress(on_progress: Progress, done: int, total: int) -> Progress:
+    """Reports the steps of a part after ``done`` of ``total`` steps."""
+    return lambda step, _steps_of_part, loss: on_progress(done + step, total, loss)
+
+
 @dataclass(frozen=True, eq=False)
 class Descent:
     """The result of a descent of B clouds.

@@ -32,7 +32,6 @@ class PointParameters:
         self.parameters = [torch.tensor(padded, device=device, requires_grad=True)]
 
     def forward(self) -> Tensor:
-        """The clouds [B, N, 3], normalised."""
         return self.parameters[0]
 
 

@@ -29,8 +29,6 @@ EXPOSURE = 5.0
 
 
 class _Photo(NamedTuple):
-    """The image of one view."""
-
     image: Tensor  # [h, w, 3]
     inside: Tensor  # [h, w] bool
     cameras: CameraBatch  # [1]
@@ -81,26 +79,25 @@ class PhotometricLoss:
 
     @torch.no_grad()
     def at(self, points: Tensor, blur: float) -> Objective:
-        """The loss of a stage that starts at ``points`` [1, N, 3].
+        """The loss of a stage that starts at ``points`` [1, N, 3]; ``blur`` is a standard deviation, px of a mask of 64.
 
-        ``blur`` : standard deviation, px of a mask of 64. The cloud is blurred too: as a picture of its visible points, each
-        drawn on its pixel.
+        The cloud is blurred too, as an image of its visible points.
         """
         return partial(_loss, [self._compared(photo, points, blur) for photo in self.photos])
 
     def _compared(self, photo: _Photo, points: Tensor, blur: float) -> _Comparison:
         height, width = photo.inside.shape
         sigma = blur * max(height, width) / REFERENCE_SIDE
-        photo_detail = detail(photo.image, photo.inside.to(photo.image), sigma)
+        photo_detail = _detail(photo.image, photo.inside.to(photo.image), sigma)
         points_px, visible = _visible(points, photo)
         place, _ = pixels_under(points_px, visible, height, width)
         count = visible[0].to(points).unsqueeze(1)
         total = points.new_zeros(height * width, 4)
         total.index_add_(0, place[0], torch.cat([self.colours * count, count], 1))
         drawn = total[:, 3].view(height, width)
-        picture = detail(total[:, :3].view(height, width, 3) / drawn.clamp_min(1.0).unsqueeze(2), drawn, sigma)
-        of_cloud = sampled(picture, points_px[0])
-        of_photo = sampled(photo_detail, points_px[0]) * count
+        picture = _detail(total[:, :3].view(height, width, 3) / drawn.clamp_min(1.0).unsqueeze(2), drawn, sigma)
+        of_cloud = _sampled(picture, points_px[0])
+        of_photo = _sampled(photo_detail, points_px[0]) * count
         # Exposure by least squares; 1 for a channel that the cloud lacks.
         squared = (of_cloud.square() * count).sum(0)
         tiny = torch.finfo(of_cloud.dtype).tiny
@@ -118,7 +115,7 @@ def _loss(comparisons: Sequence[_Comparison], points: Tensor) -> Tensor:
     for photo, photo_detail, expected, exposure, agreement in comparisons:
         points_px, visible = _visible(points, photo)
         # In units of the cloud's colours, so that the exposure of a photo does not change its weight.
-        difference = (sampled(photo_detail, points_px[0]) - expected) / exposure
+        difference = (_sampled(photo_detail, points_px[0]) - expected) / exposure
         squared = torch.where(visible[0], difference.square().sum(1), 0.0)
         total = total + photo.weight * WEIGHT * agreement * robust(squared, ROBUST_SCALE).sum()
     return total * (REFERENCE_POINTS / points.shape[1])
@@ -137,7 +134,7 @@ def _visible(points: Tensor, photo: _Photo) -> tuple[Tensor, Tensor]:
     return points_px, on & photo.inside.flatten()[place] & (depth <= front[place] + OCCLUSION_DEPTH)
 
 
-def sampled(image: Tensor, points_px: Tensor) -> Tensor:
+def _sampled(image: Tensor, points_px: Tensor) -> Tensor:
     """``image`` [H, W, C] at ``points_px`` [N, 2] (column, row), bilinear; beyond its border as at the border. [N, C]."""
     height, width = image.shape[:2]
     place = (2.0 * points_px + 1.0) / points_px.new_tensor([width, height]) - 1.0
@@ -147,16 +144,13 @@ def sampled(image: Tensor, points_px: Tensor) -> Tensor:
     return values[0, :, 0].T
 
 
-def detail(image: Tensor, weight: Tensor, sigma: float) -> Tensor:
-    """A difference of Gaussians: `blurred` by ``sigma`` px minus `blurred` by four times that."""
-    return blurred(image, weight, sigma) - blurred(image, weight, COARSE * sigma)
+def _detail(image: Tensor, weight: Tensor, sigma: float) -> Tensor:
+    """A difference of Gaussians, of standard deviations ``sigma`` px and four times that."""
+    return _blurred(image, weight, sigma) - _blurred(image, weight, COARSE * sigma)
 
 
-def blurred(image: Tensor, weight: Tensor, sigma: float) -> Tensor:
-    """Gaussian blur of ``image`` [H, W, 3], normalised by ``weight`` [H, W]: pixels of weight 0 do not bleed in.
-
-    A pixel far from all weight becomes 0.
-    """
+def _blurred(image: Tensor, weight: Tensor, sigma: float) -> Tensor:
+    """Gaussian blur of ``image`` [H, W, 3] among pixels of positive ``weight`` [H, W]; 0 far from all of them."""
     both = torch.cat([image * weight.unsqueeze(2), weight.unsqueeze(2)], 2)
     for axis in (0, 1):
         along = torch.arange(both.shape[axis], dtype=image.dtype, device=image.device)

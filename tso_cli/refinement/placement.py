@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,29 +25,16 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Placement:
-    """How a cloud and a mask meet in one view.
+    """How a cloud and a mask meet in one view; boxes are left, top, right, bottom edges in pixels."""
 
-    Attributes
-    ----------
-    points : in all. behind : at or behind the camera. inside_image, inside_mask : of the others.
-    depth : nearest and farthest depth of the points in front, world units (None if there are none).
-    points_box : left, top, right, bottom edges of the projected cloud in pixels, clipped to the image (None if invisible).
-    mask_box : the same of the mask's foreground.
-    box_iou : intersection over union of the two boxes.
-    """
-
-    points: int
-    behind: int
+    points: int  # in all
+    behind: int  # at or behind the camera
     inside_image: int
     inside_mask: int
-    depth: tuple[float, float] | None
-    points_box: Box | None
-    mask_box: Box
-    box_iou: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return asdict(self)
+    depth: tuple[float, float] | None  # nearest and farthest of the points in front, world units
+    points_box: Box | None  # of the projected cloud, clipped to the image; None if invisible
+    mask_box: Box  # of the mask's foreground
+    box_iou: float  # intersection over union of the two
 
 
 def place(points: Array, view: View) -> Placement:
@@ -75,7 +62,7 @@ def place(points: Array, view: View) -> Placement:
 
 
 def mask_doubts(view: View, points: int) -> list[str]:
-    """Warnings about a mask for a cloud of so many ``points``: that it is coarse, or that specks are ignored."""
+    """Warnings for a cloud of so many ``points``: that the mask is coarse, or that specks are ignored."""
     doubts = [coarse] if (coarse := _coarse(view, points)) else []
     if view.specks:
         doubts.append(f"{view.name}: foreground far from the object is left out ({view.specks} px)")
@@ -109,13 +96,7 @@ def box_iou(a: Box, b: Box) -> float:
 
 
 def require_overlap(placement: Placement, view: View) -> None:
-    """Refuse a cloud and a mask that do not meet; warn of points behind the camera.
-
-    Raises
-    ------
-    InputError
-        All points lie behind the camera, none falls inside the image, or the boxes' IoU is at most 0.05.
-    """
+    """Raise InputError for a cloud and a mask that do not meet; warn of points behind the camera."""
     advice = (
         "check the camera's axes (OpenCV: x right, y down, z forward; X_camera = R X_world + t) and units, "
         "or look at the numbers with --check"

@@ -20,15 +20,10 @@ LOCAL_LOSS, LOCAL_SMOOTHNESS = 1.0, 1.0
 
 @dataclass(frozen=True, eq=False)
 class PositionPrior:
-    """``sum_i w_i |x_i - x0_i|^2`` of each of B clouds.
+    """``sum_i w_i |x_i - x0_i|^2`` of each of B clouds."""
 
-    Attributes
-    ----------
-    initial : [B, N, 3]. weights : [B, N].
-    """
-
-    initial: Tensor
-    weights: Tensor
+    initial: Tensor  # [B, N, 3]
+    weights: Tensor  # [B, N]
 
     def __call__(self, points: Tensor) -> Tensor:
         return (self.weights * (points - self.initial).square().sum(2)).sum(1)
@@ -46,7 +41,7 @@ def position_prior(
 
     Parameters
     ----------
-    counts : [B]. targets : of the views at the start. field : of the start.
+    targets, field : of the start.
     evidence : [B], `Problem.evidence`; None for one mask. The more views, the less the start is needed: the least prior
         weight falls with its square.
     """

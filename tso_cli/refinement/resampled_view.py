@@ -72,12 +72,8 @@ def resample_view(
 ) -> ResampledView:
     """Resample ``view`` for a cloud normalised by ``(X - centre) / scale``.
 
-    Pixels are averaged by area, or interpolated linearly where cells are smaller than pixels.
-
-    Parameters
-    ----------
-    sigma_sq : cells^2.
-    box : edges of the square window; None for that of the mask alone. cells : along its side.
+    Pixels are averaged by area, or interpolated linearly where cells are smaller than pixels. ``sigma_sq`` is in cells^2;
+    ``box`` the square window, by default that of the mask alone, with ``cells`` along its side.
 
     Raises
     ------
@@ -106,7 +102,6 @@ def resample_view(
 
 
 def _image_bounds(box: Box, camera: Camera, cells: int) -> Box:
-    """The edges of the image in cells of the window."""
     left, top, right, bottom = box
     across, down = cells / (right - left), cells / (bottom - top)
     return (

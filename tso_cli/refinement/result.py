@@ -32,7 +32,6 @@ class RefineResult:
     ----------
     points, initial : [N, 3] float64, in the frame and units of the input (network modes: of the network's output); of a mesh
         its vertices.
-    mode : what was optimised.
     steps : steps done; best_step : the step that the result is from, 0 where the start was best. With the preset "best" of
         points mode, whose result is a mean over the stages, the best step of the last stage.
     stop_reason : "max_steps"; "interrupted" (Ctrl-C: the best so far is kept); "non_finite" (the loss became NaN or infinite);
@@ -51,10 +50,10 @@ class RefineResult:
     symmetry : a, b, c, d of the mirror plane ax + by + cz = d that was used, in the frame of the input, or None.
     symmetry_outcome : "used" (a plane that was found), "given", or without a plane "not_asked", "none_found" (the cloud has
         none) or "contradicted" (the cloud has one, the views contradict it). symmetry_reason : the measurement, in words.
-    learning_rate, gamma, sigma_sq, device, seed : what was used; sigma_sq in squared cells.
+    sigma_sq : squared cells.
     view_windows : left, top, right, bottom edges of the window of each mask, px, that the cloud was compared with at last,
         and cells along its side.
-    cameras : of each view; with ``refine_camera`` the corrected ones.
+    cameras : with ``refine_camera`` the corrected ones.
     seconds : wall time of each phase.
     """
 
@@ -103,7 +102,6 @@ class RefineResult:
 
     @property
     def objective(self) -> str:
-        """The terms of the loss, in words."""
         chamfer = f"{self.gamma:g} x Chamfer to the start"
         if self.preset == "paper":
             return f"BCE + {chamfer}"

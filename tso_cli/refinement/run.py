@@ -53,20 +53,14 @@ class Stopwatch:
 
 @dataclass(frozen=True, eq=False)
 class _Prepared:
-    """A batch whose cameras, view weights and mirror planes are decided.
-
-    Attributes
-    ----------
-    problems : B. initial : [B, N, 3], normalised. view_weights : of their own views; loss_weights : [B, V or 2 V] of all views.
-    fields : of ``initial``. interrupted : Ctrl-C came, and nothing moves.
-    """
+    """A batch whose cameras, view weights and mirror planes are decided."""
 
     problems: Sequence[Problem]
-    initial: Tensor
-    view_weights: ViewWeights
-    loss_weights: Tensor
-    fields: SmoothFields
-    interrupted: bool
+    initial: Tensor  # [B, N, 3], normalised
+    view_weights: ViewWeights  # of the views that were given
+    loss_weights: Tensor  # [B, V or 2 V], of all views
+    fields: SmoothFields  # of ``initial``
+    interrupted: bool  # Ctrl-C came, and nothing moves
 
 
 def run_batch(
@@ -178,16 +172,9 @@ def _photometric(problem: Problem, weights: list[float], initial: Tensor) -> Pho
 
 @dataclass(frozen=True, eq=False)
 class _Outcome:
-    """What a problem came to.
-
-    Attributes
-    ----------
-    ious : of each view, before and after. reverted : the cloud is as it was, because its IoU would have fallen.
-    """
-
     moved: MovedCloud
-    ious: list[tuple[float, float]]
-    reverted: bool = False
+    ious: list[tuple[float, float]]  # of each view, before and after
+    reverted: bool = False  # to the start, because the IoU would have fallen
 
 
 def _judge(

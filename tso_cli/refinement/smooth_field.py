@@ -31,8 +31,7 @@ class SmoothField:
 
     Parameters
     ----------
-    points : [B, N, 3]
-    counts : [B] points of each cloud, the rest is padding; None for all. nodes : at most, of each cloud.
+    points : [B, N, 3]. counts : [B] points of each cloud, the rest is padding; None for all.
 
     Attributes
     ----------
@@ -68,10 +67,8 @@ class SmoothField:
             index = torch.zeros(*points.shape[:2], INTERPOLATED_FROM, dtype=torch.int64)
             weight = torch.zeros(index.shape, dtype=points.dtype)
             for row, (nearest, weights) in enumerate(pairs):
-                index[row, : len(nearest), : nearest.shape[1]], weight[row, : len(nearest), : nearest.shape[1]] = (
-                    nearest,
-                    weights,
-                )
+                size, count = nearest.shape
+                index[row, :size, :count], weight[row, :size, :count] = nearest, weights
             index += torch.arange(len(points)).view(-1, 1, 1) * most
             self._between = index.view(-1, INTERPOLATED_FROM).to(points.device), weight.view(-1, INTERPOLATED_FROM).to(points)
 
@@ -90,8 +87,7 @@ class SmoothField:
         return values.flatten()[self._between[0][:, 0]].view(len(values), -1)
 
     def averaged(self, values: Tensor, weight: float) -> Tensor:
-        """[B, N] ``values`` averaged over their surroundings: ``(I + weight L)^-1`` of the sums at the nodes over that of the
-        point counts."""
+        """[B, N] ``values`` averaged around each point: ``(I + weight L)^-1`` of the nodes' sums over that of their counts."""
         total, count = values, torch.ones_like(values)
         if self._between is not None:
             index, shares = self._between
@@ -129,9 +125,7 @@ class SmoothField:
 
     def displacement(self, smoother: Tensor, values: Tensor) -> Tensor:
         """[B, N, 3] displacements of the points, from ``values`` u [B, M, 3] at the nodes; differentiable in u."""
-        return self._spread(_Smoothed.apply(values, smoother))
-
-    def _spread(self, values: Tensor) -> Tensor:
+        values = _Smoothed.apply(values, smoother)
         if self._between is None:
             return values
         index, weight = self._between
@@ -159,10 +153,7 @@ class _Smoothed(torch.autograd.Function):
 
 def _padded(rows: list[Tensor], size: int) -> Tensor:
     """Rows of different lengths as one tensor, padded with 0."""
-    full = rows[0].new_zeros(len(rows), size, *rows[0].shape[1:])
-    for target, row in zip(full, rows, strict=True):
-        target[: len(row)] = row
-    return full
+    return torch.stack([torch.cat([row, row.new_zeros(size - len(row), *row.shape[1:])]) for row in rows])
 
 
 def _nearest_nodes(nodes: Tensor) -> Tensor:

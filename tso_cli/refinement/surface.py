@@ -49,15 +49,14 @@ class Surface:
         """
         triangles = as_triangles(faces, len(vertices), name)
         joined = len(np.unique(triangles))
+        reason = f"the faces join {joined:,} of {len(vertices):,} vertices, which are therefore taken for a cloud"
         try:
-            found = cls(vertices, triangles)
+            surface = cls(vertices, triangles)
+            if 2 * joined >= len(vertices):
+                return surface
         except InputError:
-            warnings.warn(f"{name}: the faces have no area, the vertices are taken for a cloud", stacklevel=2)
-            return None
-        if 2 * joined >= len(vertices):
-            return found
-        told = f"{name}: the faces join {joined:,} of {len(vertices):,} vertices, which are therefore taken for a cloud"
-        warnings.warn(told, stacklevel=2)
+            reason = "the faces have no area, the vertices are taken for a cloud"
+        warnings.warn(f"{name}: {reason}", stacklevel=2)
         return None
 
     def at(self, values: Array) -> Array:
@@ -93,5 +92,5 @@ class Surface:
 
 
 def _interpolated(values: Array, corners: NDArray[np.int64], shares: Array) -> Array:
-    mixed: Array = np.einsum("sk,skc->sc", shares, values[corners])
-    return mixed
+    interpolated: Array = np.einsum("sk,skc->sc", shares, values[corners])
+    return interpolated

@@ -60,7 +60,6 @@ class MirrorPlane:
         return _judged(self, subset, subset, _spacing(subset))
 
     def reflect(self, points: Array) -> Array:
-        """The mirror image of ``points`` [N, 3]."""
         reflected: Array = points - 2.0 * ((points @ self.normal) - self.offset)[:, None] * self.normal
         return reflected
 
@@ -151,21 +150,14 @@ def _nearest(queries: Array, data: Array) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, eq=False)
 class SymmetryDecision:
-    """Whether a mirror plane is used, and why.
+    """Whether a mirror plane is used, and why."""
 
-    Attributes
-    ----------
-    outcome : as in `RefineResult`. candidate : the plane that was given or found, whether it is used or not.
-    loss_ratio : of the symmetry check (`verified_symmetry`); None before it, and where there was none.
-    """
-
-    outcome: SymmetryOutcome
-    candidate: MirrorPlane | None = None
-    loss_ratio: float | None = None
+    outcome: SymmetryOutcome  # as in `RefineResult`
+    candidate: MirrorPlane | None = None  # the plane that was given or found
+    loss_ratio: float | None = None  # of the symmetry check (`verified_symmetry`)
 
     @property
     def plane(self) -> MirrorPlane | None:
-        """The plane that is used, if any."""
         return self.candidate if self.outcome in ("used", "given") else None
 
     @property
@@ -189,10 +181,6 @@ class SymmetryDecision:
             f"{fit} {limits}; with the flipped picture the loss that is left is {self.loss_ratio:.2f} times that without, "
             f"for each picture ({limit})"
         )
-
-    def checked(self, loss_ratio: float, passed: bool) -> SymmetryDecision:
-        """The decision after the symmetry check."""
-        return replace(self, outcome="used" if passed else "contradicted", loss_ratio=loss_ratio)
 
 
 def decide_symmetry(cloud: Cloud, symmetry: str) -> SymmetryDecision:

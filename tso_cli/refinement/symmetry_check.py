@@ -20,13 +20,9 @@ def verified_symmetry(
 ) -> tuple[list[Problem], Tensor, bool]:
     """Drop mirror planes that the views contradict.
 
-    Two short descents are compared, with and without the flipped views. A symmetric object fits both views at once. In
-    an asymmetric one, what a view wants covered its flipped view wants empty, and more loss remains.
-
-    Parameters
-    ----------
-    problems : B of one batch, all with a plane that was found. counts, initial : [B], [B, N, 3] their clouds.
-    weights : [B, V] of their own views.
+    Two short descents are compared, with and without the flipped views. A symmetric object fits both views at once. Of
+    an asymmetric one a view and its flipped view contradict each other, and more loss remains. ``problems`` all have a plane
+    that was found; ``weights`` [B, V] are of the given views.
 
     Returns
     -------
@@ -45,7 +41,7 @@ def verified_symmetry(
     ratio = losses[0] / (2.0 * losses[1]).clamp_min(torch.finfo(torch.float64).tiny)
     passed = ((ratio <= MOST_LOSS_RATIO) | (losses[0] == 0.0)).tolist()
     checked = [
-        replace(problem, symmetry=problem.symmetry.checked(value, keep))
+        replace(problem, symmetry=replace(problem.symmetry, outcome="used" if keep else "contradicted", loss_ratio=value))
         for problem, keep, value in zip(problems, passed, ratio.tolist(), strict=True)
     ]
     if not any(passed):

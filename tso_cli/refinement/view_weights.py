@@ -27,10 +27,8 @@ REDUNDANCY_POWER = 8
 class ViewWeights(NamedTuple):
     """Weights of the views of B clouds.
 
-    Attributes
-    ----------
-    inlier : [B, V] in (0, 1], under 1 where the other views contradict one (`inlier_weights`).
-    loss : [B, V] in (0, 1], of the views' losses: the inlier weights, divided among redundant views (`shared_weights`).
+    ``inlier`` [B, V] is under 1 where the other views contradict one (`inlier_weights`); ``loss`` [B, V] weighs the views'
+    losses: the inlier weights, divided among redundant views (`shared_weights`).
     """
 
     inlier: Tensor
@@ -38,7 +36,6 @@ class ViewWeights(NamedTuple):
 
     @classmethod
     def even(cls, clouds: int, views: int) -> ViewWeights:
-        """All 1."""
         ones = torch.ones(clouds, views, dtype=torch.float64)
         return cls(ones, ones)
 
@@ -70,13 +67,7 @@ def inlier_weights(losses: Tensor, gradients: Tensor) -> Tensor:
     r the loss over the median of the cloud's views, and a the mean cosine between the view's gradient and the others', kept
     within 0 and 0.1, the weight is (1.5 / r)^(4 (1 - a / 0.1)), at most 1.
 
-    Parameters
-    ----------
-    losses : [B, V], V >= 3, comparable between views. gradients : [B, V, D], of the losses by the points.
-
-    Returns
-    -------
-    [B, V] in (0, 1].
+    ``losses`` [B, V], V >= 3, are comparable between views; ``gradients`` [B, V, D] are theirs by the points. [B, V].
     """
     ratio = losses / losses.quantile(0.5, dim=1, keepdim=True)
     unit = torch.nn.functional.normalize(gradients, dim=2)
@@ -88,9 +79,7 @@ def inlier_weights(losses: Tensor, gradients: Tensor) -> Tensor:
 def shared_weights(inlier: Tensor, redundancy: Tensor) -> Tensor:
     """Loss weights [B, V] with which redundant views together count as the most trusted of them alone.
 
-    Parameters
-    ----------
-    inlier : [B, V]. redundancy : [B, V, V] in [0, 1], how much of the content of view v is in view u too; 1 for v = u.
+    ``redundancy`` [B, V, V] in [0, 1] is how much of the content of view v is in view u too; 1 for v = u.
     """
     others = redundancy * inlier.unsqueeze(1)
     return inlier * others.amax(2) / others.sum(2).clamp_min(torch.finfo(inlier.dtype).tiny)

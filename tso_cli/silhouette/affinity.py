@@ -13,17 +13,15 @@ from .bce import pixel_weight, pixels_to_points
 from .projection import pixels_under
 
 AFFINITIES = ("points", "paper")
-"""Forms of the affinity loss."""
 # Where the sum is this, the silhouette is 0.5.
 HALF = math.atanh(0.5)
 
 
 def affinity(sums: Tensor, mask: Tensor, points_px: Tensor, valid: Tensor, form: str = "points") -> Tensor:
-    """Nearest-point affinity loss (Eq. 5).
+    """Nearest-point affinity loss (Eq. 5); ``sums``, ``mask``, ``points_px`` and ``valid`` as in `silhouette_bce`.
 
     Parameters
     ----------
-    sums, mask, points_px, valid : as in `silhouette_bce`.
     form : "paper" is Eq. 5 as printed, over all pairs of pixels, except that M^+ are the pixels over 0.5: among all that are
         not zero, the least product lies on the rim of a Gaussian and half of the loss vanishes. A stray silhouette pixel
         costs the least product of squared distance to a mask pixel and the mask there; a mask pixel the least product of

@@ -43,11 +43,8 @@ def silhouette_bce(
 
     Parameters
     ----------
-    sums : [M, H, W] from `silhouette_sums`.
-    mask : [M, H, W] in [0, 1]; soft values are kept.
-    points_px, valid : [M, N, 2], [M, N], where the sums came from.
-    sigma_sq : px^2.
-    known : [M, H, W] weight in [0, 1] of each pixel, 0 for unknown; None for 1.
+    sums : [M, H, W] from `silhouette_sums` of ``points_px`` [M, N, 2] and ``valid`` [M, N].
+    mask : [M, H, W] in [0, 1]. known : [M, H, W] weight in [0, 1] of each pixel; None for 1.
 
     Returns
     -------

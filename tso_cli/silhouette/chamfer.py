@@ -10,12 +10,7 @@ from ..kernels.nearest import StaticNearest, nearest_both_ways, nearest_in_rows
 
 
 def chamfer(prediction: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
-    """Chamfer distance by exact nearest neighbours, differentiable in both clouds.
-
-    Parameters
-    ----------
-    prediction : [B, N, 3]
-    target : [B, M, 3]
+    """Chamfer distance between ``prediction`` [B, N, 3] and ``target`` [B, M, 3], differentiable in both.
 
     Returns
     -------
@@ -30,10 +25,7 @@ def chamfer(prediction: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
 class ChamferToInitial:
     """The regulariser d(y, y^) of Eq. 7: Chamfer between initial clouds and the same clouds being moved.
 
-    Parameters
-    ----------
-    initial : [B, N, 3]
-    counts : [B] points of each row that exist; None for all.
+    Of ``initial`` [B, N, 3] the first ``counts`` [B] points of each row exist; None for all.
     """
 
     def __init__(self, initial: Tensor, counts: Tensor | None = None) -> None:

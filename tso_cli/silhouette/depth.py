@@ -12,8 +12,7 @@ from ..kernels.nearest import nearest, nearest_in_rows
 from .mask_chamfer import REFERENCE_POINTS, REFERENCE_SIDE, robust
 from .projection import CameraBatch, Projected, pixels_under
 
-# Tolerance of both terms, pixels of an image of 64 at the surface's depth: a point this near reaches a pixel's surface, and one
-# less than this before a surface is not in front of it.
+# Tolerance of both terms, pixels of an image of 64 at the surface's depth.
 TOLERANCE = 0.7
 
 
@@ -65,8 +64,7 @@ def depth_loss(points: Tensor, projected: Projected, target: DepthTarget, robust
 
     Parameters
     ----------
-    points : [M, N, 3]; projected : where they fall. counts : [M] points of each cloud.
-    robust_scale : pixels of an image of 64.
+    points : [M, N, 3]. projected : their pixels. counts : [M] points of each cloud. robust_scale : pixels of an image of 64.
 
     Returns
     -------

@@ -123,10 +123,8 @@ def mask_chamfer_loss(
     Parameters
     ----------
     points_px, valid : [M, N, 2] column and row, [M, N] bool.
-    target : of M masks.
-    robust_scale : r, pixels of an image of 64.
-    counts : [M] points of each cloud; None for N.
-    resolvability : [M, N] weights in [0, 1] of points on background, see `resolvability`; None for 1.
+    robust_scale : r, pixels of an image of 64. counts : [M] points of each cloud; None for N.
+    resolvability : [M, N] weights in [0, 1] of points on background; None for 1.
 
     Returns
     -------
@@ -168,15 +166,8 @@ def _weights(
 def resolvability(patches_px: Tensor, grain: Tensor | None = None) -> Tensor:
     """How far pixels resolve a part: one seen edge-on, or very thin, says little by lying beside the mask.
 
-    Parameters
-    ----------
-    patches_px : [..., K, 2] where the neighbours of a point fall.
-    grain : [...] as in `MaskTarget`; None for 1.
-
-    Returns
-    -------
-    [...] 0 where their standard deviation across is under 0.2 px, that of a strip 0.7 px wide; 1 where it is over 0.8 px;
-    linear between.
+    Of the projected neighbours ``patches_px`` [..., K, 2] of a point, the smaller standard deviation in pixels of ``grain``
+    [...] (as in `MaskTarget`; None for 1) gives 0 under 0.2 px, that of a strip 0.7 px wide, 1 over 0.8 px, linear between.
     """
     x, y = (patches_px - patches_px.mean(-2, keepdim=True)).unbind(-1)
     xx, yy, xy = x.square().mean(-1), y.square().mean(-1), (x * y).mean(-1)

@@ -70,12 +70,8 @@ class Projected(NamedTuple):
 def project(points: Tensor, cameras: CameraBatch, near: float = NEAR) -> Projected:
     """Eq. 1, ``p^ = K (R p + t)``, with the perspective division it implies.
 
-    Parameters
-    ----------
-    points : [B, N, 3] world coordinates.
-    cameras : V cameras, the same for all clouds ([V, ...]) or their own for each ([B, V, ...]).
-    near : points with depth <= near are marked invalid under the perspective model; their pixel coordinates are finite and
-        get no gradient.
+    ``points`` [B, N, 3] are seen by V cameras, the same for all clouds ([V, ...]) or different ones ([B, V, ...]). Under the
+    perspective model points with depth <= ``near`` are invalid; their pixel coordinates are finite and get no gradient.
     """
     near = -math.inf if cameras.model == "orthographic" else near
     if use_numba(points) and not any(tensor.requires_grad for tensor in (cameras.K, cameras.R, cameras.t)):
@@ -96,10 +92,7 @@ def project(points: Tensor, cameras: CameraBatch, near: float = NEAR) -> Project
 
 
 def pixels_under(points_px: Tensor, valid: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
-    """The pixels ``row * width + column`` that points fall on [M, N], 0 outside the image, and whether they fall inside [M, N].
-
-    ``points_px`` [M, N, 2], ``valid`` [M, N].
-    """
+    """The pixels ``row * width + column`` that points fall on [M, N], 0 outside the image, and whether they fall inside."""
     pixel = points_px.detach().round()
     in_image = valid & (pixel >= 0).all(-1) & (pixel < pixel.new_tensor([width, height])).all(-1)
     column, row = torch.where(in_image.unsqueeze(-1), pixel, 0.0).long().unbind(-1)
@@ -117,11 +110,8 @@ def silhouette_of(points: NDArray[np.floating], camera: Camera, sigma_sq: float 
     """The silhouette [H, W] in [0, 1] of a cloud [N, 3] in world units as the paper's projector draws it (Eq. 2).
 
     Where the Gaussian spans many pixels, the sums are computed on a coarser grid (variance 6.4 cells^2) and interpolated:
-    within 0.04 of the value at each pixel, at a cost that does not grow with the photo.
-
-    Parameters
-    ----------
-    sigma_sq : px^2 of the camera's image, the default 0.4 (max(W, H) / 64)^2.
+    within 0.04 of the value at each pixel, at a cost that does not grow with the photo. ``sigma_sq`` is in px^2 of the
+    camera's image, by default 0.4 (max(W, H) / 64)^2.
     """
     height, width = camera.height, camera.width
     if sigma_sq is None:
