@@ -53,6 +53,7 @@ def test_an_answer_counts_by_its_angle_the_others_as_one_of_the_answers(case, mo
     assert focals == [None, None, pytest.approx(1.2 * 64)]
 
 
+@pytest.mark.slow
 def test_the_pose_that_a_distant_camera_cannot_tell_apart_counts_as_mirrored_in_depth(case, monkeypatch):
     true, normal = case.views[0].camera, find_mirror_plane(case.target).normal
     other = replace(true, R=np.diag([1.0, 1.0, -1.0]) @ true.R @ (np.eye(3) - 2.0 * np.outer(normal, normal)))

@@ -7,18 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from numpy.typing import NDArray
 
 from ...device import one_thread
-from ...geometry.camera import NEAR, Camera
 from ...io.shipped import CATEGORIES
+from ...plots.style import COLOURS, page
 from ...render import RenderSettings
 from ...silhouette.projection import silhouette_of
-from ..charts.sigma_chart import draw_sigma
-from ..packing import pack
+from ..packing import pack, unpack
 from ..study import CATEGORY, COMMON, Cases, Option, Progress, Record, Study, Table, claim, part, record_of
-from .discretised import UPSAMPLING, discrete_depth, discrete_mask
 from .parts import SeenShape, see, shapes_of_part
 from .summary import by_category
 
@@ -27,7 +23,7 @@ SIGMAS = tuple(round(0.05 * 2.0 ** (k / 2), 3) for k in range(13))
 # The paper's choices.
 PAPER = {"chair": 0.4, "car": 0.4, "airplane": 0.1, "all": 0.4}
 PICTURED = (0.05, 0.1, 0.4, 0.8, 3.2)
-"""sigma^2 of the pictures, which stand beside the discrete projections."""
+"""sigma^2 of the pictures."""
 SIZE = 64
 CONVENTION = {
     "sigma_sq": f"px^2 of the {SIZE}x{SIZE} mask",
@@ -41,8 +37,7 @@ def run(
 ) -> Record:
     """Project the true cloud of 1,024 points of each shape and compare its silhouette with the mask at 64x64.
 
-    Of the first shape of each category the record keeps the projections of the first view. Raises InputError where a shape
-    is missing.
+    Of the first shape of each category the record keeps the projections of the first view.
     """
     shapes = shapes_of_part(meshes, split, settings["part"], categories or (() if split else CATEGORIES), limit)
     render = RenderSettings(views=settings["views"], size=(SIZE, SIZE))
@@ -77,23 +72,8 @@ def _maps(seen: SeenShape) -> dict[str, Any]:
     """The mask of the first view, and projections of the true cloud beside it."""
     view = seen.views[0]
     gaussian = {f"sigma^2 {sigma_sq:g}": silhouette_of(seen.target, view.camera, sigma_sq) for sigma_sq in PICTURED}
-    pictures = {"mask": view.mask.astype(np.float32) / 255.0, **_discrete_maps(seen, view.camera), **gaussian}
+    pictures = {"mask": view.mask.astype(np.float32) / 255.0, **gaussian}
     return {title: pack(picture, 1.0 / 255.0) for title, picture in pictures.items()}
-
-
-def _discrete_maps(seen: SeenShape, camera: Camera) -> dict[str, NDArray[np.float32]]:
-    """The two other projections of the paper's figure: points rounded to pixels, and Lin et al.'s depth map.
-
-    Of the latter the nearest point that shows is white and the furthest grey.
-    """
-    pixels, depth = (torch.as_tensor(values).unsqueeze(0) for values in camera.project(seen.target))
-    valid = depth > NEAR
-    rounded = discrete_mask(pixels, valid, camera.height, camera.width)
-    depth_map, hit = discrete_depth(pixels, depth, valid, camera.height, camera.width)
-    near, far = depth_map[hit].min(), depth_map[hit].max()
-    grey = torch.where(hit, 1.0 - 0.6 * (depth_map - near) / (far - near).clamp_min(1e-9), 0.0)
-    maps = {"discretised": rounded, f"Lin et al., U = {UPSAMPLING}": grey}
-    return {name: image[0].numpy().astype(np.float32) for name, image in maps.items()}
 
 
 def _means(category: str, rows: Cases) -> dict[str, Any]:
@@ -154,6 +134,46 @@ def tables(record: Record) -> list[Table]:
     return [Table(["sigma^2", *summary], errors, decimals=4), Table(header, best, decimals=4)]
 
 
+def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+    """L1 error over sigma^2 by category, its best and the paper's choice; below, the projections of one shape of each.
+
+    Raises InputError if ``path`` cannot be written to.
+    """
+    maps = record.get("maps", {})
+    columns = max((len(pictures) for pictures in maps.values()), default=0)
+    heights = [4.2, *[1.75] * len(maps)]
+    with page(path, overwrite, (max(7.5, 1.6 * columns), sum(heights))) as figure:
+        parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+        _draw_curves(parts[0].subplots(), record)
+        for part, (shape, pictures) in zip(parts[1:], maps.items(), strict=True):
+            part.suptitle(shape, fontsize=8)
+            for axis, (title, picture) in zip(part.subplots(1, columns), pictures.items(), strict=True):
+                axis.imshow(unpack(picture), cmap="gray", vmin=0.0, vmax=1.0, interpolation="nearest")
+                axis.set_title(title, fontsize=8)
+                axis.set(xticks=[], yticks=[])
+
+
+def _draw_curves(axis: Any, record: Record) -> None:
+    sigmas = record["settings"]["sigma_sq"]
+    categories = [(name, row) for name, row in record["summary"].items() if name != "all"]
+    for i, (name, row) in enumerate(categories):
+        colour = COLOURS[i % len(COLOURS)]
+        axis.plot(sigmas, row["l1"], color=colour, linewidth=2, label=f"{name}, {row['shapes']} shapes")
+        axis.plot(sigmas, row["missing"], color=colour, linewidth=0.9, linestyle="--")
+        axis.plot(sigmas, row["stray"], color=colour, linewidth=0.9, linestyle=":")
+        axis.plot(row["best"], row["l1_at_best"], "o", color=colour, markersize=7)
+        if row["paper"] is not None:
+            axis.plot(row["paper"], row["l1_at_paper"], "D", color="white", markeredgecolor=colour, markersize=8)
+    axis.set_xscale("log")
+    axis.set_xticks(sigmas[::2], [f"{sigma_sq:g}" for sigma_sq in sigmas[::2]])
+    axis.set_xticks([], minor=True)
+    axis.set_ylim(bottom=0.0)
+    axis.set_xlabel("sigma^2 (px^2 at 64x64)")
+    axis.set_ylabel("mean |silhouette - mask|")
+    axis.set_title("dot: best, diamond: the paper's; dashed: what is missing, dotted: what is stray", fontsize=10)
+    axis.legend(frameon=False, loc="upper center")
+
+
 STUDY = Study(
     "sigma",
     "Each shape's true cloud of 1,024 points is projected at 64x64 with growing sigma^2 and compared with the mask. The chart "
@@ -166,7 +186,7 @@ STUDY = Study(
     ),
     run,
     tables,
-    draw_sigma,
+    draw,
     "A narrow Gaussian leaves holes between the points, a wide one blurs the outline and fills gaps. The best width depends on "
     "how densely the points cover the mask, so thin shapes want a smaller one; between the extremes the error is flat.",
 )
