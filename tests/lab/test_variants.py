@@ -100,14 +100,13 @@ def test_a_plate_hides_what_lies_behind_it_and_nothing_beside_it():
     assert visible_points(scene, near * 0.99 + [0.0, 0.0, 0.002], camera).all()
 
 
-@pytest.mark.parametrize("azimuth", [0.0, 33.0, 200.0])
-def test_on_a_convex_body_a_point_is_seen_exactly_where_its_surface_faces_the_camera(azimuth):
+def test_on_a_convex_body_a_point_is_seen_exactly_where_its_surface_faces_the_camera():
     import trimesh
 
     body = trimesh.creation.box(extents=(1.0, 0.6, 0.8))
     scene = RayScene(Mesh(np.asarray(body.vertices), np.asarray(body.faces, dtype=np.int64), None))
     points = sample_surface(body.vertices, body.faces, 500, np.random.default_rng(0))
-    camera = look_at(azimuth, 25.0, 2.2, (64, 64))
+    camera = look_at(33.0, 25.0, 2.2, (64, 64))
     centre = -camera.R.T @ camera.t
     axis = np.abs(np.abs(points) / [0.5, 0.3, 0.4] - 1.0).argmin(1)
     normals = np.sign(points) * np.eye(3)[axis]

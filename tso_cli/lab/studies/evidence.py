@@ -148,7 +148,7 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
             ratios = {label: [row["chamfer"] / row["before"] for row in figures] for label, figures in rows.items()}
             panels.append(Panel(f"{question}, {kind}", ratios))
         grid.append(panels)
-    draw_ratios(path, grid, overwrite, row_height=0.112)
+    draw_ratios(path, grid, overwrite)
 
 
 STUDY = Study(

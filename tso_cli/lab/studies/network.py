@@ -88,15 +88,14 @@ def _distance(clouds: Tensor, targets: Sequence[Floats]) -> float:
 
 def _summary(rows: list[dict[str, Any]], training: int) -> dict[str, Any]:
     means = {name: float(np.mean([row[name] for row in rows])) for name in LABELS}
-    medians = {f"{name}_median": float(np.median([row[name] for row in rows])) for name in LABELS}
-    over = {f"over_{name}": means["network"] / means[name] for name in LABELS if name != "network"}
-    return {"shapes": len(rows), "training_shapes": training, **means, **medians, **over}
+    return {"shapes": len(rows), "training_shapes": training, **means}
 
 
 def tables(record: Record) -> list[Table]:
     """A row for each list and category."""
     rows = [
-        [part, category, row["shapes"], *(1e3 * row[name] for name in LABELS), row["over_mean_view"], row["over_nearest"]]
+        [part, category, row["shapes"], *(1e3 * row[name] for name in LABELS)]
+        + [row["network"] / row[name] for name in ("mean_view", "nearest")]
         for part, summary in record["summary"].items()
         for category, row in summary.items()
     ]
