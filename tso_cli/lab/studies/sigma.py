@@ -13,7 +13,6 @@ from ...io.shipped import CATEGORIES
 from ...plots.style import COLOURS, page
 from ...render import RenderSettings
 from ...silhouette.projection import silhouette_of
-from ..packing import pack, unpack
 from ..study import CATEGORY, COMMON, Cases, Option, Progress, Record, Study, Table, claim, part, record_of
 from .parts import SeenShape, see, shapes_of_part
 from .summary import by_category
@@ -22,8 +21,6 @@ from .summary import by_category
 SIGMAS = tuple(round(0.05 * 2.0 ** (k / 2), 3) for k in range(13))
 # The paper's choices.
 PAPER = {"chair": 0.4, "car": 0.4, "airplane": 0.1, "all": 0.4}
-PICTURED = (0.05, 0.1, 0.4, 0.8, 3.2)
-"""sigma^2 of the pictures."""
 SIZE = 64
 CONVENTION = {
     "sigma_sq": f"px^2 of the {SIZE}x{SIZE} mask",
@@ -35,25 +32,19 @@ CONVENTION = {
 def run(
     progress: Progress, *, meshes: Path, split: Path | None, categories: tuple[str, ...], limit: int | None, **settings: Any
 ) -> Record:
-    """Project the true cloud of 1,024 points of each shape and compare its silhouette with the mask at 64x64.
-
-    Of the first shape of each category the record keeps the projections of the first view.
-    """
+    """Project the true cloud of 1,024 points of each shape and compare its silhouette with the mask at 64x64."""
     shapes = shapes_of_part(meshes, split, settings["part"], categories or (() if split else CATEGORIES), limit)
     render = RenderSettings(views=settings["views"], size=(SIZE, SIZE))
     rows: Cases = []
-    maps: dict[str, dict[str, Any]] = {}
     for done, shape in enumerate(shapes, 1):
         seen = see(shape, render, settings["seed"])
         with one_thread(True):  # small images: threads would wait for each other longer than they work
-            if shape.category not in {row["category"] for row in rows}:
-                maps[shape.name] = _maps(seen)
             rows.append({"category": shape.category, "shape": shape.name, **mask_errors(seen)})
         progress.report("projecting", done, len(shapes))
     summary = {name: _means(name, group) for name, group in {**by_category(rows), "all": rows}.items()}
     settings |= {"points": render.points, "mask": f"{SIZE}x{SIZE}", "sigma_sq": list(SIGMAS)}
     answers = claims(summary)
-    return record_of("sigma", CONVENTION, settings=settings, summary=summary, claims=answers, shapes=rows, maps=maps)
+    return record_of("sigma", CONVENTION, settings=settings, summary=summary, claims=answers, shapes=rows)
 
 
 def mask_errors(seen: SeenShape, sigmas: Sequence[float] = SIGMAS) -> dict[str, list[float]]:
@@ -66,14 +57,6 @@ def mask_errors(seen: SeenShape, sigmas: Sequence[float] = SIGMAS) -> dict[str, 
             errors[:, k] += np.maximum(-over, 0.0).mean(), np.maximum(over, 0.0).mean()
     errors /= len(seen.views)
     return {"missing": errors[0].tolist(), "stray": errors[1].tolist(), "l1": errors.sum(0).tolist()}
-
-
-def _maps(seen: SeenShape) -> dict[str, Any]:
-    """The mask of the first view, and projections of the true cloud beside it."""
-    view = seen.views[0]
-    gaussian = {f"sigma^2 {sigma_sq:g}": silhouette_of(seen.target, view.camera, sigma_sq) for sigma_sq in PICTURED}
-    pictures = {"mask": view.mask.astype(np.float32) / 255.0, **gaussian}
-    return {title: pack(picture, 1.0 / 255.0) for title, picture in pictures.items()}
 
 
 def _means(category: str, rows: Cases) -> dict[str, Any]:
@@ -135,49 +118,32 @@ def tables(record: Record) -> list[Table]:
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """L1 error over sigma^2 by category, its best and the paper's choice; below, the projections of one shape of each.
-
-    Raises InputError if ``path`` cannot be written to.
-    """
-    maps = record.get("maps", {})
-    columns = max((len(pictures) for pictures in maps.values()), default=0)
-    heights = [4.2, *[1.75] * len(maps)]
-    with page(path, overwrite, (max(7.5, 1.6 * columns), sum(heights))) as figure:
-        parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
-        _draw_curves(parts[0].subplots(), record)
-        for part, (shape, pictures) in zip(parts[1:], maps.items(), strict=True):
-            part.suptitle(shape, fontsize=8)
-            for axis, (title, picture) in zip(part.subplots(1, columns), pictures.items(), strict=True):
-                axis.imshow(unpack(picture), cmap="gray", vmin=0.0, vmax=1.0, interpolation="nearest")
-                axis.set_title(title, fontsize=8)
-                axis.set(xticks=[], yticks=[])
-
-
-def _draw_curves(axis: Any, record: Record) -> None:
-    sigmas = record["settings"]["sigma_sq"]
-    categories = [(name, row) for name, row in record["summary"].items() if name != "all"]
-    for i, (name, row) in enumerate(categories):
-        colour = COLOURS[i % len(COLOURS)]
-        axis.plot(sigmas, row["l1"], color=colour, linewidth=2, label=f"{name}, {row['shapes']} shapes")
-        axis.plot(sigmas, row["missing"], color=colour, linewidth=0.9, linestyle="--")
-        axis.plot(sigmas, row["stray"], color=colour, linewidth=0.9, linestyle=":")
-        axis.plot(row["best"], row["l1_at_best"], "o", color=colour, markersize=7)
-        if row["paper"] is not None:
-            axis.plot(row["paper"], row["l1_at_paper"], "D", color="white", markeredgecolor=colour, markersize=8)
-    axis.set_xscale("log")
-    axis.set_xticks(sigmas[::2], [f"{sigma_sq:g}" for sigma_sq in sigmas[::2]])
-    axis.set_xticks([], minor=True)
-    axis.set_ylim(bottom=0.0)
-    axis.set_xlabel("sigma^2 (px^2 at 64x64)")
-    axis.set_ylabel("mean |silhouette - mask|")
-    axis.set_title("dot: best, diamond: the paper's; dashed: what is missing, dotted: what is stray", fontsize=10)
-    axis.legend(frameon=False, loc="upper center")
+    """L1 error over sigma^2 by category, its best and the paper's choice."""
+    with page(path, overwrite, (7.5, 4.2)) as figure:
+        axis = figure.subplots()
+        sigmas = record["settings"]["sigma_sq"]
+        categories = [(name, row) for name, row in record["summary"].items() if name != "all"]
+        for i, (name, row) in enumerate(categories):
+            colour = COLOURS[i % len(COLOURS)]
+            axis.plot(sigmas, row["l1"], color=colour, linewidth=2, label=f"{name}, {row['shapes']} shapes")
+            axis.plot(sigmas, row["missing"], color=colour, linewidth=0.9, linestyle="--")
+            axis.plot(sigmas, row["stray"], color=colour, linewidth=0.9, linestyle=":")
+            axis.plot(row["best"], row["l1_at_best"], "o", color=colour, markersize=7)
+            if row["paper"] is not None:
+                axis.plot(row["paper"], row["l1_at_paper"], "D", color="white", markeredgecolor=colour, markersize=8)
+        axis.set_xscale("log")
+        axis.set_xticks(sigmas[::2], [f"{sigma_sq:g}" for sigma_sq in sigmas[::2]])
+        axis.set_xticks([], minor=True)
+        axis.set_ylim(bottom=0.0)
+        axis.set_xlabel("sigma^2 (px^2 at 64x64)")
+        axis.set_ylabel("mean |silhouette - mask|")
+        axis.set_title("dot: best, diamond: the paper's; dashed: what is missing, dotted: what is stray", fontsize=10)
+        axis.legend(frameon=False, loc="upper center")
 
 
 STUDY = Study(
     "sigma",
-    "Each shape's true cloud of 1,024 points is projected at 64x64 with growing sigma^2 and compared with the mask. The chart "
-    "shows the projections of one shape of each category beside its mask.",
+    "Each shape's true cloud of 1,024 points is projected at 64x64 with growing sigma^2 and compared with the mask.",
     (
         *COMMON,
         part("test", "test", "validation", "train"),
