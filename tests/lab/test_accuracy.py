@@ -15,7 +15,6 @@ from tso_cli.evaluation.metrics import chamfer
 from tso_cli.io.checkpoints import load_network
 from tso_cli.io.meshes import read_mesh
 from tso_cli.lab.studies import accuracy
-from tso_cli.lab.studies.accuracy import in_plane
 from tso_cli.lab.studies.accuracy_cases import LEVELS, MASKS, CaseBuilder
 from tso_cli.lab.studies.accuracy_claims import claims, summarise
 from tso_cli.lab.studies.accuracy_variants import ABLATION, NETWORK, POINTS
@@ -123,6 +122,7 @@ def test_a_training_shape_starts_from_one_of_another_type(builder, split, tmp_pa
         CaseBuilder(tmp_path, lists, 1, 64, 1024).cases(black, "other")
 
 
+@pytest.mark.slow
 def test_the_whole_object_is_seen_unless_it_is_to_be_cut(cars, shapes):
     vertices = normalise(read_mesh(shapes["car"].path)).vertices
     for case in cars["other"]:
@@ -135,6 +135,7 @@ def test_the_whole_object_is_seen_unless_it_is_to_be_cut(cars, shapes):
         assert on_mask(case) > 0.99
 
 
+@pytest.mark.slow
 def test_a_start_that_is_right_is_another_sampling_of_the_truth_and_the_floor_its_distance(builder, shapes, cars):
     case = builder.cases(shapes["car"], "right")[0]
     assert case.start == "the truth"
@@ -142,11 +143,10 @@ def test_a_start_that_is_right_is_another_sampling_of_the_truth_and_the_floor_it
     assert not np.array_equal(case.initial, case.target)
     far = cars["other"][0]
     assert 2e-4 < far.floor < 0.6 * chamfer(far.initial, far.target).chamfer
-    assert far.floor_dense < far.floor
 
 
 @pytest.mark.slow
-def test_a_case_depends_on_the_seed_alone_and_is_as_large_as_asked_for(cars, split, shapes):
+def test_a_case_depends_on_the_seed_alone(cars, split, shapes):
     first, same = cars["cut"]
     assert len(first.views) == len(same.views) == MASKS
     assert first.views[1] is same.views[0]
@@ -154,12 +154,9 @@ def test_a_case_depends_on_the_seed_alone_and_is_as_large_as_asked_for(cars, spl
     np.testing.assert_array_equal(again.initial, same.initial)
     np.testing.assert_array_equal(again.views[0].mask, same.views[0].mask)
     assert not np.array_equal(other.views[0].mask, same.views[0].mask)
-    large = CaseBuilder(MESHES, split, 1, 96, 16384).cases(shapes["car"], "other")[0]
-    assert large.initial.shape == large.target.shape == (16384, 3)
-    assert large.views[0].mask.shape == (96, 96)
-    assert large.start == cars["other"][0].start
 
 
+@pytest.mark.slow
 def test_a_networks_case_is_in_the_axes_of_a_camera_that_stands_where_it_stood(split, shapes, tmp_path, monkeypatch):
     network, about = load_network(thin_checkpoint(tmp_path, monkeypatch, 1024))
     builder = CaseBuilder(MESHES, split, 2, 64, 1024, 0, network, about)
@@ -173,16 +170,6 @@ def test_a_networks_case_is_in_the_axes_of_a_camera_that_stands_where_it_stood(s
         left, top, right, bottom = case.views[0].box()
         pixels = case.views[0].camera.project(case.target)[0]
         assert np.abs([*(pixels.min(0) - [left, top]), *(pixels.max(0) - [right, bottom])]).max() < 2.0
-
-
-def test_with_all_but_depth_right_only_depth_remains(cars):
-    case = cars["other"][0]
-    rotation = case.views[0].camera.R
-    rng = np.random.default_rng(0)
-    sideways = replace(case, initial=case.target + rng.normal(0.0, 2e-3, (1024, 1)) * rotation[0])
-    assert in_plane(sideways) == pytest.approx(0.0, abs=1e-12)
-    deeper = replace(case, initial=case.target + 1e-3 * rotation[2])
-    assert in_plane(deeper) == pytest.approx(chamfer(deeper.initial, case.target).chamfer, rel=1e-6)
 
 
 @pytest.mark.slow
@@ -201,7 +188,7 @@ def test_a_stopped_study_goes_on_with_the_next_group_and_ends_alike(study, monke
         for row in case["variants"].values():
             assert row["chamfer"] != case["before"]["chamfer"]
             assert 0.0 < row["f_score"] <= 1.0
-            assert min(row["seconds"], row["batch_seconds"]) > 0.0
+            assert row["seconds"] > 0.0
     json.dumps(whole, allow_nan=False)
     kept = []
 
@@ -218,24 +205,6 @@ def test_a_stopped_study_goes_on_with_the_next_group_and_ends_alike(study, monke
     resumed = study(Progress(earlier=kept[0]))
     assert judged == [TEST[1]]
     assert timeless(resumed) == timeless(whole)
-    older = {**kept[0], "settings": {**kept[0]["settings"], "variants": {"other": ["paper", "best"]}}}
-    with pytest.raises(InputError, match="the record to go on from has variants"):
-        study(Progress(earlier=older))
-
-
-def test_a_group_of_which_a_shape_is_missing_is_judged_anew_and_its_cases_stay_single(study, tmp_path, monkeypatch):
-    path = write_split(tmp_path, train=TRAIN[3:] + TRAIN[:1], test=["car/qbasic_BasicCar", "car/qreal_Cop"])
-
-    def named(cases, *_):
-        return [{"kind": case.kind, "category": case.category, "shape": case.shape} for case in cases]
-
-    monkeypatch.setattr(accuracy, "judge_group", named)
-    monkeypatch.setattr(accuracy, "summarise", lambda cases: {})
-    monkeypatch.setattr(accuracy, "claims", lambda cases, summary: [])
-    whole = study(split=path, categories=("car",))
-    assert len(whole["cases"]) == 2
-    earlier = {**whole, "cases": whole["cases"][:1]}
-    assert study(Progress(earlier=earlier), split=path, categories=("car",))["cases"] == whole["cases"]
 
 
 def test_settings_that_cannot_be_are_refused(study):
@@ -270,18 +239,14 @@ def test_an_ablation_changes_one_ingredient_of_the_preset_at_a_time(cars):
 def fake(kind: str, category: str, number: int, ratios: dict[str, float], before: float = 1e-3) -> dict:
     """A case with nothing but Chamfer in its figures."""
 
-    def judged(value: float) -> dict:
-        return {"chamfer": value, "dense": value, "f_score": 0.5, "emd": None}
-
-    rest = {"iou_before": 0.5, "iou": 0.6, "mirrored": False, "seconds": 0.1, "batch_seconds": 0.1}
-    start = {**judged(before), "floor": 0.2 * before, "floor_dense": 0.1 * before, "in_plane": 0.4 * before}
+    rest = {"f_score": 0.5, "iou_before": 0.5, "iou": 0.6, "seconds": 0.1}
     return {
         "kind": kind,
         "category": category,
         "shape": f"{category}/{number // 2}",
         "view": number % 2,
-        "before": start,
-        "variants": {name: {**judged(ratio * before), **rest} for name, ratio in ratios.items()},
+        "before": {"chamfer": before, "f_score": 0.5, "floor": 0.2 * before},
+        "variants": {name: {"chamfer": ratio * before, **rest} for name, ratio in ratios.items()},
     }
 
 
@@ -292,19 +257,16 @@ def held(cases: list[dict]) -> dict[str, bool]:
     return {claim["claim"]: claim["holds"] for claim in claims(cases, summarise(cases))}
 
 
-def test_the_summary_tells_ratio_excess_and_share_made_worse():
+def test_the_summary_is_of_the_cases_own_ratios():
     cases = [
         fake("other", "car", i, {"best": ratio}, before)
         for i, (ratio, before) in enumerate([(0.5, 1e-3), (1.1, 3e-3), (1.02, 1e-3)])
     ]
     group = summarise(cases)["other"]["car"]
-    own = group["variants"]["best"]
-    assert (group["shapes"], group["cases"]) == (2, 3)
-    assert own["mean_ratio"] == pytest.approx((0.5 + 1.1 + 1.02) / 3, rel=1e-4)
-    assert (own["worse"], own["worse_by_5"], own["worst_ratio"]) == (2, 1, pytest.approx(1.1))
-    after, before = (0.5 + 3.3 + 1.02) / 3, 5.0 / 3
-    assert own["chamfer_excess"] == pytest.approx((after - 0.2 * before) / (before - 0.2 * before), rel=1e-4)
-    assert group["before"]["in_plane_ratio"] == pytest.approx(0.4)
+    row = group["variants"]["best"]
+    assert (group["shapes"], group["cases"], group["before"]["floor_ratio"]) == (2, 3, pytest.approx(0.2))
+    assert row["mean_ratio"] == pytest.approx((0.5 + 1.1 + 1.02) / 3, rel=1e-4)
+    assert (row["worse"], row["worst_ratio"]) == (2, pytest.approx(1.1))
 
 
 NEVER_WORSE = "points mode, all starts, with one, two and four masks"
@@ -361,8 +323,6 @@ def test_network_variants_must_gain_twice_what_the_papers_settings_do_and_harm_f
     cases = [fake("network", "car", i, good | {"latent, then points": 1.01 if i == 0 else 0.9}) for i in range(20)]
     harmed = {text.partition(":")[0]: holds for text, holds in held(cases).items() if "made worse" in text}
     assert harmed == {NEVER_WORSE: True, "network modes, and points mode after them": True}
-    badly = [*cases, fake("network", "car", 21, good | {"encoder, best": 1.06})]
-    assert not next(holds for text, holds in held(badly).items() if "network modes" in text)
 
 
 def test_the_table_of_an_ablation_has_a_row_an_ingredient_and_a_column_a_kind():
@@ -371,8 +331,7 @@ def test_the_table_of_an_ablation_has_a_row_an_ingredient_and_a_column_a_kind():
     assert table.header == ["", "car, other", "car, near"]
     assert ["best", "0.35 (0, 0.35)", "0.35 (0, 0.35)"] in table.rows
     shown = accuracy.tables({"settings": {"ablation": False}, "summary": summary})
-    assert shown[0].rows[1][:6] == ["other", "car", "best", 1.0, 0.35, 0.35]
-    assert shown[1].rows[0] == ["other", "car", 2, 4, 1.0, 0.2, 0.4]
+    assert shown[0].rows[1][:7] == ["other", "car", 4, "best", 1.0, 0.35, 0.35]
 
 
 @pytest.mark.slow
@@ -380,7 +339,7 @@ def test_the_command_writes_pictures_of_extreme_cases_and_goes_on_from_the_recor
     make_known(monkeypatch)
     output, pictures = tmp_path / "accuracy.json", tmp_path / "cases.png"
     arguments = ["accuracy", "--meshes", MESHES, "--split", split, "--category", "car", "--kind", "near", "--views", 1]
-    record = check_command(output, capsys, *arguments, "--pictures", pictures, words=("made worse", "all but depth right"))
+    record = check_command(output, capsys, *arguments, "--pictures", pictures, words=("made worse", "floor"))
     assert record["complete"]
     assert len(output.read_text().splitlines()[-2]) > 500  # a case a line
     with Image.open(pictures) as picture:

@@ -15,30 +15,16 @@ from tso_cli.lab.studies import evidence, evidence_questions
 from tso_cli.lab.studies.accuracy_cases import CaseBuilder
 from tso_cli.lab.studies.accuracy_variants import Variant
 from tso_cli.lab.studies.evidence import summarise, tables
-from tso_cli.lab.studies.evidence_cases import (
-    FACES,
-    SAMPLED,
-    VERTICES,
-    Truth,
-    anothers_mask,
-    bunched,
-    cameras_off,
-    from_mesh,
-    in_photo,
-    placed_by,
-    turned_away,
-    with_depth,
-    without,
-)
+from tso_cli.lab.studies.evidence_cases import Truth, anothers_mask, bunched, cameras_off, turned_away, with_depth, without
 from tso_cli.lab.studies.evidence_colours import paint_of, painted, photo
-from tso_cli.lab.studies.evidence_questions import QUESTIONS, Question, Row
+from tso_cli.lab.studies.evidence_questions import QUESTIONS, Question
 from tso_cli.lab.studies.parts import shapes_of_part
 from tso_cli.lab.study import Progress
 from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.symmetry import find_mirror_plane
 
 from ..training import make_known
-from .studying import MESHES, check_command, tso, write_split
+from .studying import MESHES, check_command, write_split
 
 TRAIN = ["car/qreal_SUV", "car/qbasic_BasicCar", "chair/q19_Chair", "chair/q17_Chair"]
 VALIDATION = ["car/qreal_Cop", "car/qreal_NormalCar1", "chair/kfurn_chair"]
@@ -84,7 +70,8 @@ def test_depth_maps_lie_on_the_true_surface_and_noise_is_as_large_as_the_row_say
     assert cases["chair"].views[0].depth is None
 
 
-@pytest.mark.parametrize("part", ["side", "high", "low"])
+@pytest.mark.slow
+@pytest.mark.parametrize("part", ["side", "low"])
 def test_an_object_that_lacks_a_part_lacks_it_in_truth_and_masks_and_keeps_its_start(part, cases, truths):
     whole = cases["chair"]
     lacking = without(whole, truths["chair"], rng(), part)
@@ -94,39 +81,9 @@ def test_an_object_that_lacks_a_part_lacks_it_in_truth_and_masks_and_keeps_its_s
     assert find_mirror_plane(whole.target).symmetric
     assert not find_mirror_plane(lacking.target).symmetric
     axis = int(np.abs(find_mirror_plane(whole.initial).normal).argmax())
-    if part == "side":
-        # A face that reaches across the limit goes or stays as a whole.
-        assert (lacking.dense[:, axis] > 0.12).mean() < 0.4 * (whole.dense[:, axis] > 0.12).mean()
-    else:
-        assert (lacking.dense[:, axis] > 0.12).mean() < (whole.dense[:, axis] > 0.12).mean()
-    assert len(lacking.target) == len(whole.target)
-
-
-def test_a_photo_around_a_picture_shows_the_same_object_where_its_camera_says(cases, truths):
-    right = cases["car"]
-    photo = in_photo(right, truths["car"], rng(), [4], across=1.0, down=0.25).views[0]
-    assert photo.mask.shape == (256, 256)
-    assert photo.mask.sum() == right.views[0].mask.sum()
-    shift = photo.camera.project(right.target)[0] - right.views[0].camera.project(right.target)[0]
-    np.testing.assert_allclose(shift, np.tile([192.0, 48.0], (len(right.target), 1)), atol=1e-9)
-    np.testing.assert_array_equal(photo.mask[48:112, 192:], right.views[0].mask)
-
-
-def test_a_start_that_is_a_mesh_is_the_one_its_cloud_is_from_and_judged_by_its_surface(cases, truths):
-    right = cases["chair"]
-    vertices, samples, mesh = (from_mesh(right, truths["chair"], rng(), form) for form in (VERTICES, SAMPLED, FACES))
-    assert (vertices.faces, samples.surface) == (None, None)
-    np.testing.assert_array_equal(vertices.initial, mesh.initial)
-    assert len(samples.initial) == 1024
-    assert mesh.faces.max() == len(mesh.initial) - 1
-    # another sampling of the same surface, to twice its noise
-    assert chamfer(samples.initial, right.initial).chamfer < 2.0 * right.floor
-    assert samples.chamfer_of(samples.initial) == pytest.approx(right.chamfer_of(right.initial), rel=0.15)
-    assert mesh.chamfer_of(mesh.initial) == vertices.chamfer_of(vertices.initial)
-    assert mesh.chamfer_of(mesh.initial) < chamfer(mesh.initial, right.target).chamfer
-    fewer = from_mesh(right, truths["chair"], rng(), FACES, 60)
-    assert 40 < len(fewer.faces) <= 60
-    assert from_mesh(right, truths["chair"], rng(), FACES, 10**6) is None
+    # A face that reaches across the limit goes or stays as a whole.
+    left = 0.4 if part == "side" else 1.0
+    assert (lacking.dense[:, axis] > 0.12).mean() < left * (whole.dense[:, axis] > 0.12).mean()
 
 
 def test_wrong_views_are_the_last_alone(cases, truths):
@@ -156,18 +113,6 @@ def test_cameras_are_off_by_the_angle_that_the_row_says(cases, truths):
     for a, b in zip(off.views, right.views, strict=True):
         assert angle_between(a.camera.R, b.camera.R) == pytest.approx(5.0)
         assert np.linalg.norm(a.camera.t - b.camera.t) == pytest.approx(0.025 * b.camera.t[2])
-    same = cameras_off(right, truths["car"], rng(), 0)
-    np.testing.assert_allclose(same.views[0].camera.R, right.views[0].camera.R)
-
-
-def test_a_prediction_is_placed_by_mask_alone(cases):
-    view = cases["car"].views[0]
-    turned = cases["car"].initial @ view.camera.R.T * [1, -1, -1]
-    case = replace(cases["car"], initial=turned)
-    for placing in ("box", "silhouette"):
-        found = placed_by(case, None, rng(), placing).views[0]
-        assert found.mask is view.mask
-        assert abs(found.camera.t[2] / view.camera.t[2] - 1.0) < 0.3
 
 
 def test_a_bent_cloud_is_as_far_off_as_the_row_says_and_keeps_its_paint(cases, truths):
@@ -205,18 +150,18 @@ def study(split, monkeypatch):
     """The study of one view, with two small questions in place of all."""
     # Some results have no such figure.
     measures = {"one": lambda case, altered, result: 1.0 if len(result.cameras) > 1 else None}
-    rows = {"other": Row(anothers_mask, Variant(QUICK, 4)), "as it is": Row(evidence_questions.as_it_is, Variant(QUICK))}
-    by_case = {"its own": Row(partial(without, part="side"), lambda case: Variant(replace(QUICK, symmetry="none")))}
+    rows = {"other": (anothers_mask, Variant(QUICK, 4)), "as it is": (evidence_questions.as_it_is, Variant(QUICK))}
+    sides = {"a side": (partial(without, part="side"), Variant(replace(QUICK, symmetry="none")))}
     questions = {
-        "wrong": Question("Wrong views", ("other",), rows, measures=measures),
-        "missing": Question("Missing parts", ("other", "near"), by_case, ("car",)),
+        "wrong": Question("Wrong views", ("other",), rows, ("car", "chair"), measures),
+        "missing": Question("Missing parts", ("other", "near"), sides, ("car",)),
     }
     monkeypatch.setattr(evidence, "QUESTIONS", questions)
     monkeypatch.setattr(evidence, "CATEGORIES", ("car", "chair"))
     settings = {"part": "validation", "limit": None, "views": 1, "device": "cpu", "seed": 0, "questions": tuple(questions)}
 
     def run(progress=None):
-        return evidence.run(progress or Progress(), meshes=MESHES, checkpoint=None, split=split, **settings)
+        return evidence.run(progress or Progress(), meshes=MESHES, split=split, **settings)
 
     return run
 
@@ -249,17 +194,6 @@ def test_every_question_is_asked_of_its_kinds_and_categories_and_a_stopped_study
     assert study(Progress(earlier=kept[0])) == whole
 
 
-def test_a_question_that_is_not_asked_here_is_refused(capsys):
-    assert tso("lab", "evidence", "--meshes", MESHES, "--question", "weather") == 2
-    assert "'weather' is not one of 'framing', 'depth'" in capsys.readouterr().err
-
-
-def test_rows_that_say_so_let_the_picture_judge_the_plane():
-    rows = QUESTIONS["missing"].rows
-    assert len(rows) == 12
-    assert sum(callable(row.variant) for row in rows.values()) == 4
-
-
 def a_case(category: str, rows: dict[str, tuple[float, float]]) -> dict:
     names = {"question": "depth", "kind": "other", "category": category, "shape": f"{category}/a", "view": 0}
     return {**names, "rows": {row: {"before": before, "chamfer": after} for row, (before, after) in rows.items()}}
@@ -271,16 +205,10 @@ def test_the_summary_is_of_the_cases_own_ratios():
     assert list(found) == ["car", "chair", "all"]
     assert found["car"]["mask"] == {"cases": 2, "worse": 1, "mean_ratio": 0.8, "worst_ratio": 1.1}
     assert found["all"]["mask"]["mean_ratio"] == pytest.approx(2.6 / 3.0, abs=1e-5)
-
-
-def test_the_table_of_a_question_has_a_row_for_each_of_its_rows():
-    table = tables({"summary": summarise([a_case("car", {"mask": (1.0, 0.5)}), a_case("chair", {"mask": (1.0, 1.1)})])})[0]
+    # A question that is no longer asked has no table.
+    table = tables({"summary": {"older": {}, **summarise(cases)}})[0]
     assert table.title == "Depth maps"
-    assert [row[1:6] for row in table.rows] == [
-        ["car", "mask", 1, 0.5, 0.5],
-        ["chair", "mask", 1, 1.1, 1.1],
-        ["all", "mask", 2, 0.8, 1.1],
-    ]
+    assert [row[1:6] for row in table.rows][:2] == [["car", "mask", 2, 0.8, 1.1], ["chair", "mask", 1, 1.0, 1.0]]
 
 
 @pytest.mark.slow

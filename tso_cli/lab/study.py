@@ -22,14 +22,8 @@ Report = Callable[[str, int, int], None]
 class Option:
     """An option of a study's command.
 
-    Parameters
-    ----------
-    flag : as it is typed.
-    help : one line; it names the default where ``default`` is None or empty.
-    kind : str, int, float, Path, or bool for a flag without a value.
-    choices : the only values, if any. least, most : of a number.
-    multiple : may be repeated; `Study.run` gets a tuple without duplicates, ``default`` where there is none.
-    name : of the parameter of `Study.run`; that of the flag if empty.
+    ``kind`` is bool for a flag without a value. ``help`` names the default where ``default`` is None or empty. With
+    ``multiple`` `Study.run` gets a tuple without duplicates. ``name`` is that of its parameter, if not that of the flag.
     """
 
     flag: str
@@ -95,13 +89,8 @@ class Table:
 class Progress:
     """What a study goes on from, and where it reports to.
 
-    Attributes
-    ----------
-    report : called after each piece of work.
-    earlier : the record to go on from, if there is one.
-    keep : called with the record so far.
-    unfinished : checkpoint beside which a network that is being trained is kept; None keeps none.
-    overwrite : whether a file that the study writes itself may replace another.
+    ``earlier`` is the record to go on from, ``keep`` is called with the record so far, ``unfinished`` is the checkpoint beside
+    which a network in training is kept, and ``overwrite`` says whether files that the study itself writes may be replaced.
     """
 
     report: Report = lambda what, done, total: None
@@ -133,11 +122,7 @@ class Progress:
     ) -> Record:
         """The record of ``cases`` and of what ``groups`` add to them, kept after every group.
 
-        Parameters
-        ----------
-        doing : for the report.
-        groups : what judges a group; None where ``cases`` has it already.
-        record : of the cases so far, and whether these are all.
+        A group is None where ``cases`` has it already; ``record`` takes the cases so far, and whether these are all.
         """
         for number, judge in enumerate(groups, 1):
             if judge is not None:
@@ -151,16 +136,8 @@ class Progress:
 class Study:
     """A question to the method, and how it is answered.
 
-    Parameters
-    ----------
-    name : of the command `tso lab NAME` and of the record's "study"; its question is that of `lab.studies.QUESTIONS`.
-    about : what the command's help says below the question; the question itself where the study is no command of `tso lab`.
-    options : of the command, beside -o, --overwrite, --json and, where records are kept, --resume.
-    run : (progress, one keyword for each option) -> the record, JSON-able.
-    tables : record -> its tables.
-    draw : (path, record, overwrite), writes its chart; `plots.style.page` makes the figure.
-    reading : what the record means, at most 120 words, for its page.
-    kept : when the record is kept, such as "after every shape"; empty where the study cannot be resumed.
+    ``tables`` and ``draw`` (path, record, overwrite) show a record, which `run` makes from the options; ``reading`` says on its
+    page what it means. ``kept`` says when the record is kept; it is empty where the study cannot be resumed.
     """
 
     name: str

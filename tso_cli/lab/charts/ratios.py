@@ -10,6 +10,9 @@ import numpy as np
 
 from ...plots.style import BETTER, INK, WORSE, page
 
+ROW_HEIGHT = 0.15
+"""Inches."""
+
 
 @dataclass(frozen=True)
 class Panel:
@@ -20,13 +23,10 @@ class Panel:
     references: Mapping[str, float] = field(default_factory=dict)
 
 
-def draw_ratios(path: Path, grid: Sequence[Sequence[Panel]], overwrite: bool, row_height: float = 0.18) -> None:
-    """Panels in rows that share their labels; a case that got worse is red, the line is at 1. ``row_height`` : inches.
-
-    Raises InputError if ``path`` cannot be written to.
-    """
+def draw_ratios(path: Path, grid: Sequence[Sequence[Panel]], overwrite: bool) -> None:
+    """Panels in rows that share their labels; a case that got worse is red, the line is at 1."""
     labels = [list(dict.fromkeys(label for panel in row for label in panel.rows)) for row in grid]
-    heights = [0.5 + row_height * len(names) for names in labels]
+    heights = [0.5 + ROW_HEIGHT * len(names) for names in labels]
     columns = max(map(len, grid))
     rng = np.random.default_rng(0)
     with page(path, overwrite, (2.5 + 2.4 * columns, 0.4 + sum(heights)), dpi=100) as figure:
@@ -48,5 +48,5 @@ def draw_ratios(path: Path, grid: Sequence[Sequence[Panel]], overwrite: bool, ro
                 axis.tick_params(labelsize=8)
             for axis in row[len(panels) :]:
                 axis.set_xticks([])
-            row[0].set_yticks(range(len(names)), names, fontsize=8 if row_height > 0.15 else 7)
+            row[0].set_yticks(range(len(names)), names, fontsize=7)
         figure.supxlabel("Chamfer after / before of each case, and their mean", fontsize=9)

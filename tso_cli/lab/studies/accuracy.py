@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...evaluation.footprint import IOU_MEANS
-from ...evaluation.metrics import chamfer, emd, f_score
+from ...evaluation.metrics import chamfer, f_score
 from ...geometry.points import Array
 from ...io.output import check_output
 from ...network.model import BaseNetwork
@@ -21,7 +22,7 @@ from .accuracy_cases import KINDS, AccuracyCase, CaseBuilder, check_points, kind
 from .accuracy_claims import claims, ratios_of, select, summarise
 from .accuracy_variants import DEFAULT, Variant, alone, refined, variants_of
 from .parts import Shape, shapes_of_part, view_aligned_network, weights_hash
-from .summary import rounded
+from .summary import by_category, rounded
 
 CATEGORIES = ("chair", "airplane", "car", "sofa", "table")
 GROUP = 32
@@ -30,19 +31,13 @@ TIMED = 6
 """Cases of each kind, category and variant that are refined once more, alone, for the time."""
 STARTS = "Where the starts are from. May be repeated.  [default: all; with --ablation all but right]"
 F_THRESHOLD = 0.02
-ASSIGNED = 2048
-"""Points up to which one-to-one assignments are solved."""
 CONVENTION = {
     "chamfer": "squared distances, mean over points, forward + backward, longest side 1; to as many target points",
-    "dense": "the same to 16,384 target points",
     "f_score": f"share of points with a counterpart nearer than {F_THRESHOLD}, harmonic mean of both directions, 16,384 target "
     "points",
-    "emd": "mean distance of an optimal one-to-one assignment; none over 2,048 points",
     "iou": IOU_MEANS,
     "floor": "Chamfer distance of another sampling of the true surface",
-    "in_plane": "each point keeps its depth and takes the place in the image plane of the target point that an optimal "
-    "assignment gives it, or none moves where that is nearer",
-    "seconds": "one call of refine alone, median over up to 6 cases; batch_seconds: a case of a batch",
+    "seconds": "one call of refine alone, median over up to 6 cases",
 }
 
 
@@ -58,14 +53,7 @@ def run(
 ) -> Record:
     """Refine every case of every kind with every variant, and judge it against the truth.
 
-    ``settings`` : the other options, which the record keeps.
-
-    Raises
-    ------
-    InputError
-        A shape is missing, the network is not view-aligned, or the earlier record is of other settings.
-    TsoError
-        A case cannot be refined.
+    ``settings`` are the other options, which the record keeps. Raises TsoError where a case cannot be refined.
     """
     if pictures is not None:
         check_output(pictures, progress.overwrite)
@@ -88,17 +76,10 @@ def run(
         raise InputError(f"kinds are {', '.join(kinds)}, expected some that {', '.join(categories)} have")
     cases = progress.earlier_cases("accuracy", settings)
     done = {(case["kind"], case["shape"]) for case in cases}
-    # A group of which a shape is missing is judged anew as a whole.
-    complete_groups = [all((kind, shape.name) in done for shape in group) for kind, group in groups]
-    kept = {(kind, s.name) for (kind, group), whole in zip(groups, complete_groups, strict=True) if whole for s in group}
-    cases = [case for case in cases if (case["kind"], case["shape"]) in kept]
-    timed = {(case["kind"], case["category"]) for case in cases}
 
-    def judged(kind: str, group: list[Shape]) -> Cases:
+    def judged(kind: str, group: list[Shape], timed: int) -> Cases:
         built = [case for shape in group for case in builder.cases(shape, kind)]
-        first = (kind, group[0].category) not in timed
-        timed.add((kind, group[0].category))
-        return judge_group(built, variants[kind], settings["device"], network, TIMED if first else 0)
+        return judge_group(built, variants[kind], settings["device"], network, timed)
 
     def record(cases: Cases, complete: bool) -> Record:
         summary = summarise(cases)
@@ -107,9 +88,7 @@ def run(
             "accuracy", CONVENTION, complete=complete, settings=settings, summary=summary, claims=answers, cases=cases
         )
 
-    work = [
-        None if whole else partial(judged, kind, group) for (kind, group), whole in zip(groups, complete_groups, strict=True)
-    ]
+    work = [None if (kind, group[0].name) in done else partial(judged, kind, group, timed) for kind, group, timed in groups]
     finished = progress.complete("refining", cases, work, record)
     if pictures is not None:
         draw_cases(pictures, _extremes(finished, builder, shapes), progress.overwrite)
@@ -118,13 +97,13 @@ def run(
 
 def _groups(
     shapes: list[Shape], categories: tuple[str, ...], kinds: tuple[str, ...], size: int
-) -> list[tuple[str, list[Shape]]]:
-    """(kind, shapes of one category) that are refined together."""
+) -> list[tuple[str, list[Shape], int]]:
+    """(kind, shapes of one category that are refined together, how many of their cases are timed)."""
     groups = []
     for category in categories:
         members = [shape for shape in shapes if shape.category == category]
         for kind in kinds_of(category, kinds):
-            groups += [(kind, members[i : i + size]) for i in range(0, len(members), size)]
+            groups += [(kind, members[i : i + size], TIMED if i == 0 else 0) for i in range(0, len(members), size)]
     return groups
 
 
@@ -134,23 +113,17 @@ def judge_group(
     """Refine cases of one kind and category with every variant; the first ``timed`` once more, alone, for the time."""
     records: Cases = []
     for case in cases:
-        before = {
-            **_judged(case.initial, case),
-            "floor": case.floor,
-            "floor_dense": case.floor_dense,
-            "in_plane": in_plane(case),
-        }
+        before = {**_judged(case.initial, case), "floor": case.floor}
         names = {key: getattr(case, key) for key in ("kind", "category", "shape", "view", "start")}
         records.append({**names, "before": rounded(before), "variants": {}})
     for name, variant in variants.items():
-        results, batch_seconds = refined(cases, variant, device, network)
+        results = refined(cases, variant, device, network)
         for number, (case, record, result) in enumerate(zip(cases, records, results, strict=True)):
-            row = _judged(result.points, case)
-            row |= {"iou_before": result.iou_before, "iou": result.iou_after, "mirrored": result.symmetry is not None}
-            if batch_seconds is not None:
-                row["batch_seconds"] = batch_seconds
+            row = {**_judged(result.points, case), "iou_before": result.iou_before, "iou": result.iou_after}
             if number < timed:
-                row["seconds"] = alone(case, variant, device, network)[1]
+                start = time.perf_counter()
+                alone(case, variant, device, network)
+                row["seconds"] = time.perf_counter() - start
             record["variants"][name] = rounded(row)
     return records
 
@@ -158,30 +131,8 @@ def judge_group(
 def _judged(points: Array, case: AccuracyCase) -> dict[str, Any]:
     return {
         "chamfer": chamfer(points, case.target).chamfer,
-        "dense": chamfer(points, case.dense).chamfer,
         "f_score": f_score(points, case.dense, F_THRESHOLD).f_score,
-        "emd": emd(points, case.target) if len(points) <= ASSIGNED else None,
     }
-
-
-def in_plane(case: AccuracyCase) -> float | None:
-    """Chamfer distance of the start once nothing is wrong with it but depth, as the case's own camera sees it.
-
-    Each point moves parallel to the image plane, to the place of the target point that an optimal one-to-one assignment
-    (squared distances) gives it, or none moves where that is nearer. None over 2,048 points, and for a network's prediction,
-    whose points lie so unevenly that an assignment does more harm than good.
-    """
-    from scipy.optimize import linear_sum_assignment
-    from scipy.spatial.distance import cdist
-
-    if len(case.initial) > ASSIGNED or case.kind == "network":
-        return None
-    rotation = case.views[0].camera.R
-    moved, truth = case.initial @ rotation.T, case.target @ rotation.T
-    _, paired = linear_sum_assignment(cdist(moved, truth, "sqeuclidean"))
-    moved[:, :2] = truth[paired, :2]
-    # An assignment leads a few clouds astray, seen along a flat part: these stay as they are.
-    return min(chamfer(moved, truth).chamfer, chamfer(case.initial, case.target).chamfer)
 
 
 def _extremes(record: Record, builder: CaseBuilder, shapes: list[Shape]) -> list[tuple[str, AccuracyCase, Array]]:
@@ -194,56 +145,38 @@ def _extremes(record: Record, builder: CaseBuilder, shapes: list[Shape]) -> list
     variant = variants_of(kind, record["settings"]["ablation"])[DEFAULT]
     rows = []
     for category in record["summary"][kind]:
-        cases = select(record["cases"], kind, category)
+        cases = by_category(select(record["cases"], kind))[category]
         ratios = ratios_of(cases, DEFAULT)
         order = np.argsort(ratios)[::-1]
         # One or two cases have fewer than three places.
         for place, name in {order[0]: "worst", order[len(order) // 2]: "median", order[-1]: "best"}.items():
             shape = by_name[cases[place]["shape"]]
             case = builder.cases(shape, kind)[cases[place]["view"]]
-            result, _ = alone(case, variant, record["settings"]["device"], builder.network)
+            result = alone(case, variant, record["settings"]["device"], builder.network)
             title = f"{category}, {name}: {ratios[place]:.2f}, {shape.name.partition('/')[2][:16]}"
             rows.append((title, case, result.points))
     return rows
 
 
 def tables(record: Record) -> list[Table]:
-    """What each variant reaches, and what bounds it; of an ablation a row an ingredient and a column a kind and category."""
+    """What each variant reaches; of an ablation a row an ingredient and a column a kind and category."""
     groups = [(kind, category, group) for kind, summary in record["summary"].items() for category, group in summary.items()]
     if record["settings"]["ablation"]:
         return [_ablation(groups)]
-    rows, bounds = [], []
+    rows = []
     for kind, category, group in groups:
-        before, count = group["before"], group["cases"]
-        floors = (before.get(f"{bound}_ratio") for bound in ("floor", "in_plane"))
-        bounds.append([kind, category, group["shapes"], count, 1e3 * before["chamfer"], *floors])
+        before = group["before"]
         for name, row in group["variants"].items():
-            figures = [row[key] for key in ("mean_ratio", "median_ratio", "worst_ratio", "worse", "worse_by_5")]
-            figures += [row["chamfer_excess"], row["dense_ratio"], before["f_score"], row["f_score"], before["emd"], row["emd"]]
-            figures += [row[key] for key in ("iou_before", "iou", "median_seconds", "batch_seconds")]
-            rows.append([kind, category, name, 1e3 * before["chamfer"], 1e3 * row["chamfer"], *figures])
-    header = [
-        "kind",
-        "category",
-        "variant",
-        "before",
-        "after",
-        "ratio",
-        "median",
-        "worst",
-        "worse",
-        "by 5 %",
-        "excess",
-        "dense",
-    ]
-    header += ["F", "after", "EMD", "after", "IoU", "after", "s", "in a batch"]
+            figures = [row[key] for key in ("mean_ratio", "median_ratio", "worst_ratio", "worse")]
+            figures += [before.get("floor_ratio"), before["f_score"], row["f_score"]]
+            figures += [row[key] for key in ("iou_before", "iou", "median_seconds")]
+            rows.append([kind, category, group["cases"], name, 1e3 * before["chamfer"], 1e3 * row["chamfer"], *figures])
+    header = ["kind", "category", "cases", "variant", "before", "after", "ratio", "median", "worst", "worse", "floor"]
     note = (
-        "before, after: Chamfer x1000; ratio: after/before, mean of the cases' own; worse, by 5 %: cases over 1 and over 1.05; "
-        "excess: ratio of the means less the floor that another sampling of the truth has; dense: ratio by 16,384 target "
-        "points; s: median seconds a case"
+        "before, after: Chamfer x1000; ratio: after/before, mean of the cases' own; worse: cases over 1; floor: ratio that "
+        "another sampling of the truth has; s: median seconds a case"
     )
-    bound_header = ["kind", "category", "shapes", "cases", "start", "floor / before", "all but depth right / before"]
-    return [Table(header, rows, note=note), Table(bound_header, bounds)]
+    return [Table([*header, "F", "after", "IoU", "after", "s"], rows, note=note)]
 
 
 def _ablation(groups: list[tuple[str, str, dict[str, Any]]]) -> Table:
@@ -263,7 +196,7 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
     for kind, summary in record["summary"].items():
         panels = []
         for category, group in summary.items():
-            cases = select(record["cases"], kind, category)
+            cases = by_category(select(record["cases"], kind))[category]
             panels.append(Panel(f"{category}, {kind}", {name: ratios_of(cases, name) for name in group["variants"]}))
         grid.append(panels)
     draw_ratios(path, grid, overwrite)
@@ -290,8 +223,8 @@ STUDY = Study(
     tables,
     draw,
     "The default preset is judged by two questions: how much of the error it removes, and how often it adds some. One mask "
-    "says nothing of depth, so that even a perfect answer in the image plane leaves a good part of the error; symmetry and "
-    "further masks are what reaches beyond it. Two samplings of one surface differ too: no ratio can fall below that floor. "
-    "Starts that are right already show what a refinement costs where there is nothing to gain.",
+    "says nothing of depth; symmetry and further masks are what reaches beyond it. Two samplings of one surface differ too: "
+    "no ratio can fall below that floor. Starts that are right already show what a refinement costs where there is nothing "
+    "to gain.",
     kept="after every group of shapes",
 )

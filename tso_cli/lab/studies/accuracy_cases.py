@@ -18,11 +18,9 @@ from ...geometry.view import View
 from ...io.meshes import read_mesh
 from ...io.shipped import CATEGORIES
 from ...network.model import BaseNetwork, NetworkConfig
-from ...refinement.surface import Surface
 from ...render import RayScene, RenderSettings, fitting_distance, look_at, normalise, render_view, sample_cameras
 from ...scene.network import network_scene
-from .parts import Shape, shapes_of_part
-from .protocol import shape_type
+from .parts import Shape, shape_type, shapes_of_part
 
 KINDS = ("other", "near", "cut", "right", "network")
 """Where the start is from; "cut" is "other" with an object that the border truncates, "right" another sampling of the truth."""
@@ -46,15 +44,13 @@ class AccuracyCase:
 
     Attributes
     ----------
-    kind : of `KINDS`. category, shape : of the truth. view : its number. start : the shape the initial cloud is from.
+    category, shape : of the truth; start : the shape that the initial cloud is from.
     initial, target : [N, 3]; dense : [16384, 3], more points of the target. Longest side 1, centred; of kind "network" turned
         into the axes of the camera.
     views : the first is the case's own, the others are further evidence.
-    floor, floor_dense : Chamfer distance of another sampling of the truth, N points, to ``target`` and to ``dense``.
-    image : [3, 64, 64], what the network saw; None where there is none.
+    floor : Chamfer distance of another sampling of the truth to ``target``.
+    image : [3, 64, 64], what the network saw.
     colours : [N, 3] in [0, 1] of ``initial``, for views that have photos.
-    start_file : the mesh that ``initial`` was sampled from.
-    faces : [F, 3] where ``initial`` are the vertices of a mesh; surface : what stands for such vertices when they are judged.
     """
 
     kind: str
@@ -67,29 +63,16 @@ class AccuracyCase:
     dense: Array
     views: tuple[View, ...]
     floor: float
-    floor_dense: float
     image: NDArray[np.float32] | None = None
     colours: Array | None = None
-    start_file: Path | None = None
-    faces: NDArray[np.int64] | None = None
-    surface: Surface | None = None
-
-    def chamfer_of(self, points: Array) -> float:
-        """Chamfer distance to the truth: of a cloud, or of the surface that has ``points`` for vertices."""
-        if self.surface is None:
-            return chamfer(points, self.target).chamfer
-        return chamfer(self.surface.all_samples(points), self.dense).chamfer
 
 
 @dataclass(frozen=True, eq=False)
 class CaseBuilder:
     """Makes the cases of any shape; everything random depends on the seed and the shape's name alone.
 
-    Parameters
-    ----------
-    folder, split_file : as in `shapes_of_part`; starts are shapes of its list "train".
-    views : random views of each shape. size : pixels of a mask each way. points : of initial and target clouds.
-    network, about : for kind "network": a view-aligned network.
+    ``folder`` and ``split_file`` are those of `shapes_of_part`, whose list "train" has the starts; ``size`` is that of the
+    masks, in pixels; kind "network" needs the view-aligned ``network``.
     """
 
     folder: Path
@@ -108,53 +91,42 @@ class CaseBuilder:
         rng = self._rng(shape, "truth")
         dense, resampled = (sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng) for _ in range(2))
         target, initial = _subset(dense, self.points), _subset(resampled, self.points)
-        floors = chamfer(initial, target).chamfer, chamfer(initial, dense).chamfer
+        floor = chamfer(initial, target).chamfer
         scene, rng = RayScene(mesh), self._rng(shape, kind)
-        start, file = {"right": "the truth", "network": "prediction"}.get(kind, ""), None
+        start = {"right": "the truth", "network": "prediction"}.get(kind, "")
         if not start:
-            start_shape, initial = self._start(shape, _subset(dense, JUDGED), LEVELS[kind].get(shape.category, 0.0))
-            start, file = start_shape.name, start_shape.path
+            start, initial = self._start(shape, _subset(dense, JUDGED), LEVELS[kind].get(shape.category, 0.0))
         # Each view has the next three beside it; `_predicted` makes those of a network's case.
         count = 0 if kind == "network" else self.views + MASKS - 1
         views = [self._seen(shape, number, mesh.vertices, scene, kind == "cut", rng) for number in range(count)]
-        cases = [
-            AccuracyCase(
-                kind,
-                shape.category,
-                shape.name,
-                number,
-                start,
-                initial,
-                target,
-                dense,
-                tuple(views[number : number + MASKS]),
-                *floors,
-                start_file=file,
-            )
-            for number in range(self.views)
-        ]
-        return [self._predicted(case, shape, mesh.vertices, scene, rng) for case in cases] if kind == "network" else cases
+        cases = []
+        for number in range(self.views):
+            beside = tuple(views[number : number + MASKS])
+            case = AccuracyCase(kind, shape.category, shape.name, number, start, initial, target, dense, beside, floor)
+            cases.append(case)
+        if kind != "network":
+            return cases
+        return [self._predicted(case, shape, mesh.vertices, scene, rng) for case in cases]
 
     def _rng(self, shape: Shape, purpose: str) -> np.random.Generator:
         return np.random.default_rng([self.seed, zlib.crc32(shape.name.encode()), zlib.crc32(purpose.encode())])
 
-    def _start(self, shape: Shape, target: Array, level: float) -> tuple[Shape, Array]:
-        """The training shape and its cloud, of those of another type whose distance from the truth is nearest to ``level``."""
+    def _start(self, shape: Shape, target: Array, level: float) -> tuple[str, Array]:
+        """The training shape of another type whose distance from the truth is nearest to ``level``: its name and cloud."""
         if shape.category not in self._starts:
             starts = self._starts[shape.category] = []
             for training in shapes_of_part(self.folder, self.split_file, "train", [shape.category]):
                 mesh = normalise(read_mesh(training.path))
                 samples = sample_surface(mesh.vertices, mesh.faces, SAMPLES, self._rng(training, "truth"))
                 starts.append((training, samples, _subset(samples, JUDGED)))
-        others = [
-            start for start in self._starts[shape.category] if shape_type(start[0].path.stem) != shape_type(shape.path.stem)
-        ]
+        object_type = shape_type(shape.path.stem)
+        others = [start for start in self._starts[shape.category] if shape_type(start[0].path.stem) != object_type]
         if not others:
             raise InputError(
                 f"{shape.name}: no {shape.category} of another type is in the list train, expected one to start from"
             )
         nearest, samples, _ = min(others, key=lambda start: abs(chamfer(start[2], target).chamfer - level))
-        return nearest, _subset(samples, self.points)
+        return nearest.name, _subset(samples, self.points)
 
     def _seen(
         self, shape: Shape, number: int, vertices: Array, scene: RayScene, truncated: bool, rng: np.random.Generator

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field, replace
 
 from ...errors import TsoError
@@ -83,45 +82,29 @@ def variants_of(kind: str, ablation: bool) -> dict[str, Variant]:
     return {"network": NETWORK, "other": {**POINTS, **STEPS}}.get(kind, POINTS)
 
 
-def refined(
-    cases: list[AccuracyCase], variant: Variant, device: str, network: BaseNetwork | None
-) -> tuple[list[RefineResult], float | None]:
-    """The result of each case, and the seconds a case of a batch; None for networks, colours and meshes, which have no batch.
-
-    Raises TsoError where a case cannot be refined.
-    """
-    single = any(case.colours is not None or case.faces is not None for case in cases)
-    if single or (network is not None and variant.config.mode != "points"):
-        return [alone(case, variant, device, network)[0] for case in cases], None
-    start = time.perf_counter()
-    outcomes = refine_batch(
-        [(case.initial, case.views[: variant.masks]) for case in cases], replace(variant.config, device=device)
-    )
-    seconds = (time.perf_counter() - start) / len(cases)
+def refined(cases: list[AccuracyCase], variant: Variant, device: str, network: BaseNetwork | None) -> list[RefineResult]:
+    """The result of each case; networks and colours have no batch. Raises TsoError where a case cannot be refined."""
+    if variant.config.mode != "points" or any(case.colours is not None for case in cases):
+        return [alone(case, variant, device, network) for case in cases]
+    problems = [(case.initial, case.views[: variant.masks]) for case in cases]
     results = []
-    for result in outcomes:
+    for result in refine_batch(problems, replace(variant.config, device=device)):
         if isinstance(result, TsoError):
             raise result
         results.append(uninterrupted(result))
-    return results, seconds
+    return results
 
 
-def alone(case: AccuracyCase, variant: Variant, device: str, network: BaseNetwork | None) -> tuple[RefineResult, float]:
-    """The result of one case, refined by itself, and the seconds it took."""
+def alone(case: AccuracyCase, variant: Variant, device: str, network: BaseNetwork | None) -> RefineResult:
+    """The result of one case, refined by itself."""
     config, views = replace(variant.config, device=device), case.views[: variant.masks]
-    start = time.perf_counter()
     if config.mode == "points":
-        result = uninterrupted(refine(case.initial, views, config=config, colours=case.colours, faces=case.faces))
-    else:
-        result = uninterrupted(refine(None, views, config=config, network=network, image=case.image))
-    if variant.then is not None:
-        first = result
-        result = uninterrupted(refine(first.points, views, config=replace(variant.then, device=device)))
-        before = [pair[0] for pair in first.view_ious]
-        result = replace(
-            result, iou_before=first.iou_before, view_ious=list(zip(before, (b for _, b in result.view_ious), strict=True))
-        )
-    return result, time.perf_counter() - start
+        return uninterrupted(refine(case.initial, views, config=config, colours=case.colours))
+    result = uninterrupted(refine(None, views, config=config, network=network, image=case.image))
+    if variant.then is None:
+        return result
+    then = uninterrupted(refine(result.points, views, config=replace(variant.then, device=device)))
+    return replace(then, iou_before=result.iou_before)
 
 
 def uninterrupted(result: RefineResult) -> RefineResult:

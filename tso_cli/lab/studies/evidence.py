@@ -9,15 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from ...network.model import BaseNetwork
+from ...evaluation.metrics import chamfer
 from ..charts.ratios import Panel, draw_ratios
-from ..study import CHECKPOINT, COMMON, DEVICE, VIEWS, Cases, Option, Progress, Record, Study, Table, part, record_of
-from .accuracy import CATEGORIES
+from ..study import COMMON, DEVICE, VIEWS, Cases, Option, Progress, Record, Study, Table, part, record_of
 from .accuracy_cases import AccuracyCase, CaseBuilder, kinds_of
-from .accuracy_variants import Variant, alone, refined
+from .accuracy_variants import refined
 from .evidence_cases import Truth
-from .evidence_questions import QUESTIONS, Question
-from .parts import Shape, shapes_of_part, view_aligned_network, weights_hash
+from .evidence_questions import CATEGORIES, QUESTIONS, Question
+from .parts import Shape, shapes_of_part
 from .summary import rounded
 
 SIZE, POINTS = 64, 1024
@@ -25,33 +24,24 @@ SIZE, POINTS = 64, 1024
 CONVENTION = {
     "ratio": "Chamfer distance after / before, mean of the cases' own; squared distances, mean over points, forward + "
     "backward, longest side 1, to as many target points; worse: cases over 1",
-    "IoU": "of mask and silhouette after, mean",
     "without a plane": "share of the cases whose refinement used no mirror plane",
     "trust in the fourth": "1, or less where the other views contradict the fourth, mean",
     "corrected": "share of the cameras that --refine-camera corrected",
     "degrees left": "angle between the cameras that were used and the true ones, mean",
 }
 FIGURES = ("cases", "mean_ratio", "worst_ratio", "worse")
-"""What the summary has of every row; the rest depends on the question."""
 ALL = "all"
-"""The mean over all cases of a kind, whatever their category."""
 
 
-def run(
-    progress: Progress, *, meshes: Path, checkpoint: Path, split: Path | None, questions: tuple[str, ...], **settings: Any
-) -> Record:
+def run(progress: Progress, *, meshes: Path, split: Path | None, questions: tuple[str, ...], **settings: Any) -> Record:
     """Ask each question of every case that it is about; errors are those of the study of accuracy."""
     asked = {name: QUESTIONS[name] for name in questions}
-    of_any = {name for question in asked.values() for name in question.categories or CATEGORIES}
-    categories = [name for name in CATEGORIES if name in of_any]
+    categories = [name for name in CATEGORIES if any(name in question.categories for question in asked.values())]
     shapes = shapes_of_part(meshes, split, settings["part"], categories, settings["limit"])
     by_category = {name: [shape for shape in shapes if shape.category == name] for name in categories}
-    uses_network = any("network" in question.kinds for question in asked.values())
-    network, about = view_aligned_network(checkpoint) if uses_network else (None, None)
-    builder = CaseBuilder(meshes, split, settings["views"], SIZE, POINTS, settings["seed"], network, about)
+    builder = CaseBuilder(meshes, split, settings["views"], SIZE, POINTS, settings["seed"])
     settings |= {
         "questions": list(questions),
-        "network": weights_hash(network) if network else None,
         "points": POINTS,
         "size": SIZE,
         "rows": {name: list(question.rows) for name, question in asked.items()},
@@ -66,7 +56,7 @@ def run(
             for place, shape in enumerate(group)
             for case in builder.cases(shape, kind)
         ]
-        return judge(name, asked[name], built, settings["seed"], settings["device"], network)
+        return judge(name, asked[name], built, settings["seed"], settings["device"])
 
     def record(cases: Cases, complete: bool) -> Record:
         return record_of("evidence", CONVENTION, complete=complete, settings=settings, summary=summarise(cases), cases=cases)
@@ -76,35 +66,25 @@ def run(
         for name, question in asked.items()
         for kind in question.kinds
         for category, group in by_category.items()
-        if category in (question.categories or CATEGORIES) and kind in kinds_of(category, question.kinds)
+        if category in question.categories and kind in kinds_of(category, question.kinds)
     ]
     return progress.complete("refining", cases, groups, record)
 
 
-def judge(
-    name: str,
-    question: Question,
-    cases: list[tuple[AccuracyCase, Truth]],
-    seed: int,
-    device: str,
-    network: BaseNetwork | None,
-) -> Cases:
+def judge(name: str, question: Question, cases: list[tuple[AccuracyCase, Truth]], seed: int, device: str) -> Cases:
     """Every row of a question for cases of one kind and category; a row that a case cannot have is left out of it."""
     keys = ("kind", "category", "shape", "view")
     records: Cases = [{"question": name, **{key: getattr(case, key) for key in keys}, "rows": {}} for case, _ in cases]
-    for label, row in question.rows.items():
+    for label, (alter, variant) in question.rows.items():
         # The same random numbers for each row: what is compared differs in nothing else.
-        altered = [row.alter(case, truth, _rng(seed, name, case)) for case, truth in cases]
+        altered = [alter(case, truth, _rng(seed, name, case)) for case, truth in cases]
         numbers = [number for number, case in enumerate(altered) if case is not None]
         changed = [case for case in altered if case is not None]
-        if isinstance(row.variant, Variant):
-            results = refined(changed, row.variant, device, network)[0] if changed else []
-        else:
-            results = [alone(case, row.variant(case), device, network)[0] for case in changed]
+        results = refined(changed, variant, device, None) if changed else []
         for number, case, result in zip(numbers, changed, results, strict=True):
-            figures: dict[str, Any] = {"before": case.chamfer_of(case.initial), "chamfer": case.chamfer_of(result.points)}
-            figures |= {key: measure(cases[number][0], case, result) for key, measure in question.measures.items()}
-            records[number]["rows"][label] = rounded(figures)
+            before, after = (chamfer(points, case.target).chamfer for points in (case.initial, result.points))
+            further = {key: measure(cases[number][0], case, result) for key, measure in question.measures.items()}
+            records[number]["rows"][label] = rounded({"before": before, "chamfer": after, **further})
     return records
 
 
@@ -134,10 +114,15 @@ def _means(figures: Cases) -> dict[str, Any]:
     return rounded({**counts, "mean_ratio": float(ratios.mean()), "worst_ratio": float(ratios.max()), **means})
 
 
+def _known(record: Record) -> dict[str, Any]:
+    """The summary by question; older records have questions that are no longer asked."""
+    return {question: kinds for question, kinds in record["summary"].items() if question in QUESTIONS}
+
+
 def tables(record: Record) -> list[Table]:
     """A table for each question."""
     result = []
-    for question, kinds in record["summary"].items():
+    for question, kinds in _known(record).items():
         rows = [
             (kind, category, label, figures)
             for kind, categories in kinds.items()
@@ -154,23 +139,24 @@ def tables(record: Record) -> list[Table]:
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
     """Chamfer after / before of every case; a row of panels for each question, a panel for each kind."""
-    grid: dict[str, dict[str, dict[str, list[float]]]] = {}
-    for case in record["cases"]:
-        panel = grid.setdefault(case["question"], {}).setdefault(case["kind"], {})
-        for label, figures in case["rows"].items():
-            panel.setdefault(label, []).append(figures["chamfer"] / figures["before"])
-    panels = [[Panel(f"{question}, {kind}", rows) for kind, rows in kinds.items()] for question, kinds in grid.items()]
-    draw_ratios(path, panels, overwrite, row_height=0.112)
+    grid = []
+    for question, kinds in _known(record).items():
+        panels = []
+        for kind, categories in kinds.items():
+            cases = [case["rows"] for case in record["cases"] if (case["question"], case["kind"]) == (question, kind)]
+            rows = {label: [case[label] for case in cases if label in case] for label in categories[ALL]}
+            ratios = {label: [row["chamfer"] / row["before"] for row in figures] for label, figures in rows.items()}
+            panels.append(Panel(f"{question}, {kind}", ratios))
+        grid.append(panels)
+    draw_ratios(path, grid, overwrite)
 
 
 STUDY = Study(
     "evidence",
-    "Objects in larger photos (framing), depth maps (depth), photos of painted objects (colours), objects of which a part is "
-    "missing (missing), wrong views among right ones (wrong), cameras that are off (cameras), predictions whose distance is "
-    "not known (placing), the learning rates of the network's variants (rates), and starts that are meshes (meshes).",
+    "Depth maps (depth), photos of painted objects (colours), objects of which a part is missing (missing), wrong views among "
+    "right ones (wrong), and cameras that are off (cameras).",
     (
         *COMMON,
-        CHECKPOINT,
         part("validation"),
         Option("--question", "May be repeated.", str, tuple(QUESTIONS), tuple(QUESTIONS), multiple=True, name="questions"),
         VIEWS,

@@ -1,11 +1,10 @@
-"""Cases with other evidence: depth maps, wrong views, wrong cameras, objects that lack a part, starts that are meshes."""
+"""Cases with other evidence: depth maps, wrong views, wrong cameras, objects that lack a part."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import cycle
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +14,8 @@ from ...geometry.points import farthest_point_sample, sample_surface
 from ...geometry.rotations import from_vectors
 from ...geometry.view import View
 from ...io.meshes import Mesh, read_mesh
-from ...refinement.surface import Surface
 from ...refinement.symmetry import find_mirror_plane
 from ...render import RayScene, fitting_distance, look_at, normalise, render_view
-from ...scene.placing import align_silhouette, place_in_front
 from .accuracy_cases import SAMPLES, AccuracyCase
 from .parts import Shape
 
@@ -29,11 +26,6 @@ SHIFT = 0.005
 WRONG_TURN = 30.0
 # Three cameras that stand close together, and one to the side of them; degrees.
 BUNCHED = (0.0, 10.0, 20.0, 100.0)
-
-
-MOST_VERTICES = 20_000
-"""Of a mesh that is still refined as a cloud."""
-VERTICES, SAMPLED, FACES = "its vertices as a cloud", "the cloud of its samples", "as a mesh"
 
 Rng = np.random.Generator
 
@@ -66,14 +58,6 @@ def as_it_is(case: AccuracyCase, truth: Truth, rng: Rng) -> AccuracyCase:
     return case
 
 
-def in_photo(
-    case: AccuracyCase, truth: Truth, rng: Rng, widths: Sequence[int], across: float = 0.5, down: float = 0.3
-) -> AccuracyCase:
-    """Each picture lies in a larger photo, see `framed`; ``widths`` are those of the views by turns."""
-    views = zip(case.views, cycle(widths), strict=False)
-    return replace(case, views=tuple(framed(view, times, across, down) for view, times in views))
-
-
 def framed(view: View, times: int, across: float, down: float) -> View:
     """The view's picture in a photo so many times as wide and high, at a share of the free way; around it is background."""
     height, width = view.mask.shape
@@ -85,7 +69,7 @@ def framed(view: View, times: int, across: float, down: float) -> View:
 
 
 def with_depth(case: AccuracyCase, truth: Truth, rng: Rng, noise: float = 0.0) -> AccuracyCase:
-    """Each view with the depth of the true surface in the middle of its pixels, and Gaussian noise (longest side 1) on it."""
+    """Each view with the depth of the true surface at its pixels, and Gaussian noise (longest side 1) on it."""
     views = []
     for view in case.views:
         columns, rows = np.arange(view.camera.width), np.arange(view.camera.height)
@@ -155,45 +139,6 @@ def cameras_off(case: AccuracyCase, truth: Truth, rng: Rng, degrees: float) -> A
         moved = view.camera.t + degrees * SHIFT * view.camera.t[2] * shift
         views.append(replace(view, camera=replace(view.camera, R=turned @ view.camera.R, t=moved)))
     return replace(case, views=tuple(views))
-
-
-def placed_by(case: AccuracyCase, truth: Truth, rng: Rng, placing: str) -> AccuracyCase:
-    """A network's prediction set before the camera by its "box" or its "silhouette", as if t were unknown."""
-    view = case.views[0]
-    placed = replace(view, camera=place_in_front(case.initial, view))
-    if placing == "silhouette":
-        placed = replace(placed, camera=align_silhouette(case.initial, placed))
-    return replace(case, views=(placed,))
-
-
-def from_mesh(case: AccuracyCase, truth: Truth, rng: Rng, form: str, faces: int | None = None) -> AccuracyCase | None:
-    """The start is the mesh that its cloud was sampled from, in one of three forms; first simplified to ``faces`` if given.
-
-    Vertices, as a cloud or as a mesh, are judged by the surface that the mesh then has.
-    """
-    assert case.start_file is not None
-    mesh = normalise(read_mesh(case.start_file))
-    if faces is not None:
-        if len(mesh.faces) <= faces:
-            return None
-        mesh = _simplified(mesh, faces)
-    surface = Surface(mesh.vertices, mesh.faces)
-    if form == SAMPLED:
-        return replace(case, initial=surface.samples)
-    if form == VERTICES and len(mesh.vertices) > MOST_VERTICES:
-        return None
-    return replace(case, initial=mesh.vertices, faces=mesh.faces if form == FACES else None, surface=surface)
-
-
-def _simplified(mesh: Mesh, faces: int) -> Mesh:
-    """The mesh with so many faces, by quadric decimation."""
-    import open3d
-
-    simplified = open3d.geometry.TriangleMesh(
-        open3d.utility.Vector3dVector(mesh.vertices), open3d.utility.Vector3iVector(mesh.faces.astype(np.int32))
-    ).simplify_quadric_decimation(faces)
-    simplified.remove_unreferenced_vertices()
-    return Mesh(np.asarray(simplified.vertices), np.asarray(simplified.triangles).astype(np.int64))
 
 
 def _mask(scene: RayScene, camera: Camera) -> NDArray[np.float32]:

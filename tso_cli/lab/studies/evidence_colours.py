@@ -62,11 +62,9 @@ def photo(scene: RayScene, view: View, paint: Paint, light: Array, exposure: flo
 def painted(case: AccuracyCase, truth: Truth, rng: Rng, start: str, exposure: float | None) -> AccuracyCase:
     """The object is painted, its photos are taken under a random light, and the cloud has colours of its own.
 
-    Parameters
-    ----------
-    start : "bent 2" or "bent 6", the true cloud in the object's own paint, bent by a smooth random field until it is that far
-        off (Chamfer x1000), or "other", the case's own start in another paint.
-    exposure : how many times as long as needed; None: no photo is taken.
+    ``start`` is "bent 2" or "bent 6", the true cloud in the object's own paint, bent by a smooth random field until it is that
+    far off (Chamfer x1000), or "other", the case's own start in another paint. ``exposure`` : how many times as long as
+    needed; None takes no photo.
     """
     paint, other_paint, bend = paint_of(rng), paint_of(rng), _bend_of(rng)
     lights = _directions(rng, (len(case.views),))

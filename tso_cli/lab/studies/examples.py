@@ -8,7 +8,6 @@ from typing import Any
 
 from ...evaluation.footprint import IOU_MEANS
 from ...evaluation.metrics import chamfer
-from ...geometry.points import normalise_longest_side
 from ...io.clouds import read_cloud
 from ...io.shipped import CATEGORIES, examples_folder
 from ...refinement import RefineConfig, RefineResult, refine
@@ -20,7 +19,6 @@ from ..study import Option, Progress, Record, Study, Table, record_of
 RUNS = 5
 CONVENTION = {
     "chamfer": "squared distances, mean over points, forward (target -> cloud) + backward; target's longest side 1",
-    "chamfer_capnet": "the same after each cloud was centred and scaled to longest side 1 by its own box",
     "iou": IOU_MEANS,
     "seconds": f"median of {RUNS} runs of the optimisation alone, after one that is not counted",
 }
@@ -29,8 +27,7 @@ CONVENTION = {
 def run(progress: Progress, *, checkpoint: Path | None) -> Record:
     """Refine each shipped example with the paper's settings and judge it by Chamfer to its target.
 
-    With a view-aligned network in ``checkpoint`` its two modes are run too; their clouds are judged in the world of the
-    camera file.
+    With a view-aligned network in ``checkpoint`` its two modes are run too.
     """
     modes = ["points", "encoder", "encoder-decoder"] if checkpoint else ["points"]
     rows: list[dict[str, Any]] = []
@@ -54,7 +51,6 @@ def _run(name: str, mode: str, checkpoint: Path | None) -> dict[str, Any]:
     result = results[0]
     clouds = [scene.to_output(points) for points in (result.initial, result.points)]
     plain = [chamfer(points, target).chamfer for points in clouds]
-    capnet = [chamfer(normalise_longest_side(points), normalise_longest_side(target)).chamfer for points in clouds]
     return {
         "example": name,
         "mode": mode,
@@ -63,8 +59,6 @@ def _run(name: str, mode: str, checkpoint: Path | None) -> dict[str, Any]:
         "chamfer_before": plain[0],
         "chamfer_after": plain[1],
         "ratio": plain[1] / plain[0],
-        "chamfer_capnet_before": capnet[0],
-        "chamfer_capnet_after": capnet[1],
         "seconds": sorted(seconds[1:])[RUNS // 2],
     }
 

@@ -29,6 +29,7 @@ MASKS, PRINTED = "training on masks", "training on masks, printed affinity"
 OTHERS = ("training on masks, plain projection", "training on masks, depth projection")
 POINTS, MEAN = "training on points", "mean shape"
 PICTURES, PREDICTION = "pictures", "prediction"
+# Those of older records too.
 QUESTIONS = {
     "framing": (BEST, f"{BEST}, in a larger photo", f"{BEST}, in photos of other widths each"),
     "depth": (BEST, f"{BEST}, depth map"),

@@ -39,11 +39,9 @@ def run(
 ) -> Record:
     """Judge a view-aligned network by Chamfer distance on the validation and test shapes of a split, beside three answers.
 
-    - ``mean_view``: the mean training shape in the network's own frame, the cloud nearest on average to all training
-      targets as the cameras see them. It is what a network that ignores the picture would learn.
+    - ``mean_view``: the mean training shape as the cameras see it: what a network that ignores the picture would learn.
     - ``mean_aligned``: the mean training shape in the objects' frame, in the best of four quarter turns: the pose is given.
-    - ``nearest``: of all training shapes, in the best of four quarter turns, the one nearest to the judged shape: the best that
-      retrieval could do.
+    - ``nearest``: the nearest training shape in the best of four quarter turns: the best that retrieval could do.
     """
     network, about = load_network(checkpoint)
     source = Source(meshes, split or SHIPPED_SPLIT, seed=seed, categories=categories)
@@ -90,15 +88,14 @@ def _distance(clouds: Tensor, targets: Sequence[Floats]) -> float:
 
 def _summary(rows: list[dict[str, Any]], training: int) -> dict[str, Any]:
     means = {name: float(np.mean([row[name] for row in rows])) for name in LABELS}
-    medians = {f"{name}_median": float(np.median([row[name] for row in rows])) for name in LABELS}
-    over = {f"over_{name}": means["network"] / means[name] for name in LABELS if name != "network"}
-    return {"shapes": len(rows), "training_shapes": training, **means, **medians, **over}
+    return {"shapes": len(rows), "training_shapes": training, **means}
 
 
 def tables(record: Record) -> list[Table]:
     """A row for each list and category."""
     rows = [
-        [part, category, row["shapes"], *(1e3 * row[name] for name in LABELS), row["over_mean_view"], row["over_nearest"]]
+        [part, category, row["shapes"], *(1e3 * row[name] for name in LABELS)]
+        + [row["network"] / row[name] for name in ("mean_view", "nearest")]
         for part, summary in record["summary"].items()
         for category, row in summary.items()
     ]
@@ -107,10 +104,7 @@ def tables(record: Record) -> list[Table]:
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """Chamfer of the network and of its three rivals, by category, on validation and test shapes.
-
-    Raises InputError if ``path`` cannot be written to.
-    """
+    """Chamfer of the network and of its three rivals, by category, on validation and test shapes."""
     with page(path, overwrite, (9.6, 4.2)) as figure:
         axes = figure.subplots(1, len(record["summary"]), sharey=True, squeeze=False)[0]
         for axis, (part, summary) in zip(axes, record["summary"].items(), strict=True):

@@ -38,14 +38,7 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class SeenShape:
-    """A shape and pictures of it.
-
-    Attributes
-    ----------
-    mesh : longest side 1, centred; scene : ready for casting rays at it.
-    target : [1024, 3] float64, the farthest-point subset of 16,384 samples of its surface.
-    views : pictures, masks and cameras.
-    """
+    """A shape (longest side 1, centred), ``target`` [1024, 3] float64 of its surface, and rendered views."""
 
     mesh: Mesh
     scene: RayScene
@@ -66,14 +59,10 @@ def shapes_of_part(
     ----------
     folder : holds CATEGORY/NAME with a mesh's suffix for every name of the part.
     split_file : None for that of the shipped network.
-    part : "train", "validation" or "test".
     categories : only these; empty for all.
     limit : at most so many of each category, spread evenly over the list.
 
-    Raises
-    ------
-    InputError
-        The part or a category has no shape in the split, or a mesh is missing.
+    Raises InputError if the part or a category has no shape in the split, or a mesh is missing.
     """
     split_file = split_file or SPLIT
     names = read_part(split_file, part)
@@ -100,6 +89,12 @@ def spread(items: Sequence[Item], limit: int | None) -> list[Item]:
     """At most ``limit`` of ``items``, evenly over their order."""
     count = len(items) if limit is None else min(limit, len(items))
     return [items[i] for i in np.linspace(0, len(items) - 1, count).round().astype(int)]
+
+
+def shape_type(stem: str) -> str:
+    """The common name of files that are variants of one object: `fg_767_763` and `fg_767_767` are both `fg_767`."""
+    parts = stem.split("_")
+    return "_".join(parts[:2]) if parts[0] == "fg" and len(parts) > 2 else stem
 
 
 def see(shape: Shape, settings: RenderSettings, seed: int) -> SeenShape:

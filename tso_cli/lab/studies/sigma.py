@@ -7,18 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from numpy.typing import NDArray
 
 from ...device import one_thread
-from ...geometry.camera import NEAR, Camera
 from ...io.shipped import CATEGORIES
+from ...plots.style import COLOURS, page
 from ...render import RenderSettings
 from ...silhouette.projection import silhouette_of
-from ..charts.sigma_chart import draw_sigma
-from ..packing import pack
 from ..study import CATEGORY, COMMON, Cases, Option, Progress, Record, Study, Table, claim, part, record_of
-from .discretised import UPSAMPLING, discrete_depth, discrete_mask
 from .parts import SeenShape, see, shapes_of_part
 from .summary import by_category
 
@@ -26,8 +21,6 @@ from .summary import by_category
 SIGMAS = tuple(round(0.05 * 2.0 ** (k / 2), 3) for k in range(13))
 # The paper's choices.
 PAPER = {"chair": 0.4, "car": 0.4, "airplane": 0.1, "all": 0.4}
-PICTURED = (0.05, 0.1, 0.4, 0.8, 3.2)
-"""sigma^2 of the pictures, which stand beside the discrete projections."""
 SIZE = 64
 CONVENTION = {
     "sigma_sq": f"px^2 of the {SIZE}x{SIZE} mask",
@@ -39,26 +32,19 @@ CONVENTION = {
 def run(
     progress: Progress, *, meshes: Path, split: Path | None, categories: tuple[str, ...], limit: int | None, **settings: Any
 ) -> Record:
-    """Project the true cloud of 1,024 points of each shape and compare its silhouette with the mask at 64x64.
-
-    Of the first shape of each category the record keeps the projections of the first view. Raises InputError where a shape
-    is missing.
-    """
+    """Project the true cloud of 1,024 points of each shape and compare its silhouette with the mask at 64x64."""
     shapes = shapes_of_part(meshes, split, settings["part"], categories or (() if split else CATEGORIES), limit)
     render = RenderSettings(views=settings["views"], size=(SIZE, SIZE))
     rows: Cases = []
-    maps: dict[str, dict[str, Any]] = {}
     for done, shape in enumerate(shapes, 1):
         seen = see(shape, render, settings["seed"])
         with one_thread(True):  # small images: threads would wait for each other longer than they work
-            if shape.category not in {row["category"] for row in rows}:
-                maps[shape.name] = _maps(seen)
             rows.append({"category": shape.category, "shape": shape.name, **mask_errors(seen)})
         progress.report("projecting", done, len(shapes))
     summary = {name: _means(name, group) for name, group in {**by_category(rows), "all": rows}.items()}
     settings |= {"points": render.points, "mask": f"{SIZE}x{SIZE}", "sigma_sq": list(SIGMAS)}
     answers = claims(summary)
-    return record_of("sigma", CONVENTION, settings=settings, summary=summary, claims=answers, shapes=rows, maps=maps)
+    return record_of("sigma", CONVENTION, settings=settings, summary=summary, claims=answers, shapes=rows)
 
 
 def mask_errors(seen: SeenShape, sigmas: Sequence[float] = SIGMAS) -> dict[str, list[float]]:
@@ -71,29 +57,6 @@ def mask_errors(seen: SeenShape, sigmas: Sequence[float] = SIGMAS) -> dict[str, 
             errors[:, k] += np.maximum(-over, 0.0).mean(), np.maximum(over, 0.0).mean()
     errors /= len(seen.views)
     return {"missing": errors[0].tolist(), "stray": errors[1].tolist(), "l1": errors.sum(0).tolist()}
-
-
-def _maps(seen: SeenShape) -> dict[str, Any]:
-    """The mask of the first view, and projections of the true cloud beside it."""
-    view = seen.views[0]
-    gaussian = {f"sigma^2 {sigma_sq:g}": silhouette_of(seen.target, view.camera, sigma_sq) for sigma_sq in PICTURED}
-    pictures = {"mask": view.mask.astype(np.float32) / 255.0, **_discrete_maps(seen, view.camera), **gaussian}
-    return {title: pack(picture, 1.0 / 255.0) for title, picture in pictures.items()}
-
-
-def _discrete_maps(seen: SeenShape, camera: Camera) -> dict[str, NDArray[np.float32]]:
-    """The two other projections of the paper's figure: points rounded to pixels, and Lin et al.'s depth map.
-
-    Of the latter the nearest point that shows is white and the furthest grey.
-    """
-    pixels, depth = (torch.as_tensor(values).unsqueeze(0) for values in camera.project(seen.target))
-    valid = depth > NEAR
-    rounded = discrete_mask(pixels, valid, camera.height, camera.width)
-    depth_map, hit = discrete_depth(pixels, depth, valid, camera.height, camera.width)
-    near, far = depth_map[hit].min(), depth_map[hit].max()
-    grey = torch.where(hit, 1.0 - 0.6 * (depth_map - near) / (far - near).clamp_min(1e-9), 0.0)
-    maps = {"discretised": rounded, f"Lin et al., U = {UPSAMPLING}": grey}
-    return {name: image[0].numpy().astype(np.float32) for name, image in maps.items()}
 
 
 def _means(category: str, rows: Cases) -> dict[str, Any]:
@@ -154,10 +117,33 @@ def tables(record: Record) -> list[Table]:
     return [Table(["sigma^2", *summary], errors, decimals=4), Table(header, best, decimals=4)]
 
 
+def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+    """L1 error over sigma^2 by category, its best and the paper's choice."""
+    with page(path, overwrite, (7.5, 4.2)) as figure:
+        axis = figure.subplots()
+        sigmas = record["settings"]["sigma_sq"]
+        categories = [(name, row) for name, row in record["summary"].items() if name != "all"]
+        for i, (name, row) in enumerate(categories):
+            colour = COLOURS[i % len(COLOURS)]
+            axis.plot(sigmas, row["l1"], color=colour, linewidth=2, label=f"{name}, {row['shapes']} shapes")
+            axis.plot(sigmas, row["missing"], color=colour, linewidth=0.9, linestyle="--")
+            axis.plot(sigmas, row["stray"], color=colour, linewidth=0.9, linestyle=":")
+            axis.plot(row["best"], row["l1_at_best"], "o", color=colour, markersize=7)
+            if row["paper"] is not None:
+                axis.plot(row["paper"], row["l1_at_paper"], "D", color="white", markeredgecolor=colour, markersize=8)
+        axis.set_xscale("log")
+        axis.set_xticks(sigmas[::2], [f"{sigma_sq:g}" for sigma_sq in sigmas[::2]])
+        axis.set_xticks([], minor=True)
+        axis.set_ylim(bottom=0.0)
+        axis.set_xlabel("sigma^2 (px^2 at 64x64)")
+        axis.set_ylabel("mean |silhouette - mask|")
+        axis.set_title("dot: best, diamond: the paper's; dashed: what is missing, dotted: what is stray", fontsize=10)
+        axis.legend(frameon=False, loc="upper center")
+
+
 STUDY = Study(
     "sigma",
-    "Each shape's true cloud of 1,024 points is projected at 64x64 with growing sigma^2 and compared with the mask. The chart "
-    "shows the projections of one shape of each category beside its mask.",
+    "Each shape's true cloud of 1,024 points is projected at 64x64 with growing sigma^2 and compared with the mask.",
     (
         *COMMON,
         part("test", "test", "validation", "train"),
@@ -166,7 +152,7 @@ STUDY = Study(
     ),
     run,
     tables,
-    draw_sigma,
+    draw,
     "A narrow Gaussian leaves holes between the points, a wide one blurs the outline and fills gaps. The best width depends on "
     "how densely the points cover the mask, so thin shapes want a smaller one; between the extremes the error is flat.",
 )

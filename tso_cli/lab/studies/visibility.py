@@ -15,10 +15,10 @@ TOLERANCE = 2e-3
 POINTS_AT_ONCE = 32
 
 
-def visible_points(scene: RayScene, points: Array, camera: Camera, tolerance: float = TOLERANCE) -> NDArray[np.bool_]:
+def visible_points(scene: RayScene, points: Array, camera: Camera) -> NDArray[np.bool_]:
     """For each of ``points`` [N, 3] on the surface of ``scene`` whether the perspective ``camera`` sees it.
 
-    A point is seen when the first hit along its ray is no more than ``tolerance`` before it, or when its ray, which grazes an
+    A point is seen when the first hit along its ray is no more than `TOLERANCE` before it, or when its ray, which grazes an
     edge, hits nothing at all.
     """
     pixels, depth = camera.project(points)
@@ -36,5 +36,5 @@ def visible_points(scene: RayScene, points: Array, camera: Camera, tolerance: fl
     # Where the plane of the hit face meets the ray; a face seen edge-on hides nothing.
     with np.errstate(divide="ignore", invalid="ignore"):
         first = (normals * (corners - camera.position)).sum(1) / along
-    hidden = hits & (np.abs(along) > 1e-9) & (first < depth - tolerance)
+    hidden = hits & (np.abs(along) > 1e-9) & (first < depth - TOLERANCE)
     return ~hidden
