@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
+from importlib import import_module
 from typing import Any
 
 import torch
@@ -10,36 +11,36 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from ...silhouette.chamfer import ChamferToInitial
-from . import peers
 from .material import STEPS, trajectory
 from .timing import Setting, Work
 
 SIZES, LARGE = (1024, 4096, 16384), (65536,)
 # Every tenth of the 50 steps is measured: the first are the cheapest for a method that remembers the initial cloud.
 EVERY = 10
-# torch.cdist holds all pairs at once.
-CDIST_UP_TO = 1024
-# Packages that compare all pairs would take minutes beyond this size on the CPU.
-PAIRS_UP_TO = 16384
+# These hold or compare all pairs; beyond so many points they would take gigabytes or minutes.
+UP_TO = {"cdist": 1024, "pykeops": 16384}
 BUILT = "tso, built once"
+NOT_INSTALLED = "not installed"
+
+Term = Callable[[Tensor], Tensor]
 
 
-def makers(initial: Tensor, setting: Setting) -> dict[str, peers.Make]:
-    """Contestant -> what makes its Chamfer distance to ``initial`` [1, N, 3], or says why it is left out."""
-    count, on_cpu = initial.shape[1], setting.device.type == "cpu"
-    result: dict[str, peers.Make] = {"tso": lambda: ChamferToInitial(initial)}
-    if on_cpu:
-        result["two k-d trees a step, 1 worker"] = lambda: _k_d_trees(initial, 1)
-        result["two k-d trees a step, all workers"] = lambda: _k_d_trees(initial, -1)
-        result["one k-d tree kept, all queried"] = lambda: _k_d_trees(initial, 1, keep=True)
-    if count <= (4 * CDIST_UP_TO if setting.full else CDIST_UP_TO):
-        result["cdist"] = lambda: _cdist(initial)
-    else:
-        result["cdist"] = lambda: f"{float(count) ** 2:.1e} pairs held at once"
-    for name, make in peers.chamfer_terms(initial).items():
-        slow = on_cpu and name in peers.COMPARE_ALL and count > PAIRS_UP_TO
-        result[name] = (lambda: f"compares all {float(count) ** 2:.1e} pairs, minutes") if slow else make
-    return result
+def contestants(initial: Tensor) -> dict[str, Term | str]:
+    """Contestant -> its Chamfer distance to ``initial`` [1, N, 3], or why it is left out."""
+    terms: dict[str, Term | str] = {"tso": ChamferToInitial(initial)}
+    if initial.device.type == "cpu":
+        terms["two k-d trees a step, 1 worker"] = _k_d_trees(initial, 1)
+        terms["two k-d trees a step, all workers"] = _k_d_trees(initial, -1)
+        terms["one k-d tree kept, all queried"] = _k_d_trees(initial, 1, keep=True)
+    for name, maker in {"cdist": _cdist, "pykeops": _pykeops, "point_cloud_utils": _point_cloud_utils}.items():
+        if initial.shape[1] > UP_TO.get(name, initial.shape[1]):
+            terms[name] = f"compares all {float(initial.shape[1]) ** 2:.1e} pairs"
+            continue
+        try:
+            terms[name] = maker(initial)
+        except ImportError:
+            terms[name] = NOT_INSTALLED
+    return terms
 
 
 def measure(setting: Setting, sizes: Sequence[int] | None = None, steps: int = STEPS) -> list[dict[str, Any]]:
@@ -49,7 +50,7 @@ def measure(setting: Setting, sizes: Sequence[int] | None = None, steps: int = S
         setting.report(f"Chamfer {count:,}")
         iterates = trajectory(count, setting.device, setting.seed, steps)
         moved = iterates[EVERY::EVERY] or iterates[-1:]
-        terms = {name: make() for name, make in makers(iterates[0], setting).items()}
+        terms = contestants(iterates[0])
         works: dict[str, Work] = {name: _along(term, moved) for name, term in terms.items() if not isinstance(term, str)}
         works[BUILT] = lambda initial=iterates[0]: ChamferToInitial(initial)  # type: ignore[misc]
         timings = setting.race(works)
@@ -57,16 +58,11 @@ def measure(setting: Setting, sizes: Sequence[int] | None = None, steps: int = S
         each = {name: timing.scaled(1.0 / len(moved)) for name, timing in timings.items()}
         records += setting.records("chamfer", each, "over_tso", points=count)
         records.append(setting.record("chamfer", BUILT, built, points=count))
-        records += left_out(setting, "chamfer", terms, points=count)
+        records += setting.left_out("chamfer", terms, points=count)
     return records
 
 
-def left_out(setting: Setting, what: str, terms: Mapping[str, Any], **fields: Any) -> list[dict[str, Any]]:
-    """A record of every contestant that is a reason in place of a term or work."""
-    return [setting.record(what, n, left_out=reason, **fields) for n, reason in terms.items() if isinstance(reason, str)]
-
-
-def _along(term: peers.Term, iterates: Sequence[Tensor]) -> Work:
+def _along(term: Term, iterates: Sequence[Tensor]) -> Work:
     leaves = [moved.clone().requires_grad_() for moved in iterates]
 
     def work() -> None:
@@ -76,7 +72,14 @@ def _along(term: peers.Term, iterates: Sequence[Tensor]) -> Work:
     return work
 
 
-def _k_d_trees(initial: Tensor, workers: int, keep: bool = False) -> peers.Term:
+def _by_indices(initial: Tensor, moved: Tensor, to_initial: Any, to_moved: Any) -> Tensor:
+    """Chamfer distance by the indices [N] of each moved point's nearest initial point, and of the reverse."""
+    start, end = initial[0], moved[0]
+    forward = end - start[torch.as_tensor(to_initial).long()]
+    return forward.square().sum(1).mean() + (start - end[torch.as_tensor(to_moved).long()]).square().sum(1).mean()
+
+
+def _k_d_trees(initial: Tensor, workers: int, keep: bool = False) -> Term:
     """Nearest neighbours of all points, both ways; ``keep`` builds the tree of the initial points once."""
     start = initial[0].numpy()
     kept = cKDTree(start) if keep else None
@@ -84,15 +87,35 @@ def _k_d_trees(initial: Tensor, workers: int, keep: bool = False) -> peers.Term:
     def term(moved: Tensor) -> Tensor:
         end = moved[0].detach().numpy()
         to_initial = (kept or cKDTree(start)).query(end, workers=workers)[1]
-        to_moved = cKDTree(end).query(start, workers=workers)[1]
-        return peers.gathered(initial, moved, torch.from_numpy(to_initial), torch.from_numpy(to_moved))
+        return _by_indices(initial, moved, to_initial, cKDTree(end).query(start, workers=workers)[1])
 
     return term
 
 
-def _cdist(initial: Tensor) -> peers.Term:
+def _cdist(initial: Tensor) -> Term:
     def term(moved: Tensor) -> Tensor:
         squared = torch.cdist(initial, moved).square()
         return squared.amin(1).mean() + squared.amin(2).mean()
+
+    return term
+
+
+def _pykeops(initial: Tensor) -> Term:
+    lazy = import_module("pykeops.torch").LazyTensor
+
+    def term(moved: Tensor) -> Tensor:
+        squared = ((lazy(moved[0].detach()[:, None]) - lazy(initial[0][None])) ** 2).sum(-1)  # [N, N], never held
+        return _by_indices(initial, moved, squared.argmin(1).flatten(), squared.argmin(0).flatten())
+
+    return term
+
+
+def _point_cloud_utils(initial: Tensor) -> Term:
+    nearest, start = import_module("point_cloud_utils").k_nearest_neighbors, initial[0].cpu().numpy()
+
+    def term(moved: Tensor) -> Tensor:
+        end = moved[0].detach().cpu().numpy()
+        to_initial, to_moved = (nearest(a, b, 1)[1].reshape(-1) for a, b in ((end, start), (start, end)))
+        return _by_indices(initial, moved, to_initial, to_moved)
 
     return term

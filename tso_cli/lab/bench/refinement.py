@@ -1,4 +1,4 @@
-"""The parts of a refinement: each loss beside the projector, one step, many clouds in one call, more threads."""
+"""The parts of a refinement and of training: each loss, one step, many clouds in one call, more threads."""
 
 from __future__ import annotations
 
@@ -20,6 +20,10 @@ from ...silhouette.affinity import affinity
 from ...silhouette.bce import UNCOVERED, PixelWeights, mask_loss, silhouette_bce
 from ...silhouette.chamfer import ChamferToInitial
 from ...silhouette.projection import project, silhouette_sums
+from ...train.config import PRECISIONS, TrainConfig
+from ...train.loop import start
+from ...train.sources import shipped_examples
+from ...train.speed import ROUNDS, images_per_second
 from . import silhouette
 from .material import SIGMA_SQ, chair_view, cloud, mask_objective, projection, trajectory
 from .timing import Setting, Work, gradient, threads
@@ -153,13 +157,13 @@ def more_threads(
     setting: Setting,
     size: tuple[int, int] = THREADED_SIZE,
     clouds: int = THREADED_CLOUDS,
-    most: int | None = None,
+    most: int = os.cpu_count() or 1,
     steps: int | None = None,
 ) -> list[dict[str, Any]]:
-    """A large cloud's silhouette and Chamfer distance, and a batch of clouds, on one CPU thread and on all (or ``most``)."""
+    """A large cloud's silhouette and Chamfer distance, and a batch of clouds, on one CPU thread and on ``most``."""
     if setting.device.type != "cpu":
         return []
-    counts = sorted({1, most or os.cpu_count() or 1})
+    counts = sorted({1, most})
     setting.report(f"threads {', '.join(map(str, counts))}")
     count, side = size
     kernel = silhouette.kernels(setting.device)[0]
@@ -177,4 +181,26 @@ def more_threads(
         for number, timing in timings.items():
             over_first = timings["1"].median / timing.median
             records.append(setting.record("threads", name, timing, **fields, threads=int(number), over_first=over_first))
+    return records
+
+
+def training_steps(setting: Setting, batch: int = 16) -> list[dict[str, Any]]:
+    """Images a second of a step and of the bare network, by supervision and precision, on the shipped examples.
+
+    "waiting" is the share of a step in which the network waits for its batch; see `images_per_second`.
+    """
+    data = shipped_examples()
+    records = []
+    for supervision in ("points", "masks"):
+        for precision in PRECISIONS:
+            setting.report(f"training on {supervision}, {precision}")
+            config = TrainConfig(
+                supervision=supervision, batch_size=batch, precision=precision, seed=setting.seed, device=str(setting.device)
+            )
+            speed = images_per_second(start(data, config), config, data)
+            for name, key in (("bare network", "bare"), ("step", "step")):
+                fields: dict[str, Any] = {"points": config.points, "side": 64, "batch": batch, "precision": precision}
+                fields |= {"images_per_second": speed[key], "added": speed["added"], "waiting": speed["waiting"]}
+                seconds = {"median": batch / speed[key], "low": None, "high": None}
+                records.append(setting.record(f"training, {supervision}", name, **fields, seconds=seconds, runs=ROUNDS))
     return records

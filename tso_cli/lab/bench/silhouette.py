@@ -10,8 +10,6 @@ from torch import Tensor
 
 from ...kernels.dispatch import triton_runs
 from ...silhouette.bce import PixelWeights, mask_loss
-from . import peers
-from .chamfer import left_out
 from .material import SIGMA_SQ, Projection, projection
 from .timing import Setting, Work, gradient
 
@@ -22,8 +20,6 @@ LARGE: Sizes = ((65536, 512), (262144, 512), (1_000_000, 1024))
 RADII = {"scatter 9x9": 4, "scatter 7x7": 3}
 # Beyond these the exact product takes a minute and the scatter some gigabytes.
 EXACT_LIMIT, TAPS_LIMIT = 1e11, 3e7
-# Other packages start from 3D points. On the CPU the largest sizes would take them minutes.
-PEERS_UP_TO = 16384
 
 
 def kernels(device: torch.device) -> list[str]:
@@ -78,10 +74,7 @@ def measure(setting: Setting, sizes: Sizes | None = None) -> list[dict[str, Any]
         setting.report(f"silhouette {count:,}@{side}")
         scene = projection(count, side, setting.device, setting.seed)
         works = {name: too_much(name, count, side) or work(name, scene) for name in (*kernels(setting.device), *RADII)}
-        for name, make in peers.splatters(scene).items() if count <= PEERS_UP_TO else ():
-            term = make()
-            works[name] = term if isinstance(term, str) else gradient(term, scene.points)
         timings = setting.race({name: work for name, work in works.items() if not isinstance(work, str)})
         records += setting.records("silhouette", timings, "over_tso", points=count, side=side)
-        records += left_out(setting, "silhouette", works, points=count, side=side)
+        records += setting.left_out("silhouette", works, points=count, side=side)
     return records

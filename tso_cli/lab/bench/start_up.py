@@ -21,8 +21,8 @@ from .material import cloud
 from .timing import Setting, Timing
 
 PACKAGE = Path(__file__).resolve().parents[2]
-# Given an empty folder, the environment variables of a run.
 Prepare = Callable[[Path], dict[str, str]]
+"""Given an empty folder, the environment variables of a run."""
 TSO = ("-m", "tso_cli")
 REFINE = "tso refine --mode points"
 REFINE_LARGE = f"{REFINE}, 16,384 points"
@@ -47,11 +47,10 @@ def measure(setting: Setting, repeats: int = 5) -> list[dict[str, Any]]:
                 # Runs that are prepared anew need no warm-up.
                 if turn or prepare is _warm:
                     seconds[name].append(_run(name, arguments, prepare))
-    counted = {name: values[-repeats:] for name, values in seconds.items()}
-    return [
-        setting.record("start-up", name, Timing(statistics.median(values), min(values), max(values), repeats))
-        for name, values in counted.items()
-    ]
+    timings = {
+        n: Timing(statistics.median(v[-repeats:]), min(v[-repeats:]), max(v[-repeats:]), repeats) for n, v in seconds.items()
+    }
+    return [setting.record("start-up", name, timing) for name, timing in timings.items()]
 
 
 def _commands(folder: Path) -> dict[str, tuple[tuple[str, ...], Prepare]]:

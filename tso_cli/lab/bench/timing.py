@@ -38,12 +38,8 @@ class Timing:
 class Setting:
     """Settings of a whole run.
 
-    Attributes
-    ----------
-    threads : of torch and of the compiled loops.
-    budget : seconds to spend on each contestant.
-    full : whether the large sizes are measured too.
-    report : called with the name of the next measurement.
+    threads : of torch and of the compiled loops. budget : seconds to spend on each contestant. full : whether the large sizes
+    are measured too. report : called with the name of the next measurement.
     """
 
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
@@ -71,7 +67,6 @@ class Setting:
             self._sample(work, 1)
             once = self._sample(work, 1)
             repeats[name] = max(1, round(SAMPLE / max(once, 1e-7)))
-            # Work over the budget is too long for its place in the order to matter.
             samples[name] = [once] if once > self.budget else []
         while waiting := [name for name in contestants if not enough(name)]:
             for name in waiting:
@@ -106,13 +101,16 @@ class Setting:
             "threads": self.threads,
             "seconds": timing and {"median": timing.median, "low": timing.low, "high": timing.high},
             "runs": timing.runs if timing else 0,
-            "peak_memory_bytes": None,
         } | fields
 
     def records(self, what: str, timings: Mapping[str, Timing], ratio: str, **fields: Any) -> list[dict[str, Any]]:
         """A record of each contestant; its field ``ratio`` is its time over the first contestant's."""
         first = next(iter(timings.values())).median
         return [self.record(what, name, timing, **fields, **{ratio: timing.median / first}) for name, timing in timings.items()]
+
+    def left_out(self, what: str, contestants: Mapping[str, Any], **fields: Any) -> list[dict[str, Any]]:
+        """A record of every contestant that is a reason in place of work."""
+        return [self.record(what, n, left_out=why, **fields) for n, why in contestants.items() if isinstance(why, str)]
 
 
 def gradient(function: Callable[[Tensor], Tensor], variable: Tensor) -> Work:

@@ -15,13 +15,13 @@ Panel = Callable[[Any, Records], None]
 
 
 def draw_speed(path: Path, record: dict[str, Any], overwrite: bool = False) -> None:
-    """A panel for each part that was measured: lines where sizes grow, bars elsewhere.
+    """Kernels over sizes as lines; many clouds and whole processes as bars.
 
     Raises InputError if ``path`` cannot be written to.
     """
     measured = [r for r in record["records"] if r["seconds"]]
-    panels = [(panel, rows) for whats, panel in PANELS.items() if (rows := [r for r in measured if r["what"] in whats])]
-    columns = min(3, len(panels)) or 1
+    panels = [(panel, rows) for what, panel in PANELS.items() if (rows := [r for r in measured if r["what"] == what])]
+    columns = min(2, len(panels)) or 1
     rows_of_panels = -(-len(panels) // columns) or 1
     with page(path, overwrite, (max(7.0, 5.4 * columns), 0.4 + 4.6 * rows_of_panels)) as figure:
         axes = figure.subplots(rows_of_panels, columns, squeeze=False).flatten()
@@ -53,15 +53,14 @@ def _lines(title: str) -> Panel:
     return panel
 
 
-def _bars(title: str, label: str, name: Callable[[dict[str, Any]], str], value: str, scale: float = 1.0) -> Panel:
+def _bars(title: str, label: str, name: Callable[[dict[str, Any]], str], value: str) -> Panel:
     """A panel of one bar a record, from the top down."""
 
     def panel(axis: Any, records: Records) -> None:
-        rows = [r for r in records if r.get("over_first") != 1.0]
-        values = [scale * (r["seconds"]["median"] if value == "seconds" else r[value]) for r in rows]
-        bars = axis.barh(range(len(rows)), values, color=BETTER, height=0.6)
+        values = [r["seconds"]["median"] if value == "seconds" else r[value] for r in records]
+        bars = axis.barh(range(len(values)), values, color=BETTER, height=0.6)
         axis.bar_label(bars, [f"{v:.3g}" for v in values], padding=4, fontsize=8)
-        axis.set_yticks(range(len(rows)), [name(r) for r in rows], fontsize=8)
+        axis.set_yticks(range(len(values)), [name(r) for r in records], fontsize=8)
         axis.set_xlim(0.0, 1.2 * max(values))
         axis.invert_yaxis()
         axis.set(title=title, xlabel=label)
@@ -69,27 +68,14 @@ def _bars(title: str, label: str, name: Callable[[dict[str, Any]], str], value: 
     return panel
 
 
-PANELS: dict[tuple[str, ...], Panel] = {
-    ("silhouette",): _lines("silhouette and cross-entropy, forward and backward"),
-    ("chamfer",): _lines("Chamfer to the start, a step, value and gradient"),
-    ("batch",): _bars(
+PANELS: dict[str, Panel] = {
+    "silhouette": _lines("silhouette and cross-entropy, forward and backward"),
+    "chamfer": _lines("Chamfer to the start, a step, value and gradient"),
+    "batch": _bars(
         "many clouds", "clouds a second", lambda r: f"{r['name']} of {r['batch']}, {r['preset']}", "clouds_per_second"
     ),
-    ("step", "step, encoder", "step, encoder-decoder"): _bars(
-        "a step and its parts", "ms", lambda r: f"{r['name']}, {_mode(r) or _short(r['points'])}", "seconds", 1e3
-    ),
-    ("terms",): _bars("losses", "times the projector", lambda r: f"{r['name']}, {_short(r['points'])}", "over_projector"),
-    ("threads",): _bars("more threads", "times quicker", lambda r: f"{r['name']}\n{r['threads']} threads", "over_first"),
-    ("training, points", "training, masks"): _bars(
-        "training", "images a second", lambda r: f"{_mode(r)}, {r['precision']}\n{r['name']}", "images_per_second"
-    ),
-    ("start-up",): _bars("whole processes", "seconds", lambda r: str(r["name"]), "seconds"),
+    "start-up": _bars("whole processes", "seconds", lambda r: str(r["name"]), "seconds"),
 }
-
-
-def _mode(record: dict[str, Any]) -> str:
-    """The mode or supervision, named in "what" behind the comma."""
-    return str(record["what"].partition(", ")[2])
 
 
 def _short(count: int) -> str:

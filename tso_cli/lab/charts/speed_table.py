@@ -38,13 +38,11 @@ def tables(record: Record) -> list[Table]:
     def of(*whats: str) -> Records:
         return [r for r in records if r["what"] in whats]
 
-    peaks = [r for r in records if r["peak_memory_bytes"] is not None]
     work = "{name}, {points:,} points"
     training = of("training, points", "training, masks")
     measured = [
         _pivot("silhouette, forward and backward: ms (x tso's)", of("silhouette"), _ms_and("over_tso")),
         _pivot("Chamfer to the start, a step: ms (x tso's)", of("chamfer"), _ms_and("over_tso")),
-        _pivot("peak memory of a call: MiB", peaks, _mib, "{what}: {name}", "{points:,}"),
         _pivot("value and gradient: ms (x the projector)", of("terms"), _ms_and("over_projector")),
         _pivot("a step in points mode: ms (share of the whole)", of("step"), _ms_and_share),
         _pivot("a step: ms", of("step, encoder", "step, encoder-decoder"), _ms, "{what}", "{name}"),
@@ -64,10 +62,6 @@ def tables(record: Record) -> list[Table]:
 
 def _size(record: Record) -> str:
     return f"{record['points']:,}" + (f"@{record['side']}" if record["side"] else "")
-
-
-def _mib(record: Record) -> str:
-    return f"{record['peak_memory_bytes'] / 2**20:,.1f}"
 
 
 def _ms(record: Record) -> str:

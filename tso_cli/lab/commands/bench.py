@@ -54,8 +54,8 @@ def speed(
     growing sizes; terms: each loss beside the projector; step: one step of every mode and its parts; batch: many clouds in one
     call; threads: the same on one thread and on all cores; training: images a second; start-up: whole processes.
 
-    Contestants for the same work take turns in one process, on cpu or cuda. Other packages (chamferdist, pykeops,
-    point_cloud_utils, pytorch3d, gsplat) are measured where they are installed.
+    Contestants for the same work take turns in one process, on cpu or cuda. Other packages (pykeops, point_cloud_utils) are
+    measured where they are installed.
     """
     if not math.isfinite(seconds):
         raise click.BadParameter(f"{seconds} is no finite number.", param_hint="'--seconds'")
