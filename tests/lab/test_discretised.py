@@ -11,13 +11,11 @@ from tso_cli.lab.studies.discretised import (
     GAUSSIAN,
     PLAIN,
     depth_loss,
-    depth_map,
     discrete_depth,
     discrete_mask,
     projected_objective,
 )
 from tso_cli.lab.studies.discretised import silhouette_sums as plain_sums
-from tso_cli.silhouette.projection import CameraBatch, silhouette_sums
 from tso_cli.train import start, train
 from tso_cli.train.batches import Batch, Drawing, draw_batch
 from tso_cli.train.data import TrainingData
@@ -100,14 +98,6 @@ def test_training_with_the_papers_projection_as_another_one_gives_the_same_netwo
     assert networks[0].lambda_dropped_at == networks[1].lambda_dropped_at
 
 
-def test_the_mask_loss_of_the_papers_sums_passed_as_another_projection_is_the_same(batch, truth):
-    losses = [
-        mask_loss(truth * 0.8, batch, 0.4, 0.5, "points", silhouette)[0]
-        for silhouette in (None, lambda projected, cameras: silhouette_sums(projected, cameras, 0.4))
-    ]
-    assert float(losses[0]) == float(losses[1])
-
-
 def test_bce_through_rounded_points_has_no_gradient_but_a_lower_loss_at_the_truth(batch, truth):
     leaf = (truth * 0.7).requires_grad_(True)
     assert not mask_loss(leaf, batch, 0.4, 0.0, "points", plain_sums)[0].requires_grad
@@ -126,15 +116,6 @@ def test_the_depth_loss_is_zero_at_the_truth_and_pushes_along_the_line_of_sight_
     np.testing.assert_allclose(gradient.numpy(), (along * ahead).numpy(), atol=1e-4)
     pushed = along[along != 0.0]
     assert len(pushed) > 100 and float((pushed > 0.0).float().mean()) > 0.8
-
-
-def test_the_depth_map_of_the_truth_fills_the_mask_of_its_view(batch, truth):
-    K, R, t = (torch.from_numpy(values[0]) for values in (batch.K, batch.R, batch.t))
-    depth, hit = depth_map(truth[0].double(), CameraBatch(K, R, t, 64, 64))
-    masks = batch.masks[0] > 0.0
-    inside = float((hit.numpy() & masks).sum())
-    assert inside / float(hit.sum()) > 0.99 and inside / masks.sum() > 0.3
-    assert float((depth[0][hit[0]] - t[0, 2]).abs().max()) < 0.87
 
 
 @pytest.mark.parametrize("projection", [PLAIN, DEPTH])

@@ -28,26 +28,19 @@ CONVENTION = {
     "sigma^2 0.4 px^2; the scatters without the term for mask pixels that no window reaches",
     "chamfer": "one step, value and gradient, mean over every tenth of the 50 steps of a refinement; what is built once apart",
     "terms": "value and gradient of each term; the projector is points to sums of the silhouette and back",
-    "step": "one step of points mode and of the network modes, and its parts",
+    "step": "one step of the network modes, beside forward, backward and Adam of the bare network",
     "batch": "one cloud, all of `refine`: all steps, preparation and judgement; seconds of a call over the clouds in it",
     "start-up": "a whole process; low and high are the quickest and the slowest",
-    "threads": "the same work on one thread and on all cores, by turns; over_first: how many times quicker than on the first",
-    "training": "a step of 16 images without the optimiser; the bare network's forward and backward beside it; waiting: share "
-    "of such steps in which the network waits for a batch that threads prepare ahead",
 }
 PARTS: dict[str, Callable[[Setting], list[dict[str, Any]]]] = {
     "silhouette": silhouette.measure,
     "chamfer": chamfer.measure,
     "terms": lambda setting: [*refinement.terms(setting, 1024, 64), *refinement.terms(setting, 16384, 256)],
     "step": lambda setting: [
-        *refinement.points_step(setting, 1024),
-        *refinement.points_step(setting, 16384),
         *refinement.network_step(setting, "encoder"),
         *refinement.network_step(setting, "encoder-decoder"),
     ],
     "batch": refinement.batch,
-    "threads": refinement.more_threads,
-    "training": refinement.training_steps,
     "start-up": start_up.measure,
 }
 

@@ -38,17 +38,12 @@ def tables(record: Record) -> list[Table]:
     def of(*whats: str) -> Records:
         return [r for r in records if r["what"] in whats]
 
-    work = "{name}, {points:,} points"
-    training = of("training, points", "training, masks")
     measured = [
         _pivot("silhouette, forward and backward: ms (x tso's)", of("silhouette"), _ms_and("over_tso")),
         _pivot("Chamfer to the start, a step: ms (x tso's)", of("chamfer"), _ms_and("over_tso")),
         _pivot("value and gradient: ms (x the projector)", of("terms"), _ms_and("over_projector")),
-        _pivot("a step in points mode: ms (share of the whole)", of("step"), _ms_and_share),
         _pivot("a step: ms", of("step, encoder", "step, encoder-decoder"), _ms, "{what}", "{name}"),
         _pivot("1,024 points: ms a cloud (x `refine`'s rate)", of("batch"), _batch, "{preset}, {name}", "batch {batch}"),
-        _pivot("more threads: ms (x quicker)", of("threads"), _ms_and("over_first"), work, "threads: {threads}"),
-        _pivot("images a second", training, _images, "{what}, {precision}", "{name}"),
         Table(
             ["", "median", "low", "high"],
             [[r["name"], *(f"{r['seconds'][key]:.2f}" for key in ("median", "low", "high"))] for r in of("start-up")],
@@ -72,12 +67,6 @@ def _batch(record: Record) -> str:
     return f"{_ms(record)} ({record['times_refine']:.1f}x)"
 
 
-def _images(record: Record) -> str:
-    """Images a second; of a whole step also what projector and losses add, and the share of it that waits for data."""
-    shares = f" (+{100 * record['added']:.0f} %, waits {100 * record['waiting']:.1f} %)" if record["name"] == "step" else ""
-    return _digits(record["images_per_second"]) + shares
-
-
 def _digits(value: float) -> str:
     """Three digits, without powers of ten."""
     return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
@@ -85,10 +74,6 @@ def _digits(value: float) -> str:
 
 def _ms_and(ratio: str) -> Callable[[Record], str]:
     return lambda record: _ms(record) + (f" ({_digits(record[ratio])}x)" if ratio in record else "")
-
-
-def _ms_and_share(record: Record) -> str:
-    return f"{_ms(record)} ({100.0 * record['share']:.0f} %)"
 
 
 def _pivot(

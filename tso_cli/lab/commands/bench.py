@@ -13,7 +13,7 @@ from ...commands import options
 from . import records
 from .page import write_page
 
-PARTS = ("silhouette", "chamfer", "terms", "step", "batch", "threads", "training", "start-up")
+PARTS = ("silhouette", "chamfer", "terms", "step", "batch", "start-up")
 
 
 @click.group("bench")
@@ -48,11 +48,11 @@ def speed(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Kernels, losses, steps, batches, training and start-up, beside other ways of doing the same.
+    """Kernels, losses, steps, batches and start-up, beside other ways of doing the same.
 
     All of it takes some five minutes, a quarter of an hour with --full; a part about one. silhouette, chamfer: the kernels at
-    growing sizes; terms: each loss beside the projector; step: one step of every mode and its parts; batch: many clouds in one
-    call; threads: the same on one thread and on all cores; training: images a second; start-up: whole processes.
+    growing sizes; terms: each loss beside the projector; step: one step of the network modes; batch: many clouds in one call;
+    start-up: whole processes.
 
     Contestants for the same work take turns in one process, on cpu or cuda. Other packages (pykeops, point_cloud_utils) are
     measured where they are installed.

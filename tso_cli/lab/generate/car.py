@@ -22,7 +22,6 @@ PROFILES: dict[str, tuple[list[float], list[float]]] = {
     "sports": ([0, 0.04, 0.34, 0.5, 0.57, 0.68, 0.9, 0.98, 1], [0.3, 0.48, 0.68, 0.97, 1, 0.95, 0.73, 0.7, 0.5]),
     "wedge": ([0, 0.1, 0.3, 0.46, 0.55, 0.66, 0.8, 0.99, 1], [0.28, 0.45, 0.62, 0.97, 1, 0.9, 0.75, 0.7, 0.4]),
     "round": ([0, 0.08, 0.3, 0.4, 0.52, 0.66, 0.85, 0.96, 1], [0.3, 0.52, 0.62, 0.92, 1, 0.93, 0.62, 0.4, 0.28]),
-    "open": ([0, 0.04, 0.32, 0.36, 0.72, 0.97, 1], [0.48, 0.68, 0.88, 0.95, 0.95, 0.9, 0.6]),
     "box": ([0, 0.005, 0.28, 0.38, 0.42, 0.72, 0.84, 0.995, 1], [0.55, 0.6, 0.62, 0.99, 1, 1, 0.63, 0.62, 0.55]),
 }
 NUMBERS = ("length", "width", "height", "clearance", "radius", "smooth", "tumble", "nose", "rear", "bulge", "inset")
@@ -36,11 +35,10 @@ SIZES: dict[str, tuple[Range, ...]] = {
     "sports": ((3.9, 4.8), (1.7, 2.0), (1.1, 1.34), (0.1, 0.17), (0.3, 0.36), (0.03, 0.08)),
     "wedge": ((4.0, 4.7), (1.8, 2.05), (1.0, 1.22), (0.09, 0.15), (0.3, 0.36), (0.01, 0.06)),
     "round": ((3.6, 4.4), (1.5, 1.85), (1.4, 1.6), (0.15, 0.25), (0.28, 0.36), (0.05, 0.1)),
-    "open": ((3.7, 4.7), (1.6, 1.9), (0.9, 1.1), (0.12, 0.2), (0.28, 0.35), (0.01, 0.06)),
     "box": ((3.6, 5.0), (1.5, 2.1), (1.2, 1.7), (0.14, 0.35), (0.26, 0.42), (0.0, 0.02)),
 }
 WEIGHTS = {
-    "sedan": 20, "hatch": 15, "suv": 12, "van": 8, "pickup": 5, "sports": 12, "wedge": 6, "round": 10, "open": 6, "box": 6,
+    "sedan": 20, "hatch": 15, "suv": 12, "van": 8, "pickup": 5, "sports": 12, "wedge": 6, "round": 10, "box": 6,
 }  # fmt: skip
 # Ranges of the others: of most cars, and of kinds with a form of their own.
 FORM: tuple[Range, ...] = ((0.15, 0.55), (0.1, 0.9), (0.1, 0.8), (0.0, 0.09), (-0.02, 0.06))
@@ -63,7 +61,7 @@ class Shape:
     corners are rounded, as a share of the length. belt : heights of the windows' lower edge at nose and rear, as shares of the
     height. tumble : slope of the sides above it. nose, rear : how rounded the ends are seen from above. bulge : how far the
     sides belly out, as a share of the width. inset : of the wheels' outer faces. axles : shares of the length. arch : radius of
-    the wheel arches in wheel radii, 0 without. hollow : (from, to, depth) of an open top, in shares of the length and metres.
+    the wheel arches in wheel radii, 0 without. hollow : (from, to, depth) of a pickup's bed, in shares of the length and metres.
     """
 
     length: float
@@ -149,10 +147,7 @@ class Shape:
 def build(rng: np.random.Generator, kind: str) -> list[Mesh]:
     """The parts of a car of a kind in `WEIGHTS`."""
     shape = _shape(rng, kind)
-    parts = [shape.mesh(), *shape.wheels(rng.uniform(0.45, 0.75)), *_extras(rng, shape, kind)]
-    if kind == "open":
-        parts += [_windscreen(rng, shape), *_seats(shape)]
-    return parts
+    return [shape.mesh(), *shape.wheels(rng.uniform(0.45, 0.75)), *_extras(rng, shape, kind)]
 
 
 def _shape(rng: np.random.Generator, kind: str) -> Shape:
@@ -162,13 +157,11 @@ def _shape(rng: np.random.Generator, kind: str) -> Shape:
     # Ends stay ends, the order stays, and the highest point stays 1.
     s = np.maximum.accumulate(np.clip(knots[:, 0], 0.0, 1.0) + np.arange(len(knots)) * 1e-4)
     profile = np.stack([(s - s[0]) / (s[-1] - s[0]), knots[:, 1] / knots[:, 1].max()], axis=1)
-    belts = {"van": ((0.4, 0.4), (0.45, 0.45)), "open": ((0.8, 0.8), (0.85, 0.85))}.get(kind, ((0.54, 0.63), (0.58, 0.68)))
-    low, high = draw(rng, belts)
+    belts = {"van": ((0.4, 0.4), (0.45, 0.45))}
+    low, high = draw(rng, belts.get(kind, ((0.54, 0.63), (0.58, 0.68))))
     front, rear, tyre, arch = draw(rng, ((0.155, 0.23), (0.76, 0.83), (0.16, 0.26), (1.06, 1.3)))
     hollow = None
-    if kind == "open":
-        hollow = (rng.uniform(0.36, 0.42), rng.uniform(0.6, 0.75), rng.uniform(0.35, 0.55))
-    elif kind == "pickup" and chance(rng, 0.8):
+    if kind == "pickup" and chance(rng, 0.8):
         hollow = (rng.uniform(0.59, 0.65), 0.975, rng.uniform(0.3, 0.5))
     if chance(rng, 0.15):
         arch = 0.0
@@ -194,19 +187,3 @@ def _extras(rng: np.random.Generator, shape: Shape, kind: str) -> list[Mesh]:
     if float(shape.top(0.96)) > 0.75 * high and chance(rng, 0.15):
         parts.append(wheel(np.array([0, 0.55 * high, rear - 0.08]), shape.radius * 0.9, 0.18, 2))
     return parts
-
-
-def _windscreen(rng: np.random.Generator, shape: Shape) -> Mesh:
-    assert shape.hollow
-    x, high, back, s = shape.width * 0.4, rng.uniform(0.25, 0.42), rng.uniform(0.1, 0.5), shape.hollow[0] - 0.025
-    y, z = float(shape.top(s)) - 0.03, float(shape.z(s))
-    lower = np.array([[-x, y, z], [x, y, z], [x, y, z - 0.02], [-x, y, z - 0.02]])
-    return loft([lower, (lower - [0, 0, back]) * [0.85, 1, 1] + [0, high, 0]])
-
-
-def _seats(shape: Shape) -> list[Mesh]:
-    """Two seats and a dashboard."""
-    x, width, low, z = 0.23 * shape.width, 0.26 * shape.width, shape.clearance + 0.22, float(shape.z(0.5))
-    parts = both(cushion((width, 0.14, 0.48), (x, low, z), 0.5, 6))
-    parts += both(box((width, 0.32 * shape.height, 0.12), (x, low + 0.18 * shape.height, z - 0.26), (0.8, 0.8), (0, -0.06)))
-    return [*parts, box((0.8 * shape.width, 0.2, 0.25), (0, 0.5 * shape.height, float(shape.z(0.37))), (0.95, 0.6))]

@@ -110,11 +110,6 @@ ARMS: dict[str, tuple[Path, ...]] = {
 }
 # Side frames of an easy chair, floor 0 to arm 1, closed.
 EASY: Path = [(1, 1, -1), (1, 1, 0.8), (1, 0.95, 1), (1, 0.1, 1.1), (1, 0.03, 1), (1, 0.03, -0.9), (1, 0.1, -1)]
-# The sheet one lies on: heights and z of five knots, from the feet to the head.
-RECLINERS: dict[str, list[tuple[float, float]]] = {
-    "wave": [(0.3, 0.75), (0.38, 0.4), (0.28, -0.1), (0.43, -0.38), (0.8, -0.75)],
-    "bed": [(0.3, 0.9), (0.3, 0.4), (0.3, 0.05), (0.35, -0.15), (0.7, -0.6)],
-}
 
 
 @dataclass(frozen=True)
@@ -166,7 +161,7 @@ def build(rng: np.random.Generator, kind: str) -> list[Mesh]:
     if kind == "armchair":
         return _block(rng) if chance(rng, 0.6) else _tub(rng)
     if kind == "lounger":
-        return _easy(rng) if chance(rng, 0.5) else _recliner(rng)
+        return _easy(rng)
     sizes, backs, arms, bases = FRAMED[kind]
     frame = replace(Frame(*draw(rng, sizes)), square=float(rng.choice([2.0, 3.0, 6.0, 30.0], p=[0.17, 0.13, 0.2, 0.5])))
     parts = _seat(rng, frame) + _base(rng, frame, pick(rng, bases))
@@ -344,26 +339,6 @@ def _shell(rng: np.random.Generator) -> list[Mesh]:
     return [sheet, *_base(rng, Frame(width * 0.85, depth * 0.85, height - 0.02, 0.03, high), pick(rng, SHELL_BASES))]
 
 
-def _strip(points: Array, width: float, thick: float) -> Mesh:
-    """A sheet of constant width along points [N, 2] of (height, z)."""
-    u = np.linspace(-1, 1, 5)[None, :]
-    y, z = points[:, :1] + 0.0 * u, points[:, 1:] + 0.0 * u
-    return plate(np.stack([u * width / 2 + 0.0 * z, y, z], axis=-1), thick)
-
-
-def _recliner(rng: np.random.Generator) -> list[Mesh]:
-    """A long sheet to lie on, on four legs."""
-    knots = np.array(RECLINERS[pick(rng, {"wave": 2, "bed": 2.5})]) + rng.uniform(-0.06, 0.06, (5, 2))
-    width, thick, radius = draw(rng, ((0.48, 0.7), (0.02, 0.1), (0.01, 0.022)))
-    line, x = curve(knots, 25), width / 2 * 0.95
-    parts = [_strip(line, width, thick), *both(tube([(x, y - thick / 2, z) for y, z in line[::3]], radius, 6))]
-    for z in (rng.uniform(0.1, 0.6), -rng.uniform(0.2, 0.5)):
-        y = float(np.interp(-z, -line[:, 1], line[:, 0])) - thick / 2
-        parts += both(rod((x, y, z), (x, 0, z * rng.uniform(0.9, 1.2)), radius, sides=6))
-        parts.append(rod((-x, 0.03, z), (x, 0.03, z), radius, sides=6))
-    return parts
-
-
 def _easy(rng: np.random.Generator) -> list[Mesh]:
     """A low armchair: a bent sling or cushion in an open frame."""
     width, height, depth, slope, lean, high, top = draw(
@@ -371,7 +346,9 @@ def _easy(rng: np.random.Generator) -> list[Mesh]:
     )
     z, low, x, radius = depth / 2, height - slope * depth, width / 2 + 0.02, rng.uniform(0.01, 0.022)
     line = curve([(height, z), (low + 0.02, -z * 0.7), (low + 0.08, -z), (low + 0.08 + high, -z - lean * high)], 17)
-    parts = [_strip(line, width, rng.uniform(0.015, 0.03) if chance(rng, 0.5) else rng.uniform(0.06, 0.14))]
+    u = np.linspace(-width / 2, width / 2, 5)[None, :] + np.zeros((17, 1))
+    sling = np.stack([u, line[:, :1] + 0.0 * u, line[:, 1:] + 0.0 * u], axis=-1)
+    parts = [plate(sling, rng.uniform(0.015, 0.03) if chance(rng, 0.5) else rng.uniform(0.06, 0.14))]
     parts += [rod((-x, y, at), (x, y, at), radius) for y, at in ((low, -z), (height - 0.03, z))]
     if chance(rng, 0.3):
         return parts + _base(rng, Frame(width * 0.9, depth, low, 0.02, 0.5), pick(rng, FRAMED["dining"].bases))
