@@ -61,7 +61,7 @@ class Shape:
     corners are rounded, as a share of the length. belt : heights of the windows' lower edge at nose and rear, as shares of the
     height. tumble : slope of the sides above it. nose, rear : how rounded the ends are seen from above. bulge : how far the
     sides belly out, as a share of the width. inset : of the wheels' outer faces. axles : shares of the length. arch : radius of
-    the wheel arches in wheel radii, 0 without. hollow : (from, to, depth) of a pickup's bed, in shares of the length and metres.
+    the wheel arches in wheel radii, 0 without. hollow : (from, to, depth) of a pickup's bed: shares of the length, metres.
     """
 
     length: float
