@@ -80,12 +80,13 @@ def assert_schema(records):
 # Records
 
 
+@pytest.mark.slow
 def test_every_record_has_the_schema(measured):
     assert_schema(measured)
     assert {r["name"] for r in measured if r["what"] == "silhouette"} >= {"compiled", "windowed", "exact", *silhouette.RADII}
 
 
-def test_claims_tell_met_targets_from_missed_ones(measured):
+def test_claims_tell_met_targets_from_missed_ones():
     rows = [
         QUICK.record("silhouette", name, Timing(seconds, seconds, seconds, 3), points=points, side=side)
         for name, seconds, points, side in (
@@ -101,9 +102,9 @@ def test_claims_tell_met_targets_from_missed_ones(measured):
     assert by_claim["7x7"]["found"] == "3.0x"
     assert not by_claim["s"]["holds"]
     assert by_claim["together"]["found"] == "1.01"  # log 64 over log 61
-    assert {claim["holds"] for claim in claims(measured)} <= {True, False}
 
 
+@pytest.mark.slow
 def test_tables_and_chart_show_every_part(record, tmp_path):
     titles = [table.title for table in tables(record)]
     for part in ("silhouette", "Chamfer", "projector", "step: ms", "cloud", "processes"):
