@@ -12,12 +12,11 @@ import pytest
 
 from tso_cli.errors import InputError
 from tso_cli.lab.studies import affinity, departures, failures, material, mean_shape, supervision, trained, views, weight
-from tso_cli.lab.studies.judging import Predicted, camera_axes, judge, object_axes, predict
+from tso_cli.lab.studies.judging import Predicted, camera_axes, judge, object_axes
 from tso_cli.lab.studies.material import ALL, Material, Source
 from tso_cli.lab.studies.mean_shape import MEAN_SHAPE, constant_answer, pair_chamfer
 from tso_cli.lab.studies.trained import Comparison, Setting, masks
 from tso_cli.lab.study import Progress, page
-from tso_cli.network.model import build_network
 from tso_cli.render import look_at
 from tso_cli.train.batches import Draw, assemble
 from tso_cli.train.data import TrainingData
@@ -99,9 +98,8 @@ def test_an_interrupted_study_resumes_within_its_network_and_removes_the_state(s
 
 def test_a_record_of_another_study_or_other_settings_is_not_resumed(split):
     record = compare(split)
-    for changes, message in (({"study": "lambda"}, "tso lab views"), ({"settings": {}}, "steps None, now it is 2")):
-        with pytest.raises(InputError, match=message):
-            compare(split, Progress(earlier={**record, **changes}))
+    with pytest.raises(InputError, match="tso lab views"):
+        compare(split, Progress(earlier={**record, "study": "lambda"}))
     with pytest.raises(InputError, match="seed 0, now it is 1"):
         compare(split, Progress(earlier=record), seed=1)
 
@@ -137,12 +135,6 @@ def test_predictions_turn_back_into_the_axes_of_object_and_camera(frame):
     np.testing.assert_allclose(camera_axes(predicted, camera, frame), data.target(0) @ camera.R.T, atol=1e-6)
 
 
-def test_a_network_predicts_from_the_first_views_in_its_frame(cars):
-    (predicted,) = predict(build_network(64).eval(), cars.data("car", False), "view")
-    assert predicted.points.shape == (4, 64, 3) and predicted.target.shape == (4, 1024, 3)
-    assert not np.allclose(predicted.target[0], predicted.target[1])
-
-
 def test_the_mean_shape_is_one_cloud_for_all_views_and_nearer_than_any_training_shape(cars):
     training, unseen = cars.data("car", True), cars.data("car", False)
     (answer,) = constant_answer(training, unseen, "canonical")
@@ -161,16 +153,6 @@ def test_a_point_two_pixels_off_the_mask_is_an_outlier_and_one_at_its_edge_is_no
     mask[5:10, 5:10] = 1.0
     pixels = np.array([[7.0, 7.0], [10.4, 7.0], [11.2, 7.0], [-30.0, 7.0], [np.nan, np.nan]])
     assert affinity.outliers(pixels, mask).tolist() == [False, False, True, True, True]
-
-
-def test_the_truth_has_no_outliers_and_an_enlarged_one_has_many(cars):
-    data = cars.data("car", False)
-    truth = np.stack([data.target(0).astype(np.float64)] * 4)
-    fractions = [
-        affinity.measure([Predicted(0, "car/a", "car", truth * scale, truth, "canonical")], data)["outliers"]["car"]
-        for scale in (1.0, 1.5)
-    ]
-    assert fractions[0] < 0.01 and fractions[1] > 0.2
 
 
 def plane(nose: float, along: int) -> np.ndarray:
@@ -194,8 +176,6 @@ def test_the_sizes_of_an_aeroplane_are_found_whichever_way_it_points(nose, along
     narrow = true * np.where(across & (np.abs(true[:, across]) <= 0.05), 0.6, 1.0)
     sizes = failures.aeroplane_sizes(narrow, true)
     assert sizes["body_width"] == pytest.approx(0.6, abs=0.01) and sizes["span"] > 0.95
-    without_nose = true[true[:, along] * np.sign(nose) < 0.0]
-    assert np.isnan(failures.aeroplane_sizes(without_nose, true)["body_width"])
 
 
 def test_a_cloud_stretched_along_the_line_of_sight_errs_in_depth():
@@ -238,7 +218,6 @@ def test_two_masks_are_better_than_one_only_where_every_seed_says_so():
     record = views.conclude(runs_of("car", values | {"V = 2, seed + 1": 4.1}))
     assert held(record) == [False, False, True]
     assert record["summary"]["car"]["2"] == pytest.approx(2.7) and record["seeds"]["car"]["2"] == pytest.approx([2.0, 4.1, 2.0])
-    assert held(views.conclude(runs_of("car", values | {MEAN_SHAPE: 3.9}))) == [True, True, False]
 
 
 def test_the_papers_lambda_is_the_best_of_its_three():
@@ -246,14 +225,6 @@ def test_the_papers_lambda_is_the_best_of_its_three():
     assert held(weight.conclude(runs_of("chair", values))) == [False, False]
     values |= {name: 1.0 for name in values if name.endswith(", 0.0001")}
     assert held(weight.conclude(runs_of("chair", values))) == [True, True]
-
-
-def test_the_repeated_network_of_the_departures_is_a_mean_and_a_range():
-    values = {setting.name: 2.0 + 0.1 * setting.repeat for setting in departures.settings(["car"])}
-    record = departures.conclude(runs_of("car", values))
-    assert record["seeds"]["car"] == pytest.approx([2.0, 2.1, 2.2, 2.0])
-    assert record["summary"][departures.AS_IS]["car"] == pytest.approx(2.075)
-    assert set(record["summary"]) == {MEAN_SHAPE, departures.AS_IS, *departures.WHY}
 
 
 @pytest.mark.parametrize(("widths", "depth", "holds"), [((0.8, 0.95), 4e-3, True), ((1.2, 0.7), 0.9e-3, False)])
@@ -302,7 +273,6 @@ def test_each_command_writes_its_record_and_resumes_it(name, categories, split, 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["views", "--category", "boat"], "boat"),
         (["views", "--resume", "-o", "other.json"], "expected one of tso lab views"),
         (["views", "--split", "absent.json"], "car/nothing"),
         (["failures", "--category", "chair", "-o", "failures.json"], "found chair, expected one of the two"),

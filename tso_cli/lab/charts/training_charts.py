@@ -74,28 +74,22 @@ def draw_lines(path: Path, record: Record, overwrite: bool = False) -> None:
 
 
 def draw_affinity(path: Path, record: Record, overwrite: bool = False) -> None:
-    """Outliers by setting, and the points of an unseen shape of each category over a mask that the network was not given."""
+    """The points of an unseen shape of each category over a mask that the network was not given, by setting."""
     summary = record["summary"]
     categories = list(next(iter(summary.values())))
     pictures = {(run["setting"], picture["category"]): picture for run in record["runs"] for picture in run["pictures"]}
-    with page(path, overwrite, (3.0 + 2.4 * len(summary), 0.5 + 2.5 * len(categories))) as figure:
-        axes = figure.subplots(len(categories), len(summary) + 1, squeeze=False)
+    with page(path, overwrite, (0.6 + 2.4 * len(summary), 0.5 + 2.5 * len(categories))) as figure:
+        axes = figure.subplots(len(categories), len(summary), squeeze=False)
         for row, category in zip(axes, categories, strict=True):
-            percents = [100.0 * values[category]["outliers"] for values in summary.values()]
-            bars = row[0].bar(range(len(summary)), percents, color=[WORSE, *[BETTER] * (len(summary) - 1)])
-            row[0].bar_label(bars, fmt="%.1f")
-            row[0].set_xticks(range(len(summary)), [name.split(",")[0] for name in summary])
-            row[0].set_ylabel(f"{category}: outliers, %")
-            row[0].margins(y=0.2)
-            for axis, (name, values) in zip(row[1:], summary.items(), strict=True):
+            for axis, (name, values) in zip(row, summary.items(), strict=True):
                 _projected(axis, pictures[name, category])
-                axis.set_title(f"{name}\nChamfer {values[category]['chamfer']:.2f}", fontsize=9)
-        note = "an unseen shape of each category in a view that was not the input: mask grey, outliers orange"
-        figure.suptitle(_budget(record, note), fontsize=10)
+                figures = f"outliers {100.0 * values[category]['outliers']:.1f} %, Chamfer {values[category]['chamfer']:.2f}"
+                axis.set_title(f"{name}\n{figures}", fontsize=9)
+        figure.suptitle(_budget(record, "an unseen shape of each category in a view that was not the input"), fontsize=10)
 
 
 def _projected(axis: Any, picture: Record) -> None:
-    """Projected points over the mask, and 8 pixels around the picture."""
+    """Projected points over the mask, outliers orange, and 8 pixels around the picture."""
     mask, pixels, outliers = (unpack(picture[key]) for key in ("mask", "points_px", "outliers"))
     axis.imshow(1.0 - 0.3 * mask, cmap="gray", vmin=0.0, vmax=1.0)
     axis.scatter(*pixels.T, s=np.where(outliers > 0.5, 6, 3), c=np.where(outliers > 0.5, WORSE, BETTER), linewidths=0)
@@ -106,35 +100,18 @@ def _projected(axis: Any, picture: Record) -> None:
 
 
 def draw_failures(path: Path, record: Record, overwrite: bool = False) -> None:
-    """Sizes of aeroplanes and errors of cars, with an aeroplane from above and a car from its side of the line of sight."""
-    summary, runs = record["summary"], {run["setting"]: run for run in record["runs"]}
-    kinds = {
-        "airplane": (("body_width", "body_height", "span"), 1.0, "aeroplanes: predicted / true size"),
-        "car": (("depth", "across"), 1e3, "cars: squared error x1000, per axis"),
-    }
-    settings = {category: [name for name in summary if keys[0] in summary[name]] for category, (keys, _, _) in kinds.items()}
-    settings = {category: names for category, names in settings.items() if names}
-    columns = 1 + max(map(len, settings.values()))
-    with page(path, overwrite, (2.6 + 2.5 * columns, 0.5 + 3.2 * len(settings))) as figure:
-        axes = figure.subplots(len(settings), columns, squeeze=False, width_ratios=[1.6] + [1.0] * (columns - 1))
-        for (bars, *pictures), (category, names) in zip(axes, settings.items(), strict=True):
-            keys, scale, label = kinds[category]
-            width = 0.8 / len(names)
-            for i, (axis, name, colour) in enumerate(zip(pictures, names, COLOURS, strict=False)):
-                places = np.arange(len(keys)) + (i - (len(names) - 1) / 2) * width
-                bars.bar(places, [scale * summary[name][key] for key in keys], width * 0.9, color=colour)
-                cloud = runs[name]["clouds"][category]
-                # y is vertical in both frames, so x and z show the cloud from above.
-                for points, shade in ((cloud["target"], PALE), (cloud["points"], colour)):
-                    axis.scatter(*unpack(points)[:, ::2].T, s=3, color=shade, linewidths=0)
-                axis.set(xlim=(-0.62, 0.62), ylim=(-0.62, 0.62), aspect="equal")
-                axis.set_title(name.replace(", ", ",\n"), fontsize=9, color=colour)
-            for axis in pictures:
-                axis.set(xticks=[], yticks=[])
-            bars.set_xticks(range(len(keys)), [key.replace("_", " ") for key in keys])
-            bars.set_ylabel(label)
-            bars.margins(y=0.1)
-            if category == "airplane":
-                bars.axhline(1.0, color=INK, linewidth=0.8, linestyle="--")
-        note = "beside the bars an unseen shape from above: truth grey, prediction in colour (camera of the car below)"
-        figure.suptitle(_budget(record, note), fontsize=10)
+    """An unseen aeroplane and an unseen car from above, by setting: truth grey, prediction in colour."""
+    clouds = [(run["setting"], cloud) for run in record["runs"] for cloud in run["clouds"].values()]
+    columns = min(4, len(clouds))
+    rows = -(-len(clouds) // columns)
+    with page(path, overwrite, (0.6 + 2.5 * columns, 0.5 + 2.9 * rows)) as figure:
+        axes = figure.subplots(rows, columns, squeeze=False).flatten()
+        for axis in axes[len(clouds) :]:
+            axis.remove()
+        for axis, (name, cloud) in zip(axes, clouds, strict=False):
+            # y is vertical in both frames, so x and z show the cloud from above.
+            for points, shade in ((cloud["target"], PALE), (cloud["points"], BETTER)):
+                axis.scatter(*unpack(points)[:, ::2].T, s=3, color=shade, linewidths=0)
+            axis.set(xlim=(-0.62, 0.62), ylim=(-0.62, 0.62), aspect="equal", xticks=[], yticks=[])
+            axis.set_title(f"{name}\n{cloud['shape']}", fontsize=8)
+        figure.suptitle(_budget(record, "unseen shapes from above: truth grey"), fontsize=10)

@@ -9,26 +9,40 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...io.meshes import Mesh
-from .parts import X_AXIS, Array, Range, bar, both, box, chance, draw, ellipsoid, loft, oval, pick, rod, turned, wheel
+from .parts import (
+    X_AXIS,
+    Array,
+    Range,
+    both,
+    box,
+    chance,
+    draw,
+    ellipsoid,
+    loft,
+    oval,
+    pick,
+    rectangle,
+    rod,
+    sweep,
+    turned,
+    wheel,
+)
 
 # Standard deviation of the logarithms by which an aeroplane is stretched along x, y and z.
 SPREAD = 0.06
 
 
 class Kind(NamedTuple):
-    """How often a kind of aeroplane is drawn, and what it has.
+    """How often a kind of aeroplane is drawn, weights of its tails and engines, and what it has.
 
-    tails, engines : kind -> weight. rounded, elliptic : chances of round wing tips and of an elliptic wing. gear : chance of
-    wheels; by_tail : of a tail wheel. canopy : ranges of the x, length and height of a glass hood.
+    rounded : chance of round wing tips. gear : of wheels. canopy : ranges of the x, length and height of a glass hood.
     """
 
     weight: float
     tails: dict[str, float]
     engines: dict[str, float]
     rounded: float = 0.0
-    elliptic: float = 0.0
     gear: float = 0.5
-    by_tail: float = 0.0
     canopy: tuple[Range, Range, Range] | None = None
 
 
@@ -37,13 +51,12 @@ CABIN = ((-0.18, -0.05), (0.25, 0.45), (0.02, 0.07))
 KINDS = {
     "airliner": Kind(20, {"low": 1}, {"under": 1}),
     "rear jet": Kind(14, {"t": 5, "cross": 1}, {"rear": 1}),
-    "turboprop": Kind(8, {"low": 3, "t": 2, "cross": 1}, {"wing": 1}, rounded=0.3),
+    "turboprop": Kind(8, {"low": 3, "t": 2, "cross": 1}, {"wing": 1}, 0.3),
     "transport": Kind(8, {"t": 3, "low": 2}, {"under": 1, "wing": 1}),
-    "low wing": Kind(9, {"low": 5, "t": 1, "cross": 1}, {"nose": 2, "wing": 1}, 0.5, gear=0.7, by_tail=0.3, canopy=CABIN),
-    "high wing": Kind(8, {"low": 6, "t": 1}, {"nose": 3, "wing": 1}, 0.5, gear=0.7, by_tail=0.3, canopy=CABIN),
-    "warbird": Kind(7, {"low": 1}, {"nose": 1}, 1.0, 0.4, 0.5, 1.0, ((-0.08, 0.06), (0.14, 0.3), (0.02, 0.05))),
-    "biplane": Kind(5, {"low": 1}, {"nose": 1}, 1.0, gear=0.9, by_tail=1.0, canopy=((0.0, 0.1), (0.1, 0.16), (0.0, 0.02))),
-    "glider": Kind(3, {"t": 3, "low": 1}, {"none": 1}, 1.0, gear=0.0, canopy=((-0.26, -0.2), (0.2, 0.26), (0.01, 0.02))),
+    "low wing": Kind(11, {"low": 5, "t": 1, "cross": 1}, {"nose": 2, "wing": 1}, 0.5, 0.7, CABIN),
+    "high wing": Kind(11, {"low": 6, "t": 1}, {"nose": 3, "wing": 1}, 0.5, 0.7, CABIN),
+    "warbird": Kind(8, {"low": 1}, {"nose": 1}, 1.0, 0.5, ((-0.08, 0.06), (0.14, 0.3), (0.02, 0.05))),
+    "glider": Kind(3, {"t": 3, "low": 1}, {"none": 1}, 1.0, 0.0, ((-0.26, -0.2), (0.2, 0.26), (0.01, 0.02))),
     "fighter": Kind(10, {"low": 2, "double": 1}, {"jet": 1}, gear=0.2, canopy=COCKPIT),
     "delta": Kind(6, {"fin": 2, "double": 1, "low": 1}, {"jet": 1}, gear=0.2, canopy=COCKPIT),
 }
@@ -57,7 +70,6 @@ BODIES: dict[str, tuple[Range, ...]] = {
     "low wing": ((0.11, 0.18), (1, 1.4), (0.18, 0.35), (0.5, 0.65), (0.35, 0.7), (0.05, 0.2), (0, 0.7), (0, 0.5), (2.2, 5)),
     "high wing": ((0.11, 0.18), (1, 1.4), (0.18, 0.35), (0.5, 0.65), (0.35, 0.7), (0.05, 0.2), (0, 0.7), (0, 0.5), (2.2, 5)),
     "warbird": ((0.085, 0.15), (1.1, 1.5), (0.1, 0.3), (0.5, 0.65), (0.3, 0.6), (0.08, 0.08), (0.1, 0.5), (0, 0.2), (2, 2)),
-    "biplane": ((0.12, 0.2), (1, 1.3), (0.05, 0.2), (0.55, 0.7), (0.2, 0.5), (0.08, 0.08), (0.1, 0.6), (0, 0), (2, 4)),
     "glider": ((0.07, 0.11), (1.1, 1.4), (0.25, 0.35), (0.5, 0.62), (0.6, 0.6), (0.15, 0.3), (0.2, 0.7), (0.3, 0.3), (2, 2)),
     "fighter": ((0.06, 0.13), (0.9, 1.3), (0.25, 0.45), (0.15, 0.4), (0.7, 1.1), (0.5, 0.85), (-0.1, 0.3), (0, 0.4), (2, 4)),
     "delta": ((0.06, 0.13), (0.9, 1.3), (0.25, 0.45), (0.15, 0.4), (0.7, 1.1), (0.5, 0.85), (-0.1, 0.3), (0, 0.4), (2, 4)),
@@ -72,7 +84,6 @@ WINGS: dict[str, tuple[Range, ...]] = {
     "low wing": ((-0.28, -0.14), (-0.4, -0.35), (0.52, 0.78), (0.17, 0.25), (0.45, 1), (-0.02, 0.1), (0, 0.14), (0.11, 0.16)),
     "high wing": ((-0.28, -0.14), (0.45, 0.6), (0.52, 0.78), (0.17, 0.25), (0.45, 1), (-0.02, 0.1), (0, 0.1), (0.11, 0.16)),
     "warbird": ((-0.26, -0.16), (-0.35, -0.35), (0.5, 0.66), (0.22, 0.32), (0.45, 0.75), (0, 0.12), (0.05, 0.14), (0.12, 0.12)),
-    "biplane": ((-0.3, -0.2), (-0.45, -0.45), (0.5, 0.75), (0.16, 0.24), (0.95, 0.95), (0, 0), (0, 0.06), (0.09, 0.09)),
     "glider": ((-0.2, -0.1), (0, 0.4), (0.9, 1.35), (0.11, 0.15), (0.3, 0.6), (-0.02, 0.03), (0, 0.08), (0.13, 0.13)),
     "fighter": ((-0.15, 0.04), (-0.35, 0.4), (0.25, 0.43), (0.18, 0.32), (0.3, 0.45), (0.25, 1.1), (-0.1, 0.06), (0.04, 0.07)),
     "delta": ((-0.15, -0.02), (-0.35, 0.3), (0.24, 0.36), (0.4, 0.58), (0.02, 0.14), (1.05, 1.7), (-0.05, 0.05), (0.04, 0.07)),
@@ -135,11 +146,9 @@ HALF = 5.0 * (0.2969 * np.sqrt(CHORD) - 0.126 * CHORD - 0.3516 * CHORD**2 + 0.28
 def surface(root: Array, span: Array, chord: float, tip: float, thick: float = 0.09, rounding: float = 0.0) -> Mesh:
     """A wing, tailplane or fin.
 
-    Parameters
-    ----------
     root, span : [3] start of the leading edge, and the way from there to the tip.
     chord, tip : lengths of the profile along +x at root and tip; ``thick`` its thickness in chords.
-    rounding : 0 a straight tip; else the exponent of the outline: 2 elliptic, 14 a round tip.
+    rounding : 0 a straight tip, else the exponent of the outline.
     """
     t = np.linspace(0.0, 1.0, 11) ** 0.6 if rounding else np.linspace(0.0, 1.0, 4)
     shrink = np.maximum(np.sqrt(1.0 - t**rounding), 0.12) if rounding else np.ones(4)
@@ -160,26 +169,16 @@ def build(rng: np.random.Generator, name: str) -> list[Mesh]:
     x, y, semi, chord, taper, sweep, rise, thick = draw(rng, WINGS[name])
     root = np.array([x, y * body.height, 0.25 * body.width])
     span = np.array([sweep, rise, 1.0]) * (semi - root[2])
-    rounding = 2.0 if chance(rng, kind.elliptic) else 14.0 if chance(rng, kind.rounded) else 0.0
+    rounding = 14.0 if chance(rng, kind.rounded) else 0.0
     parts = [body.mesh(), *both(surface(root, span, chord, taper * chord, thick, rounding), 2)]
     parts += _tail(rng, body, pick(rng, kind.tails))
-    parts += ENGINES[pick(rng, kind.engines)](rng, body, root, span)
+    parts += _engines(rng, pick(rng, kind.engines), body, root, span)
     if kind.canopy:
         x, length, high = draw(rng, kind.canopy)
         radii = (length / 2.0, high + 0.25 * body.height, 0.4 * body.width * float(body.size(x)))
         parts.append(ellipsoid(radii, body.at(x, 1.0) - [0.0, 0.25 * body.height, 0.0], 9, 12))
-    if name == "biplane":
-        shift = np.array([rng.uniform(-0.08, 0.08), 0.95 * body.height + rng.uniform(0.06, 0.14), 0.0])
-        parts += both(surface(root + shift, span, chord, taper * chord, thick, rounding), 2)
-        for along in (0.2, 0.75):
-            for out in (0.05, rng.uniform(0.55, 0.75)):
-                foot = root + out * span + along * chord * X_AXIS
-                parts += both(rod(foot, foot + shift, 0.006, sides=6), 2)
-    if name == "high wing" and chance(rng, 0.8):
-        foot, head = body.at(x, -0.8, 0.8), root + rng.uniform(0.4, 0.6) * span
-        parts += both(rod(foot, head + [0.3 * chord, 0.0, 0.0], 0.007, sides=6), 2)
     if chance(rng, kind.gear):
-        parts += _gear(rng, body, root[0], chord, chance(rng, kind.by_tail))
+        parts += _gear(rng, body, root[0] + 0.7 * chord)
     return parts
 
 
@@ -208,47 +207,47 @@ def _tail(rng: np.random.Generator, body: Body, kind: str) -> list[Mesh]:
     return parts + both(surface(start, plane, flat, flat * rng.uniform(0.4, 0.8), 0.09, rounding), 2)
 
 
-def _under(rng: np.random.Generator, body: Body, root: Array, span: Array) -> list[Mesh]:
-    """Jets on pylons under the wing, one or two on each side."""
-    radius, length = rng.uniform(0.022, 0.045), rng.uniform(0.09, 0.15)
-    parts = []
-    for share in (rng.uniform(0.3, 0.38), rng.uniform(0.6, 0.68))[: 1 + chance(rng, 0.3)]:
-        edge = root + share * span
-        front = edge - [rng.uniform(0.3, 0.75) * length, radius * rng.uniform(0.8, 1.3), 0.0]
-        parts += [_nacelle(front, length, radius)]
-        parts += [bar(front + [0.5 * length, 0.0, 0.0], edge + [0.05, 0.0, 0.0], 0.008, 0.05, side=(0, 0, 1))]
+# Radii over the largest at shares of the length: open jets, propeller engines, nozzles of fighters.
+JET = ([0.18, 0.03, 0.0, 0.06, 0.35, 0.72, 1.0, 0.92], [0.05, 0.82, 0.9, 1.0, 1.03, 0.82, 0.5, 0.08])
+PISTON = ([0.0, 0.04, 0.2, 0.5, 0.8, 1.0], [0.3, 0.65, 1.0, 0.95, 0.55, 0.1])
+NOZZLE = ([0.0, 0.65, 1.0, 0.9], [1.0, 0.97, 0.78, 0.2])
+
+
+def _engines(rng: np.random.Generator, kind: str, body: Body, root: Array, span: Array) -> list[Mesh]:
+    """Engines under or on the wing, beside the rear fuselage, in the nose, or inside a fighter."""
+    radius, length = rng.uniform(0.022, 0.042), rng.uniform(0.1, 0.2) * (1.4 if kind == "wing" else 1.0)
+    blade, disc = rng.uniform(0.06, 0.12), chance(rng, 0.5)
+    parts: list[Mesh] = []
+    if kind == "nose":
+        return _propeller(rng, body.at(-0.5), 1.5 * blade, 0.028, disc)
+    if kind in ("under", "wing"):
+        for share in (rng.uniform(0.28, 0.38), rng.uniform(0.56, 0.68))[: 1 + chance(rng, 0.3)]:
+            edge, down = root + share * span, 1.1 * radius if kind == "under" else 0.0
+            front = edge - [rng.uniform(0.3, 0.6) * length, down, 0.0]
+            parts.append(_body_of(JET if kind == "under" else PISTON, front, length, radius))
+            if kind == "under":
+                pylon = rectangle(0.008, 0.05)
+                parts.append(sweep([front + [0.5 * length, 0.0, 0.0], edge + [0.05, 0.0, 0.0]], pylon, side=(0, 0, 1)))
+            else:
+                parts += _propeller(rng, front, blade, 0.5 * radius, disc)
+    elif kind == "rear":
+        front = body.at(rng.uniform(0.1, 0.25), 0.3, 1.0) + [0.0, 0.0, 0.9 * radius]
+        middle = front + [0.4 * length, 0.0, 0.0]
+        parts = [_body_of(JET, front, length, radius)]
+        parts.append(sweep([middle * [1, 1, 0], middle], rectangle(0.5 * length, 0.014), side=X_AXIS))
+    elif kind == "jet":
+        wide, high, x, long = draw(rng, ((0.3, 0.6), (0.5, 0.85), (0.05, 0.15), (0.3, 0.6)))
+        intake = (x, rng.uniform(-0.2, 0.1) * body.height, (0.45 + 0.25 * wide) * body.width)
+        parts = [box((long, high * body.height, wide * body.width), intake, (0.9, 0.8))] if chance(rng, 0.7) else []
+        out = 0.5 * body.width if chance(rng, 0.4) else 0.25 * body.width
+        nozzle = body.at(0.4) * [1, 1, 0] + [0.0, 0.0, out]
+        parts.append(_body_of(NOZZLE, nozzle, 0.12, 0.42 * min(body.width, body.height)))
     return both(parts, 2)
 
 
-def _rear(rng: np.random.Generator, body: Body, root: Array, span: Array) -> list[Mesh]:
-    """A jet beside each side of the rear fuselage."""
-    radius, length, x = rng.uniform(0.022, 0.045), rng.uniform(0.1, 0.2), rng.uniform(0.1, 0.25)
-    at = body.at(x, 0.3, 1.0) + [0.0, 0.0, 0.9 * radius]
-    pylon = at + [0.4 * length, 0.0, 0.0]
-    return both([_nacelle(at, length, radius), bar(pylon * [1, 1, 0], pylon, 0.5 * length, 0.014, side=(1, 0, 0))], 2)
-
-
-def _nacelle(front: Array, length: float, radius: float) -> Mesh:
-    """An engine with open ends, from ``front`` along +x."""
-    stations = [0.18, 0.03, 0.0, 0.06, 0.35, 0.72, 1.0, 0.92]
-    radii = np.array([0.05, 0.82, 0.9, 1.0, 1.03, 0.82, 0.5, 0.08]) * radius
-    return turned(front, front + [length, 0.0, 0.0], stations, radii, 16)
-
-
-def _wing_propellers(rng: np.random.Generator, body: Body, root: Array, span: Array) -> list[Mesh]:
-    """Piston or turboprop engines on the wing, one or two on each side."""
-    radius, length, blade = rng.uniform(0.02, 0.04), rng.uniform(0.16, 0.3), rng.uniform(0.06, 0.12)
-    disc, parts = chance(rng, 0.5), []
-    for share in (rng.uniform(0.28, 0.38), rng.uniform(0.56, 0.65))[: 1 + chance(rng, 0.25)]:
-        front = root + share * span - [rng.uniform(0.3, 0.5) * length, rng.uniform(-0.3, 0.5) * radius, 0.0]
-        radii = np.array([0.3, 0.65, 1.0, 0.95, 0.55, 0.1]) * radius
-        parts += [turned(front, front + [length, 0, 0], [0, 0.04, 0.2, 0.5, 0.8, 1], radii, 12)]
-        parts += _propeller(rng, front, blade, 0.5 * radius, disc)
-    return both(parts, 2)
-
-
-def _nose_propeller(rng: np.random.Generator, body: Body, root: Array, span: Array) -> list[Mesh]:
-    return _propeller(rng, body.at(-0.5), rng.uniform(0.1, 0.18), 0.028, chance(rng, 0.5))
+def _body_of(outline: tuple[list[float], list[float]], front: Array, length: float, radius: float) -> Mesh:
+    """The body of revolution of an outline, from ``front`` along +x."""
+    return turned(front, front + [length, 0.0, 0.0], outline[0], radius * np.array(outline[1]), 14)
 
 
 def _propeller(rng: np.random.Generator, centre: Array, radius: float, hub: float, disc: bool) -> list[Mesh]:
@@ -258,52 +257,19 @@ def _propeller(rng: np.random.Generator, centre: Array, radius: float, hub: floa
     centre = centre - [0.4 * hub, 0.0, 0.0]
     if disc:
         return [*parts, rod(centre - [0.05 * hub, 0, 0], centre + [0.1 * hub, 0, 0], radius, sides=24)]
-    blades = int(rng.integers(2, 5))
+    blades, section = int(rng.integers(2, 5)), rectangle(0.1 * radius, 0.03 * radius)
     for angle in rng.uniform(0, np.pi) + 2 * np.pi * np.arange(blades) / blades:
         out = np.array([0.0, np.cos(angle), np.sin(angle)])
-        parts.append(bar(centre, centre + out * radius, 0.1 * radius, 0.03 * radius, 0.7, np.cross(out, X_AXIS) + 0.4 * X_AXIS))
+        parts.append(sweep([centre, centre + out * radius], section, [1.0, 0.7], np.cross(out, X_AXIS) + 0.4 * X_AXIS))
     return parts
 
 
-def _jet(rng: np.random.Generator, body: Body, root: Array, span: Array) -> list[Mesh]:
-    """A fighter's intakes beside the fuselage, its nozzles, and sometimes stores under the wings."""
-    parts = []
-    if chance(rng, 0.7):
-        front, back = rng.uniform(-0.2, -0.02), rng.uniform(0.2, 0.46)
-        wide, high = body.width * rng.uniform(0.3, 0.6), body.height * rng.uniform(0.5, 0.85)
-        middle = (0.5 * (front + back), rng.uniform(-0.2, 0.1) * body.height, 0.45 * body.width + 0.25 * wide)
-        parts += both(box((back - front, high, wide), middle, (0.9, 0.8)), 2)
-    radius, out = 0.42 * min(body.width, body.height), 0.0
-    if chance(rng, 0.4):
-        out = 0.5 * body.width
-    nozzle = body.at(0.45) * [1, 1, 0] + [-0.05, 0.0, out]
-    part = turned(nozzle, nozzle + [0.12, 0, 0], [0, 0.65, 1, 0.9], np.array([1.0, 0.97, 0.78, 0.2]) * radius, 14)
-    parts += both(part, 2) if out else [part]
-    for share in (0.4, 0.7)[: int(rng.integers(0, 3))]:
-        half, at = rng.uniform(0.07, 0.15) * X_AXIS, root + share * span - [0.0, 0.03, 0.0]
-        parts += both(turned(at - half, at + half, [0, 0.2, 0.8, 1], [0.003, 0.015, 0.015, 0.004]), 2)
-    return parts
-
-
-ENGINES = {
-    "under": _under,
-    "rear": _rear,
-    "wing": _wing_propellers,
-    "nose": _nose_propeller,
-    "jet": _jet,
-    "none": lambda rng, body, root, span: [],
-}
-
-
-def _gear(rng: np.random.Generator, body: Body, x: float, chord: float, by_tail: bool) -> list[Mesh]:
-    """Main wheels on legs, and a third wheel under the nose or the tail."""
+def _gear(rng: np.random.Generator, body: Body, x: float) -> list[Mesh]:
+    """Main wheels on legs at ``x``, and a wheel under the nose."""
     radius, out = rng.uniform(0.014, 0.035), rng.uniform(0.07, 0.2)
-    width, low = radius * rng.uniform(0.5, 0.9), -0.5 * body.height - rng.uniform(0.05, 0.11)
-    foot = np.array([x + (0.1 if by_tail else 0.7) * chord, low + radius, out])
-    head = body.at(foot[0], -0.4) + [0.0, 0.0, out * rng.uniform(0.3, 1.0)]
-    leg = rng.uniform(0.15, 0.3) * radius
+    width, low, leg = 0.7 * radius, -0.5 * body.height - rng.uniform(0.05, 0.11), rng.uniform(0.15, 0.3) * radius
+    foot, head = np.array([x, low + radius, out]), body.at(x, -0.4) + [0.0, 0.0, 0.6 * out]
     parts = both([rod(head, foot, leg * 1.3, leg, 6), wheel(foot, radius, width, 2, 12)], 2)
-    under = body.at(0.43 if by_tail else -0.5 + rng.uniform(0.08, 0.16), -0.9)
-    # A tail wheel hangs close under the fuselage; a nose wheel stands on the ground.
-    third = under - [0.0, 0.9 * radius, 0.0] if by_tail else under * [1, 0, 1] + [0.0, low + radius, 0.0]
-    return [*parts, rod(under, third, leg, sides=6), wheel(third, (0.5 if by_tail else 0.9) * radius, width, 2, 12)]
+    under = body.at(rng.uniform(-0.42, -0.34), -0.9)
+    third = under * [1, 0, 1] + [0.0, low + radius, 0.0]
+    return [*parts, rod(under, third, leg, sides=6), wheel(third, 0.9 * radius, width, 2, 12)]

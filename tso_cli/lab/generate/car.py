@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...io.meshes import Mesh
-from .parts import Array, Range, both, box, chance, cushion, draw, ellipsoid, loft, rectangle, rod, sweep, wheel
+from .parts import Array, Range, both, box, chance, cushion, draw, loft, wheel
 
 # Standard deviation of the logarithms by which a car is stretched along x, y and z.
 SPREAD = 0.05
@@ -16,38 +16,29 @@ SPREAD = 0.05
 PROFILES: dict[str, tuple[list[float], list[float]]] = {
     "sedan": ([0, 0.03, 0.28, 0.43, 0.52, 0.66, 0.82, 0.97, 1], [0.42, 0.52, 0.63, 0.96, 1, 0.97, 0.69, 0.65, 0.5]),
     "hatch": ([0, 0.04, 0.25, 0.42, 0.54, 0.82, 0.96, 1], [0.42, 0.53, 0.65, 0.97, 1, 0.93, 0.65, 0.45]),
-    "estate": ([0, 0.03, 0.27, 0.41, 0.5, 0.87, 0.97, 1], [0.42, 0.54, 0.64, 0.97, 1, 0.96, 0.66, 0.45]),
     "suv": ([0, 0.02, 0.26, 0.37, 0.46, 0.9, 0.98, 1], [0.45, 0.6, 0.66, 0.97, 1, 0.97, 0.65, 0.4]),
     "van": ([0, 0.04, 0.12, 0.27, 0.34, 0.97, 0.995, 1], [0.35, 0.45, 0.53, 0.94, 1, 0.98, 0.9, 0.5]),
     "pickup": ([0, 0.02, 0.26, 0.36, 0.4, 0.54, 0.585, 0.99, 1], [0.45, 0.57, 0.62, 0.97, 1, 0.98, 0.63, 0.62, 0.5]),
     "sports": ([0, 0.04, 0.34, 0.5, 0.57, 0.68, 0.9, 0.98, 1], [0.3, 0.48, 0.68, 0.97, 1, 0.95, 0.73, 0.7, 0.5]),
     "wedge": ([0, 0.1, 0.3, 0.46, 0.55, 0.66, 0.8, 0.99, 1], [0.28, 0.45, 0.62, 0.97, 1, 0.9, 0.75, 0.7, 0.4]),
     "round": ([0, 0.08, 0.3, 0.4, 0.52, 0.66, 0.85, 0.96, 1], [0.3, 0.52, 0.62, 0.92, 1, 0.93, 0.62, 0.4, 0.28]),
-    "micro": ([0, 0.06, 0.2, 0.38, 0.5, 0.85, 0.97, 1], [0.35, 0.5, 0.6, 0.96, 1, 0.95, 0.6, 0.4]),
-    "open": ([0, 0.04, 0.32, 0.36, 0.72, 0.97, 1], [0.48, 0.68, 0.88, 0.95, 0.95, 0.9, 0.6]),
     "box": ([0, 0.005, 0.28, 0.38, 0.42, 0.72, 0.84, 0.995, 1], [0.55, 0.6, 0.62, 0.99, 1, 1, 0.63, 0.62, 0.55]),
-    "jeep": ([0, 0.01, 0.33, 0.38, 0.4, 0.96, 0.985, 1], [0.5, 0.56, 0.58, 0.97, 1, 1, 0.6, 0.5]),
 }
 NUMBERS = ("length", "width", "height", "clearance", "radius", "smooth", "tumble", "nose", "rear", "bulge", "inset")
 # Ranges of the first six of these fields of `Shape`.
 SIZES: dict[str, tuple[Range, ...]] = {
     "sedan": ((4.2, 5.1), (1.65, 1.9), (1.36, 1.52), (0.14, 0.22), (0.29, 0.35), (0.01, 0.06)),
     "hatch": ((3.5, 4.4), (1.55, 1.85), (1.38, 1.58), (0.14, 0.22), (0.28, 0.34), (0.01, 0.06)),
-    "estate": ((4.2, 5.0), (1.65, 1.9), (1.4, 1.6), (0.14, 0.22), (0.29, 0.35), (0.01, 0.05)),
     "suv": ((4.0, 5.0), (1.75, 2.0), (1.6, 1.95), (0.2, 0.32), (0.34, 0.42), (0.01, 0.04)),
     "van": ((4.2, 6.2), (1.7, 2.1), (1.85, 2.7), (0.18, 0.3), (0.31, 0.38), (0.01, 0.04)),
     "pickup": ((4.6, 5.6), (1.7, 2.05), (1.6, 1.95), (0.22, 0.38), (0.34, 0.44), (0.008, 0.03)),
     "sports": ((3.9, 4.8), (1.7, 2.0), (1.1, 1.34), (0.1, 0.17), (0.3, 0.36), (0.03, 0.08)),
     "wedge": ((4.0, 4.7), (1.8, 2.05), (1.0, 1.22), (0.09, 0.15), (0.3, 0.36), (0.01, 0.06)),
     "round": ((3.6, 4.4), (1.5, 1.85), (1.4, 1.6), (0.15, 0.25), (0.28, 0.36), (0.05, 0.1)),
-    "micro": ((2.4, 3.4), (1.4, 1.65), (1.4, 1.65), (0.14, 0.22), (0.26, 0.32), (0.02, 0.08)),
-    "open": ((3.7, 4.7), (1.6, 1.9), (0.9, 1.1), (0.12, 0.2), (0.28, 0.35), (0.01, 0.06)),
     "box": ((3.6, 5.0), (1.5, 2.1), (1.2, 1.7), (0.14, 0.35), (0.26, 0.42), (0.0, 0.02)),
-    "jeep": ((3.3, 4.7), (1.55, 1.95), (1.65, 2.0), (0.25, 0.4), (0.35, 0.46), (0.0, 0.02)),
 }
 WEIGHTS = {
-    "sedan": 18, "hatch": 13, "estate": 6, "suv": 9, "van": 7, "pickup": 5, "sports": 11, "wedge": 5, "round": 7, "micro": 3,
-    "open": 6, "box": 6, "jeep": 4,
+    "sedan": 20, "hatch": 15, "suv": 12, "van": 8, "pickup": 5, "sports": 12, "wedge": 6, "round": 10, "box": 6,
 }  # fmt: skip
 # Ranges of the others: of most cars, and of kinds with a form of their own.
 FORM: tuple[Range, ...] = ((0.15, 0.55), (0.1, 0.9), (0.1, 0.8), (0.0, 0.09), (-0.02, 0.06))
@@ -58,9 +49,7 @@ FORMS: dict[str, tuple[Range, ...]] = {
     "sports": ((0.4, 0.8), (0.4, 1.0), (0.1, 0.8), (0.03, 0.1), (-0.02, 0.06)),
     "pickup": ((0.15, 0.55), (0.1, 0.9), (0.0, 0.15), (0.0, 0.09), (-0.02, 0.06)),
     "box": ANGULAR,
-    "jeep": ANGULAR,
     "round": BULBOUS,
-    "micro": BULBOUS,
 }
 
 
@@ -72,7 +61,7 @@ class Shape:
     corners are rounded, as a share of the length. belt : heights of the windows' lower edge at nose and rear, as shares of the
     height. tumble : slope of the sides above it. nose, rear : how rounded the ends are seen from above. bulge : how far the
     sides belly out, as a share of the width. inset : of the wheels' outer faces. axles : shares of the length. arch : radius of
-    the wheel arches in wheel radii, 0 without. hollow : (from, to, depth) of an open top, in shares of the length and metres.
+    the wheel arches in wheel radii, 0 without. hollow : (from, to, depth) of a pickup's bed: shares of the length, metres.
     """
 
     length: float
@@ -158,12 +147,7 @@ class Shape:
 def build(rng: np.random.Generator, kind: str) -> list[Mesh]:
     """The parts of a car of a kind in `WEIGHTS`."""
     shape = _shape(rng, kind)
-    parts = [shape.mesh(), *shape.wheels(rng.uniform(0.45, 0.75)), *_extras(rng, shape, kind)]
-    if kind == "open":
-        parts.append(_windscreen(rng, shape))
-    if kind == "open" or (kind != "pickup" and chance(rng, 0.3)):
-        parts += _seats(rng, shape)
-    return parts
+    return [shape.mesh(), *shape.wheels(rng.uniform(0.45, 0.75)), *_extras(rng, shape, kind)]
 
 
 def _shape(rng: np.random.Generator, kind: str) -> Shape:
@@ -173,13 +157,11 @@ def _shape(rng: np.random.Generator, kind: str) -> Shape:
     # Ends stay ends, the order stays, and the highest point stays 1.
     s = np.maximum.accumulate(np.clip(knots[:, 0], 0.0, 1.0) + np.arange(len(knots)) * 1e-4)
     profile = np.stack([(s - s[0]) / (s[-1] - s[0]), knots[:, 1] / knots[:, 1].max()], axis=1)
-    belts = {"van": ((0.4, 0.4), (0.45, 0.45)), "open": ((0.8, 0.8), (0.85, 0.85))}.get(kind, ((0.54, 0.63), (0.58, 0.68)))
-    low, high = draw(rng, belts)
+    belts = {"van": ((0.4, 0.4), (0.45, 0.45))}
+    low, high = draw(rng, belts.get(kind, ((0.54, 0.63), (0.58, 0.68))))
     front, rear, tyre, arch = draw(rng, ((0.155, 0.23), (0.76, 0.83), (0.16, 0.26), (1.06, 1.3)))
     hollow = None
-    if kind == "open":
-        hollow = (rng.uniform(0.36, 0.42), rng.uniform(0.6, 0.75), rng.uniform(0.35, 0.55))
-    elif kind == "pickup" and chance(rng, 0.8):
+    if kind == "pickup" and chance(rng, 0.8):
         hollow = (rng.uniform(0.59, 0.65), 0.975, rng.uniform(0.3, 0.5))
     if chance(rng, 0.15):
         arch = 0.0
@@ -187,23 +169,16 @@ def _shape(rng: np.random.Generator, kind: str) -> Shape:
 
 
 def _extras(rng: np.random.Generator, shape: Shape, kind: str) -> list[Mesh]:
-    """Mirrors, bumpers, lamps, roof rails, spoiler, spare wheel and exhausts, each with some chance."""
+    """Mirrors, bumpers, spoiler and spare wheel, each with some chance."""
     parts: list[Mesh] = []
-    half, high = shape.width / 2.0, shape.height
-    front, rear = float(shape.z(0.0)), float(shape.z(1.0))
+    half, high, rear = shape.width / 2.0, shape.height, float(shape.z(1.0))
     if chance(rng, 0.6):
-        size, at = (rng.uniform(0.12, 0.22), rng.uniform(0.1, 0.16), 0.09), (0.97 * half + 0.07, shape.belt[0] * high + 0.08)
-        parts += both(cushion(size, (*at, float(shape.z(rng.uniform(0.3, 0.36)))), 0.8, 3))
+        mirror = (0.97 * half + 0.07, shape.belt[0] * high + 0.08, float(shape.z(rng.uniform(0.3, 0.36))))
+        parts += both(cushion((rng.uniform(0.12, 0.22), rng.uniform(0.1, 0.16), 0.09), mirror, 0.8, 3))
     if chance(rng, 0.35):
         y, thick = shape.clearance + 0.15 * high + 0.05, rng.uniform(0.08, 0.2)
-        for z, s in ((front, 0.02), (rear, 0.98)):
-            parts.append(cushion((2.1 * float(shape.half_width(s)), thick, 0.16), (0, y, z), 0.4, 8))
-    if chance(rng, 0.25):
-        parts += both(ellipsoid((0.1, 0.09, 0.07), (half * rng.uniform(0.6, 0.75), 0.42 * high, front - 0.04)))
-    if kind != "open" and chance(rng, 0.2):
-        along = np.linspace(0.46, 0.66, 5)
-        path = np.stack([np.full(5, half * 0.6), shape.top(along) + 0.02, shape.z(along)], axis=1)
-        parts += both(sweep(path, rectangle(0.04, 0.05), side=(1, 0, 0)))
+        for s in (0.02, 0.98):
+            parts.append(cushion((2.1 * float(shape.half_width(s)), thick, 0.16), (0, y, float(shape.z(round(s)))), 0.4, 8))
     if chance(rng, 0.35 if kind in ("wedge", "sports", "box") else 0.14):
         deck, rise = float(shape.top(0.95)), rng.uniform(0.05, 0.3)
         size = (shape.width * rng.uniform(0.75, 1.0), 0.035, rng.uniform(0.15, 0.4))
@@ -211,28 +186,4 @@ def _extras(rng: np.random.Generator, shape: Shape, kind: str) -> list[Mesh]:
         parts += both(box((0.04, rise + 0.06, 0.12), (half * 0.65, deck + rise / 2 - 0.03, rear + 0.16)))
     if float(shape.top(0.96)) > 0.75 * high and chance(rng, 0.15):
         parts.append(wheel(np.array([0, 0.55 * high, rear - 0.08]), shape.radius * 0.9, 0.18, 2))
-    if chance(rng, 0.12):
-        x, y = half * 0.5, shape.clearance + 0.03
-        parts += both(rod((x, y, rear + 0.2), (x, y, rear - 0.04), 0.035))
     return parts
-
-
-def _windscreen(rng: np.random.Generator, shape: Shape) -> Mesh:
-    assert shape.hollow
-    x, high, back, s = shape.width * 0.4, rng.uniform(0.25, 0.42), rng.uniform(0.1, 0.5), shape.hollow[0] - 0.025
-    y, z = float(shape.top(s)) - 0.03, float(shape.z(s))
-    lower = np.array([[-x, y, z], [x, y, z], [x, y, z - 0.02], [-x, y, z - 0.02]])
-    return loft([lower, (lower - [0, 0, back]) * [0.85, 1, 1] + [0, high, 0]])
-
-
-def _seats(rng: np.random.Generator, shape: Shape) -> list[Mesh]:
-    """One or two rows of seats, and a dashboard."""
-    parts, rows = [], (0.47, 0.64) if shape.length > 3.4 and chance(rng, 0.7) else (0.5,)
-    x, width, low = 0.23 * shape.width, 0.26 * shape.width, shape.clearance + 0.22
-    for s in rows:
-        z = float(shape.z(s))
-        parts += both(cushion((width, 0.14, 0.48), (x, low, z), 0.5, 6))
-        back = (x, low + 0.18 * shape.height, z - 0.26)
-        parts += both(box((width, 0.32 * shape.height, 0.12), back, (0.8, 0.8), (0, -0.06)))
-    dashboard = (0, 0.5 * shape.height, float(shape.z(rows[0] - 0.13)))
-    return [*parts, box((0.8 * shape.width, 0.2, 0.25), dashboard, (0.95, 0.6))]

@@ -12,7 +12,7 @@ from ...errors import InputError
 from ...io.meshes import Mesh, write_mesh
 from ...io.output import check_output, reason
 from . import airplane, car, chair
-from .parts import join, moved, pick
+from .parts import join, pick
 
 _MAKERS = {"chair": chair, "car": car, "airplane": airplane}
 CATEGORIES = tuple(_MAKERS)
@@ -28,7 +28,7 @@ def generate(category: str, rng: np.random.Generator) -> Mesh:
     _check_category(category)
     maker = _MAKERS[category]
     mesh = join(maker.build(rng, pick(rng, maker.WEIGHTS)))
-    return moved(mesh, np.exp(rng.normal(0.0, maker.SPREAD, 3)))
+    return Mesh(mesh.vertices * np.exp(rng.normal(0.0, maker.SPREAD, 3)), mesh.faces)
 
 
 def write_shapes(
@@ -42,19 +42,10 @@ def write_shapes(
 
     A shape depends on ``seed``, its category and its number alone: asking for more gives the same ones first.
 
-    Parameters
-    ----------
-    progress : called with shapes written, shapes in all and the name of the last one.
+    ``progress`` is called with shapes written, shapes in all and the name of the last one. Returns the files, in order.
 
-    Returns
-    -------
-    The files written, in order.
-
-    Raises
-    ------
-    InputError
-        A category is not known, a count or the seed is out of range, or a file exists and ``overwrite`` is false: then
-        nothing is written. Or a folder or file cannot be written.
+    Raises InputError if a category is not known, a count or the seed is out of range, or a file exists and ``overwrite`` is
+    false: then nothing is written. Or if a folder or file cannot be written.
     """
     output = Path(output)
     if seed < 0:

@@ -12,7 +12,7 @@ from ...io.meshes import Mesh
 
 Array = NDArray[np.float64]
 Range = tuple[float, float]
-X_AXIS, Y_AXIS, Z_AXIS = np.eye(3)
+X_AXIS = np.array([1.0, 0.0, 0.0])
 
 
 def chance(rng: np.random.Generator, probability: float) -> bool:
@@ -40,11 +40,6 @@ def join(parts: Iterable[Mesh]) -> Mesh:
     return Mesh(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
 
 
-def moved(part: Mesh, scale: ArrayLike = 1.0, shift: ArrayLike = 0.0) -> Mesh:
-    """``part`` scaled by ``scale`` (a number or [3], all positive), then shifted by ``shift`` [3]."""
-    return Mesh(part.vertices * np.asarray(scale, dtype=np.float64) + np.asarray(shift, dtype=np.float64), part.faces)
-
-
 def both(parts: Mesh | Iterable[Mesh], axis: int = 0) -> list[Mesh]:
     """The parts and their reflections in the plane where coordinate ``axis`` is 0."""
     parts = [parts] if isinstance(parts, Mesh) else list(parts)
@@ -55,11 +50,8 @@ def both(parts: Mesh | Iterable[Mesh], axis: int = 0) -> list[Mesh]:
 def loft(sections: ArrayLike, closed: bool = False) -> Mesh:
     """The solid through a row of outlines.
 
-    Parameters
-    ----------
-    sections : [S, P, 3], the same number of points in each outline. The two ends are closed by pairing point j with point
-        P - 1 - j, which suits convex outlines and bent strips that run forth along one side and back along the other.
-    closed : the last outline is joined to the first instead (a ring).
+    sections : [S, P, 3]. An end is closed by pairing point j with point P - 1 - j, which suits convex outlines and bent strips.
+    closed : the last outline is joined to the first instead.
     """
     outlines = np.asarray(sections, dtype=np.float64)
     count, around = outlines.shape[:2]
@@ -72,7 +64,10 @@ def loft(sections: ArrayLike, closed: bool = False) -> Mesh:
         first, last = index[0], index[-1]
         faces.append(_quads(first[j], first[around - 1 - j], first[around - 2 - j], first[j + 1]))
         faces.append(_quads(last[j], last[j + 1], last[around - 2 - j], last[around - 1 - j]))
-    return _outward(outlines.reshape(-1, 3), np.concatenate(faces))
+    vertices, triangles = outlines.reshape(-1, 3), np.concatenate(faces)
+    a, b, c = (vertices[triangles[:, k]] - vertices[0] for k in range(3))
+    outward = (a * np.cross(b, c)).sum() >= 0.0
+    return Mesh(vertices, triangles if outward else triangles[:, ::-1])
 
 
 def _quads(*corners: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -81,13 +76,6 @@ def _quads(*corners: NDArray[np.int64]) -> NDArray[np.int64]:
     faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
     x, y, z = faces.T
     return faces[(x != y) & (y != z) & (z != x)]
-
-
-def _outward(vertices: Array, faces: NDArray[np.int64]) -> Mesh:
-    """The mesh with its faces turned so that the volume is positive."""
-    a, b, c = (vertices[faces[:, k]] - vertices[0] for k in range(3))
-    volume = (a * np.cross(b, c)).sum()
-    return Mesh(vertices, faces if volume >= 0.0 else faces[:, ::-1])
 
 
 def superellipse(angle: ArrayLike, power: float) -> Array:
@@ -110,13 +98,9 @@ def rectangle(width: float, height: float) -> Array:
 def sweep(path: ArrayLike, section: Array, scale: ArrayLike = 1.0, side: ArrayLike | None = None, closed: bool = False) -> Mesh:
     """An outline drawn along a path.
 
-    Parameters
-    ----------
-    path : [N, 3], N >= 2, no point twice in a row.
-    section : [P, 2]; its first axis follows ``side``, the second is across.
+    path : [N, 3], no point twice in a row; where ``closed`` it returns to its first point.
+    section : [P, 2]; its first axis follows ``side``, by default the coordinate axis most across the path.
     scale : of the section, one number or one for each point [N].
-    side : direction of the section's first axis; by default the coordinate axis most across the path.
-    closed : the path returns to its first point.
     """
     points = np.asarray(path, dtype=np.float64)
     around = np.concatenate([points[-1:], points, points[:1]]) if closed else np.concatenate([points[:1], points, points[-1:]])
@@ -132,19 +116,14 @@ def _unit(vectors: Array) -> Array:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
-def tube(path: ArrayLike, radius: float, sides: int = 8, scale: ArrayLike = 1.0, closed: bool = False) -> Mesh:
+def tube(path: ArrayLike, radius: float, sides: int = 8, closed: bool = False) -> Mesh:
     """A round bar along a path [N, 3]."""
-    return sweep(path, oval(radius, radius, 2.0, sides), scale, closed=closed)
+    return sweep(path, oval(radius, radius, 2.0, sides), closed=closed)
 
 
 def rod(a: ArrayLike, b: ArrayLike, radius: float, end: float | None = None, sides: int = 8) -> Mesh:
     """Cylinder from ``a`` to ``b``, or the frustum of radius ``end`` at ``b``."""
-    return tube(np.array([a, b]), radius, sides, [1.0, 1.0 if end is None else end / radius])
-
-
-def bar(a: ArrayLike, b: ArrayLike, width: float, depth: float, end: float = 1.0, side: ArrayLike | None = None) -> Mesh:
-    """Square-edged bar from ``a`` to ``b``; ``width`` along ``side``, ``end`` times as thick at ``b``."""
-    return sweep(np.array([a, b]), rectangle(width, depth), [1.0, end], side)
+    return turned(a, b, [0.0, 1.0], [radius, radius if end is None else end], sides)
 
 
 def turned(a: ArrayLike, b: ArrayLike, stations: ArrayLike, radii: ArrayLike, sides: int = 10) -> Mesh:
@@ -167,16 +146,11 @@ def box(size: Sequence[float], centre: ArrayLike, top: Range = (1.0, 1.0), shift
     return loft(rings + np.asarray(centre, dtype=np.float64))
 
 
-def cushion(
-    size: Sequence[float], centre: ArrayLike, rounding: float = 0.5, power: float = 6.0, puff: float = 0.0, count: int = 16
-) -> Mesh:
+def cushion(size: Sequence[float], centre: ArrayLike, rounding: float = 0.5, power: float = 6.0, puff: float = 0.0) -> Mesh:
     """Box of ``size`` [3] with round edges.
 
-    Parameters
-    ----------
-    rounding : radius of the upper and lower edges in half heights, 0 to 1.
-    power : how square it is seen from above; see `superellipse`.
-    puff : how far the upper face bulges, in heights.
+    rounding : radius of the upper and lower edges in half heights. power : how square it is seen from above; see
+    `superellipse`. puff : how far the upper face bulges, in heights.
     """
     half = np.asarray(size, dtype=np.float64) / 2.0
     edge = rounding * half[1]
@@ -187,7 +161,7 @@ def cushion(
         inset = np.append(inset, edge + 0.45 * max(half[[0, 2]].min() - edge, 0.0))
         height = np.append(height, half[1] * (1.0 + 2.0 * puff))
     wide, deep = (np.maximum(half[axis] - inset, 1e-4) for axis in (0, 2))
-    rings = [flat(oval(x, z, power, count), y) for x, y, z in zip(wide, height, deep, strict=True)]
+    rings = [flat(oval(x, z, power, 16), y) for x, y, z in zip(wide, height, deep, strict=True)]
     return loft(np.stack(rings) + np.asarray(centre, dtype=np.float64))
 
 
@@ -199,18 +173,12 @@ def flat(outline: Array, y: float) -> Array:
 def ellipsoid(radii: Sequence[float], centre: ArrayLike, rings: int = 7, sides: int = 12) -> Mesh:
     """Ellipsoid with half axes ``radii`` [3]."""
     angle = np.linspace(0.02, np.pi - 0.02, rings)
-    ball = turned(-Y_AXIS, Y_AXIS, (1.0 - np.cos(angle)) / 2.0, np.sin(angle), sides)
-    return moved(ball, radii, centre)
+    ball = turned((0, -1, 0), (0, 1, 0), (1.0 - np.cos(angle)) / 2.0, np.sin(angle), sides)
+    return Mesh(ball.vertices * np.asarray(radii) + np.asarray(centre), ball.faces)
 
 
 def plate(grid: ArrayLike, thickness: ArrayLike) -> Mesh:
-    """A bent sheet.
-
-    Parameters
-    ----------
-    grid : [M, N, 3], its middle surface.
-    thickness : one number, or one for each row and column [M, N].
-    """
+    """A bent sheet: middle surface [M, N, 3], and its thickness, one number or [M, N]."""
     middle = np.asarray(grid, dtype=np.float64)
     normal = _unit(np.cross(np.gradient(middle, axis=0), np.gradient(middle, axis=1)))
     half = np.broadcast_to(np.asarray(thickness, dtype=np.float64), middle.shape[:2])[..., None] / 2.0 * normal

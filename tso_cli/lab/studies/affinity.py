@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ...geometry.points import Array
 from ...train.data import TrainingData
@@ -60,8 +61,6 @@ def outliers(pixels: Array, mask: NDArray[np.floating]) -> NDArray[np.bool_]:
 
     Distances are from the edge of the mask, half a pixel beyond the centres of its pixels. What is not finite is an outlier.
     """
-    from scipy.spatial import cKDTree
-
     finite = np.asarray(np.isfinite(pixels).all(1))
     distance, _ = cKDTree(np.argwhere(mask > 0.5)[:, ::-1]).query(np.where(finite[:, None], pixels, 0.0))
     return np.asarray(~finite | (distance > OUTLIER_PX + 0.5))

@@ -9,12 +9,10 @@ import torch
 from torch import Tensor
 
 from ...silhouette.projection import CameraBatch, Projected, project
-from ...train import TrainConfig, start
+from ...train import TrainConfig
 from ...train.batches import Batch
-from ...train.data import TrainingData
-from ...train.losses import Silhouette, mask_loss
-from ...train.processes import Processes
-from ...train.step import Objective, draw_step, images_of
+from ...train.losses import mask_loss
+from ...train.step import Objective
 
 UPSAMPLING = 5
 """U of the paper's comparison."""
@@ -25,16 +23,10 @@ FILLED = 3.8002
 
 
 def discrete_mask(points_px: Tensor, valid: Tensor, height: int, width: int) -> Tensor:
-    """The plain discretised projection: 1 in every pixel that a point is rounded to, 0 elsewhere.
+    """The plain discretised projection [M, height, width]: 1 where a point is rounded to; without gradient.
 
-    Parameters
-    ----------
     points_px : [M, N, 2] column and row of each point, in pixels (a pixel reaches half a pixel around whole numbers).
     valid : [M, N] bool; points that are False leave no mark.
-
-    Returns
-    -------
-    [M, height, width], without gradient.
     """
     cell, inside = _cells(points_px, valid, height, width, 1)
     marks = points_px.new_zeros(len(points_px), height * width).scatter_reduce_(1, cell, inside.to(points_px.dtype), "amax")
@@ -48,15 +40,10 @@ def discrete_depth(
 
     A cell of the finer grid keeps the last of its points, whatever their depths: a finer grid makes such collisions rare.
 
-    Parameters
-    ----------
-    points_px, valid, height, width : as in `discrete_mask`.
-    depth : [M, N], above 0 where valid.
+    points_px, valid, height, width : as in `discrete_mask`; ``depth`` : [M, N], above 0 where valid.
 
-    Returns
-    -------
-    depth : [M, height, width], 0 where no point falls; differentiable by ``depth``, each pixel by that of the point it shows.
-    hit : [M, height, width] bool, whether a point falls there.
+    Returns depths [M, height, width], 0 where no point falls, each differentiable by that of the point it shows; and whether a
+    point falls there.
     """
     cell, inside = _cells(points_px, valid, height, width, upsampling)
     # Points count from 1; 0 stands for none, at inverse depth 0.
@@ -116,8 +103,6 @@ def depth_map(points: Tensor, cameras: CameraBatch) -> tuple[Tensor, Tensor]:
 def projected_objective(config: TrainConfig, projection: str, bounded: bool = True) -> Objective:
     """The loss of training with masks through another projection; the affinity loss works on the points themselves.
 
-    Parameters
-    ----------
     projection : "plain", the discretised one: BCE has no gradient, only the affinity loss moves points. "depth", Lin et al.'s:
         the L1 loss of depth maps, made of the targets, also moves points along the line of sight. "gaussian", the paper's.
     bounded : see `mask_loss`.
@@ -129,25 +114,3 @@ def projected_objective(config: TrainConfig, projection: str, bounded: bool = Tr
         return (loss + depth_loss(points, batch) if projection == DEPTH else loss), bce, outliers
 
     return objective
-
-
-def bce_gradient(points: Tensor, batch: Batch, sigma_sq: float, silhouette: Silhouette | None) -> float:
-    """Root mean square over points [B, N, 3] of the derivative of BCE by a point; 0 where the projection has none."""
-    leaf = points.detach().requires_grad_(True)
-    loss = mask_loss(leaf, batch, sigma_sq, 0.0, "points", silhouette)[0]
-    if not loss.requires_grad:
-        return 0.0
-    (gradient,) = torch.autograd.grad(loss, leaf)
-    return float(gradient.square().sum(-1).mean().sqrt())
-
-
-def first_gradients(data: TrainingData, config: TrainConfig) -> dict[str, float]:
-    """`bce_gradient` at the first step of a training: "own", of a discrete projection, and "gaussian", of the paper's."""
-    network = start(data, config).network
-    batch = draw_step(data, None, config, Processes(), 0)[0]
-    with torch.no_grad():
-        points = network(images_of(batch, next(network.parameters()).device))
-    return {
-        "own": bce_gradient(points, batch, config.sigma_sq, silhouette_sums),
-        GAUSSIAN: bce_gradient(points, batch, config.sigma_sq, None),
-    }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ...errors import InputError
 from ...evaluation.metrics import chamfer
@@ -99,8 +100,6 @@ def depth_errors(points: Array, target: Array) -> dict[str, float]:
     ``depth`` and ``across`` are mean squares of the components of the vectors to the nearest points, in both directions
     summed, per axis; ``extent`` is the depth of the prediction over that of the truth (5th to 95th percentile).
     """
-    from scipy.spatial import cKDTree
-
     squares = np.zeros(3)
     for queries, cloud in ((points, target), (target, points)):
         squares += np.square(queries - cloud[cKDTree(cloud).query(queries)[1]]).mean(0)

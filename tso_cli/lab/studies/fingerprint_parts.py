@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ...datasets.items import ObjectItem, ViewItem
 from ...evaluation.metrics import chamfer
@@ -18,10 +19,11 @@ from ...geometry.rotations import angle_between, from_vectors
 from ...geometry.view import View
 from ...io.clouds import read_cloud
 from ...io.images import read_image
+from ...io.meshes import read_mesh
 from ...io.shipped import CATEGORIES, default_checkpoint, examples_folder
 from ...pose.fit import fit_camera
 from ...refinement import MODES, PRESETS, RefineConfig, RefineResult, refine
-from ...render import RenderSettings
+from ...render import RenderSettings, normalise
 from ...scene.load import load_points_scene
 from ...scene.network import load_network_scene
 from ...silhouette.projection import silhouette_of
@@ -80,22 +82,19 @@ def from_four_sides(preset: str) -> Numbers:
     return _refined(_from_four_sides(), preset)
 
 
+def of_64_pixels() -> Numbers:
+    """The example's mask averaged to 64x64."""
+    return _refined((_of_64_pixels(_view()),))
+
+
 def in_photos(*widths: int) -> Numbers:
     """The example's picture in a photo so many times as wide; with more widths, the truth's silhouettes from four sides."""
     views = _from_four_sides() if len(widths) > 1 else (_view(),)
     return _refined(tuple(framed(view, times, 0.5, 0.3) for view, times in zip(views, widths, strict=True)))
 
 
-def of_64_pixels() -> Numbers:
-    """The example's mask averaged to 64x64."""
-    return _refined((_of_64_pixels(_view()),))
-
-
 def of_a_mesh() -> Numbers:
     """A shipped mesh toward the example's mask; its surface is judged."""
-    from ...io.meshes import read_mesh
-    from ...render import normalise
-
     mesh = normalise(read_mesh(examples_folder() / "meshes" / f"{MESH}.ply"))
     result = refine(mesh.vertices, (_view(),), faces=mesh.faces)
     return _after(ONE, result, result.judged[1])
@@ -251,8 +250,6 @@ def _turned(view: View, degrees: float) -> View:
 
 def _nearest(view: View) -> NDArray[np.int64]:
     """[H, W] which of the true points is projected nearest to each pixel."""
-    from scipy.spatial import cKDTree
-
     rows, columns = np.indices(view.mask.shape)
     indices: NDArray[np.int64] = cKDTree(view.camera.project(_truth(ONE))[0]).query(np.stack([columns, rows], -1))[1]
     return indices

@@ -28,8 +28,6 @@ CONVENTION = {
 class Predicted:
     """What a network makes of one shape.
 
-    Attributes
-    ----------
     index : of the shape in its data.
     points, target : [v, N, 3] and [v, M, 3] float64, prediction and truth for each of the first v views.
     frame : "canonical" or "view", that of both.

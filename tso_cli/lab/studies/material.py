@@ -32,8 +32,6 @@ ALL = "all"
 class Source:
     """Where the shapes come from.
 
-    Parameters
-    ----------
     meshes : folder of CATEGORY/NAME for every name of ``split``, a file.
     part : list to judge on, "test" or "validation".
     limit : at most so many training shapes of each category, spread evenly over the list; None for all.

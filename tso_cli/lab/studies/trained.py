@@ -19,7 +19,7 @@ from ...train import TrainConfig, TrainResult, network_config, start, train
 from ...train.data import TrainingData
 from ...train.state import TrainingState, load_training, save_training, state_path
 from ..study import DEVICE, MESHES, SEED, SPLIT, Option, Progress, Record, Study, Table, part, record_of
-from .discretised import DEPTH, GAUSSIAN, first_gradients, projected_objective
+from .discretised import DEPTH, GAUSSIAN, projected_objective
 from .judging import CONVENTION, JUDGED_VIEWS, Predicted, judge, predict
 from .material import ALL, TEST_VIEWS, TRAINING_VIEWS, Material, Source
 from .mean_shape import constant_answer
@@ -51,16 +51,12 @@ FULL = {"steps": 20_000, "batch_size": 16, "learning_rate": 5e-5, "averaging": 0
 class Setting:
     """One network of a study.
 
-    Parameters
-    ----------
     name : in tables; unique among the settings of a category.
     category : to train and judge on; `ALL` for all categories of the study, each equally often.
     changes : fields of `train.TrainConfig` in which it differs from the others.
     projection : "gaussian" (the paper's), or one of `discretised.PROJECTIONS`.
-    constant : judge the mean training shape instead of a network.
-    repeat : is added to the seed.
-    latent_relu : put a ReLU behind the latent vector.
-    bounded : points beyond the crop count as outliers.
+    constant : judge the mean training shape instead of a network. repeat : is added to the seed.
+    latent_relu : put a ReLU behind the latent vector. bounded : points beyond the crop count as outliers.
     whole : uncropped pictures, which show size, and clouds in the scale of ShapeNet.
     """
 
@@ -79,14 +75,10 @@ class Setting:
 class Comparison:
     """What a study compares.
 
-    Parameters
-    ----------
-    name : of the study.
-    steps, reduced : of the reduced size: steps of a network, categories.
+    steps, reduced : of the reduced size: steps of a network, categories. full : categories of the full size.
     settings : categories -> the networks to train.
     conclude : runs -> what else the record says: "summary", "paper", "claims".
     measure : predictions of a network, judged data -> what else its run says.
-    full : categories of the full size.
     """
 
     name: str
@@ -110,17 +102,10 @@ class Comparison:
     def run(self, progress: Progress, *, categories: tuple[str, ...], full: bool, **options: Any) -> Record:
         """Train and judge the network of each setting that the earlier record lacks; the parameters are `OPTIONS`.
 
-        Returns
-        -------
-        A JSON-able record: {"study", "complete", "settings", "convention", "runs": [{"setting", "category", ..., "judged":
-        {category: {"shapes", "capnet", "plain"}}}]} and what `conclude` adds. Distances are raw.
+        The record's runs: [{"setting", "category", ..., "judged": {category: {"shapes", "capnet", "plain"}}}], raw distances.
 
-        Raises
-        ------
-        InputError
-            A shape is missing, or the earlier record is of other settings.
-        KeyboardInterrupt
-            Ctrl-C; the state of the network is kept.
+        Raises InputError if a shape is missing or the earlier record is of other settings; KeyboardInterrupt by Ctrl-C: the
+        state of the network is kept.
         """
         categories = categories or (self.full if full else self.reduced)
         limit = options["limit"] or (None if full else 32)
@@ -181,8 +166,6 @@ class Comparison:
         run |= {key: used[key] for key in ("supervision", "steps", "batch_size", "seed", "device")}
         run |= {key: used[key] if config.supervision == "masks" else None for key in of_masks}
         run |= {"lambda_dropped_at": result.lambda_dropped_at, "seconds": seconds, "judged": judge(predicted)}
-        if setting.projection != GAUSSIAN:
-            run["bce_gradient"] = first_gradients(data, config)
         return run | self.measure(predicted, unseen)
 
 
@@ -205,10 +188,15 @@ def _train(data: TrainingData, config: TrainConfig, setting: Setting, progress: 
         if unfinished and current.step < config.steps:
             save_training(unfinished, current, described)
 
-    def report(done: int, total: int, note: str) -> None:
-        progress.report(doing, done, total)
-
-    result = train(data, config, state, objective=objective, progress=report, save=save, save_every=SAVE_EVERY)
+    result = train(
+        data,
+        config,
+        state,
+        objective=objective,
+        progress=lambda done, total, note: progress.report(doing, done, total),
+        save=save,
+        save_every=SAVE_EVERY,
+    )
     if result.stop_reason == "interrupted":
         raise KeyboardInterrupt
     return result
