@@ -175,13 +175,14 @@ def answer(study: Study, record: Record) -> str:
     return "\n\n".join(filter(None, (*(table.text() for table in study.tables(record)), _convention(record), claims)))
 
 
-def page(study: Study, record: Record, file_name: str) -> str:
+def page(study: Study, record: Record, file_name: str, more_charts: Sequence[str] = ()) -> str:
     """The page of the record in ``file_name``, NAME.json, as Markdown; its chart is NAME.png beside it."""
     parts = [
         f"# {study.question}",
         f"    {record.get('command', f'tso lab {study.name}')} -o {file_name}",
         study.reading,
         f"![{study.question}]({file_name.removesuffix('.json')}.png)",
+        *(f"![{name}]({name})" for name in more_charts),
         *(table.markdown() for table in study.tables(record)),
         "\n".join(f"- {claim_line(claim)}" for claim in record.get("claims", [])),
         _convention(record, "- "),

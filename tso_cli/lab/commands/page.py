@@ -27,7 +27,8 @@ def write_page(study: Study, record: Record, output: Path) -> None:
     """The chart and the page of the record at ``output``, beside it."""
     study.draw(output.with_suffix(".png"), record, True)
     with atomic_output(output.with_suffix(".md")) as temporary:
-        temporary.write_text(page(study, record, output.name))
+        more = sorted(path.name for path in output.parent.glob(f"{output.stem}.*.png"))
+        temporary.write_text(page(study, record, output.name, more))
 
 
 @click.command("page")

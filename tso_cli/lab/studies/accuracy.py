@@ -17,6 +17,7 @@ from ...io.output import check_output
 from ...network.model import BaseNetwork
 from ..charts.accuracy_pictures import draw_cases
 from ..charts.ratios import Panel, draw_ratios
+from ..charts.tradeoff import Tradeoff, draw_tradeoffs
 from ..study import CHECKPOINT, COMMON, DEVICE, VIEWS, Cases, Option, Progress, Record, Study, Table, part, record_of
 from .accuracy_cases import KINDS, AccuracyCase, CaseBuilder, check_points, kinds_of
 from .accuracy_claims import claims, ratios_of, select, summarise
@@ -191,7 +192,15 @@ def _ablation(groups: list[tuple[str, str, dict[str, Any]]]) -> Table:
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """Chamfer after / before of every case; a row of panels for each kind, a panel for each category."""
+    """Chamfer after / before of every case, a row of panels for each kind and a panel for each category; and the same means
+    against seconds, NAME.tradeoff.png."""
+    tradeoffs = [
+        Tradeoff(category, timed, group["before"].get("floor_ratio"))
+        for category, group in record["summary"].get("other", {}).items()
+        if (timed := _timed(group["variants"])) and not record["settings"]["ablation"]
+    ]
+    if tradeoffs:
+        draw_tradeoffs(path.with_suffix(".tradeoff.png"), tradeoffs, overwrite)
     grid = []
     for kind, summary in record["summary"].items():
         panels = []
@@ -200,6 +209,10 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
             panels.append(Panel(f"{category}, {kind}", {name: ratios_of(cases, name) for name in group["variants"]}))
         grid.append(panels)
     draw_ratios(path, grid, overwrite)
+
+
+def _timed(variants: dict[str, Any]) -> dict[str, tuple[float, float]]:
+    return {name: (row["median_seconds"], row["mean_ratio"]) for name, row in variants.items() if row["median_seconds"]}
 
 
 STUDY = Study(
