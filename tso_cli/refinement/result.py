@@ -105,7 +105,7 @@ class RefineResult:
         chamfer = f"{self.gamma:g} x Chamfer to the start"
         if self.preset == "paper":
             return f"BCE + {chamfer}"
-        return "pull of the mask + what it costs to leave the start" + (f" + {chamfer}" if self.gamma else "")
+        return "mask Chamfer loss + position prior" + (f" + {chamfer}" if self.gamma else "")
 
 
 def why_unmoved(result: RefineResult) -> str | None:
