@@ -132,3 +132,12 @@ def test_a_resampled_image_averages_the_known_foreground_alone():
     assert resampled.image.shape == (64, 64, 3)
     assert np.allclose(resampled.image[resampled.inside], [0.2, 0.4, 0.6])
     assert not resampled.image[resampled.mask == 0.0].any()
+
+
+def test_a_flipped_view_has_no_flipped_photo():
+    """Letters are not mirrored: with a mirror plane the photo counts once, for the points that it shows."""
+    points, colours = sheet(3.0)
+    view = View(MASK, CAMERA, image=photo())
+    result = refine(points + [0.01, 0.0, 0.0], view, config=RefineConfig(steps=6, symmetry="x"), colours=colours)
+    assert result.symmetry is not None
+    assert result.loss_after < result.loss_before

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
 from tso_cli.refinement import RefineConfig, refine, refine_batch
@@ -137,7 +138,18 @@ def test_a_wrong_view_among_four_is_the_only_outlier(what):
     assert min(np.delete(weights, 1)) > 0.9
 
 
-def test_of_two_views_neither_is__inlier_weights(chair):
+@pytest.mark.slow
+def test_an_outlier_spoils_less_than_if_it_were_trusted(monkeypatch):
+    points, target, views = _seen_around("car")
+    views = _with_a_wrong_one(views, target, "a mask of something else")
+    weighed = refine(points, views)
+    monkeypatch.setattr("tso_cli.refinement.view_weights.FEWEST_TO_JUDGE", 99)
+    trusted = refine(points, views)
+    assert trusted.view_weights[1] > weighed.view_weights[1]
+    assert chamfer(weighed.points, target).chamfer < chamfer(trusted.points, target).chamfer
+
+
+def test_of_two_views_neither_is_an_outlier(chair):
     points, _, views = _seen_around("chair")
     bad = View(views[1].mask, _turned(views[1].camera, 40.0))
     assert _inlier_weights(points, [views[0], bad]) == [1.0, 1.0]
