@@ -80,8 +80,8 @@ def run_batch(
         with stopwatch.phase("optimise"):
             descent, problems = _optimise(prepared, parameters, chamfer, settings, on_progress)
     with stopwatch.phase("judge"), one_thread(small):
-        outcomes = _judge(prepared, problems, given_views, descent, settings)
         displacements = descent.best.double() - prepared.initial.double()
+        outcomes = _judge(problems, given_views, displacements, prepared.view_weights, settings)
         for row, outcome in zip(displacements, outcomes, strict=True):
             row[: len(outcome.moved.displacements)] = torch.from_numpy(outcome.moved.displacements)
         chamfer_to_initial = chamfer((prepared.initial.double() + displacements).to(prepared.initial)).tolist()
@@ -178,16 +178,15 @@ class _Outcome:
 
 
 def _judge(
-    prepared: _Prepared,
     problems: Sequence[Problem],
     given_views: Sequence[tuple[View, ...]],
-    descent: Descent,
+    displacements: Tensor,
+    view_weights: ViewWeights,
     settings: Settings,
 ) -> list[_Outcome]:
-    displacements = (descent.best.double() - prepared.initial.double()).cpu().numpy()
     outcomes = []
     for problem, views, displacement, weights in zip(
-        problems, given_views, displacements, prepared.view_weights.loss.tolist(), strict=True
+        problems, given_views, displacements.cpu().numpy(), view_weights.loss.tolist(), strict=True
     ):
         moved = problem.cloud.moved(displacement)
         outcome = _Outcome(moved, view_ious(problem.cloud.judged, moved.judged, views, problem.views))
