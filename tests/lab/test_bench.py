@@ -62,6 +62,7 @@ def record(measured):
         "device": "cpu",
         "seed": 0,
         "seconds": 1.0,
+        "convention": {},
         "claims": claims(measured),
         "records": measured,
     }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +10,10 @@ from scipy.spatial import cKDTree
 
 from ...geometry.points import Array
 from ...train.data import TrainingData
-from ..charts.bars import Bars, draw_bars
-from ..study import Cases, Record, Study, Table, claim
+from ..charts.bars import Rows
+from ..study import Cases, Record, claim
 from .judging import JUDGED_VIEWS, Predicted, object_axes
-from .trained import CATEGORIES, TRAINED, Comparison, Setting, chamfers, masks, table
+from .trained import CATEGORIES, Comparison, Setting, chamfers, masks, trained_study
 
 WITHOUT = "without"
 # Name -> form and weight; the weight is one that the study `lambda` finds good: the printed form breaks down at 1.
@@ -69,40 +68,27 @@ def conclude(cases: Cases) -> Record:
             figures = [f"{category} {scale * a:.2f}{unit} to {scale * b:.2f}{unit}" for category, (a, b) in pairs.items()]
             text = f"a network trained with the affinity loss ({name}) has {text}"
             claims.append(claim(text, all(after < before for before, after in pairs.values()), ", ".join(figures)))
-    return {"summary": summary, "paper": {}, "claims": claims}
+    return {"summary": summary, "claims": claims}
 
 
-def tables(record: Record) -> list[Table]:
+def rows(record: Record) -> Rows:
     """Outliers in per cent and Chamfer by setting and category."""
-    rows = {
-        name: {f"{category}: outliers, %": 100.0 * values["outliers"] for category, values in by_category.items()}
-        | {f"{category}: Chamfer": values["chamfer"] for category, values in by_category.items()}
-        for name, by_category in record["summary"].items()
-    }
-    return [table(record, "affinity loss", rows)]
-
-
-def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """Outliers and Chamfer by setting and category."""
-    panels = []
-    for key, title, scale in (("outliers", "outliers, %", 100.0), ("chamfer", "Chamfer x1000 (scaled by own box)", 1.0)):
-        groups = {
+    return {
+        title: {
             name: {category: scale * values[key] for category, values in by_category.items()}
             for name, by_category in record["summary"].items()
         }
-        panels.append(Bars(title, groups))
-    draw_bars(path, panels, overwrite)
+        for key, title, scale in (("outliers", "outliers, %", 100.0), ("chamfer", "Chamfer", 1.0))
+    }
 
 
-STUDY = Study(
+STUDY = trained_study(
     name="affinity",
     about="Networks trained without it and with each of its forms. An outlier is a point that falls more than a pixel outside "
     "the mask, in views of unseen shapes that the network was not given. Reduced size: 500 steps of 8, 32 shapes a category.",
-    tables=tables,
-    draw=draw,
     reading="With the affinity loss, in either form, fewer points lie outside the masks of views that the network was not "
     "given, and the clouds are nearer to the truth, in every category.",
-    plan=Comparison(500, CATEGORIES, settings, measure).plan,
+    comparison=Comparison(500, CATEGORIES, settings, measure),
     conclude=conclude,
-    **TRAINED,
+    rows=rows,
 )

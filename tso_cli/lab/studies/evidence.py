@@ -67,14 +67,6 @@ def _variant(masks: int = 1, **settings: object) -> Variant:
     return Variant(RefineConfig(**settings), masks)  # type: ignore[arg-type]
 
 
-def _no_mirror_plane(case: Case, altered: Case, result: RefineResult) -> float:
-    return float(result.symmetry is None)
-
-
-def _fourth_inlier_weight(case: Case, altered: Case, result: RefineResult) -> float | None:
-    return result.view_trust[3] if len(result.view_trust) > 3 else None
-
-
 def _corrected(case: Case, altered: Case, result: RefineResult) -> float:
     pairs = zip(result.cameras, altered.views, strict=False)
     return float(np.mean([not np.array_equal(camera.R, view.camera.R) for camera, view in pairs]))
@@ -83,6 +75,10 @@ def _corrected(case: Case, altered: Case, result: RefineResult) -> float:
 def _degrees_left(case: Case, altered: Case, result: RefineResult) -> float:
     pairs = zip(result.cameras, case.views, strict=False)
     return float(np.mean([angle_between(camera.R, view.camera.R) for camera, view in pairs]))
+
+
+def _fourth_inlier_weight(case: Case, altered: Case, result: RefineResult) -> float | None:
+    return result.view_trust[3] if len(result.view_trust) > 3 else None
 
 
 def _depth_rows() -> Rows:
@@ -153,7 +149,11 @@ QUESTIONS = {
     "depth": Question("Depth maps", STARTS, _depth_rows(), THREE),
     "colours": Question("Photos of painted objects", ("other",), _colour_rows(), THREE),
     "missing": Question(
-        "Objects of which a part is missing", ("other",), _missing_rows(), CATEGORIES[:4], {"no mirror plane": _no_mirror_plane}
+        "Objects of which a part is missing",
+        ("other",),
+        _missing_rows(),
+        CATEGORIES[:4],
+        {"no mirror plane": lambda case, altered, result: float(result.symmetry is None)},
     ),
     "wrong": Question(
         "Wrong views among four", ("other",), _wrong_rows(), CATEGORIES, {"fourth inlier weight": _fourth_inlier_weight}
@@ -241,20 +241,18 @@ def _means(cases: Cases) -> Record:
 
 
 def tables(record: Record) -> list[Table]:
-    """A table for each question."""
+    """A table for each question; not every row has every figure: of three views there is no fourth."""
     result = []
     for question, kinds in record["summary"].items():
+        columns = [*FIGURES, *QUESTIONS[question].measures]
         rows = [
-            (kind, category, label, figures)
+            [kind, category, label, *map(figures.get, columns)]
             for kind, categories in kinds.items()
-            for category, rows in categories.items()
-            for label, figures in rows.items()
+            for category, of_category in categories.items()
+            for label, figures in of_category.items()
         ]
-        # Not every row has everything: of three views there is no fourth.
-        further = list(dict.fromkeys(key for *_, figures in rows for key in figures if key not in FIGURES))
-        cells = [[*names, *(figures.get(key) for key in (*FIGURES, *further))] for *names, figures in rows]
-        header = ["kind", "category", question, "cases", "ratio", "worst", "worse", *further]
-        result.append(Table(header, cells, title=QUESTIONS[question].title))
+        header = ["kind", "category", question, "cases", "ratio", "worst", "worse", *columns[len(FIGURES) :]]
+        result.append(Table(header, rows, title=QUESTIONS[question].title))
     return result
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -18,7 +19,7 @@ from ...render import RenderSettings, normalise
 from ...train.data import TrainingData
 from ...train.sources import rendered_object
 from ..study import Report
-from .shapes import Shape, see, shapes_of_part
+from .shapes import see, shapes_of_part
 
 # Pictures are larger than the network's input, so that cutting it out of them blurs nothing.
 TRAINING_VIEWS, TEST_VIEWS, SIZE = 24, 8, 96
@@ -53,7 +54,8 @@ class Material:
 
     def counts(self) -> dict[str, dict[str, int]]:
         """{category: {"training", "judged"}}, numbers of shapes."""
-        return {name: {"training": len(self._of(name, True)), "judged": len(self._of(name, False))} for name in self.categories}
+        training, judged = (Counter(shape.category for shape in shapes) for shapes in self._shapes.values())
+        return {name: {"training": training[name], "judged": judged[name]} for name in self.categories}
 
     def names_hash(self) -> str:
         """Changes when the names of the shapes do."""
@@ -69,21 +71,17 @@ class Material:
             objects = [replace(item, target=partial(_dense, paths[item.name])) for item in objects]
         return TrainingData(objects, f"{len(objects)} meshes, {'train' if training else self._part}: {category}")
 
-    def _of(self, category: str, training: bool) -> list[Shape]:
-        return [shape for shape in self._shapes[training] if shape.category == category]
-
     def _items(self, category: str, training: bool) -> list[ObjectItem]:
-        key = (category, training)
-        if key not in self._rendered:
+        if (category, training) not in self._rendered:
             settings = RenderSettings(views=TRAINING_VIEWS if training else TEST_VIEWS, size=(SIZE, SIZE))
-            shapes, items = self._of(*key), []
+            shapes, items = [shape for shape in self._shapes[training] if shape.category == category], []
             for done, shape in enumerate(shapes, 1):
                 seen = see(shape, settings, self._seed)
                 items.append(rendered_object(shape.name, category, seen.views, seen.target.astype(np.float32)))
                 if self._report:
                     self._report(f"rendering {category}", done, len(shapes))
-            self._rendered[key] = items
-        return self._rendered[key]
+            self._rendered[category, training] = items
+        return self._rendered[category, training]
 
 
 def _dense(path: Path) -> NDArray[np.float32]:

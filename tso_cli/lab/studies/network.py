@@ -13,7 +13,7 @@ from ...evaluation.metrics import chamfer
 from ...io.checkpoints import load_network
 from ...io.shipped import CATEGORIES
 from ...train.batches import Draw, assemble
-from ..charts.bars import Bars, draw_bars
+from ..charts.bars import draw_bars
 from ..study import CHECKPOINT, MESHES, SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table
 from .judging import Floats, mean_shape, view_targets
 from .material import Material
@@ -115,10 +115,12 @@ def tables(record: Record) -> list[Table]:
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
     """Chamfer of the network and of its three rivals, by category, on validation and test shapes."""
-    panels = []
-    for part, summary in record["summary"].items():
-        groups = {name: {label: 1e3 * row[key] for key, label in LABELS.items()} for name, row in summary.items()}
-        panels.append(Bars(f"{part}: mean Chamfer to the truth x1000", groups))
+    panels = {
+        f"{part}: mean Chamfer to the truth x1000": {
+            category: {label: 1e3 * row[key] for key, label in LABELS.items()} for category, row in summary.items()
+        }
+        for part, summary in record["summary"].items()
+    }
     draw_bars(path, panels, overwrite)
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
-from ..charts.bars import Bars, draw_bars
-from ..study import Cases, Record, Study, Table, claim
+from ..charts.bars import Rows
+from ..study import Cases, Record, claim
 from .discretised import DEPTH, PLAIN
 from .judging import MEAN_SHAPE
 from .material import ALL
-from .trained import CATEGORIES, NOISE, TRAINED, Comparison, Setting, chamfers, masks, table, with_mean
+from .trained import CATEGORIES, NOISE, Comparison, Setting, chamfers, masks, trained_study, with_mean
 
 POINTS, MASKS = "3D points", "masks"
 DISCRETISED, LIN = "masks, discretised", "depth maps, Lin et al."
@@ -71,38 +70,32 @@ def conclude(cases: Cases) -> Record:
         text = f"one network for all categories is comparable with one for each (at most {COMPARABLE:g} times)"
         claims.append(compared(text, MASKS_ALL, [MASKS], COMPARABLE, "1.16 times in the mean"))
     summary = {name: with_mean(by_category) for name, by_category in values.items()}
-    return {"summary": summary, "paper": PAPER, "notes": NOTES, "claims": claims}
+    return {"summary": summary, "paper": PAPER, "claims": claims}
 
 
-def tables(record: Record) -> list[Table]:
+def rows(record: Record) -> Rows:
     """Chamfer of each kind by category, ours and the paper's."""
     summary = record["summary"]
     paper = {name: with_mean(values) for name, values in record["paper"].items() if name in summary}
-    rows = {
-        name: values | {f"paper: {category}": paper[name].get(category) for category in values if name in paper}
-        for name, values in summary.items()
+    return {
+        "supervision": {
+            name: values | {f"paper: {category}": paper[name].get(category) for category in values if name in paper}
+            for name, values in summary.items()
+        }
     }
-    return [table(record, "", rows, "\n".join(f"{name}: {text}." for name, text in record["notes"].items()))]
 
 
-def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """Chamfer of each setting by category, and the paper's."""
-    summary = {name: {key: value for key, value in row.items() if key != "mean"} for name, row in record["summary"].items()}
-    draw_bars(path, [Bars("Chamfer x1000 (scaled by own box); hollow: the paper's", summary, record["paper"])], overwrite)
-
-
-STUDY = Study(
+STUDY = trained_study(
     name="supervision",
     about="A network of each kind for each category, and two for all categories at once, is trained on the list train of the "
     "split and judged on unseen shapes, beside the mean training shape. Reduced size: 1,000 steps of 8, 32 shapes a category.",
-    tables=tables,
-    draw=draw,
     reading="What a network is ahead of the mean training shape it has learnt from pictures. Rounded points have no gradient "
     "across the picture, so those networks learn from the affinity loss alone: that they are level with the continuous "
     "projection says that the affinity loss does the work here. With dozens of shapes to learn from, where the paper has "
     "thousands, none of these numbers says what the methods do with the paper's data. One seed each; the same training comes "
     "out up to 5 % away.",
-    plan=Comparison(1000, CATEGORIES, settings).plan,
+    comparison=Comparison(1000, CATEGORIES, settings),
     conclude=conclude,
-    **TRAINED,
+    rows=rows,
+    notes=NOTES,
 )

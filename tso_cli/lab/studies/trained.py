@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -18,7 +18,8 @@ from ...network.model import NetworkConfig
 from ...train import TrainConfig, TrainResult, network_config, train
 from ...train.data import TrainingData
 from ...train.state import TrainingState, load_training, save_training, state_path
-from ..study import DEVICE, MESHES, SEED, SPLIT, Cases, Option, Plan, Progress, Record, Table, part
+from ..charts.bars import Rows, draw_bars
+from ..study import DEVICE, MESHES, SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table, part
 from .discretised import DEPTH, GAUSSIAN, projected_objective
 from .judging import CONVENTION, JUDGED_VIEWS, Predicted, constant_answer, judge, predict
 from .material import ALL, Material
@@ -38,13 +39,6 @@ OPTIONS = (
     SEED,
     DEVICE,
 )
-TRAINED: dict[str, Any] = {
-    "parts": ("pictures", "training"),
-    "convention": CONVENTION,
-    "options": OPTIONS,
-    "kept": "after every network and every 500 steps",
-}
-"""What such studies have in common."""
 SAVE_EVERY = 500
 # The same training comes out as far away another time: a smaller difference is noise.
 NOISE = 0.95
@@ -187,9 +181,37 @@ def with_mean(values: dict[str, float]) -> dict[str, float]:
     return {"mean": float(np.mean(list(values.values()))), **values}
 
 
-def table(record: Record, corner: str, rows: dict[str, dict[str, Any]], note: str = "") -> Table:
-    """A row for each of ``rows``, a column for each of their keys, headed ``corner``; below it the budget of the record."""
-    settings = record["settings"]
+def trained_study(
+    name: str,
+    about: str,
+    reading: str,
+    comparison: Comparison,
+    conclude: Callable[[Cases], Record],
+    rows: Callable[[Record], Rows],
+    notes: Record | None = None,
+) -> Study:
+    """The study that makes a comparison; ``rows`` : record -> title -> row -> column -> value, which tables and bars show."""
+
+    def tables(record: Record) -> list[Table]:
+        return [_table(record["settings"], title, of_title) for title, of_title in rows(record).items()]
+
+    return Study(
+        name=name,
+        about=about,
+        parts=("pictures", "training"),
+        tables=tables,
+        draw=lambda path, record, overwrite: draw_bars(path, rows(record), overwrite),
+        reading=reading,
+        convention={**CONVENTION, **(notes or {})},
+        options=OPTIONS,
+        plan=comparison.plan,
+        conclude=conclude,
+        kept="after every network and every 500 steps",
+    )
+
+
+def _table(settings: Record, title: str, rows: Mapping[str, Mapping[str, float | None]]) -> Table:
+    """A row for each of ``rows``, a column for each of their keys; below it the budget of the networks."""
     shapes = ", ".join(f"{name} {n['training']} to train and {n['judged']} to judge" for name, n in settings["shapes"].items())
     budget = (
         f"{settings['steps']} steps of {settings['batch_size']} at a rate of {settings['learning_rate']:g}, seed "
@@ -197,5 +219,6 @@ def table(record: Record, corner: str, rows: dict[str, dict[str, Any]], note: st
         f"{JUDGED_VIEWS} views each. Chamfer x1000 under the paper's protocol."
     )
     columns = list(dict.fromkeys(key for values in rows.values() for key in values))
-    cells = [[name, *map(values.get, columns)] for name, values in rows.items()]
-    return Table([corner, *columns], cells, note="\n".join(filter(None, (note, budget))), decimals=2)
+    return Table(
+        [title, *columns], [[name, *map(values.get, columns)] for name, values in rows.items()], note=budget, decimals=2
+    )

@@ -191,19 +191,18 @@ def _means(cases: Cases) -> Record:
 def claims(summary: Record) -> list[Record]:
     """What the paper says of its table, whether it holds here over all cases and in every category, and the figures."""
     holding = {name: _holding(group, name == "all") for name, group in summary.items()}
-    whole = summary["all"]
-    total, visible, occluded = (_changes(_ratios(whole, key)) for key in ("ratio_of_means", "visible_ratio", "occluded_ratio"))
+    total, visible, occluded = (_changes(summary["all"], key) for key in ("ratio_of_means", "visible_ratio", "occluded_ratio"))
     figures = {
         GAINS: total,
         ORDER: total,
         KEEPS: f"forward distance of occluded points {occluded}",
         SHOWS: f"forward distance of visible points {visible}",
-        MISSES: f"visible points {visible}; IoU " + ", ".join(f"{whole['iou'][name]:.3f}" for name in VARIANTS),
+        MISSES: f"visible points {visible}; IoU " + ", ".join(f"{summary['all']['iou'][name]:.3f}" for name in VARIANTS),
     }
     answers = []
     for text, numbers in figures.items():
         fails = [name for name, holds in holding.items() if not holds[text]]
-        answers.append(claim(text, not fails, numbers + (f"; not on {', '.join(fails)}" if fails else "")))
+        answers.append(claim(text, not fails, numbers + f"; not on {', '.join(fails)}" * bool(fails)))
     return answers
 
 
@@ -227,8 +226,8 @@ def _ratios(group: Record, key: str) -> dict[str, float]:
     return {name: 1.0 if ratio is None else ratio for name, ratio in ratios.items()}
 
 
-def _changes(ratios: dict[str, float]) -> str:
-    return ", ".join(f"{LETTERS[name]} {100.0 * (ratio - 1.0):+.1f} %" for name, ratio in ratios.items())
+def _changes(group: Record, key: str) -> str:
+    return ", ".join(f"{LETTERS[name]} {100.0 * (ratio - 1.0):+.1f} %" for name, ratio in _ratios(group, key).items())
 
 
 def tables(record: Record) -> list[Table]:
@@ -237,22 +236,21 @@ def tables(record: Record) -> list[Table]:
     sides = []
     for name, theirs in paper.items():
         row = summary["all"]["capnet"][name]
-        change = None if name == "before" else 100.0 * (row["ratio_of_means"] - 1.0)
-        theirs_change = None if name == "before" else 100.0 * (theirs[2] / paper["before"][2] - 1.0)
+        changes = [None, None]
+        if name != "before":
+            changes = [100.0 * (ratio - 1.0) for ratio in (row["ratio_of_means"], theirs[2] / paper["before"][2])]
         ours = [1e3 * row[key] for key in ("forward", "backward", "chamfer")]
-        sides.append([LETTERS[name], *ours, change, *theirs, theirs_change])
+        sides.append([LETTERS[name], *ours, changes[0], *theirs, changes[1]])
     rows = []
     for category, group in summary.items():
         before = group["capnet"]["before"]["chamfer"]
         for name in VARIANTS:
             row = group["capnet"][name]
             low, high = row["interval"]
-            rows.append(
-                [category, LETTERS[name], group["cases"], 1e3 * before, 1e3 * row["chamfer"], row["ratio_of_means"]]
-                + [f"{low:.3f} to {high:.3f}", row["median_ratio"], row["worst_ratio"], row["worse"]]
-                + [row["visible_ratio"], row["occluded_ratio"]]
-                + [group["iou"]["before"], group["iou"][name], group["median_seconds"][name]]
-            )
+            figures = [row[key] for key in ("median_ratio", "worst_ratio", "worse", "visible_ratio", "occluded_ratio")]
+            figures += [group["iou"]["before"], group["iou"][name], group["median_seconds"][name]]
+            names = [category, LETTERS[name], group["cases"], 1e3 * before, 1e3 * row["chamfer"], row["ratio_of_means"]]
+            rows.append([*names, f"{low:.3f} to {high:.3f}", *figures])
     header = ["category", "moves", "cases", "before", "after", "ratio", "95 % interval", "median", "worst", "worse"]
     note = (
         "Chamfer x1000, the paper's protocol; ratio: after/before of the means; median, worst: of the cases' own; worse: cases "

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 
-from ..charts.lines import draw_lines
-from ..study import Cases, Record, Study, Table, claim
+from ..charts.bars import Rows
+from ..study import Cases, Record, claim
 from .judging import MEAN_SHAPE
-from .trained import TRAINED, Comparison, Setting, chamfers, masks, table
+from .trained import Comparison, Setting, chamfers, masks, trained_study
 
 COUNTS = ("1", "2", "3", "4", "5", "6", "8")
 PAPER = {
@@ -72,7 +71,7 @@ def conclude(cases: Cases) -> Record:
             ),
         ),
     ]
-    return {"summary": summary, "seeds": seeds, "constant": constant, "paper": PAPER, "claims": claims}
+    return {"summary": summary, "constant": constant, "paper": PAPER, "claims": claims}
 
 
 def _gain(values: dict[str, float]) -> str:
@@ -80,26 +79,24 @@ def _gain(values: dict[str, float]) -> str:
     return f"{100.0 * (values['2'] / values['1'] - 1.0):+.0f} %"
 
 
-def tables(record: Record) -> list[Table]:
+def rows(record: Record) -> Rows:
     """Chamfer by number of masks, ours and the paper's."""
-    rows = {}
+    shown = {}
     for category, means in record["summary"].items():
-        rows[category] = {**means, MEAN_SHAPE: record["constant"][category]}
+        shown[category] = {**means, MEAN_SHAPE: record["constant"][category]}
         if category in record["paper"]:
-            rows[f"{category}, paper"] = record["paper"][category]
-    return [table(record, "masks", rows)]
+            shown[f"{category}, paper"] = record["paper"][category]
+    return {"masks": shown}
 
 
-STUDY = Study(
+STUDY = trained_study(
     name="views",
     about="Networks trained with 1, 2, 3, 4, 5, 6 and 8 masks of each object a step; of 1 and 2 three networks each, which "
     "differ in their seed alone. Reduced size: cars alone, 2,000 steps of 8.",
-    tables=tables,
-    draw=partial(draw_lines, varied="masks of each object that supervise a step"),
     reading="In the paper the second mask of each object gains a lot, and more gain nothing. Here the second gains nothing "
     "either. One mask a step is another one at every step, so that over the training every object is seen from all 24 sides: "
     "that may be why.",
-    plan=Comparison(2000, ("car",), settings).plan,
+    comparison=Comparison(2000, ("car",), settings),
     conclude=conclude,
-    **TRAINED,
+    rows=rows,
 )
