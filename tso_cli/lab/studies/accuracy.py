@@ -17,7 +17,7 @@ from ...io.output import check_output
 from ...network.model import BaseNetwork
 from ..charts.accuracy_pictures import draw_cases
 from ..charts.ratios import Panel, draw_ratios
-from ..charts.tradeoff import Tradeoff, draw_tradeoffs
+from ..charts.tradeoff import draw_tradeoffs
 from ..study import CHECKPOINT, COMMON, DEVICE, VIEWS, Cases, Option, Plan, Progress, Record, Study, Table, part
 from .accuracy_targets import claims
 from .cases import JUDGED, KINDS, SAMPLES, Case, CaseBuilder, kinds_of
@@ -117,10 +117,8 @@ def judge_group(cases: list[Case], variants: dict[str, Variant], device: str, ne
 
 
 def _scores(points: Array, case: Case) -> dict[str, float]:
-    return {
-        "chamfer": chamfer(points, case.target).chamfer,
-        "f_score": f_score(points, case.dense, F_THRESHOLD).f_score,
-    }
+    distance, score = chamfer(points, case.target), f_score(points, case.dense, F_THRESHOLD)
+    return {"chamfer": distance.chamfer, "f_score": score.f_score}
 
 
 def _extremes(record: Record, builder: CaseBuilder, shapes: list[Shape]) -> list[tuple[str, Case, Array]]:
@@ -200,22 +198,16 @@ def _ablation(groups: list[tuple[str, str, Record]]) -> Table:
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """Chamfer after / before of every case, a row of panels for each kind and a panel for each category; and the same means
-    against seconds, NAME.tradeoff.png."""
-    tradeoffs = []
-    for category, group in record["summary"].get("other", {}).items() if not record["settings"]["ablation"] else ():
-        timed = {
-            name: (row["median_seconds"], row["mean_ratio"]) for name, row in group["variants"].items() if row["median_seconds"]
-        }
-        tradeoffs += [Tradeoff(category, timed, group["before"]["floor_ratio"])] if timed else []
-    if tradeoffs:
-        draw_tradeoffs(path.with_suffix(".tradeoff.png"), tradeoffs, overwrite)
-    grid = []
-    for kind, of_kind in grouped(record["cases"], "kind").items():
-        groups = grouped(of_kind, "category").items()
-        grid.append(
-            [Panel(f"{name}, {kind}", {key: ratios_of(cases, key) for key in cases[0]["variants"]}) for name, cases in groups]
-        )
+    """Ratios of all cases, a row of panels for each kind; and their means against seconds, NAME.tradeoff.png."""
+    if "other" in record["summary"] and not record["settings"]["ablation"]:
+        draw_tradeoffs(path.with_suffix(".tradeoff.png"), record["summary"]["other"], overwrite)
+    grid = [
+        [
+            Panel(f"{category}, {kind}", {name: ratios_of(cases, name) for name in cases[0]["variants"]})
+            for category, cases in grouped(of_kind, "category").items()
+        ]
+        for kind, of_kind in grouped(record["cases"], "kind").items()
+    ]
     draw_ratios(path, grid, overwrite)
 
 
