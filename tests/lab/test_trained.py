@@ -40,6 +40,7 @@ def compare(split: Path, progress: Progress | None = None, **changes: Any) -> di
     return compared.run(progress or Progress(), **{**options, "split": split, **changes})
 
 
+@pytest.mark.slow
 def test_every_setting_trains_its_own_network_and_an_interrupted_study_resumes_within_one(split, tmp_path, monkeypatch):
     expected = compare(split, steps=4)
     assert (expected["settings"]["steps"], expected["settings"]["shapes"]) == (4, {"car": {"training": 3, "judged": 1}})
