@@ -21,6 +21,10 @@ def test_the_canonical_camera_is_centred_and_two_units_away_at_any_size():
     assert CANONICAL.K.tolist() == [[120.0, 0.0, 31.5], [0.0, 120.0, 23.5], [0.0, 0.0, 1.0]]
     assert CANONICAL.t.tolist() == [0.0, 0.0, 2.0]
     np.testing.assert_allclose(CANONICAL.resized(128, 96).K, Camera.canonical(128, 96).K)
+    # Right in the world is a larger column, up a smaller row.
+    pixels, depth = CANONICAL.project(np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]]))
+    np.testing.assert_allclose(pixels, [[31.5, 23.5], [37.5, 23.5], [31.5, 17.5]])
+    np.testing.assert_allclose(depth, 2.0)
 
 
 @settings(max_examples=40, deadline=None)
