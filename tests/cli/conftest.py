@@ -1,7 +1,5 @@
 """Folders to run commands in."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -1,10 +1,8 @@
 """Running the command line inside the test process."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pytest
 
@@ -33,9 +31,9 @@ class Run(NamedTuple):
     err: str
 
     @property
-    def document(self) -> dict[str, Any]:
+    def document(self):
         return json.loads(self.out)
 
 
-def run(capsys, *arguments) -> Run:
+def run(capsys, *arguments):
     return Run(tso(*arguments), *capsys.readouterr())

@@ -1,7 +1,5 @@
 """Loss curves from logs, and pictures of what a network makes of a data set."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,8 +1,5 @@
-from __future__ import annotations
-
 import json
 import shutil
-from typing import Any
 
 import numpy as np
 import pytest
@@ -33,8 +30,7 @@ def run(*arguments):
 def document(*arguments):
     result = run(*arguments, "--json")
     assert result.exit_code == 0, result.output + repr(result.exception)
-    parsed: dict[str, Any] = json.loads(result.stdout)
-    return parsed
+    return json.loads(result.stdout)
 
 
 def refusal(*arguments):

@@ -1,7 +1,5 @@
 """`tso export`: half the size, the same network."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

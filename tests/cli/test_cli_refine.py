@@ -1,7 +1,5 @@
 """`tso refine`: what it writes and prints, and one line of error for whatever cannot work."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -423,7 +421,7 @@ BAD = {
 }  # fmt: skip
 
 
-def _change_json(path: Path, change) -> None:
+def _change_json(path, change):
     path.write_text(json.dumps(change(json.loads(path.read_text()))))
 
 

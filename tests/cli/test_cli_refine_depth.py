@@ -1,7 +1,5 @@
 """`tso refine --depth` on a shipped example, with a depth map made of its target."""
 
-from __future__ import annotations
-
 import shutil
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`tso refine --image`: photos beside the masks, of clouds that have colours."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

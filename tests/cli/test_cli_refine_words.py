@@ -1,7 +1,5 @@
 """What `tso refine` prints: four lines, every measure with -v, nothing but errors with -q; its warnings and progress."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -17,7 +15,7 @@ from tso_cli.io.clouds import read_cloud
 from . import run
 
 
-def tso(*arguments) -> int:
+def tso(*arguments):
     return run.tso("refine", *arguments, "--overwrite")
 
 
@@ -81,10 +79,7 @@ def test_the_assumed_symmetry_is_printed(folder, capsys, options, told):
     assert used == (told or "")
 
 
-@pytest.mark.parametrize(
-    ("mode", "rows", "columns"),
-    [("points", 3, 2), ("encoder", 1, 1), ("latent", 5, 3)],
-)
+@pytest.mark.parametrize(("mode", "rows", "columns"), [("points", 3, 2), ("encoder", 1, 1), ("latent", 5, 3)])
 def test_an_object_of_a_few_pixels_in_a_photo_is_warned_of_in_every_mode(mode, rows, columns, folder, checkpoint, capsys):
     mask = np.zeros((480, 640), np.uint8)
     mask[200 : 200 + rows, 300 : 300 + columns] = 255
@@ -108,20 +103,20 @@ def test_an_object_of_a_few_pixels_in_a_photo_is_warned_of_in_every_mode(mode, r
 class _Terminal:
     """stderr as a terminal of so many columns."""
 
-    def __init__(self, columns: int) -> None:
+    def __init__(self, columns):
         self.columns, self.text = columns, ""
 
-    def isatty(self) -> bool:
+    def isatty(self):
         return True
 
-    def write(self, text: str) -> int:
+    def write(self, text):
         self.text += text
         return len(text)
 
-    def flush(self) -> None:
+    def flush(self):
         pass
 
-    def fileno(self) -> int:
+    def fileno(self):
         raise OSError
 
 

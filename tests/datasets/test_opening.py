@@ -1,9 +1,5 @@
 """Recognising layouts, and the files that say what is for training."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import open3d  # noqa: F401  pictures are made by casting rays
 import pytest
@@ -15,7 +11,7 @@ from tso_cli.errors import InputError
 from tso_cli.geometry.camera import Camera
 
 
-def write_rendered(root: Path) -> None:
+def write_rendered(root):
     image, mask = np.zeros((8, 8, 3), dtype=np.uint8), np.eye(8, dtype=np.uint8) * 255
     points = np.random.default_rng(0).random((9, 3)).astype(np.float32)
     write_object(root / "chair/abc", [(image, mask, Camera.canonical(8, 8))], points, points, {})
@@ -31,20 +27,20 @@ def write_rendered(root: Path) -> None:
         (write_rendered, "", "chair/abc"),
     ],
 )
-def test_every_layout_is_recognised(tmp_path: Path, make: object, inside: str, name: str) -> None:
-    make(tmp_path / "data")  # type: ignore[operator]
+def test_every_layout_is_recognised(tmp_path, make, inside, name):
+    make(tmp_path / "data")
     data = open_dataset(tmp_path / "data" / inside, strict=True)
     assert [item.name for item in data.objects] == [name]
     assert data.objects[0].category == "chair"
     assert data.select([name], "split.json").objects[0].name == name
 
 
-def test_the_folder_above_the_renders_of_3d_r2n2_will_do(tmp_path: Path) -> None:
+def test_the_folder_above_the_renders_of_3d_r2n2_will_do(tmp_path):
     write_r2n2(tmp_path / "ShapeNetRendering")
     assert len(open_dataset(tmp_path).objects) == len(open_dataset(tmp_path / "ShapeNetRendering").objects) == 1
 
 
-def test_an_unknown_layout_is_one_line_that_names_those_known(tmp_path: Path) -> None:
+def test_an_unknown_layout_is_one_line_that_names_those_known(tmp_path):
     (tmp_path / "a/b").mkdir(parents=True)
     for path, message in ((tmp_path, "has no layout known here"), (tmp_path / "none", "does not exist")):
         with pytest.raises(InputError, match=message) as raised:
@@ -57,7 +53,7 @@ def test_an_unknown_layout_is_one_line_that_names_those_known(tmp_path: Path) ->
         open_dataset(tmp_path / "file")
 
 
-def test_two_layouts_in_one_folder_are_refused(tmp_path: Path) -> None:
+def test_two_layouts_in_one_folder_are_refused(tmp_path):
     write_shapenet(tmp_path)
     write_r2n2(tmp_path / "ShapeNetRendering")
     with pytest.raises(InputError, match="holds ShapeNet_rendered and ShapeNetRendering, expected one"):
@@ -65,14 +61,14 @@ def test_two_layouts_in_one_folder_are_refused(tmp_path: Path) -> None:
     assert len(open_dataset(tmp_path / "ShapeNetRendering").objects) == 1
 
 
-def test_a_json_split_is_read_in_its_order(tmp_path: Path) -> None:
+def test_a_json_split_is_read_in_its_order(tmp_path):
     path = tmp_path / "split.json"
     path.write_text('{"test": ["t"], "train": ["b", "a", "b"]}')
     assert read_split(path) == {"train": ["b", "a"], "test": ["t"]}
 
 
 @pytest.mark.parametrize(("inside", "kind"), [("", "txt"), ("splits", "npy"), ("ShapeNet_rendered/splits", "bytes")])
-def test_the_authors_lists_are_a_split_with_their_category_before_the_name(tmp_path: Path, inside: str, kind: str) -> None:
+def test_the_authors_lists_are_a_split_with_their_category_before_the_name(tmp_path, inside, kind):
     folder = tmp_path / inside
     folder.mkdir(parents=True, exist_ok=True)
     for category, part, names in (
@@ -93,7 +89,7 @@ def test_the_authors_lists_are_a_split_with_their_category_before_the_name(tmp_p
     }
 
 
-def test_a_split_selects_objects_and_skipped_ones_are_not_missed(tmp_path: Path) -> None:
+def test_a_split_selects_objects_and_skipped_ones_are_not_missed(tmp_path):
     write_shapenet(tmp_path, ("a", "b", "c"))
     (tmp_path / "ShapeNet_rendered" / CHAIR / "b" / "view.txt").unlink()
     (tmp_path / "splits").mkdir()
@@ -118,7 +114,7 @@ def test_a_split_selects_objects_and_skipped_ones_are_not_missed(tmp_path: Path)
         ('{"train": ["a", "b"], "test": ["b"]}', "names 'b' for train and for test"),
     ],
 )
-def test_a_split_of_another_form_is_one_clear_line(tmp_path: Path, content: str, message: str) -> None:
+def test_a_split_of_another_form_is_one_clear_line(tmp_path, content, message):
     path = tmp_path / "split.json"
     path.write_text(content)
     with pytest.raises(InputError, match=message) as raised:
@@ -136,9 +132,7 @@ def test_a_split_of_another_form_is_one_clear_line(tmp_path: Path, content: str,
         ("notes.txt", b"a", "holds no list, expected SYNSET_train_list"),
     ],
 )
-def test_a_folder_with_a_damaged_list_or_none_is_one_clear_line(
-    tmp_path: Path, name: str, content: bytes | np.ndarray, message: str
-) -> None:
+def test_a_folder_with_a_damaged_list_or_none_is_one_clear_line(tmp_path, name, content, message):
     path = tmp_path / f"{CHAIR}_{name}"
     path.write_bytes(content) if isinstance(content, bytes) else np.save(path, content)
     with pytest.raises(InputError, match=message) as raised:

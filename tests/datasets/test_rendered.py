@@ -1,7 +1,5 @@
 """Reading back the folder that render writes."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
@@ -15,19 +13,19 @@ from tso_cli.errors import InputError, TsoError
 from tso_cli.geometry.camera import Camera
 
 
-def picture(seed: int, width: int = 12, height: int = 10) -> tuple[np.ndarray, np.ndarray, Camera]:
+def picture(seed, width=12, height=10):
     rng = np.random.default_rng(seed)
     image = rng.integers(0, 256, (height, width, 3), dtype=np.uint8)
     mask = np.where(rng.random((height, width)) > 0.5, 255, 0).astype(np.uint8)
     return image, mask, Camera.canonical(width, height)
 
 
-def cloud(seed: int, count: int = 20) -> np.ndarray:
+def cloud(seed, count=20):
     return np.random.default_rng(seed).uniform(-0.5, 0.5, (count, 3)).astype(np.float32)
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """Two objects, the second below a category, of two views each."""
     for number, name in enumerate(("b", "a/chair")):
         views = [picture(10 * number), picture(10 * number + 1)]
@@ -35,7 +33,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-def test_unfinished_objects_are_left_out_and_one_object_is_a_data_set_of_one(folder: Path) -> None:
+def test_unfinished_objects_are_left_out_and_one_object_is_a_data_set_of_one(folder):
     (folder / "b").rename(folder / ".b.1234.partial")
     assert [item.name for item in open_rendered(folder).objects] == ["a/chair"]
     assert [item.name for item in open_rendered(folder / "a" / "chair").objects] == ["chair"]
@@ -44,8 +42,8 @@ def test_unfinished_objects_are_left_out_and_one_object_is_a_data_set_of_one(fol
         open_rendered(folder)
 
 
-def test_an_object_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object, **__: object) -> None:
+def test_an_object_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
+    def full(*_, **__):
         raise OSError(28, "No space left on device")
 
     old = cloud(1)
@@ -58,13 +56,11 @@ def test_an_object_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: p
     assert stored_record(tmp_path / "a") == {"n": 1}
 
 
-def test_the_old_object_comes_back_when_the_new_one_cannot_take_its_place(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_old_object_comes_back_when_the_new_one_cannot_take_its_place(tmp_path, monkeypatch):
     write_object(tmp_path / "a", [picture(1)], cloud(1), cloud(1), {"n": 1})
     original = Path.rename
 
-    def stubborn(self: Path, target: Path) -> Path:
+    def stubborn(self, target):
         if self.name.endswith(".partial"):
             raise OSError(5, "Input/output error")
         return original(self, target)
@@ -76,7 +72,7 @@ def test_the_old_object_comes_back_when_the_new_one_cannot_take_its_place(
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
-def test_an_object_is_replaced_only_when_asked(tmp_path: Path) -> None:
+def test_an_object_is_replaced_only_when_asked(tmp_path):
     write_object(tmp_path / "a", [picture(1), picture(2)], cloud(1), cloud(1), {"n": 1})
     with pytest.raises(InputError, match="--overwrite"):
         write_object(tmp_path / "a", [picture(1)], cloud(1), cloud(1), {"n": 2})
@@ -87,12 +83,11 @@ def test_an_object_is_replaced_only_when_asked(tmp_path: Path) -> None:
     assert stored_record(tmp_path / "other") is None
 
 
-def test_as_a_data_set_an_object_has_its_views_target_and_category(folder: Path) -> None:
+def test_as_a_data_set_an_object_has_its_views_target_and_category(folder):
     data = open_rendered(folder)
     assert [(item.name, item.category, len(item.views)) for item in data.objects] == [("a/chair", "a", 2), ("b", "", 2)]
     assert data.skipped == {} and data.description == "data"
     item = data.objects[0]
-    assert item.target is not None
     np.testing.assert_array_equal(item.target(), cloud(1))
     for number, view in enumerate(item.views):
         image, mask, camera = picture(10 + number)
@@ -104,8 +99,8 @@ def test_as_a_data_set_an_object_has_its_views_target_and_category(folder: Path)
         assert view.name.endswith(f"{number:03d}.mask.png")
 
 
-def test_a_camera_file_is_read_once_until_it_changes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    reads: list[Path] = []
+def test_a_camera_file_is_read_once_until_it_changes(folder, monkeypatch):
+    reads = []
     original = rendered.read_cameras
     monkeypatch.setattr(rendered, "read_cameras", lambda path: (reads.append(path), original(path))[1])
     views = open_rendered(folder / "b").objects[0].views
@@ -125,7 +120,7 @@ def test_a_camera_file_is_read_once_until_it_changes(folder: Path, monkeypatch: 
         ("mask", r"views\[1\] names no mask"),
     ],
 )
-def test_an_unusable_object_of_a_data_set_is_skipped_or_an_error(folder: Path, what: str, message: str) -> None:
+def test_an_unusable_object_of_a_data_set_is_skipped_or_an_error(folder, what, message):
     path = folder / "b/cameras.json"
     if what == "target":
         (folder / "b/target.ply").unlink()

@@ -1,7 +1,5 @@
 """The silhouette of a cloud and its IoU with a mask."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -30,18 +28,18 @@ NAMES = ("chair", "car", "airplane")
 FLAT = Camera(np.diag([100.0, 100.0, 1.0]), np.eye(3), np.zeros(3), 100, 100, "orthographic")
 
 
-def _example(name: str, cloud: str = "target") -> tuple[np.ndarray, View]:
+def _example(name, cloud="target"):
     folder = EXAMPLES / name
     view = View(read_mask(folder / "mask.png"), read_cameras(folder / "camera.json")[0].camera)
     return read_cloud(folder / f"{cloud}.ply").points, view
 
 
-def _resized(view: View, size: int) -> View:
+def _resized(view, size):
     cover, _ = area_resize(view.mask, (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5), size, size)
     return View(np.float32(cover > 0.5), view.camera.resized(size, size))
 
 
-def _on_canvas(view: View, times: int, left: int, top: int) -> View:
+def _on_canvas(view, times, left, top):
     """The picture laid into one so many times as wide and high."""
     height, width = view.mask.shape
     mask = np.zeros((times * height, times * width), np.float32)
@@ -50,13 +48,13 @@ def _on_canvas(view: View, times: int, left: int, top: int) -> View:
     return View(mask, replace(view.camera, K=K, width=times * width, height=times * height))
 
 
-def _plate(step: float = 0.02, last: float = 0.88) -> np.ndarray:
+def _plate(step=0.02, last=0.88):
     """A square lattice in the plane z = 0, from 0.1 on."""
     steps = np.arange(0.1, last + 1e-9, step)
     return np.stack([*np.meshgrid(steps, steps), np.zeros((len(steps), len(steps)))], -1).reshape(-1, 3)
 
 
-def _square() -> np.ndarray:
+def _square():
     """The mask of that plate: it reaches half a pixel beyond the outermost points."""
     mask = np.zeros((100, 100), np.float32)
     mask[10:89, 10:89] = 1.0

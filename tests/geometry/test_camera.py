@@ -1,7 +1,5 @@
 """The camera: what it accepts, and the changes of frame that keep its picture."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,7 +11,7 @@ from tso_cli.geometry.camera import Camera
 CANONICAL = Camera.canonical(64, 48)
 
 
-def _points(seed: int = 0) -> np.ndarray:
+def _points(seed=0):
     return np.random.default_rng(seed).uniform(-0.4, 0.4, (30, 3))
 
 

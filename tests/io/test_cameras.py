@@ -1,7 +1,5 @@
 """Camera files read back exactly; what is wrong in one is said with the file and the key."""
 
-from __future__ import annotations
-
 import copy
 import json
 
@@ -100,8 +98,7 @@ def test_the_masks_own_camera_comes_before_the_folders(save, tmp_path):
 
 def test_a_camera_for_another_size_is_refused(save, tmp_path):
     with pytest.raises(
-        InputError,
-        match=r"camera\.json: width x height is 64x48, the mask .*m\.png is 128x96, expected the same$",
+        InputError, match=r"camera\.json: width x height is 64x48, the mask .*m\.png is 128x96, expected the same$"
     ):
         read_camera(save(GOOD), 128, 96, tmp_path / "m.png")
 

@@ -1,7 +1,5 @@
 """Point clouds survive reading and writing; what is not a cloud is refused in one line."""
 
-from __future__ import annotations
-
 import os
 import re
 import struct
@@ -56,14 +54,7 @@ def a_ply(form, kind="float", eol="\n", faces=FACES, extra_first=False, lists=No
 
 
 FORMS = ["ascii", "binary_little_endian", "binary_big_endian"]
-SHAPES = [
-    {},
-    {"eol": "\r\n"},
-    {"eol": "\r"},
-    {"extra_first": True},
-    {"faces": []},
-    {"lists": [[1], [], [0, 3], [2]]},
-]
+SHAPES = [{}, {"eol": "\r\n"}, {"eol": "\r"}, {"extra_first": True}, {"faces": []}, {"lists": [[1], [], [0, 3], [2]]}]
 
 
 every_shape = pytest.mark.parametrize("shape", SHAPES, ids=str)

@@ -1,7 +1,5 @@
 """Masks of every kind mean the same; images come upright; what is neither is refused in one line."""
 
-from __future__ import annotations
-
 import struct
 import warnings
 import zlib

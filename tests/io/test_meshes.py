@@ -1,10 +1,7 @@
 """Reading and writing meshes."""
 
-from __future__ import annotations
-
 import pickle
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +14,7 @@ VERTICES = np.array([[0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 5]], dtype=np.float
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int64)
 
 
-def ply(vertices: str = "0 0 0\n2 0 0\n0 3 0\n0 0 5\n", faces: str = "3 0 2 1\n3 0 1 3\n", counts: str = "4 2") -> str:
+def ply(vertices="0 0 0\n2 0 0\n0 3 0\n0 0 5\n", faces="3 0 2 1\n3 0 1 3\n", counts="4 2"):
     points, triangles = counts.split()
     return (
         f"ply\nformat ascii 1.0\nelement vertex {points}\nproperty float x\nproperty float y\nproperty float z\n"
@@ -25,7 +22,7 @@ def ply(vertices: str = "0 0 0\n2 0 0\n0 3 0\n0 0 5\n", faces: str = "3 0 2 1\n3
     )
 
 
-def tetrahedron(path: Path) -> Path:
+def tetrahedron(path):
     """The tetrahedron in the format of the suffix, written by hand where the format is text."""
     corners = "".join("{:g} {:g} {:g}\n".format(*v) for v in VERTICES)
     if path.suffix == ".obj":
@@ -46,7 +43,7 @@ def tetrahedron(path: Path) -> Path:
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_every_format_gives_the_same_triangles(tmp_path: Path, suffix: str) -> None:
+def test_every_format_gives_the_same_triangles(tmp_path, suffix):
     mesh = read_mesh(tetrahedron(tmp_path / f"a{suffix}"))
     assert mesh.vertices.dtype == np.float64
     assert mesh.faces.dtype == np.int64
@@ -54,7 +51,7 @@ def test_every_format_gives_the_same_triangles(tmp_path: Path, suffix: str) -> N
     assert mesh.colours is None
 
 
-def test_a_quadrilateral_becomes_two_triangles(tmp_path: Path) -> None:
+def test_a_quadrilateral_becomes_two_triangles(tmp_path):
     path = tmp_path / "a.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
     mesh = read_mesh(path)
@@ -64,7 +61,7 @@ def test_a_quadrilateral_becomes_two_triangles(tmp_path: Path) -> None:
     assert area == pytest.approx(1.0)
 
 
-def test_materials_colour_their_own_faces_and_parts_stay_in_place(tmp_path: Path) -> None:
+def test_materials_colour_their_own_faces_and_parts_stay_in_place(tmp_path):
     (tmp_path / "a.mtl").write_text("newmtl red\nKd 1 0 0\nnewmtl green\nKd 0 1 0\n")
     path = tmp_path / "a.obj"
     path.write_text("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 9 9 9\nusemtl red\nf 1 2 3\nusemtl green\nf 2 3 4\n")
@@ -74,7 +71,7 @@ def test_materials_colour_their_own_faces_and_parts_stay_in_place(tmp_path: Path
         assert tuple(colour) == ((0, 255, 0) if corners.max() == 9 else (255, 0, 0))
 
 
-def test_vertex_colours_are_averaged_over_a_face(tmp_path: Path) -> None:
+def test_vertex_colours_are_averaged_over_a_face(tmp_path):
     path = tmp_path / "a.ply"
     header = ply(counts="3 1").split("end_header")[0]
     colours = "".join(f"property uchar {c}\n" for c in ("red", "green", "blue"))
@@ -85,7 +82,7 @@ def test_vertex_colours_are_averaged_over_a_face(tmp_path: Path) -> None:
     assert np.abs(mesh.colours.astype(int) - 30).max() <= 1
 
 
-def test_writing_and_reading_gives_the_same_mesh(tmp_path: Path) -> None:
+def test_writing_and_reading_gives_the_same_mesh(tmp_path):
     write_mesh(tmp_path / "a.ply", Mesh(VERTICES, FACES))
     mesh = read_mesh(tmp_path / "a.ply")
     np.testing.assert_array_equal(mesh.vertices, VERTICES)
@@ -112,7 +109,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_a_bad_mesh_is_refused_in_one_line_that_names_it(tmp_path: Path, name: str) -> None:
+def test_a_bad_mesh_is_refused_in_one_line_that_names_it(tmp_path, name):
     content, words = BAD[name]
     path = tmp_path / name
     path.write_bytes(content)
@@ -123,8 +120,8 @@ def test_a_bad_mesh_is_refused_in_one_line_that_names_it(tmp_path: Path, name: s
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_any_damage_gives_a_sound_mesh_or_is_refused_in_one_line(tmp_path: Path, suffix: str) -> None:
-    def read(path: Path) -> None:
+def test_any_damage_gives_a_sound_mesh_or_is_refused_in_one_line(tmp_path, suffix):
+    def read(path):
         mesh = read_mesh(path)
         assert np.isfinite(mesh.vertices[mesh.faces]).all()
 
@@ -132,7 +129,7 @@ def test_any_damage_gives_a_sound_mesh_or_is_refused_in_one_line(tmp_path: Path,
     assert refused
 
 
-def test_meshes_are_found_in_subfolders_sorted_and_hidden_ones_left_out(tmp_path: Path) -> None:
+def test_meshes_are_found_in_subfolders_sorted_and_hidden_ones_left_out(tmp_path):
     for name in ("b/z.ply", "b/a.OBJ", "a.stl", ".hidden/c.ply", "b/.d.ply", "notes.txt"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()

@@ -1,9 +1,5 @@
 """Which view of a camera file belongs to which mask."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from tso_cli.errors import InputError
@@ -16,7 +12,7 @@ from tso_cli.io.pairing import named_masks, pair_with_masks
 def save(tmp_path):
     """Write a camera file whose view number i has width 10 + i and names the i-th of the masks (None: no mask)."""
 
-    def write(*masks: str | None) -> Path:
+    def write(*masks):
         cameras = [Camera.canonical(10 + i, 8) for i in range(len(masks))]
         records = [CameraRecord(c, m and tmp_path / m) for c, m in zip(cameras, masks, strict=True)]
         write_cameras(tmp_path / "views.json", records, overwrite=True)
@@ -25,7 +21,7 @@ def save(tmp_path):
     return write
 
 
-def _order(path: Path, *masks: str, folder: str = "") -> list[int]:
+def _order(path, *masks, folder=""):
     return [camera.width - 10 for camera in pair_with_masks(path, [path.parent / folder / mask for mask in masks])]
 
 

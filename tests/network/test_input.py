@@ -1,7 +1,5 @@
 """Network input: photo, mask and camera get the same crop, an exact area average."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

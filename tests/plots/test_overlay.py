@@ -1,7 +1,5 @@
 """The picture of a refinement shows what is near, and shows it where it is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -26,7 +24,7 @@ from tso_cli.refinement import RefineConfig, refine
 from tso_cli.silhouette.projection import silhouette_of
 
 
-def _panel(*points: tuple[float, float, float]) -> np.ndarray:
+def _panel(*points):
     return np.asarray(_dots(*np.array(points, float).T))
 
 

@@ -1,7 +1,5 @@
 """The camera fitted to a mask and a cloud, and cameras refined with the points."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

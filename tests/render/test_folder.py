@@ -1,7 +1,5 @@
 """Rendering into folders: layout, resuming, refusals, and the command `tso render`."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -45,7 +43,7 @@ def at_tenth_picture(monkeypatch, action):
 
 
 def test_a_folder_is_rendered_into_the_documented_layout(meshes, tmp_path):
-    reported: list[tuple[int, int, str]] = []
+    reported = []
     summary = render_folder(meshes, tmp_path / "out", FAST, progress=lambda *report: reported.append(report))
     assert (summary.written, summary.skipped, summary.failed) == (["c", "chair/a", "chair/b"], [], {})
     assert reported == [(1, 3, "c"), (2, 3, "chair/a"), (3, 3, "chair/b")]

@@ -1,7 +1,5 @@
 """Rendering one mesh: cameras, rays, surface samples."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 

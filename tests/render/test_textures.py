@@ -1,7 +1,5 @@
 """Textures: what is read of them, and what a picture shows of them."""
 
-from __future__ import annotations
-
 import json
 import socket
 import warnings
@@ -236,7 +234,7 @@ def test_a_texture_that_cannot_be_used_gives_one_warning_and_the_colour_of_the_m
         raise AssertionError("a connection was opened")
 
     path, words = broken(kind, tmp_path)
-    programs: list[str] = []
+    programs = []
     monkeypatch.setattr(EpsImagePlugin, "Ghostscript", lambda *_, **__: programs.append("a program was run"))
     monkeypatch.setattr(socket, "socket", refuse)
     monkeypatch.setattr(socket, "create_connection", refuse)

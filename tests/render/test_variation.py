@@ -1,7 +1,5 @@
 """Data augmentation: warped and painted copies of meshes."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Placing a network's cloud in front of a camera."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +12,7 @@ from tso_cli.scene.placing import align_silhouette, place_in_front, view_to_worl
 from tso_cli.silhouette.projection import silhouette_of
 
 
-def _square(left: int, top: int, side: int, size: int = 64) -> np.ndarray:
+def _square(left, top, side, size=64):
     mask = np.zeros((size, size), np.float32)
     mask[top : top + side, left : left + side] = 1.0
     return mask

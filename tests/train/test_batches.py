@@ -1,7 +1,5 @@
 """Batches: frames and cameras, random draws, augmentation, backgrounds, and what stands in for unusable data."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 

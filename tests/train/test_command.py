@@ -1,7 +1,5 @@
 """The command `tso train`: what it trains on, what it says, what it refuses."""
 
-from __future__ import annotations
-
 import json
 import signal
 from dataclasses import replace

@@ -1,11 +1,8 @@
 """Training: what is learned, how it stops and resumes, and that it depends on seed and data alone."""
 
-from __future__ import annotations
-
 import json
 import signal
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +20,7 @@ from tso_cli.train.state import load_training, save_training, state_path
 from ..training import config, make_objects
 
 # Six bit-identical steps under every form of state that a resume must restore.
-SETTINGS: list[dict[str, Any]] = [
+SETTINGS = [
     {"learning_rate": 1e-3},
     {"learning_rate": 1e-3, "supervision": "masks"},
     {"averaging": 0.9, "augment": True, "balance": True},
@@ -229,7 +226,7 @@ def test_a_damaged_training_state_is_refused(thin, data, tmp_path):
     tensors, raw = load_file(file), file.read_bytes()
     whole = json.loads(json.loads(raw[8 : 8 + int.from_bytes(raw[:8], "little")])["__metadata__"]["tso"])
     state, weight, moment = whole["training"], "encoder.convolutions.0.weight", "training.exp_avg.encoder.latent.weight"
-    cases: list[tuple[dict[str, Any], dict[str, torch.Tensor], str]] = [
+    cases = [
         ({"schedule": 3}, tensors, file.name),
         ({"schedule": {**state["schedule"], "window": "x"}}, tensors, file.name),
         ({"step": 7}, tensors, file.name),
