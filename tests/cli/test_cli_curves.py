@@ -17,7 +17,6 @@ from tso_cli.train.data import TrainingData
 from tso_cli.train.state import write_history
 
 from ..training import config, make_objects, make_thin
-from .run import tso
 
 
 @pytest.fixture
@@ -27,10 +26,6 @@ def log(tmp_path):
     path = tmp_path / "masks.jsonl"
     write_history(path, rows, NetworkConfig(supervision="masks"))
     return path
-
-
-def run(*arguments):
-    return tso("curves", *arguments)
 
 
 def test_a_log_is_one_line_of_settings_and_one_a_step_and_is_read_as_it_was_written(log):
@@ -91,24 +86,23 @@ def test_a_log_without_steps_or_settings_is_refused(log):
         read_log(log)
 
 
-def test_the_command_draws_several_logs_of_different_losses_and_one_that_is_zero(log, tmp_path, capsys):
+def test_the_command_draws_several_logs_of_different_losses_and_one_that_is_zero(log, tmp_path, tso):
     points = tmp_path / "points.jsonl"
     write_history(points, [(1.0 / step, 0.5, 0.0, 0.0) for step in range(1, 20)], NetworkConfig())
     output = tmp_path / "curves.png"
-    assert run(log, points, "-o", output) == 0
-    printed = capsys.readouterr().out
+    printed = tso("curves", log, points, "-o", output).out
     assert "masks: 12 steps, masks, loss 19 to 8, lambda dropped before step 9" in printed
     assert "points: 19 steps, points" in printed
     with Image.open(output) as picture:
         # a panel for each of loss, bce, affinity, forward, backward
         assert picture.size[0] > 2000
     before = output.read_bytes()
-    assert run(log, "-o", output) == 2
+    assert "exists" in tso("curves", log, "-o", output).refusal
     assert output.read_bytes() == before
 
 
 @pytest.mark.slow
-def test_the_command_draws_samples_spread_over_the_data_beside_the_curves(monkeypatch, tmp_path, capsys):
+def test_the_command_draws_samples_spread_over_the_data_beside_the_curves(monkeypatch, tmp_path, tso):
     make_thin(monkeypatch)
     objects = make_objects(3, 2)
     for item in objects:
@@ -120,13 +114,12 @@ def test_the_command_draws_samples_spread_over_the_data_beside_the_curves(monkey
     write_history(tmp_path / "log.jsonl", [tuple(row) for row in result.history], result.config)
     output = tmp_path / "curves.png"
     asked = ["--checkpoint", tmp_path / "net.safetensors", "--data", tmp_path / "data", "--samples", 2]
-    assert run(tmp_path / "log.jsonl", "-o", output, *asked) == 0
-    assert "2 samples" in capsys.readouterr().out
+    assert "2 samples" in tso("curves", tmp_path / "log.jsonl", "-o", output, *asked).out
     samples = sample_predictions(result.network, TrainingData(objects, "three boxes"), "view", 2)
     assert [sample.name for sample in samples] == ["box0", "box2"]
     assert samples[0].points.shape == (64, 3) and samples[0].chamfer > 0.0
     with Image.open(tmp_path / "curves.samples.png") as picture:
         assert picture.size[0] > 800
-    assert run(tmp_path / "log.jsonl", "-o", tmp_path / "other.png", "--checkpoint", tmp_path / "net.safetensors") == 2
-    assert "expected --checkpoint and --data together" in capsys.readouterr().err
+    alone = tso("curves", tmp_path / "log.jsonl", "-o", tmp_path / "other.png", "--checkpoint", tmp_path / "net.safetensors")
+    assert "expected --checkpoint and --data together" in alone.refusal
     assert not (tmp_path / "other.png").exists()

@@ -24,7 +24,7 @@ from tso_cli.refinement.run import view_ious
 from tso_cli.refinement.surface import SAMPLES, Surface
 from tso_cli.silhouette.projection import silhouette_of
 
-from .conftest import EXAMPLES, example
+from ..scenes import EXAMPLES, example
 
 CORNERS = np.array([[x, y, z] for x in (-0.25, 0.25) for y in (-0.2, 0.2) for z in (-0.15, 0.15)])
 QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])

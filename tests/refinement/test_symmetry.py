@@ -15,7 +15,7 @@ from tso_cli.refinement.symmetry import MirrorPlane, find_mirror_plane
 from tso_cli.render import look_at
 from tso_cli.silhouette.projection import silhouette_of
 
-from .conftest import example
+from ..scenes import example
 
 
 def _rotation(seed: int) -> np.ndarray:

@@ -17,7 +17,7 @@ from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.view_weights import ViewWeights, inlier_weights, shared_weights
 from tso_cli.silhouette.projection import silhouette_of
 
-from .conftest import example
+from ..scenes import example
 
 ORTHOGONAL = torch.eye(5, dtype=torch.float64)[None, :4]  # gradients of four views
 LOSSES = torch.tensor([[1.0, 1.1, 0.9, 6.0]], dtype=torch.float64)

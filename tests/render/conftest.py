@@ -5,12 +5,10 @@ import pytest
 
 from tso_cli.io.meshes import Mesh, write_mesh
 
-from ..cli.run import run
-
 
 @pytest.fixture
-def tso_render(capsys):
-    return lambda source, output, *options: run(capsys, "render", source, "-o", output, *options)
+def tso_render(tso):
+    return lambda source, output, *options: tso("render", source, "-o", output, *options)
 
 
 def box(sides=(1.0, 1.0, 1.0), centre=(0.0, 0.0, 0.0)):

@@ -6,7 +6,6 @@ import pytest
 from tso_cli.datasets.rendered import write_object
 from tso_cli.train.data import TrainingData
 
-from ..cli.run import run
 from ..training import make_objects, make_thin
 
 
@@ -36,7 +35,7 @@ def folder(tmp_path):
 
 
 @pytest.fixture
-def tso_train(thin, tmp_path, capsys):
+def tso_train(thin, tmp_path, tso):
     """`tso train` on a data set for two short steps; of an option that is given twice the last one counts."""
     common = ("-o", tmp_path / "base.safetensors", "--steps", 2, "--batch-size", 2, "--points", 32)
-    return lambda data, *options: run(capsys, "train", data, *common, *options)
+    return lambda data, *options: tso("train", data, *common, *options)
