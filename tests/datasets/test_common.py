@@ -2,14 +2,14 @@
 
 import pickle
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import open3d  # noqa: F401  pictures are made by casting rays
 import pytest
 from PIL import Image
 
+from tests.corruption import assert_one_line
 from tests.dataset_trees import CHAIR, write_clouds, write_r2n2, write_shapenet
 from tso_cli.datasets.r2n2 import open_r2n2
 from tso_cli.datasets.shapenet import open_shapenet
@@ -18,8 +18,7 @@ from tso_cli.errors import InputError
 CLOUD = f"ShapeNet_pcl/{CHAIR}/abc/pcl_1024_fps_trimesh.npy"
 
 
-@dataclass(frozen=True)
-class Layout:
+class Layout(NamedTuple):
     open: Callable[..., Any]
     pictures: str  # folder of the model's pictures
     table: str
@@ -81,7 +80,8 @@ def test_what_is_missing_is_named_and_skipped_or_an_error(layout, tmp_path, chan
     assert list(data.skipped) == [item]
     with pytest.raises(InputError, match=message) as raised:
         layout.open(tmp_path, strict=True)
-    assert str(raised.value) == data.skipped[item] and "\n" not in str(raised.value)
+    assert_one_line(data.skipped[item])
+    assert str(raised.value) == data.skipped[item]
     usable = {item.name: len(item.views) for item in data.objects}
     assert usable == ({f"{CHAIR}/abc": 2} if picture else {}) | {f"{CHAIR}/def": 3}
 
@@ -102,11 +102,7 @@ def test_a_damaged_picture_says_so_when_it_is_loaded(layout, tmp_path):
     path.write_bytes(path.read_bytes()[:100])
     if authors:
         (folder / "depth_1.png").write_bytes(b"not a picture")
-        messages = (
-            r"render_0\.png: is not",
-            r"depth_1\.png: is not a readable image",
-            r"depth_2\.png: is 32x64, expected 64x64",
-        )
+        messages = (r"render_0\.png: is not", r"depth_1\.png: is not a readable", r"depth_2\.png: is 32x64, expected 64x64")
     else:
         Image.new("RGB", (64, 64)).save(folder / "01.png")
         messages = (r"00\.png: is not", r"01\.png: has no alpha", r"02\.png: is 32x64, expected 64x64")

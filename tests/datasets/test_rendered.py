@@ -24,12 +24,16 @@ def cloud(seed, count=20):
     return np.random.default_rng(seed).uniform(-0.5, 0.5, (count, 3)).astype(np.float32)
 
 
+def write(folder, number, views=1, **options):
+    pictures = [picture(10 * number + view) for view in range(views)]
+    write_object(folder, pictures, cloud(number, 50), cloud(number), {"n": number}, **options)
+
+
 @pytest.fixture
 def folder(tmp_path):
     """Two objects, the second below a category, of two views each."""
     for number, name in enumerate(("b", "a/chair")):
-        views = [picture(10 * number), picture(10 * number + 1)]
-        write_object(tmp_path / "data" / name, views, cloud(number, 50), cloud(number), {"views": 2})
+        write(tmp_path / "data" / name, number, views=2)
     return tmp_path / "data"
 
 
@@ -46,18 +50,17 @@ def test_an_object_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    old = cloud(1)
-    write_object(tmp_path / "a", [picture(1)], old, old, {"n": 1})
+    write(tmp_path / "a", 1)
     monkeypatch.setattr(rendered, "write_cameras", full)
     for name in ("a", "b"):
         with pytest.raises(TsoError, match="No space left on device"):
-            write_object(tmp_path / name, [picture(2)], cloud(2), cloud(2), {"n": 2}, overwrite=True)
+            write(tmp_path / name, 2, overwrite=True)
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
     assert stored_record(tmp_path / "a") == {"n": 1}
 
 
 def test_the_old_object_comes_back_when_the_new_one_cannot_take_its_place(tmp_path, monkeypatch):
-    write_object(tmp_path / "a", [picture(1)], cloud(1), cloud(1), {"n": 1})
+    write(tmp_path / "a", 1)
     original = Path.rename
 
     def stubborn(self, target):
@@ -67,17 +70,17 @@ def test_the_old_object_comes_back_when_the_new_one_cannot_take_its_place(tmp_pa
 
     monkeypatch.setattr(Path, "rename", stubborn)
     with pytest.raises(TsoError, match="Input/output error"):
-        write_object(tmp_path / "a", [picture(2)], cloud(2), cloud(2), {"n": 2}, overwrite=True)
+        write(tmp_path / "a", 2, overwrite=True)
     assert stored_record(tmp_path / "a") == {"n": 1}
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
 def test_an_object_is_replaced_only_when_asked(tmp_path):
-    write_object(tmp_path / "a", [picture(1), picture(2)], cloud(1), cloud(1), {"n": 1})
+    write(tmp_path / "a", 1, views=2)
     with pytest.raises(InputError, match="--overwrite"):
-        write_object(tmp_path / "a", [picture(1)], cloud(1), cloud(1), {"n": 2})
+        write(tmp_path / "a", 2)
     assert stored_record(tmp_path / "a") == {"n": 1}
-    write_object(tmp_path / "a", [picture(1)], cloud(1), cloud(1), {"n": 2}, overwrite=True)
+    write(tmp_path / "a", 2, overwrite=True)
     assert stored_record(tmp_path / "a") == {"n": 2}
     assert not (tmp_path / "a/001.png").exists()
     assert stored_record(tmp_path / "other") is None
@@ -93,8 +96,7 @@ def test_as_a_data_set_an_object_has_its_views_target_and_category(folder):
         image, mask, camera = picture(10 + number)
         loaded = view.load()
         np.testing.assert_array_equal(loaded[0], image)
-        np.testing.assert_array_equal(loaded[1], mask / np.float32(255))
-        assert loaded[1].dtype == np.float32
+        np.testing.assert_array_equal(loaded[1], mask / np.float32(255), strict=True)
         np.testing.assert_array_equal(view.camera.K, camera.K)
         assert view.name.endswith(f"{number:03d}.mask.png")
 

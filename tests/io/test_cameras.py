@@ -1,12 +1,11 @@
 """Camera files read back exactly; what is wrong in one is said with the file and the key."""
 
-import copy
 import json
 
 import numpy as np
 import pytest
 
-from tests.corruption import assert_one_line, assert_reads_or_refuses
+from tests.corruption import assert_reads_or_refuses, assert_refused
 from tso_cli.errors import InputError
 from tso_cli.geometry.camera import Camera
 from tso_cli.io.cameras import CameraRecord, find_camera, read_camera, read_cameras, write_cameras
@@ -22,9 +21,7 @@ GOOD = {
 
 
 def changed(**keys):
-    document = copy.deepcopy(GOOD)
-    document.update(keys)
-    return document
+    return GOOD | keys
 
 
 def without(key):
@@ -37,16 +34,13 @@ def save_camera(save):
 
 
 def assert_same(a, b):
-    assert np.array_equal(a.K, b.K)
-    assert np.array_equal(a.R, b.R)
-    assert np.array_equal(a.t, b.t)
+    assert all(np.array_equal(getattr(a, name), getattr(b, name)) for name in "KRt")
     assert (a.width, a.height, a.model) == (b.width, b.height, b.model)
 
 
 def test_a_single_camera_is_read_as_it_stands(save):
     (record,) = read_cameras(save(b"\xef\xbb\xbf" + json.dumps(GOOD).encode()))  # a byte order mark is no obstacle
-    assert record.mask is None
-    assert record.image is None
+    assert (record.mask, record.image) == (None, None)
     assert_same(record.camera, Camera(GOOD["K"], GOOD["R"], GOOD["t"], 64, 48))
     assert_same(read_camera(save(GOOD), 64, 48), record.camera)
 
@@ -156,9 +150,7 @@ BAD = {
 @pytest.mark.parametrize("case", BAD)
 def test_what_is_wrong_is_said_with_file_and_key(save, case):
     content, message = BAD[case]
-    with pytest.raises(InputError, match=rf"camera\.json: .*{message.removeprefix(': ')}") as caught:
-        read_cameras(save(content))
-    assert_one_line(str(caught.value))
+    assert_refused(rf"camera\.json: .*{message.removeprefix(': ')}", read_cameras, save(content))
 
 
 def test_a_file_too_large_for_a_camera_file_is_refused(tmp_path):

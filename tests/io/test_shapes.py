@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from tests.corruption import assert_one_line, assert_reads_or_refuses
-from tso_cli.errors import InputError
+from tests.corruption import assert_reads_or_refuses, assert_refused
 from tso_cli.io import shapes
 from tso_cli.io.clouds import write_cloud
 from tso_cli.io.shapes import grid_surface, read_shape, shape_kind
@@ -39,8 +38,7 @@ def test_points_of_a_voxel_ball_lie_near_the_sphere(save, name):
     grid = ball(32, 0.3)
     path = save(name, grid if name.endswith("npy") else binvox_bytes(grid, "-0.5 -0.5 -0.5"))
     points = read_shape(path, 2000)
-    assert points.shape == (2000, 3)
-    assert points.dtype == np.float64
+    assert (points.shape, points.dtype) == ((2000, 3), np.float64)
     assert np.abs(np.linalg.norm(points, axis=1) - 0.3).max() < 1.2 / 32
     assert np.abs(points.mean(0)).max() < 0.02
 
@@ -101,11 +99,8 @@ def test_what_is_in_a_file_decides_how_it_is_read(save, tmp_path):
 def test_a_mesh_gives_points_of_its_surface_or_on_request_its_vertices(save, name):
     path = save(name, SQUARE_OFF if name.endswith("off") else SQUARE_PLY)
     points = read_shape(path, 300, seed=1)
-    assert points.shape == (300, 3)
-    assert len(np.unique(points, axis=0)) == 300
-    assert (points[:, 2] == 0).all()
-    assert points.min() >= 0
-    assert points.max() <= 2
+    assert points.shape == (300, 3) and len(np.unique(points, axis=0)) == 300
+    assert (points[:, 2] == 0).all() and 0 <= points.min() <= points.max() <= 2
     np.testing.assert_array_equal(points, read_shape(path, 300, seed=1))
     assert not np.array_equal(points, read_shape(path, 300, seed=2))
     assert sorted(read_shape(path, 300, as_vertices=True).tolist()) == [[0, 0, 0], [0, 2, 0], [2, 0, 0], [2, 2, 0]]
@@ -140,26 +135,20 @@ GOOD = binvox_bytes(ball(6, 0.4))
 )
 def test_a_wrong_grid_is_refused_in_one_line(save, content, message):
     path = save("bad.binvox" if isinstance(content, bytes) else "bad.npy", content)
-    with pytest.raises(InputError, match=message) as caught:
-        read_shape(path, 10)
-    assert path.name in str(caught.value)
-    assert_one_line(str(caught.value))
+    assert_refused(f"{path.name}: .*{message}", read_shape, path, 10)
 
 
 def test_a_grid_too_large_to_turn_into_a_surface_is_refused(save, monkeypatch):
     monkeypatch.setattr(shapes, "MAX_VOXELS", 26)
     for path in (save("a.npy", np.ones((3, 3, 3))), save("a.binvox", binvox_bytes(np.ones((3, 3, 3))))):
-        with pytest.raises(InputError, match="expected 1 to 26 voxels"):
-            read_shape(path, 10)
+        assert_refused("expected 1 to 26 voxels", read_shape, path, 10)
 
 
 def test_paths_without_a_shape_are_refused(tmp_path, save):
     for path in (save("a.png", b"x"), tmp_path / "missing.ply", tmp_path / "missing.binvox", tmp_path / "missing.off"):
-        with pytest.raises(InputError, match=path.name):
-            read_shape(path)
+        assert_refused(path.name, read_shape, path)
     (tmp_path / "folder.npy").mkdir()
-    with pytest.raises(InputError, match="is a folder"):
-        read_shape(tmp_path / "folder.npy")
+    assert_refused("is a folder", read_shape, tmp_path / "folder.npy")
 
 
 @pytest.mark.parametrize("name", ["good.binvox", "good.npy"])
