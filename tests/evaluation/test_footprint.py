@@ -2,7 +2,6 @@
 
 import warnings
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,23 +14,20 @@ from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.resampling import area_resize
 from tso_cli.geometry.view import View
 from tso_cli.geometry.window import window_of
-from tso_cli.io.cameras import read_cameras
-from tso_cli.io.clouds import read_cloud
-from tso_cli.io.images import read_mask
 from tso_cli.io.meshes import read_mesh
 from tso_cli.refinement.run import view_ious
 from tso_cli.render import RayScene, RenderSettings, fitting_distance, ground_truth, look_at, normalise, render_view
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+from ..scenes import EXAMPLES, example
+
 NAMES = ("chair", "car", "airplane")
 # One unit is 100 px; x to the right, y down.
 FLAT = Camera(np.diag([100.0, 100.0, 1.0]), np.eye(3), np.zeros(3), 100, 100, "orthographic")
 
 
 def _example(name, cloud="target"):
-    folder = EXAMPLES / name
-    view = View(read_mask(folder / "mask.png"), read_cameras(folder / "camera.json")[0].camera)
-    return read_cloud(folder / f"{cloud}.ply").points, view
+    scene = example(name)
+    return (scene.target if cloud == "target" else scene.points), scene.view
 
 
 def _resized(view, size):

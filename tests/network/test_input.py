@@ -1,7 +1,6 @@
 """Network input: photo, mask and camera get the same crop, an exact area average."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,11 +9,12 @@ from tso_cli.errors import InputError
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.resampling import area_resize
 from tso_cli.geometry.view import View
-from tso_cli.io.cameras import read_camera
-from tso_cli.io.images import read_image, read_mask
+from tso_cli.io.images import read_image
 from tso_cli.network.input import crop_box, network_input
 from tso_cli.network.model import NetworkConfig, build_network
 from tso_cli.scene.network import network_scene
+
+from ..scenes import EXAMPLES
 
 
 def rectangle(height, width, rows, columns):
@@ -193,14 +193,12 @@ def test_a_crop_of_share_0_needs_the_object_before_the_camera_and_near_the_origi
         )
 
 
-def test_a_network_that_sees_sizes_takes_the_distance_of_the_camera_and_warns_without_one():
-    example = Path(__file__).parents[2] / "examples" / "chair"
-    image, mask = read_image(example / "image.png"), read_mask(example / "mask.png")
-    camera = read_camera(example / "camera.json", mask.shape[1], mask.shape[0])
+def test_a_network_that_sees_sizes_takes_the_distance_of_the_camera_and_warns_without_one(chair):
+    image = read_image(EXAMPLES / "chair" / "image.png")
     network, config = build_network(seed=0).eval(), NetworkConfig(crop_share=0.0)
 
     def crop_of(distance):
-        view = View(mask, replace(camera, t=distance * camera.t))
+        view = View(chair.mask, replace(chair.camera, t=distance * chair.camera.t))
         scene = network_scene(image, view, network, config)
         assert "(only its K and t)" in scene.camera_summary
         return scene.views[0].mask
@@ -208,4 +206,4 @@ def test_a_network_that_sees_sizes_takes_the_distance_of_the_camera_and_warns_wi
     # The same object, said to be nearer and so smaller, fills less of what the network sees.
     assert crop_of(0.75).sum() < 0.7 * crop_of(1.0).sum()
     with pytest.warns(UserWarning, match="tells sizes by the whole picture"):
-        network_scene(image, View(mask, camera), network, config, known_camera=False)
+        network_scene(image, chair.view, network, config, known_camera=False)
