@@ -109,7 +109,8 @@ def _flip(data: bytes, rng: np.random.Generator) -> bytes:
 
 def _splice(data: bytes, rng: np.random.Generator) -> bytes:
     """Some bytes replaced by as many, more, fewer or no others: random ones, or all 0 or all 255."""
-    at, removed, inserted = _place(data, rng), int(rng.integers(20)), rng.bytes(int(rng.integers(20)))
+    at, removed = _place(data, rng), int(rng.integers(20))
+    inserted = rng.bytes(removed if rng.random() < 0.5 else int(rng.integers(20)))
     if rng.random() < 0.5:
         inserted = bytes(rng.choice([0, 255], 1).astype(np.uint8)) * len(inserted)
     return data[:at] + inserted + data[at + removed :]
