@@ -13,15 +13,16 @@ import pytest
 
 from tso_cli.errors import InputError
 
-NUMBERS = [b"0", b"1", b"-1", b"2", b"255", b"65536", b"2147483648", b"99999999999999999999", b"1" * 5000]
-NUMBERS += [b"1e400", b"nan", b"-inf"]
-WORDS = [*NUMBERS, b"", b"\x00", b"list", b"[", b"{}", b'""', b"null", b"true", b"x", b"(", b"\xff\xfe", b"\n"]
+NASTY_NUMBERS = [b"0", b"1", b"-1", b"2", b"255", b"65536", b"2147483648", b"99999999999999999999", b"1" * 5000]
+NASTY_NUMBERS += [b"1e400", b"nan", b"-inf"]
+NASTY_WORDS = [*NASTY_NUMBERS, b"", b"\x00", b"list", b"[", b"{}", b'""', b"null", b"true", b"x", b"(", b"\xff\xfe", b"\n"]
+BOUNDARIES = [0, 1, 2, 127, 128, 254, 255]
 
 
 def corruptions(data: bytes, count: int) -> Iterator[bytes]:
     """``count`` damaged copies of ``data``, the same ones each time; some are damaged several times."""
     rng = np.random.default_rng(0)
-    kinds = [_truncate, _flip, _splice, _repeat, _change_word, _change_header_number]
+    kinds = [_truncate, _flip, _overwrite, _insert, _delete, _repeat, _change_word, _change_header_number]
     for i in range(count):
         damaged = data
         for _ in range(int(rng.choice([1, 1, 1, 2, 5]))):
@@ -107,13 +108,20 @@ def _flip(data: bytes, rng: np.random.Generator) -> bytes:
     return bytes(out)
 
 
-def _splice(data: bytes, rng: np.random.Generator) -> bytes:
-    """Some bytes replaced by as many, more, fewer or no others: random ones, or all 0 or all 255."""
-    at, removed = _place(data, rng), int(rng.integers(20))
-    inserted = rng.bytes(removed if rng.random() < 0.5 else int(rng.integers(20)))
-    if rng.random() < 0.5:
-        inserted = bytes(rng.choice([0, 255], 1).astype(np.uint8)) * len(inserted)
-    return data[:at] + inserted + data[at + removed :]
+def _overwrite(data: bytes, rng: np.random.Generator) -> bytes:
+    at, size = _place(data, rng), int(rng.integers(1, 9))
+    fill = [int(rng.choice(BOUNDARIES))] * size if rng.random() < 0.5 else rng.integers(0, 256, size).tolist()
+    return (data[:at] + bytes(fill) + data[at + size :])[: len(data)]
+
+
+def _insert(data: bytes, rng: np.random.Generator) -> bytes:
+    at = _place(data, rng)
+    return data[:at] + rng.integers(0, 256, int(rng.integers(1, 20)), dtype=np.uint8).tobytes() + data[at:]
+
+
+def _delete(data: bytes, rng: np.random.Generator) -> bytes:
+    at = _place(data, rng)
+    return data[:at] + data[at + int(rng.integers(1, 20)) :]
 
 
 def _repeat(data: bytes, rng: np.random.Generator) -> bytes:
@@ -122,16 +130,16 @@ def _repeat(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _change_word(data: bytes, rng: np.random.Generator) -> bytes:
-    return _replace(data, rb"[^\s,:\[\]{}()]+", WORDS, rng)
+    return _replace(data, rb"[^\s,:\[\]{}()]+", NASTY_WORDS, rng)
 
 
 def _change_header_number(data: bytes, rng: np.random.Generator) -> bytes:
-    return _replace(data, rb"[0-9]+", NUMBERS, rng, 300)
+    return _replace(data, rb"[0-9]+", NASTY_NUMBERS, rng, 300)
 
 
 def _replace(data: bytes, pattern: bytes, by: list[bytes], rng: np.random.Generator, within: int | None = None) -> bytes:
-    matches = list(re.finditer(pattern, data[:within]))
-    if not matches:
+    found = list(re.finditer(pattern, data[:within]))
+    if not found:
         return _flip(data, rng)
-    match = matches[int(rng.integers(len(matches)))]
+    match = found[int(rng.integers(len(found)))]
     return data[: match.start()] + by[int(rng.integers(len(by)))] + data[match.end() :]
