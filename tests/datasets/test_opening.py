@@ -6,8 +6,9 @@ import pytest
 
 from tests.corruption import assert_refused
 from tests.dataset_trees import CHAIR, write_pix3d, write_r2n2, write_shapenet
-from tso_cli.datasets.opening import open_dataset, read_split
+from tso_cli.datasets.opening import open_dataset
 from tso_cli.datasets.rendered import write_object
+from tso_cli.datasets.splits import read_split
 from tso_cli.errors import InputError
 from tso_cli.geometry.camera import Camera
 

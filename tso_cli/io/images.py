@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .arrays import read_array
 from .output import atomic_output, check_output, reason
-from .reading import read_bytes
+from .reading import read_array, read_bytes
 
 if TYPE_CHECKING:
     from PIL import Image

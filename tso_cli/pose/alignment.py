@@ -80,11 +80,8 @@ def improve(
 ) -> Poses:
     """Gauss-Newton steps: each mask pixel attracts the nearest projected point, each stray point the nearest mask pixel.
 
-    Parameters
-    ----------
-    points : [N, 3], longest side 1, centred.
-    prior : on the focal length: its mean, px (one, or [P]), and the standard deviation of its logarithm; 0 fixes it.
-    robust : scale of the weights 1 / (1 + (d / robust)^2) of distances d, px.
+    The cloud ``points`` [N, 3] has longest side 1 and is centred. ``prior`` on the focal length: its mean, px (one, or [P]),
+    and the standard deviation of its logarithm; 0 fixes it. Distances d, px, have the weight 1 / (1 + (d / ``robust``)^2).
     """
     pixels = target.inside()
     for _ in range(steps):

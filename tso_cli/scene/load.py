@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.camera import Camera
 from ..geometry.view import View
-from ..io.cameras import check_size, find_camera, read_camera
+from ..io.cameras import check_size, find_camera, pair_with_masks, read_camera
 from ..io.clouds import PointCloud, read_cloud
 from ..io.images import read_depth, read_image, read_mask
-from ..io.pairing import pair_with_masks
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork

@@ -48,10 +48,7 @@ def load_network_scene(
     placing : of a view-aligned network's cloud: "silhouette" aligns it with the mask (`align_silhouette`), "box" with its
         box (`place_in_front`), "camera" takes t of the camera file, as for an object of longest side 1 at the origin.
 
-    Raises
-    ------
-    InputError
-        A file cannot be used, image and mask differ in size, or the frame or placing needs a camera file.
+    Raises InputError if a file cannot be used, sizes of image and mask differ, or the frame or placing needs a camera file.
     """
     from ..io.checkpoints import load_network
 

@@ -34,18 +34,11 @@ FINGERPRINTED = 16
 class TrainingData:
     """Objects prepared for training. Several threads may use it at once.
 
-    Parameters
-    ----------
-    objects : at least one, each with at least one view.
-    description : in words, for the checkpoint.
+    objects : at least one, each with at least one view. description : in words, for the checkpoint.
     crop_share, background : of `network_input`.
     strict : an unusable picture is an error; else it is warned of, and another takes its place.
     backgrounds : what `batches` puts behind the object, cut out by its mask; needs background "keep".
-    skipped : item that the data set left out -> why.
-    scale : of all clouds and cameras, in words.
-
-    Attributes
-    ----------
+    skipped : item that the data set left out -> why. scale : of all clouds and cameras, in words.
     categories : indices of the objects of each category, one array a category.
     unusable : picture, or object whose points cannot be read -> why.
     not_judged : object that cannot be evaluated because its points cannot be read -> why.
