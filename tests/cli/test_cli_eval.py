@@ -112,8 +112,7 @@ def test_folders_are_matched_by_the_path_without_suffix(cloud, tmp_path):
 def test_an_unmatched_name_is_an_error_that_names_it(cloud, tmp_path):
     cloud("ours/a.ply"), cloud("theirs/a.ply"), cloud("ours/b.ply"), cloud("theirs/c.ply")
     message = refusal(tmp_path / "ours", tmp_path / "theirs")
-    assert f"{tmp_path / 'ours'} has b, which" in message
-    assert f"{tmp_path / 'theirs'} has c, which" in message
+    assert f"{tmp_path / 'ours'} has b, which" in message and f"{tmp_path / 'theirs'} has c, which" in message
     for name in "defg":
         cloud(f"ours/{name}.ply")
     assert "b, d, e and 2 more" in refusal(tmp_path / "ours", tmp_path / "theirs")
@@ -146,8 +145,7 @@ def test_capnet_protocol_hides_scale_and_place_and_plain_does_not(cloud):
     assert scaled["mean"] == pytest.approx(document(a, b, "--protocol", "capnet", "--emd", "--chamfer")["mean"])
     boxed = [p - (p.min(0) + p.max(0)) / 2 for p in (points_of(1), points_of(2))]
     boxed = [p / np.ptp(p, axis=0).max() for p in boxed]
-    assert scaled["mean"]["emd"] == pytest.approx(emd(*boxed, squared=True))
-    assert "squared" in scaled["convention"]["emd"]
+    assert scaled["mean"]["emd"] == pytest.approx(emd(*boxed, squared=True)) and "squared" in scaled["convention"]["emd"]
     assert document(a, b, "--emd")["mean"]["emd"] == pytest.approx(emd(points_of(1), points_of(2)))
 
 

@@ -43,9 +43,7 @@ def test_objects_of_two_sizes_come_out_alike(root):
 def test_an_object_without_a_3d_file_takes_the_size_that_is_usual_for_its_category(root):
     data = open_dataset(root)
     known, lacking = data.objects[0], data.objects[2]
-    assert lacking.target is None
-    assert "ghi" in lacking.lacking
-    assert "does not exist" in lacking.lacking
+    assert lacking.target is None and "ghi" in lacking.lacking and "does not exist" in lacking.lacking
     # The pictures of the three are the same.
     np.testing.assert_allclose(lacking.views[0].camera.t, known.views[0].camera.t)
     assert iou(known.target(), lacking.views[0].camera, lacking.views[0].load()[1]) > 0.7

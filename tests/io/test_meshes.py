@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from tests.corruption import assert_reads_or_refuses, assert_refused
-from tso_cli.errors import InputError
 from tso_cli.io.meshes import SUFFIXES, Mesh, find_meshes, read_mesh, write_mesh
 
 VERTICES = np.array([[0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 5]], dtype=np.float64)
@@ -45,8 +44,7 @@ def tetrahedron(path):
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_every_format_gives_the_same_triangles(tmp_path, suffix):
     mesh = read_mesh(tetrahedron(tmp_path / f"a{suffix}"))
-    assert mesh.vertices.dtype == np.float64
-    assert mesh.faces.dtype == np.int64
+    assert (mesh.vertices.dtype, mesh.faces.dtype) == (np.float64, np.int64)
     np.testing.assert_allclose(mesh.vertices[mesh.faces], VERTICES[FACES])
     assert mesh.colours is None
 
@@ -57,8 +55,7 @@ def test_a_quadrilateral_becomes_two_triangles(tmp_path):
     mesh = read_mesh(path)
     corners = mesh.vertices[mesh.faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
-    assert len(mesh.faces) == 2
-    assert area == pytest.approx(1.0)
+    assert len(mesh.faces) == 2 and area == pytest.approx(1.0)
 
 
 def test_materials_colour_their_own_faces_and_parts_stay_in_place(tmp_path):
@@ -66,7 +63,6 @@ def test_materials_colour_their_own_faces_and_parts_stay_in_place(tmp_path):
     path = tmp_path / "a.obj"
     path.write_text("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 9 9 9\nusemtl red\nf 1 2 3\nusemtl green\nf 2 3 4\n")
     mesh = read_mesh(path)
-    assert mesh.colours is not None
     for corners, colour in zip(mesh.vertices[mesh.faces], mesh.colours, strict=True):
         assert tuple(colour) == ((0, 255, 0) if corners.max() == 9 else (255, 0, 0))
 
@@ -78,7 +74,6 @@ def test_vertex_colours_are_averaged_over_a_face(tmp_path):
     header = header.replace("property float z\n", "property float z\n" + colours)
     path.write_text(header + "end_header\n0 0 0 90 0 0\n1 0 0 0 90 0\n0 1 0 0 0 90\n3 0 1 2\n")
     mesh = read_mesh(path)
-    assert mesh.colours is not None
     assert np.abs(mesh.colours.astype(int) - 30).max() <= 1
 
 
@@ -87,8 +82,7 @@ def test_writing_and_reading_gives_the_same_mesh(tmp_path):
     mesh = read_mesh(tmp_path / "a.ply")
     np.testing.assert_array_equal(mesh.vertices, VERTICES)
     np.testing.assert_array_equal(mesh.faces, FACES)
-    with pytest.raises(InputError, match="exists"):
-        write_mesh(tmp_path / "a.ply", Mesh(VERTICES, FACES))
+    assert_refused("exists", write_mesh, tmp_path / "a.ply", Mesh(VERTICES, FACES))
 
 
 BAD = {
@@ -131,7 +125,5 @@ def test_meshes_are_found_in_subfolders_sorted_and_hidden_ones_left_out(tmp_path
         (tmp_path / name).touch()
     assert [path.relative_to(tmp_path).as_posix() for path in find_meshes(tmp_path)] == ["a.stl", "b/a.OBJ", "b/z.ply"]
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="no mesh"):
-        find_meshes(tmp_path / "empty")
-    with pytest.raises(InputError, match="not a folder"):
-        find_meshes(tmp_path / "missing")
+    assert_refused("no mesh", find_meshes, tmp_path / "empty")
+    assert_refused("not a folder", find_meshes, tmp_path / "missing")
