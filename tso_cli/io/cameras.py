@@ -123,10 +123,9 @@ def named_masks(path: str | Path) -> list[Path]:
 
 
 def pair_with_masks(path: str | Path, masks: Sequence[str | Path]) -> list[Camera]:
-    """The camera of each of several masks: of the view that names it, where views name them all, else by order.
+    """The camera of each of several masks: of the view that names its path, or the last part of it, else by order.
 
-    A view names a mask by its path, or failing that by the last part of the path. Raises InputError as `read_cameras`, or if
-    the views do not name all masks, and are not as many or contradict the order.
+    Raises InputError as `read_cameras`, or if the views do not name all masks, and are not as many or contradict the order.
     """
     records = read_cameras(path)
     naming: list[list[int]] = []  # views, of each mask
@@ -209,7 +208,7 @@ def _record(path: Path, where: str, view: dict[str, Any]) -> CameraRecord:
     for key in _REQUIRED:
         if key not in view:
             raise InputError(f"{path}: {where}{key} is missing, expected width, height, K, R and t")
-    width, height = (view[key] for key in ("width", "height"))
+    width, height = view["width"], view["height"]
     if _number(path, where + "width", width) * _number(path, where + "height", height) > PIXEL_LIMIT:
         raise InputError(f"{path}: {where}width x height is {width}x{height}, expected at most {PIXEL_LIMIT:,} pixels")
     K, R = (_numbers(path, where + key, view[key], "3x3") for key in ("K", "R"))
@@ -243,8 +242,6 @@ def _numbers(path: Path, where: str, value: Any, shape: str) -> list[Any]:
 
 def _file(path: Path, where: str, view: dict[str, Any], key: str) -> Path | None:
     value = view.get(key)
-    if value is None:
-        return None
-    if not isinstance(value, str) or not value or min(value) < " ":
+    if value is not None and (not isinstance(value, str) or not value or min(value) < " "):
         raise InputError(f"{path}: {where}{key} is {_kind(value)}, expected the path of a file")
-    return path.parent / value
+    return None if value is None else path.parent / value

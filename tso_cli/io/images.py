@@ -40,10 +40,9 @@ def read_mask(path: str | Path, invert: bool = False) -> NDArray[np.float32]:
 
 
 def read_depth(path: str | Path, scale: float = 1.0) -> NDArray[np.float64]:
-    """Read a depth map [H, W], in the units of the camera, from a picture of one grey channel or a .npy file.
+    """Read a depth map [H, W] from a picture of one grey channel or a .npy file, ``scale`` units of the camera to a step.
 
-    ``scale`` is the camera's units to a step of the file. 0, NaN and infinity are unknown: NaN in the result. Raises InputError
-    if the file is not such a map, or a depth is negative.
+    0, NaN and infinity are unknown: NaN. Raises InputError if the file is not such a map, or a depth is negative.
     """
     path = Path(path)
     with np.errstate(invalid="ignore"):  # signalling NaN

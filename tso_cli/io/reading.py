@@ -23,8 +23,7 @@ _READERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.r
 def read_bytes(path: Path, expected: str, limit: int | None = None, most: int = -1) -> bytes:
     """The bytes of the regular file ``path``, or the first ``most`` of them.
 
-    Raises InputError, which names what is ``expected``, if it is missing, a folder, a device, unreadable, empty or larger than
-    ``limit`` bytes.
+    Raises InputError, naming what is ``expected``, if it is missing, none, unreadable, empty or larger than ``limit`` bytes.
     """
     try:
         about = path.stat()
@@ -73,7 +72,7 @@ def array_type(data: bytes, path: Path) -> tuple[np.dtype[Any], tuple[int, ...]]
 
 
 def read_array(data: bytes, path: Path, kinds: str = "biufc", expected: str = "numbers") -> NDArray[Any]:
-    """The array in the bytes of a .npy file, read-only; its type is one of numpy's ``kinds``, which messages call ``expected``.
+    """The read-only array in the bytes of a .npy file, its type one of numpy's ``kinds``, which messages call ``expected``.
 
     Raises InputError if it is no such file, or is shorter or longer than its header says.
     """

@@ -52,8 +52,7 @@ def crop_box(mask_box: Box, crop_share: float) -> Box:
 def whole_box(camera: Camera, name: str = "mask") -> Box:
     """The square of the photo that shows `WHOLE` units around the world's origin, as the canonical camera does.
 
-    Its size does not depend on the object, so that the crop shows the object's size, like the whole pictures that CAPNet
-    trains with. Raises InputError if the origin is not in front of the camera.
+    Like the whole pictures that CAPNet trains with, it shows the object's size. InputError if the origin is not in front.
     """
     depth = float(camera.t[2]) if camera.model == "perspective" else 1.0
     if depth <= 0.0:

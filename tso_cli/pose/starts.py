@@ -21,7 +21,7 @@ BORDER = 2
 def starts(points: Array, target: Target, focal: float) -> tuple[Poses, Array]:
     """Starting poses over all directions, and their scores (`coarse_iou`).
 
-    Scale and centre give the box of the projected points, [N, 3] of longest side 1 and centred, the area and the middle of the
+    Scale and centre give the box of the projected ``points`` [N, 3] (longest side 1, centred) the area and the middle of the
     mask's box. ``focal`` is in px of the target.
     """
     rotations = spread(DIRECTIONS, TURNS)

@@ -102,8 +102,8 @@ class ViewFiles:
 def load_views(files: ViewFiles) -> tuple[list[View], list[Path | None]]:
     """Read masks and their cameras: of the file named, else of one beside the mask, else (for a single mask) the canonical one.
 
-    Returns the views, and the camera's file of each (None for the canonical camera). Raises InputError if a file cannot be
-    used, sizes or numbers of files differ, or a mask is all object or all background.
+    Returns the views and each camera's file, None for the canonical one. Raises InputError if a file cannot be used, sizes or
+    numbers of files differ, or a mask is all object or all background.
     """
     ignore = files.one_each("--ignore", "ignore maps", files.ignore)
     sources = [files.camera or find_camera(mask) for mask in files.masks]
