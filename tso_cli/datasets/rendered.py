@@ -192,7 +192,7 @@ def _view(folder: str, index: int) -> ViewItem:
 
 
 def _walk(folder: Path) -> Iterator[tuple[str, Path, bool]]:
-    """Name and folder of every object, and whether it has its target (any file of one makes it one); hidden ones are unfinished."""
+    """Name and folder of every object (it has any file of one), and whether it has its target; hidden ones are unfinished."""
     for path, folders, files in os.walk(folder):
         folders[:] = [name for name in folders if not name.startswith(".")]
         if not {CAMERAS, TARGET, RECORD}.isdisjoint(files):

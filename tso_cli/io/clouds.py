@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, TsoError
 from .output import atomic_output, check_output
 from .ply import PlyFile, new_ply
-from .reading import read_array, read_bytes
-from .text import TextTable
+from .reading import TextTable, read_array, read_bytes
 
 Points = NDArray[np.float64]
 SUFFIXES = (".ply", ".npy", ".xyz", ".txt")

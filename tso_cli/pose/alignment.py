@@ -8,9 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.rotations import from_vectors
-
-Array = NDArray[np.float64]
+from ..geometry.rotations import Array, from_vectors
 
 # Largest scale / focal: points of a cloud of radius 0.87 (longest side 1) keep at least a tenth of the centre's depth.
 LARGEST_NEARNESS = 1.0

@@ -10,14 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
 from ..geometry.camera import CANONICAL_FOCAL_AT_64, Camera
-from ..geometry.points import as_points, bounding_box_normalisation, farthest_point_sample
+from ..geometry.points import Array, as_points, bounding_box_normalisation, farthest_point_sample
 from ..geometry.resampling import area_resize
 from ..geometry.rotations import angle_between
 from ..geometry.view import View
 from .alignment import Poses, Target, improve
 from .starts import closed_iou, distinct, starts
-
-Array = NDArray[np.float64]
 
 # Prior on the focal length: that of the canonical camera, in longer sides of the image, and the deviation of its logarithm.
 FOCAL = CANONICAL_FOCAL_AT_64 / 64.0

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.rotations import angle_between, spread
+from ..geometry.rotations import Array, angle_between, spread
 from .alignment import Poses, Target, project
-
-Array = NDArray[np.float64]
 
 # Viewing directions 16 degrees apart, each with in-plane turns of 20 degrees.
 DIRECTIONS, TURNS = 150, 18

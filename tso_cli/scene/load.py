@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..geometry.camera import Camera
+from ..geometry.camera import Array, Camera
 from ..geometry.view import View
 from ..io.cameras import check_size, find_camera, pair_with_masks, read_camera
 from ..io.clouds import PointCloud, read_cloud
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from ..network.model import BaseNetwork
     from ..refinement.surface import Surface
 
-Array = NDArray[np.float64]
 
 NO_FILE = "(no camera file was given or found beside the mask)"
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..geometry.camera import CANONICAL_ROTATION, Camera
+from ..geometry.camera import CANONICAL_ROTATION, Array, Camera
 from ..geometry.view import View
 from ..io.images import read_image
 from ..network.input import network_input
@@ -22,7 +22,6 @@ from .placing import align_silhouette, place_in_front, view_to_world
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork, NetworkConfig
 
-Array = NDArray[np.float64]
 Placing = Literal["silhouette", "box", "camera"]
 
 

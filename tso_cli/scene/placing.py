@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_ROTATION, Camera
+from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_ROTATION, Array, Camera
 from ..geometry.view import View
-
-Array = NDArray[np.float64]
 
 # Twenty steps of a 200th shift a cloud by a tenth of its longest side; more change no result.
 ALIGNMENT_STEPS, ALIGNMENT_STEP = 20, 0.005

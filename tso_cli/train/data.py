@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datasets.items import ObjectItem
+from ..datasets.items import Floats, ObjectItem
 from ..errors import InputError
 from ..geometry.camera import Camera
 from ..geometry.view import View
@@ -21,7 +21,6 @@ from ..network.input import NetworkInput, network_input
 from .backgrounds import Backgrounds
 
 T = TypeVar("T")
-Floats = NDArray[np.float32]
 # Memory for prepared views, 20 KiB each, and targets; the rest is read again when it is needed.
 CACHE_BYTES = 1 << 30
 # Unusable pictures that are warned of by name; the command counts them all.
