@@ -59,6 +59,15 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture
+def tiny_network(monkeypatch):
+    """The same layers with few channels: files of kilobytes instead of 25 MB."""
+    from tso_cli.network import model
+
+    monkeypatch.setattr(model, "CONVOLUTIONS", tuple((2, size, stride) for _, size, stride in model.CONVOLUTIONS))
+    monkeypatch.setattr(model, "LATENT", 4)
+
+
 @pytest.fixture(scope="session")
 def chair():
     return example("chair")

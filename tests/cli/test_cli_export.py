@@ -10,21 +10,14 @@ from safetensors.torch import load_file
 
 from tso_cli.errors import InputError
 from tso_cli.io.checkpoints import load_network, read_metadata, save_network, save_tensors
-from tso_cli.network import model as networks
 from tso_cli.network.model import NetworkConfig, build_network
 
+pytestmark = pytest.mark.usefixtures("tiny_network")
 CONFIG = NetworkConfig(points=16, training_set="two chairs", settings={"views": 4})
 
 
-@pytest.fixture(autouse=True)
-def thin_network(monkeypatch):
-    """The same layers with few channels: files of kilobytes instead of 25 MB."""
-    monkeypatch.setattr(networks, "CONVOLUTIONS", tuple((2, size, stride) for _, size, stride in networks.CONVOLUTIONS))
-    monkeypatch.setattr(networks, "LATENT", 4)
-
-
 @pytest.fixture
-def base(tmp_path, thin_network, monkeypatch):
+def base(tmp_path, tiny_network, monkeypatch):
     monkeypatch.chdir(tmp_path)
     save_network("base.safetensors", build_network(16, seed=1), CONFIG)
     return Path("base.safetensors")

@@ -18,7 +18,7 @@ from tso_cli.io.meshes import read_mesh
 from tso_cli.refinement.run import view_ious
 from tso_cli.render import RayScene, RenderSettings, fitting_distance, ground_truth, look_at, normalise, render_view
 
-from ..scenes import EXAMPLES, example
+from ..scenes import EXAMPLES, example, square_mask
 
 NAMES = ("chair", "car", "airplane")
 # One unit is 100 px; x to the right, y down.
@@ -50,11 +50,8 @@ def _plate(step=0.02, last=0.88):
     return np.stack([*np.meshgrid(steps, steps), np.zeros((len(steps), len(steps)))], -1).reshape(-1, 3)
 
 
-def _square():
-    """The mask of that plate: it reaches half a pixel beyond the outermost points."""
-    mask = np.zeros((100, 100), np.float32)
-    mask[10:89, 10:89] = 1.0
-    return mask
+# The mask of that plate: it reaches half a pixel beyond the outermost points.
+SQUARE = square_mask(10, 10, 79, 100)
 
 
 @pytest.mark.parametrize("size", [64, 1024])
@@ -102,7 +99,7 @@ def test_a_hole_wider_than_two_spacings_stays_open_and_the_gaps_between_points_a
     # Two by two points less: from point to point three spacings, of which the outline takes a little.
     hole = (np.abs(points[:, :2] - 0.49) < 0.02).all(1)
     assert hole.sum() == 4
-    seen = in_window(points[~hole], View(_square(), FLAT), (-0.5, -0.5, 99.5, 99.5))
+    seen = in_window(points[~hole], View(SQUARE, FLAT), (-0.5, -0.5, 99.5, 99.5))
     assert not seen.silhouette[48:51, 48:51].any()
     around = np.zeros((100, 100), bool)
     around[11:88, 11:88] = True
@@ -124,7 +121,7 @@ def test_strays_lower_the_score_and_fill_nothing():
 
 
 def test_what_the_mask_does_not_know_says_nothing():
-    points, mask, known = _plate(), _square(), np.ones((100, 100), bool)
+    points, mask, known = _plate(), SQUARE.copy(), np.ones((100, 100), bool)
     mask[:, 60:], known[:, 60:] = 0.0, False
     assert window_iou(points, View(mask, FLAT)) < 0.7
     assert window_iou(points, View(mask, FLAT, known)) > 0.97

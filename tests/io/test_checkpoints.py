@@ -12,22 +12,14 @@ from safetensors.torch import load_file, save_file
 from tests.corruption import assert_reads_or_refuses, assert_refused
 from tso_cli.errors import InputError
 from tso_cli.io.checkpoints import FORMAT, load_network, save_network, save_tensors
-from tso_cli.network import model as networks
 from tso_cli.network.model import NetworkConfig, build_network
 
+pytestmark = pytest.mark.usefixtures("tiny_network")
 CONFIG = NetworkConfig(points=4, training_set="two chairs", sigma_sq=0.1, frame="canonical", settings={"views": 4})
 
 
-@pytest.fixture(autouse=True)
-def thin_network(monkeypatch):
-    """The same layers with few channels: files of kilobytes instead of 25 MB."""
-    thin = tuple((2, size, stride) for _, size, stride in networks.CONVOLUTIONS)
-    monkeypatch.setattr(networks, "CONVOLUTIONS", thin)
-    monkeypatch.setattr(networks, "LATENT", 4)
-
-
 @pytest.fixture
-def checkpoint(tmp_path, thin_network):
+def checkpoint(tmp_path, tiny_network):
     path = tmp_path / "base.safetensors"
     save_network(path, build_network(4, seed=1), CONFIG)
     return path

@@ -1,5 +1,7 @@
 """The picture of a refinement shows what is near, and shows it where it is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -7,21 +9,11 @@ from PIL import Image
 from tso_cli.evaluation.footprint import Seen
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
-from tso_cli.plots.overlay import (
-    AGREED,
-    GAP,
-    MISSING,
-    NEAR_TO_FAR,
-    PANEL,
-    STRAY,
-    TITLE,
-    UNKNOWN,
-    _dots,
-    compare,
-    draw_overlay,
-)  # fmt: skip
+from tso_cli.plots.overlay import AGREED, GAP, MISSING, NEAR_TO_FAR, PANEL, STRAY, TITLE, UNKNOWN, _dots, compare, draw_overlay
 from tso_cli.refinement import RefineConfig, refine
 from tso_cli.silhouette.projection import silhouette_of
+
+from ..scenes import square_mask
 
 
 def _panel(*points):
@@ -62,11 +54,8 @@ def test_mask_and_silhouette_are_told_apart_by_colour():
 @pytest.mark.parametrize("times", [1, 8])
 def test_the_object_fills_its_panel_in_a_photo_of_any_size(times, tmp_path):
     points = np.random.default_rng(0).uniform(-0.3, 0.3, (400, 3))
-    small = Camera.canonical(64, 64)
-    mask = np.zeros((64 * times, 64 * times), np.float32)
-    mask[20:46, 20:46] = 1.0
-    camera = Camera(small.K, small.R, small.t, 64 * times, 64 * times)
-    view = View(mask, camera)
+    camera = replace(Camera.canonical(64, 64), width=64 * times, height=64 * times)
+    view = View(square_mask(20, 20, 26, 64 * times), camera)
     draw_overlay(tmp_path / "picture.png", refine(points, view, config=RefineConfig(steps=0)), [view])
     with Image.open(tmp_path / "picture.png") as picture:
         panel = np.asarray(picture)[TITLE : TITLE + PANEL, GAP : GAP + PANEL]
