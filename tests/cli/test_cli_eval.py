@@ -11,9 +11,10 @@ from tests.dataset_trees import lopsided, write_binvox
 from tests.io.test_shapes import SQUARE_OFF, SQUARE_PLY
 from tso_cli.commands.evaluate import command
 from tso_cli.errors import GateError, InputError
-from tso_cli.evaluation.compare import EvalConfig
+from tso_cli.evaluation.compare import EvalConfig, evaluate
 from tso_cli.evaluation.footprint import IOU_MEANS
 from tso_cli.evaluation.metrics import chamfer, emd, iou
+from tso_cli.evaluation.pairs import Pair
 from tso_cli.geometry.camera import Camera
 from tso_cli.io.cameras import CameraRecord, write_cameras
 from tso_cli.io.clouds import read_cloud, write_cloud
@@ -388,3 +389,9 @@ def test_iou_without_a_fitting_camera_is_refused(pictured):
 def test_an_unknown_metric_or_protocol_is_refused(setting):
     with pytest.raises(InputError, match=f"{next(iter(setting))} (are|is) .*expected (some|one) of"):
         EvalConfig(**setting)
+
+
+def test_progress_counts_the_pairs(cloud):
+    pair, reports = Pair("a", cloud("a.ply"), cloud("b.ply")), []
+    evaluate([pair] * 3, EvalConfig(), lambda *report: reports.append(report))
+    assert reports == [(1, 3), (2, 3), (3, 3)]

@@ -40,3 +40,8 @@ def test_version_and_help_import_no_numbers(tmp_path):
 def test_the_help_of_a_command_imports_no_torch(tmp_path):
     commands = ("refine", "eval", "train", "curves", "export", "render", "compile", "bench", "lab")
     assert not _imported(tmp_path, *(f"{command} --help" for command in commands)) & {"torch", *HEAVY}
+
+
+def test_importing_the_package_imports_no_torch():
+    code = "import sys, tso_cli; assert 'torch' not in sys.modules; from tso_cli import refine; assert callable(refine)"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -88,6 +88,13 @@ def test_a_damaged_entry_is_named_and_skipped_or_an_error(tmp_path, entries, key
     assert str(raised.value) in data.skipped.values() and "\n" not in str(raised.value)
 
 
+def test_a_damaged_model_is_named_when_its_views_or_points_are_loaded(tmp_path, entries):
+    (tmp_path / entries[0]["model"]).write_text("v 0 0 0\n")
+    (item,) = open_pix3d(tmp_path).objects
+    for load in (item.views[0].load, item.target):
+        assert_refused(r"model\.obj: ", load)
+
+
 def test_pictures_of_another_size_than_the_table_says_are_named_when_loaded(tmp_path, entries):
     Image.new("RGB", (60, 88)).save(tmp_path / "img/chair/0000.png")
     Image.new("L", (88, 61)).save(tmp_path / "mask/chair/0001.png")

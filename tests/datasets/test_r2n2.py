@@ -54,6 +54,20 @@ def test_voxels_are_a_target_in_the_frame_of_the_cameras(tmp_path, in_the_middle
     np.testing.assert_allclose(points.max(0) + points.min(0), 0.0, atol=extent.max() / 16)
 
 
+def test_clouds_go_before_voxels_and_neither_is_needed(root):
+    assert [item.target for item in open_r2n2(root).objects] == [None, None]
+    write_binvox(root.parent / "ShapeNetVox32" / CHAIR / "abc" / "model.binvox", True)
+    write_clouds(root.parent, "abc")
+    np.testing.assert_array_equal(open_r2n2(root).objects[0].target(), lopsided_points().astype(np.float32))
+
+
+def test_a_name_in_the_list_cannot_lead_out_of_the_folder(root):
+    (root / "secret.png").write_bytes((pictures(root) / "00.png").read_bytes())
+    (pictures(root) / "renderings.txt").write_text("../../../secret.png\n01.png\n")
+    data = open_r2n2(root)
+    assert [view.name[-6:] for view in data.objects[0].views] == ["01.png"] and len(data.skipped) == 1
+
+
 def test_the_mask_is_the_alpha_channel_soft_edges_and_all(root):
     pixels = np.zeros((64, 64, 4), dtype=np.uint8)
     pixels[5, 7] = 10, 20, 30, 51

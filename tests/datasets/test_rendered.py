@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.corruption import assert_refused
 from tso_cli.datasets import rendered
 from tso_cli.datasets.rendered import open_rendered, stored_record, write_object
 from tso_cli.errors import InputError, TsoError
 from tso_cli.geometry.camera import Camera
+from tso_cli.io.images import write_image
 
 
 def picture(seed, width=12, height=10):
@@ -99,6 +101,16 @@ def test_as_a_data_set_an_object_has_its_views_target_and_category(folder):
         np.testing.assert_array_equal(loaded[1], mask / np.float32(255), strict=True)
         np.testing.assert_array_equal(view.camera.K, camera.K)
         assert view.name.endswith(f"{number:03d}.mask.png")
+
+
+def test_missing_damaged_and_resized_pictures_are_named_when_they_are_loaded(folder):
+    views = open_rendered(folder, strict=True).objects[1].views
+    (folder / "b/000.png").write_bytes(b"not a picture")
+    assert_refused(r"b/000\.png: is not a readable image", views[0].load)
+    (folder / "b/000.png").unlink()
+    assert_refused(r"b/000\.png: does not exist", views[0].load)
+    write_image(folder / "b/001.mask.png", picture(0, 13, 10)[1], overwrite=True)
+    assert_refused(r"001\.mask\.png: is 13x10.*12x10", views[1].load)
 
 
 def test_a_camera_file_is_read_once_until_it_changes(folder, monkeypatch):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.dataset_trees import CHAIR, agreement, iou, lopsided_points, write_clouds, write_r2n2
+from tests.dataset_trees import CHAIR, agreement, iou, lopsided_points, write_clouds, write_r2n2, write_shapenet
 from tso_cli.datasets.items import Dataset
 from tso_cli.datasets.opening import open_dataset
 from tso_cli.datasets.scale import normalised, of_unit_diagonal
@@ -27,6 +27,12 @@ def test_targets_are_centred_with_longest_side_1_and_still_fill_their_masks(root
     raw, one = open_dataset(root, own_scale=True).objects[0], open_dataset(root).objects[0]
     np.testing.assert_array_equal(raw.target(), lopsided_points().astype(np.float32))
     assert agreement(one) == pytest.approx(agreement(raw), abs=0.01)
+
+
+def test_the_layout_of_the_authors_is_scaled_alike(tmp_path):
+    (item,) = open_dataset(write_shapenet(tmp_path)).objects
+    np.testing.assert_allclose(np.ptp(item.target(), axis=0).max(), 1.0, rtol=1e-6)
+    assert agreement(item) > 0.8
 
 
 def test_objects_of_two_sizes_come_out_alike(root):

@@ -5,6 +5,7 @@ import open3d  # noqa: F401  pictures are made by casting rays
 import pytest
 from PIL import Image
 
+from tests.corruption import assert_refused
 from tests.dataset_trees import (
     CHAIR,
     agreement,
@@ -77,3 +78,9 @@ def test_only_the_first_picture_of_a_category_is_read_on_opening(root, monkeypat
     data = open_shapenet(root / "ShapeNet_rendered")
     assert [path.name for path in reads] == ["depth_0.png"]
     assert [item.name for item in data.objects] == [f"{CHAIR}/abc", f"{CHAIR}/def"]
+
+
+def test_a_category_without_any_readable_picture_is_left_out(root):
+    for path in model(root).parent.rglob("depth_*.png"):
+        path.write_bytes(b"not a picture")
+    assert_refused(r"no object can be used, the first: .*abc: no picture of the category can be read", open_shapenet, root)

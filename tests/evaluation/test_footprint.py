@@ -94,6 +94,28 @@ def test_a_cloud_that_is_shifted_scaled_or_of_another_shape_scores_clearly_lower
     assert window_iou(_example(name, "initial")[0], view) < score - 0.1
 
 
+def test_half_of_the_object_scores_half():
+    points, view = _plate(), View(SQUARE, FLAT)
+    assert window_iou(points, view) > 0.97
+    assert window_iou(points[points[:, 0] < 0.49], view) == pytest.approx(0.5, abs=0.02)
+
+
+def test_what_lies_beyond_the_border_of_the_image_is_unknown():
+    points, view = _example("car")
+    camera = replace(
+        view.camera, K=view.camera.K - [[0.0, 0.0, 90.0], [0.0, 0.0, 70.0], [0.0, 0.0, 0.0]], width=130, height=150
+    )
+    assert window_iou(points, View(view.mask[70:220, 90:220], camera)) > 0.95
+
+
+@pytest.mark.parametrize("size", [300, 1200])
+def test_pixels_compared_do_not_grow_with_the_photo(size):
+    points, view = _example("chair")
+    large = _resized(view, size)
+    seen = in_window(points, large, window_of(large, points))
+    assert max(seen.mask.shape) <= 257 and seen.silhouette.shape == seen.mask.shape
+
+
 def test_a_hole_wider_than_two_spacings_stays_open_and_the_gaps_between_points_are_closed():
     points = _plate()
     # Two by two points less: from point to point three spacings, of which the outline takes a little.

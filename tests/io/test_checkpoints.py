@@ -69,6 +69,7 @@ def test_training_state_beside_the_network_is_ignored_by_a_reader_of_networks(tm
 def test_loaded_weights_are_copies_that_lie_where_torch_puts_its_own(checkpoint):
     network, _ = load_network(checkpoint)
     assert {parameter.data_ptr() % 64 for parameter in network.parameters()} == {0}
+    assert all(parameter.requires_grad for parameter in network.parameters())
 
 
 def test_the_same_network_gives_the_same_bytes(tmp_path):
@@ -117,9 +118,11 @@ def test_a_header_whose_length_begins_like_a_pickle_is_still_safetensors(checkpo
 
 
 @pytest.mark.parametrize("kept", [4, 9, 300, -1])
-def test_a_truncated_file_is_refused(checkpoint, kept):
+def test_a_truncated_file_and_one_of_another_kind_are_refused(checkpoint, kept):
     checkpoint.write_bytes(checkpoint.read_bytes()[:kept])
     refusal(checkpoint)
+    checkpoint.write_text("ply\nformat ascii 1.0\n")
+    assert "no safetensors file" in refusal(checkpoint)
 
 
 def test_a_configuration_of_another_or_a_huge_network_is_refused_and_takes_no_memory(checkpoint):

@@ -89,6 +89,11 @@ def test_soft_values_are_kept(tmp_path):
     assert np.array_equal(read_mask(saved(tmp_path, Image.fromarray(unit), "mask.tif")), unit)
 
 
+def test_a_mask_of_one_value_is_left_to_the_view_to_refuse(tmp_path):
+    for image, value in ((Image.new("L", (3, 2)), 0), (Image.new("L", (3, 2), 255), 1), (Image.new("RGBA", (3, 2)), 0)):
+        assert (read_mask(saved(tmp_path, image)) == value).all()
+
+
 def test_labels_of_0_and_1_are_read_as_such_with_a_warning(tmp_path):
     saved(tmp_path, Image.fromarray(SHAPE.astype(np.uint8)))
     np.save(tmp_path / "mask.npy", SHAPE.astype(np.int64))
@@ -117,6 +122,7 @@ def test_arrays_are_masks_too(tmp_path):
     ("read", "array", "message"),
     [
         (read_mask, np.array([[0.0, np.nan]]), "values span nan to nan, expected 0 to 1"),
+        (read_mask, np.array([[0x7F800001]], np.uint32).view(np.float32), "values span nan to nan"),  # a signalling NaN
         (read_mask, np.array([[0.0, 1.5]]), "values span 0 to 1.5, expected 0 to 1"),
         (read_mask, np.array([[0, -1]]), "smallest value is -1"),
         (read_mask, np.array([[0, 70000]]), "largest value is 70000"),

@@ -96,6 +96,12 @@ def test_the_background_follows_the_mask(background, value):
     np.testing.assert_allclose(crop.image[:, crop.mask == 0.0], value, atol=1e-6)
 
 
+def test_soft_mask_values_are_kept():
+    view = rectangle(64, 64, slice(20, 44), slice(20, 44))
+    view.mask[20:44, 30:34] = 0.7
+    assert np.isclose(network_input(np.zeros((64, 64, 3), np.uint8), view).mask, 0.7).any()
+
+
 def test_what_lies_outside_the_photo_is_unknown_and_has_the_background_colour():
     view = rectangle(40, 40, slice(0, 40), slice(0, 20))
     crop = network_input(np.full((40, 40, 3), 255, np.uint8), view, crop_share=0.8, background="white")

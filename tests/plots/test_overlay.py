@@ -9,7 +9,20 @@ from PIL import Image
 from tso_cli.evaluation.footprint import Seen
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
-from tso_cli.plots.overlay import AGREED, GAP, MISSING, NEAR_TO_FAR, PANEL, STRAY, TITLE, UNKNOWN, _dots, compare, draw_overlay
+from tso_cli.plots.overlay import (
+    AGREED,
+    GAP,
+    MISSING,
+    NEAR_TO_FAR,
+    PANEL,
+    STRAY,
+    TITLE,
+    UNKNOWN,
+    _dots,
+    _fitted,
+    compare,
+    draw_overlay,
+)
 from tso_cli.refinement import RefineConfig, refine
 from tso_cli.silhouette.projection import silhouette_of
 
@@ -31,6 +44,18 @@ def test_a_point_is_drawn_to_the_right_and_down_of_the_middle_as_far_as_it_lies(
     rows, columns = np.nonzero((panel < 255).any(2))
     assert rows.mean() == pytest.approx(0.1 * PANEL, abs=1.0)
     assert columns.mean() == pytest.approx(0.75 * PANEL, abs=1.0)
+
+
+def test_the_dots_of_a_large_cloud_are_small_but_there():
+    many = np.random.default_rng(0).uniform(-0.9, 0.9, (100_000, 3))
+    assert (_panel(*many) < 255).any(2).mean() > 0.5
+
+
+@pytest.mark.parametrize("height", [10, 1000])
+def test_an_image_fills_its_panel_and_keeps_its_shape(height):
+    image = _fitted(np.repeat([[(0.0, 0.0, 0.0)] * height + [(1.0, 0.5, 0.0)] * height], height, axis=0))
+    assert image.size == (PANEL, PANEL // 2)
+    assert (image.getpixel((0, 3)), image.getpixel((PANEL - 1, 3))) == ((0, 0, 0), (255, 128, 0))
 
 
 @pytest.mark.parametrize(("count", "rows"), [(1, 2), (3, 3), (8, 6)])

@@ -160,6 +160,12 @@ def test_materials_of_an_obj_have_their_textures_or_their_plain_colour(tmp_path)
     assert mesh.colours[other].tolist() == [0, 255, 0]
 
 
+def test_options_of_a_texture_are_ignored(tmp_path):
+    path, material = saved(tmp_path / "a.obj"), tmp_path / "material.mtl"
+    material.write_text(material.read_text().replace("map_Kd ", "map_Kd -s 2 2 1 "))
+    np.testing.assert_array_equal(read_mesh(path).textures[0].pixels, CHECKS)
+
+
 def test_grey_palette_and_transparent_textures_are_read_as_colours(tmp_path):
     saved(tmp_path / "a.obj")
     grey = np.array([[0, 90], [180, 255]], np.uint8)

@@ -109,21 +109,27 @@ def test_a_resumed_run_keeps_its_saturation_window(tso_train, folder, tmp_path):
     assert tso_train(folder, *MASKS, "--steps", 8, "--resume", "--saturation-steps", 4).code == 2
 
 
-def test_ctrl_c_exits_with_130_and_resume_continues_bit_for_bit(tso_train, folder, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("step", "presses", "message"), [(2, 1, "interrupted after 2 of 4 steps"), (3, 2, "error: interrupted")]
+)
+def test_ctrl_c_exits_with_130_and_the_last_checkpoint_is_resumed_bit_for_bit(
+    tso_train, folder, tmp_path, monkeypatch, step, presses, message
+):
     straight, output = tmp_path / "straight.safetensors", tmp_path / "base.safetensors"
     assert tso_train(folder, "--steps", 4, "-o", straight).code == 0
     show = options.ProgressBar.__call__
 
     def press(bar, done, total, note=""):
         show(bar, done, total, note)
-        if bar.label == "train" and done == 2:
+        for _ in range(presses if bar.label == "train" and done == step else 0):
             signal.raise_signal(signal.SIGINT)
 
+    before = signal.getsignal(signal.SIGINT)
     with monkeypatch.context() as patch:
         patch.setattr(options.ProgressBar, "__call__", press)
-        interrupted = tso_train(folder, "--steps", 4)
-    assert interrupted.code == 130 and "interrupted after 2 of 4 steps" in interrupted.err
-    assert load_network(output)[1].steps == 2
+        interrupted = tso_train(folder, "--steps", 4, "--checkpoint-every", 2)
+    assert interrupted.code == 130 and message in interrupted.err
+    assert load_network(output)[1].steps == 2 and signal.getsignal(signal.SIGINT) is before
     resumed = tso_train(folder, "--steps", 4, "--resume")
     assert resumed.code == 0 and "resuming after 2 steps" in resumed.err
     assert output.read_bytes() == straight.read_bytes()

@@ -1,7 +1,6 @@
 """Training: what is learned, how it stops and resumes, and that it depends on seed and data alone."""
 
 import json
-import signal
 from dataclasses import replace
 
 import numpy as np
@@ -172,13 +171,18 @@ def test_checkpoints_are_saved_every_few_steps_and_can_be_read(thin, data, tmp_p
     assert steps == [2, 4, 5]
 
 
-def test_a_second_ctrl_c_interrupts_at_once(thin, data):
-    def press(*_):
-        signal.raise_signal(signal.SIGINT)
-        signal.raise_signal(signal.SIGINT)
+def test_a_full_disk_leaves_the_previous_checkpoint(thin, data, tmp_path, monkeypatch):
+    path = tmp_path / "base.safetensors"
+    train_into(path, data, config(steps=2))
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
 
-    with pytest.raises(KeyboardInterrupt):
-        train(data, config(), progress=press)
+    def full(self, content):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch, pytest.raises(TsoError, match="No space left on device"):
+        patch.setattr(type(path), "write_bytes", full)
+        train_into(path, data, config(steps=4), resume(path, data, config()))
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
 def test_a_loss_that_is_not_finite_stops_the_training(thin, data, monkeypatch):
