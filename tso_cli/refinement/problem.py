@@ -62,7 +62,7 @@ class Problem:
         return replace(self, views=views, all_views=all_views, resampled=resampled, fine_grids=fine_grids)
 
     def with_windows_around(self, points: Array, fine_grid: bool) -> Problem:
-        """The same with windows around ``points`` [N, 3] (units of the file), resampled where they change much.
+        """The same with windows around ``points`` [N, 3] (units of the file), resampled where they change much; else itself.
 
         A cloud that starts far from its mask needs a large window at first, which would resolve little detail later.
         """
@@ -72,6 +72,8 @@ class Problem:
             box = window_of(view, points)
             same = current.camera.width == cells and abs(np.log(_side(box) / _side(current.box))) <= WINDOW_CHANGE
             resampled.append(current if same else resample_view(view, current.sigma_sq, cloud.centre, cloud.scale, box, cells))
+        if all(new is old for new, old in zip(resampled, self.resampled, strict=True)):
+            return self
         return replace(self, resampled=tuple(resampled))
 
     def evidence(self, weights: list[float]) -> float:
@@ -80,11 +82,6 @@ class Problem:
         return sum(
             weight * (1.0 + flipped + (view.depth is not None)) for weight, view in zip(weights, self.views, strict=True)
         )
-
-    @property
-    def cells(self) -> int:
-        """Of all resampled views."""
-        return sum(view.mask.size for view in self.resampled)
 
 
 def _side(box: Box) -> float:
