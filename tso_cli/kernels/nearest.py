@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .dispatch import triton_runs, use_numba, whole_batches
+from .tensors import called, triton_runs, use_numba, whole_batches
 
 # Largest clouds whose pairs are all compared in compiled code; in larger ones a k-d tree is faster.
 COMPARE_ALL_UP_TO = 8192
@@ -66,9 +66,9 @@ def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     """
     smaller, larger = (a, b) if a.shape[1] <= b.shape[1] else (b, a)
     if use_numba(smaller) and larger.shape[1] <= COMPARE_ALL_UP_TO:
-        from .nearest_numba import nearest_both_ways as compiled
+        from . import nearest_numba
 
-        return compiled(a, b)
+        return called(nearest_numba.nearest_in_rows, a, b), called(nearest_numba.nearest_in_rows, b, a)
     if whole_batches(a):
         # NaN has no neighbours, but its rows must hold indices: what these lead to is NaN either way.
         return nearest_in_rows(a, b).clamp_min_(0), nearest_in_rows(b, a).clamp_min_(0)
@@ -140,50 +140,3 @@ def _multiplied(queries: Tensor, data: Tensor) -> Tensor:
 def _query(tree, queries: Tensor, k: int = 1):  # type: ignore[no-untyped-def]
     # Threads cost more than they bring for small clouds.
     return tree.query(queries.numpy(), k=k, workers=-1 if len(queries) > 4096 else 1)
-
-
-class StaticNearest:
-    """Exact nearest neighbours between an initial cloud ``start`` [N, D] and its own moved copy.
-
-    Early in an optimisation a moved point is still nearest to its own start; where the triangle inequality proves that, no
-    search is made. If a moved point is not finite, every point is paired with itself: the distance is not finite either.
-    """
-
-    def __init__(self, start: Tensor) -> None:
-        self.start = start.detach()
-        self.identity = torch.arange(len(start), device=start.device)
-        self._tree = None
-        self.spacing: Tensor | None = None
-        if len(start) > 1:
-            if len(start) <= MULTIPLY_UP_TO:
-                pairs = torch.cdist(self.start, self.start, compute_mode="donot_use_mm_for_euclid_dist")
-                spacing = pairs.fill_diagonal_(torch.inf).amin(1)
-            else:
-                from scipy.spatial import cKDTree
-
-                self._tree = cKDTree(self.start.numpy())
-                spacing = torch.from_numpy(_query(self._tree, self.start, k=2)[0][:, 1])
-            # Just under the true spacing, so that rounding cannot prove what is false.
-            self.spacing = spacing.to(start.dtype) * (1.0 - 1e-5)
-
-    def __call__(self, moved: Tensor) -> tuple[Tensor, Tensor]:
-        """Index of the nearest moved point for each start [N], and of the nearest start for each moved point [N]."""
-        moved = moved.detach()
-        if self.spacing is None:
-            return nearest(self.start, moved), nearest(moved, self.start)
-        distance = (moved - self.start).norm(dim=1)
-        to_start, to_moved = self.identity, self.identity
-        # a k-d tree takes no such points
-        if not torch.isfinite(distance.max()):
-            return to_moved, to_start
-        # |m_i - s_j| >= |s_i - s_j| - |m_i - s_i|, so s_i is nearest to m_i while m_i moved under half the spacing at s_i.
-        doubtful = torch.nonzero(2.0 * distance >= self.spacing).squeeze(1)
-        if len(doubtful):
-            queries = moved[doubtful]
-            index = nearest(queries, self.start) if self._tree is None else torch.from_numpy(_query(self._tree, queries)[1])
-            to_start = to_start.index_copy(0, doubtful, index)
-        # |s_i - m_j| >= |s_i - s_j| - |m_j - s_j|, and no point moved further than the furthest.
-        doubtful = torch.nonzero(distance + distance.max() >= self.spacing).squeeze(1)
-        if len(doubtful):
-            to_moved = to_moved.index_copy(0, doubtful, nearest(self.start[doubtful], moved))
-        return to_moved, to_start

@@ -9,21 +9,16 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from .dispatch import triton_runs, use_numba
+from .tensors import called, triton_runs, use_numba
+from .window import window_radius
 
 # A tap below this value changes no float32 sum; it fixes the window's radius.
-NEGLIGIBLE = 1e-8
 # Taps held at once; bounds memory at about 400 MB however many points there are.
 TAPS_PER_CHUNK = 1 << 24
 # A tap scattered by torch costs about 30 times a multiply-add of the dense product.
 TAP_COST = 30
 
 KERNELS = ("auto", "compiled", "triton", "windowed", "exact")
-
-
-def window_radius(sigma_sq: float) -> int:
-    """Radius in pixels beyond which a Gaussian of variance ``sigma_sq`` (px^2) is negligible: 4 at 0.4."""
-    return math.ceil(math.sqrt(2.0 * sigma_sq * math.log(1.0 / NEGLIGIBLE)))
 
 
 def splat(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float, kernel: str = "auto") -> Tensor:
@@ -53,7 +48,7 @@ def splat(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: f
 
 
 def cheapest(points_px: Tensor, height: int, width: int, sigma_sq: float) -> str:
-    """The kernel that "auto" stands for: see `tso_cli.kernels.dispatch`; in plain torch the one with less to compute."""
+    """The kernel that "auto" stands for: see `tso_cli.kernels.tensors`; in plain torch the one with less to compute."""
     if triton_runs(points_px):
         return "triton"
     if use_numba(points_px):
@@ -87,7 +82,7 @@ class _Windowed(torch.autograd.Function):
         ctx.save_for_backward(points_px, valid)
         ctx.sigma_sq, ctx.kernel = sigma_sq, kernel
         if kernel != "windowed":
-            return _module(kernel).sums(points_px, valid, height, width, sigma_sq, window_radius(sigma_sq))
+            return _run(kernel, "sums", points_px, valid, height, width, sigma_sq, window_radius(sigma_sq))
         sums, ctx.windows = _scatter(points_px, valid, height, width, sigma_sq)
         return sums
 
@@ -96,21 +91,24 @@ class _Windowed(torch.autograd.Function):
     def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor | None, ...]:
         points_px, valid = ctx.saved_tensors
         if ctx.kernel != "windowed":
-            grad = _module(ctx.kernel).gradient(grad_outputs[0], points_px, valid, ctx.sigma_sq, window_radius(ctx.sigma_sq))
+            grad = _run(ctx.kernel, "gradient", grad_outputs[0], points_px, valid, ctx.sigma_sq, window_radius(ctx.sigma_sq))
         else:
             grad = _gather(grad_outputs[0], points_px, valid, ctx.sigma_sq, ctx.windows)
         return grad, None, None, None, None, None
 
 
-def _module(kernel: str) -> Any:
-    """The module of a kernel that is not plain torch; importing it is slow."""
+def _run(kernel: str, name: str, *arguments: Any) -> Tensor:
+    """Call the function of that name of a kernel that is not plain torch; importing it is slow."""
+    result: Tensor
     if kernel == "triton":
         from . import splat_triton
 
-        return splat_triton
-    from . import splat_numba
+        result = getattr(splat_triton, name)(*arguments)
+    else:
+        from . import splat_numba
 
-    return splat_numba
+        result = called(getattr(splat_numba, name), *arguments)
+    return result
 
 
 class _Windows(NamedTuple):

@@ -9,85 +9,75 @@ triangle inequality proves do not search.
 from __future__ import annotations
 
 import numpy as np
-import torch
-from torch import Tensor
+from numpy.typing import NDArray
 
-from .jit import PrecomputedGradient, compiled, part, share
+from .jit import compiled, part
 from .simd import keep_nearest
 
 # Points that search together. Fastest from 1,000 to 100,000 points.
 LEAF = 8
-# Basic steps for a leaf to find its neighbours, both ways.
-PER_LEAF = 4096
 # Just under the true spacing, so that rounding cannot prove what is false.
 SAFE = 1.0 - 1e-9
 # Nodes on the stack: at most one a level.
 DEPTH = 64
 
 
-class StaticTrees:
-    """B initial clouds [B, N, 3], of which ``counts`` [B] points exist, ready to be compared with their moved copies."""
+class StaticTree:
+    """A cloud [N, 3], ready to be compared with moved copies of it."""
 
-    def __init__(self, start: Tensor, counts: Tensor) -> None:
-        clouds, size, _ = start.shape
-        self._counts = counts.numpy().astype(np.int64)
+    def __init__(self, start: NDArray[np.float64]) -> None:
         leaves = 1
-        while leaves * LEAF < size:
+        while leaves * LEAF < len(start):
             leaves *= 2
-        self._leaves, slots = leaves, leaves * LEAF
-        self._order = np.tile(np.arange(slots, dtype=np.int32), (clouds, 1))
-        share(clouds, 64 * clouds * size, _sort, start, self._counts, self._order)
-        # In the tree's order, [B, 3, slots]; empty slots lie infinitely far away.
-        self._start, self._moved = (np.full((clouds, 3, slots), np.inf) for _ in range(2))
-        self._start_boxes, self._moved_boxes = (np.empty((clouds, 2 * leaves, 6)) for _ in range(2))
-        share(clouds, 16 * clouds * size, _fit, start, self._counts, self._order, self._start, self._start_boxes)
-        self._spacing = np.full((clouds, slots), np.inf)
-        share(clouds * leaves, PER_LEAF * clouds * leaves, _space, self._counts, self._start, self._start_boxes, self._spacing)
-        self._shift, self._largest_shift = np.zeros((clouds, slots)), np.zeros(clouds)
-        self._to_start, self._to_moved = (np.tile(np.arange(slots, dtype=np.int32), (clouds, 1)) for _ in range(2))
+        slots = leaves * LEAF
+        self._count = len(start)
+        self._order = np.arange(slots)
+        _sort(start, self._order)
+        # In the tree's order, [3, slots]; empty slots lie infinitely far away.
+        self._start, self._moved = (np.full((3, slots), np.inf) for _ in range(2))
+        self._start_boxes, self._moved_boxes = (np.empty((2 * leaves, 6)) for _ in range(2))
+        _fit(start, self._order, self._start, self._start_boxes)
+        self._spacing = np.full(slots, np.inf)
+        _space(len(start), self._start, self._start_boxes, self._spacing)
+        self._shift = np.zeros(slots)
+        self._to_start, self._to_moved = np.arange(slots), np.arange(slots)
 
-    def chamfer(self, moved: Tensor) -> Tensor:
-        """Both directions summed [B], squared distances, mean over points; differentiable in ``moved`` [B, N, 3]."""
-        clouds, size, _ = moved.shape
-        share(clouds, 16 * clouds * size, _fit, moved, self._counts, self._order, self._moved, self._moved_boxes)
-        share(clouds, 8 * clouds * size, _measure, self._counts, self._start, self._moved, self._shift, self._largest_shift)
-        share(clouds * self._leaves, PER_LEAF * clouds * self._leaves, _search, self._counts, self._start, self._moved,
-              self._start_boxes, self._moved_boxes, self._spacing, self._shift, self._largest_shift, self._to_start,
-              self._to_moved)  # fmt: skip
-        total, gradient = moved.new_empty(clouds), torch.zeros_like(moved, memory_format=torch.contiguous_format)
-        share(clouds, 16 * moved.numel(), _chamfer, self._counts, self._order, self._start, self._moved, self._to_start,
-              self._to_moved, total, gradient)  # fmt: skip
-        value: Tensor = PrecomputedGradient.apply(moved, total, gradient)
-        return value
+    def chamfer(self, moved: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        """Both directions summed, squared distances, mean over points; and the gradient by ``moved`` [N, 3]."""
+        _fit(moved, self._order, self._moved, self._moved_boxes)
+        largest = _measure(self._count, self._start, self._moved, self._shift)
+        _search(self._count, self._start, self._moved, self._start_boxes, self._moved_boxes, self._spacing, self._shift,
+                largest, self._to_start, self._to_moved)  # fmt: skip
+        gradient = np.zeros_like(moved)
+        value: float = _chamfer(self._order, self._start, self._moved, self._to_start, self._to_moved, gradient)
+        return value, gradient
 
 
 @compiled
-def _sort(first, last, points, counts, order):  # type: ignore[no-untyped-def]
-    """Put the points of each cloud into the order of its tree: slots are halved along the longest side of what they hold."""
+def _sort(points, order):  # type: ignore[no-untyped-def]
+    """Put the numbers of the points into the order of their tree: slots are halved along the longest side of what they hold."""
     stack = np.empty((DEPTH, 2), np.int64)
-    for cloud in range(first, last):
-        numbers, coordinates = order[cloud], points[cloud]
-        stack[0, 0], stack[0, 1] = 0, len(numbers)
-        size = 1
-        while size:
-            size -= 1
-            start, stop = stack[size, 0], stack[size, 1]
-            middle, end = (start + stop) // 2, min(stop, counts[cloud])
-            if end > middle:
-                axis, longest = 0, -1.0
-                for k in range(3):
-                    low, high = np.inf, -np.inf
-                    for place in range(start, end):
-                        low, high = min(low, coordinates[numbers[place], k]), max(high, coordinates[numbers[place], k])
-                    if high - low > longest:
-                        axis, longest = k, high - low
-                _select(numbers, coordinates, axis, start, end - 1, middle)
-            if middle - start > LEAF:
-                stack[size, 0], stack[size, 1] = start, middle
+    stack[0, 0], stack[0, 1] = 0, len(order)
+    size = 1
+    while size:
+        size -= 1
+        start, stop = stack[size, 0], stack[size, 1]
+        middle, end = (start + stop) // 2, min(stop, len(points))
+        if end > middle:
+            axis, longest = 0, -1.0
+            for k in range(3):
+                low, high = np.inf, -np.inf
+                for place in range(start, end):
+                    low, high = min(low, points[order[place], k]), max(high, points[order[place], k])
+                if high - low > longest:
+                    axis, longest = k, high - low
+            _select(order, points, axis, start, end - 1, middle)
+        if middle - start > LEAF:
+            stack[size, 0], stack[size, 1] = start, middle
+            size += 1
+            if middle < end:
+                stack[size, 0], stack[size, 1] = middle, stop
                 size += 1
-                if middle < end:
-                    stack[size, 0], stack[size, 1] = middle, stop
-                    size += 1
 
 
 @part
@@ -114,26 +104,25 @@ def _select(numbers, coordinates, axis, low, high, middle):  # type: ignore[no-u
 
 
 @compiled
-def _fit(first, last, points, counts, order, ordered, boxes):  # type: ignore[no-untyped-def]
+def _fit(points, order, ordered, boxes):  # type: ignore[no-untyped-def]
     """Put the coordinates into the tree's order, and fit the boxes [2 L, 6] from the leaves up.
 
     Node k has the children 2 k and 2 k + 1, node 1 is the root; the box of a node without points is infinitely far away.
     """
-    leaves = boxes.shape[1] // 2
-    for cloud in range(first, last):
-        for leaf in range(leaves):
-            box = boxes[cloud, leaves + leaf]
+    leaves = len(boxes) // 2
+    for leaf in range(leaves):
+        box = boxes[leaves + leaf]
+        for k in range(3):
+            box[k], box[k + 3] = np.inf, -np.inf
+        for place in range(leaf * LEAF, min((leaf + 1) * LEAF, len(points))):
             for k in range(3):
-                box[k], box[k + 3] = np.inf, -np.inf
-            for place in range(leaf * LEAF, min((leaf + 1) * LEAF, counts[cloud])):
-                for k in range(3):
-                    value = float(points[cloud, order[cloud, place], k])
-                    ordered[cloud, k, place] = value
-                    box[k], box[k + 3] = min(box[k], value), max(box[k + 3], value)
-        for node in range(leaves - 1, 0, -1):
-            for k in range(3):
-                boxes[cloud, node, k] = min(boxes[cloud, 2 * node, k], boxes[cloud, 2 * node + 1, k])
-                boxes[cloud, node, k + 3] = max(boxes[cloud, 2 * node, k + 3], boxes[cloud, 2 * node + 1, k + 3])
+                value = points[order[place], k]
+                ordered[k, place] = value
+                box[k], box[k + 3] = min(box[k], value), max(box[k + 3], value)
+    for node in range(leaves - 1, 0, -1):
+        for k in range(3):
+            boxes[node, k] = min(boxes[2 * node, k], boxes[2 * node + 1, k])
+            boxes[node, k + 3] = max(boxes[2 * node, k + 3], boxes[2 * node + 1, k + 3])
 
 
 @part
@@ -208,81 +197,73 @@ def _outward(leaf, queries, box, data, boxes, best, chosen, distinct, stack):  #
 
 
 @compiled
-def _space(first, last, counts, start, boxes, spacing):  # type: ignore[no-untyped-def]
+def _space(points, start, boxes, spacing):  # type: ignore[no-untyped-def]
     """Distance from each point to the nearest of the rest of its cloud; infinite for a single point."""
-    leaves = boxes.shape[1] // 2
+    leaves = len(boxes) // 2
     stack, best, chosen = np.empty(DEPTH, np.int64), np.empty(LEAF), np.empty(LEAF, np.int64)
-    for task in range(first, last):
-        cloud, leaf = task // leaves, task % leaves
-        count = min(LEAF, counts[cloud] - leaf * LEAF)
+    for leaf in range(leaves):
+        count = min(LEAF, points - leaf * LEAF)
         if count <= 0:
-            continue
+            break
         for q in range(LEAF):
             best[q] = np.inf if q < count else 0.0
-        points = start[cloud]
-        _outward(leaf, points, boxes[cloud, leaves + leaf], points, boxes[cloud], best, chosen, True, stack)
+        _outward(leaf, start, boxes[leaves + leaf], start, boxes, best, chosen, True, stack)
         for q in range(count):
-            spacing[cloud, leaf * LEAF + q] = np.sqrt(best[q]) * SAFE
+            spacing[leaf * LEAF + q] = np.sqrt(best[q]) * SAFE
 
 
 @compiled
-def _measure(first, last, counts, start, moved, shift, largest):  # type: ignore[no-untyped-def]
-    """How far each point moved, squared, and the largest distance of each cloud."""
-    for cloud in range(first, last):
-        most = 0.0
-        for n in range(counts[cloud]):
-            shift[cloud, n] = _point_distance(moved[cloud], n, start[cloud], n)
-            most = max(most, shift[cloud, n])
-        largest[cloud] = np.sqrt(most)
+def _measure(points, start, moved, shift):  # type: ignore[no-untyped-def]
+    """How far each point moved, squared; returns the largest distance."""
+    most = 0.0
+    for n in range(points):
+        shift[n] = _point_distance(moved, n, start, n)
+        most = max(most, shift[n])
+    return np.sqrt(most)
 
 
 @compiled
 def _search(  # type: ignore[no-untyped-def]
-    first, last, counts, start, moved, start_boxes, moved_boxes, spacing, shift, largest, to_start, to_moved
+    points, start, moved, start_boxes, moved_boxes, spacing, shift, largest, to_start, to_moved
 ):
     """Update ``to_start`` and ``to_moved``, the neighbours of the previous step."""
-    leaves = start_boxes.shape[1] // 2
+    leaves = len(start_boxes) // 2
     stack, best, chosen = np.empty(DEPTH, np.int64), np.empty(LEAF), np.empty(LEAF, np.int64)
-    for task in range(first, last):
-        cloud, leaf = task // leaves, task % leaves
+    for leaf in range(leaves):
         at = leaf * LEAF
-        count = min(LEAF, counts[cloud] - at)
+        count = min(LEAF, points - at)
         if count <= 0:
-            continue
+            break
         best[:] = 0.0
         for q in range(count):
-            before = to_start[cloud, at + q]
-            squared, chosen[q] = _point_distance(moved[cloud], at + q, start[cloud], before), before
+            before = to_start[at + q]
+            squared, chosen[q] = _point_distance(moved, at + q, start, before), before
             # |m - s_k| >= |s_j - s_k| - |m - s_j|: no s_k is nearer than s_j within half the spacing of s_j.
-            best[q] = squared if 4.0 * squared >= spacing[cloud, before] ** 2 else 0.0
-        box, boxes = moved_boxes[cloud, leaves + leaf], start_boxes[cloud]
-        _outward(leaf, moved[cloud], box, start[cloud], boxes, best, chosen, False, stack)
+            best[q] = squared if 4.0 * squared >= spacing[before] ** 2 else 0.0
+        _outward(leaf, moved, moved_boxes[leaves + leaf], start, start_boxes, best, chosen, False, stack)
         for q in range(count):
-            to_start[cloud, at + q] = chosen[q]
+            to_start[at + q] = chosen[q]
             best[q] = 0.0
             # |s_i - m_k| >= |s_i - s_k| - |m_k - s_k|, and no point moved further than the largest shift.
-            if np.sqrt(shift[cloud, at + q]) + largest[cloud] < spacing[cloud, at + q]:
+            if np.sqrt(shift[at + q]) + largest < spacing[at + q]:
                 chosen[q] = at + q
             else:
-                chosen[q] = to_moved[cloud, at + q]
-                best[q] = _point_distance(start[cloud], at + q, moved[cloud], chosen[q])
-        box, boxes = start_boxes[cloud, leaves + leaf], moved_boxes[cloud]
-        _outward(leaf, start[cloud], box, moved[cloud], boxes, best, chosen, False, stack)
+                chosen[q] = to_moved[at + q]
+                best[q] = _point_distance(start, at + q, moved, chosen[q])
+        _outward(leaf, start, start_boxes[leaves + leaf], moved, moved_boxes, best, chosen, False, stack)
         for q in range(count):
-            to_moved[cloud, at + q] = chosen[q]
+            to_moved[at + q] = chosen[q]
 
 
 @compiled
-def _chamfer(first, last, counts, order, start, moved, to_start, to_moved, total, gradient):  # type: ignore[no-untyped-def]
-    """Both directions of the Chamfer distance of each cloud, and the derivative by its moved points."""
-    for cloud in range(first, last):
-        mean, value = 1.0 / counts[cloud], 0.0
-        for n in range(counts[cloud]):
-            i, j = to_start[cloud, n], to_moved[cloud, n]
-            here, there = order[cloud, n], order[cloud, j]
-            for k in range(3):
-                ahead, back = moved[cloud, k, n] - start[cloud, k, i], moved[cloud, k, j] - start[cloud, k, n]
-                value += ahead * ahead + back * back
-                gradient[cloud, here, k] += 2.0 * mean * ahead
-                gradient[cloud, there, k] += 2.0 * mean * back
-        total[cloud] = mean * value
+def _chamfer(order, start, moved, to_start, to_moved, gradient):  # type: ignore[no-untyped-def]
+    """Both directions of the Chamfer distance; fills the derivative by the moved points."""
+    mean, value = 1.0 / len(gradient), 0.0
+    for n in range(len(gradient)):
+        i, j = to_start[n], to_moved[n]
+        for k in range(3):
+            ahead, back = moved[k, n] - start[k, i], moved[k, j] - start[k, n]
+            value += ahead * ahead + back * back
+            gradient[order[n], k] += 2.0 * mean * ahead
+            gradient[order[j], k] += 2.0 * mean * back
+    return mean * value

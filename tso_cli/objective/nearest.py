@@ -1,24 +1,39 @@
-"""Nearest neighbours by the matrix of distances: for some thousand points, without a tree and its import."""
+"""Nearest neighbours and evenly spread subsets: by the matrix of distances, in compiled loops, or of many points with a tree."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry import points as plain
+from ..kernels.dispatch import use_compiled
+
 Array = NDArray[np.floating]
 Indices = NDArray[np.int64]
 
 # Distances computed at once; bounds memory.
 PAIRS_AT_ONCE = 1 << 21
+# With more pairs a k-d tree, whose import takes a quarter of a second, is faster than the matrix and than loops over all.
+MOST_PAIRS, MOST_COMPILED_PAIRS = 1 << 23, 1 << 25
 
 
 def nearest(queries: Array, data: Array) -> Indices:
     """[Q] index of the point of ``data`` [N, D] nearest to each of the ``queries`` [Q, D], finite all; the first of equals."""
+    pairs = len(queries) * len(data)
+    compiled = use_compiled() and data.shape[1] == 3
+    if pairs > (MOST_COMPILED_PAIRS if compiled else MOST_PAIRS):
+        return _by_tree(queries, data, 1)
+    if compiled:
+        from ..kernels.nearest_numba import nearest_in_rows
+
+        return nearest_in_rows(queries[None], data[None])[0]
     return np.concatenate([squared.argmin(1) for squared in _shifted_distances(queries, data)])
 
 
 def nearest_few(queries: Array, data: Array, count: int) -> Indices:
     """[Q, count] indices of the nearest points of ``data``, by increasing distance."""
+    if len(queries) * len(data) > MOST_PAIRS and count > 1:
+        return _by_tree(queries, data, count)
     chosen = []
     for squared in _shifted_distances(queries, data):
         few = np.arange(len(data))[None].repeat(len(squared), 0)
@@ -27,6 +42,26 @@ def nearest_few(queries: Array, data: Array, count: int) -> Indices:
         order = np.argsort(np.take_along_axis(squared, few, 1), 1, kind="stable")
         chosen.append(np.take_along_axis(few, order, 1))
     return np.concatenate(chosen)
+
+
+def _by_tree(queries: Array, data: Array, count: int) -> Indices:
+    from scipy.spatial import cKDTree
+
+    indices: Indices = cKDTree(data, balanced_tree=False, compact_nodes=False).query(queries, count)[1]
+    return indices
+
+
+def spread_subset(points: Array, count: int) -> Indices:
+    """As `tso_cli.geometry.points.spread_subset`."""
+    return plain.spread_subset(points, count, _farthest_points if use_compiled() else plain.farthest_point_sample)
+
+
+def _farthest_points(points: Array, count: int) -> Indices:
+    from ..kernels.points_numba import farthest_points
+
+    chosen = np.empty(count, np.int64)
+    farthest_points(points, chosen)
+    return chosen
 
 
 def _shifted_distances(queries: Array, data: Array):  # type: ignore[no-untyped-def]

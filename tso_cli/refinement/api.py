@@ -6,6 +6,7 @@ import os
 import threading
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,10 +15,11 @@ from numpy.typing import NDArray
 from ..errors import InputError, TsoError
 from ..geometry.camera import Camera
 from ..geometry.view import View
+from ..kernels.dispatch import planned
 from .cloud import Cloud, as_numpy
 from .config import RefineConfig, Settings
 from .optimise import Progress
-from .presets import PRESETS
+from .presets import PRESETS, SYMMETRY_PROBE_STEPS
 from .problem import Problem
 from .result import RefineResult
 from .run import Stopwatch, run
@@ -67,8 +69,7 @@ def refine(
     """
     views = _as_views(masks, cameras)
     settings = (config or RefineConfig()).settings(len(views))
-    stopwatch = Stopwatch()
-    parameters = None
+    stopwatch, parameters = Stopwatch(), None
     with stopwatch.phase("prepare"):
         if settings.mode == "points":
             if points is None:
@@ -79,8 +80,19 @@ def refine(
 
             parameters = NetworkParameters(network, image, settings.mode, settings.device, settings.learning_rate)
             cloud = parameters.cloud
-        problem = Problem.of(cloud, views, settings)
-    return run(problem, settings, stopwatch, parameters, progress)
+    with planned(*_work(settings, len(views), len(cloud.initial))):
+        with stopwatch.phase("prepare"):
+            problem = Problem.of(cloud, views, settings)
+        return run(problem, settings, stopwatch, parameters, progress)
+
+
+def _work(settings: Settings, views: int, points: int) -> tuple[int, int]:
+    """How often a cloud is compared with a view, and the points in all these, as `planned` counts them."""
+    comparisons = views * settings.steps
+    if settings.symmetry == "auto":
+        # The flipped views, and the symmetry check.
+        comparisons = 2 * comparisons + 3 * views * SYMMETRY_PROBE_STEPS
+    return comparisons, comparisons * points
 
 
 def refine_batch(
@@ -112,8 +124,9 @@ def refine_batch(
     if config.mode != "points":
         raise InputError(f"mode is {config.mode!r}, expected points for a batch")
     batch = _Batch(scenes, config, progress)
-    with ThreadPoolExecutor(max(1, min(_threads(), len(scenes))), thread_name_prefix="tso") as pool:
-        futures = [pool.submit(batch.refine, number) for number in range(len(scenes))]
+    threads = max(1, min(_threads(), len(scenes)))
+    with planned(*batch.work()), ThreadPoolExecutor(threads, thread_name_prefix="tso") as pool:
+        futures = [pool.submit(copy_context().run, batch.refine, number) for number in range(len(scenes))]
         while True:
             try:
                 return [future.result() for future in futures]
@@ -138,6 +151,18 @@ class _Batch:
         self._losses: list[float] = []
         self.interrupted = threading.Event()
 
+    def work(self) -> tuple[int, int]:
+        """That of all scenes, as `planned` counts it; broken ones count as nothing."""
+        comparisons = points = 0
+        for scene in self._scenes:
+            try:
+                views = 1 if isinstance(scene[1], View) else len(scene[1])
+                more, further = _work(self._config.settings(views), views, len(scene[0]))
+            except TypeError:
+                continue
+            comparisons, points = comparisons + more, points + further
+        return comparisons, points
+
     def refine(self, number: int) -> RefineResult | TsoError:
         """The result of the scene of that number, or the error that `refine` would have raised."""
         result: RefineResult | TsoError
@@ -159,6 +184,17 @@ class _Batch:
     def _pause(self, step: int, steps: int, loss: float) -> None:
         if self.interrupted.is_set():
             raise KeyboardInterrupt
+
+
+def compile_loops() -> None:
+    """Compile all loops that a refinement uses, and keep the machine code on disk; nothing where it is there."""
+    mask = np.zeros((64, 64), np.float32)
+    mask[20:44, 20:44] = 1.0
+    points = np.random.default_rng(0).uniform(-0.3, 0.3, (600, 3))
+    much = 1 << 60
+    with planned(much, much):
+        for preset in PRESETS:
+            refine(points, mask, config=RefineConfig(steps=3, preset=preset))
 
 
 def _as_views(masks: Any, cameras: Camera | Sequence[Camera] | None = None) -> tuple[View, ...]:

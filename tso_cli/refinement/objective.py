@@ -5,17 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.camera import Camera
+from ..geometry.camera import NEAR, Camera
+from ..kernels.dispatch import use_compiled
 from ..objective.depth import DepthTarget, depth_loss
-from ..objective.mask_chamfer import MaskTarget, mask_chamfer, resolvability
+from ..objective.mask_chamfer import COVERED_WITHIN, REFERENCE_POINTS, MaskTarget, mask_chamfer, resolvability
 from ..objective.projection import project
 from ..objective.silhouette import silhouette_bce
 from .resampled_view import ResampledView
 from .smooth_field import SmoothField
+
+if TYPE_CHECKING:
+    from ..kernels.mask_chamfer_numba import CompiledView
 
 Array = NDArray[np.float64]
 
@@ -58,6 +63,29 @@ class ViewTarget:
     def of(cls, view: ResampledView, weight: float) -> ViewTarget:
         depth = None if view.depth is None else DepthTarget.of(view.depth, view.target.inside, view.camera)
         return cls(view.camera, view.target, depth, weight)
+
+
+    @cached_property
+    def compiled(self) -> CompiledView:
+        """The mask and its camera for the compiled loop."""
+        from ..kernels.mask_chamfer_numba import CompiledView
+
+        camera, mask = self.camera, self.mask
+        near = -np.inf if camera.model == "orthographic" else NEAR
+        return CompiledView(
+            K=camera.K,
+            R=camera.R,
+            t=camera.t,
+            near=near,
+            inside=mask.inside,
+            outside=mask.outside,
+            nearest_foreground=mask.nearest_foreground,
+            bounds=np.array(mask.bounds),
+            truncated=mask.truncated,
+            within=COVERED_WITHIN * mask.grain,
+            scale=mask.scale,
+            reference_points=REFERENCE_POINTS,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,16 +134,21 @@ class MaskChamferObjective:
     def __call__(self, points: Array) -> tuple[float, Array]:
         total, gradient = 0.0, np.zeros_like(points)
         for view, resolved in self._views():
-            projected = project(points, view.camera)
-            if not view.mask.observed(projected.points_px, projected.valid).any():
-                return np.inf, gradient
-            costs, gradient_px = mask_chamfer(
-                projected.points_px, projected.valid, view.mask, self.robust_scale, resolved
-            )
-            total += view.weight * float(costs.sum())
-            gradient += view.weight * projected.pull_back(gradient_px)
+            if use_compiled():
+                from ..kernels.mask_chamfer_numba import mask_chamfer as compiled
+
+                value = compiled(points, view.compiled, self.robust_scale, resolved, view.weight, gradient)
+            else:
+                projected = project(points, view.camera)
+                costs, gradient_px = mask_chamfer(
+                    projected.points_px, projected.valid, view.mask, self.robust_scale, resolved
+                )
+                shown = view.mask.observed(projected.points_px, projected.valid).any()
+                value = view.weight * float(costs.sum()) if shown else np.inf
+                gradient += view.weight * projected.pull_back(gradient_px)
+            total += value
             if view.depth is not None:
-                value, by_points = depth_loss(points, projected, view.depth, self.robust_scale)
+                value, by_points = depth_loss(points, project(points, view.camera), view.depth, self.robust_scale)
                 total, gradient = total + view.weight * value, gradient + view.weight * by_points
         return total, gradient
 
@@ -124,11 +157,10 @@ class MaskChamferObjective:
         total = np.zeros(len(points))
         for view, resolved in self._views():
             projected = project(points, view.camera)
-            total += view.weight * mask_chamfer(
-                projected.points_px, projected.valid, view.mask, self.robust_scale, resolved
-            )[0]
+            costs, _ = mask_chamfer(projected.points_px, projected.valid, view.mask, self.robust_scale, resolved)
+            total += view.weight * costs
         return total
 
     def _views(self) -> list[tuple[ViewTarget, Array | None]]:
-        resolved = self.resolvability or [None] * len(self.targets.views)
+        resolved: Sequence[Array | None] = self.resolvability or [None] * len(self.targets.views)
         return [(view, of_view) for view, of_view in zip(self.targets.views, resolved, strict=True) if view.weight > 0.0]

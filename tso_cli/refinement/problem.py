@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -106,12 +105,10 @@ def _require_plane_through(cloud: Cloud, views: tuple[View, ...], decision: Symm
     assert decision.plane is not None
     for view in views:
         flipped = decision.plane.view(view)
-        with warnings.catch_warnings():
+        try:
             # The view itself has warned of points behind the camera.
-            warnings.simplefilter("ignore")
-            try:
-                require_overlap(place(cloud.initial, flipped), flipped)
-            except InputError as error:
-                raise InputError(
-                    f"symmetry is {symmetry!r}, expected a plane ax + by + cz = d through the cloud; as it is, {error}"
-                ) from None
+            require_overlap(place(cloud.initial, flipped), flipped, warn=False)
+        except InputError as error:
+            raise InputError(
+                f"symmetry is {symmetry!r}, expected a plane ax + by + cz = d through the cloud; as it is, {error}"
+            ) from None

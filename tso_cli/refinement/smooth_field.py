@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.points import spread_subset
-from ..objective.nearest import nearest_few
+from ..kernels.dispatch import use_compiled
+from ..objective.nearest import nearest_few, spread_subset
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -58,6 +58,12 @@ class SmoothField:
         """[N, C] values of the points, interpolated between those of the nodes [M, C]."""
         if len(self._index[0]) == 1:
             return values
+        if use_compiled():
+            from ..kernels import points_numba
+
+            out = np.empty((len(self._index), values.shape[1]))
+            points_numba.spread(self._index, self._weight, values, out)
+            return out
         spread: Array = np.einsum("nk,nkc->nc", self._weight, values[self._index])
         return spread
 
@@ -65,6 +71,12 @@ class SmoothField:
         """[M, C], the transpose of `spread`: what gradients by the points are by the nodes."""
         if len(self._index[0]) == 1:
             return values
+        if use_compiled():
+            from ..kernels import points_numba
+
+            out = np.empty((len(self.nodes), values.shape[1]))
+            points_numba.gather(self._index, self._weight, values, out)
+            return out
         index, weight = self._index.ravel(), self._weight
         columns = [np.bincount(index, (weight * column[:, None]).ravel(), len(self.nodes)) for column in values.T]
         return np.stack(columns, 1)

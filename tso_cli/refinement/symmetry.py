@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.points import as_points, farthest_point_sample, spread_subset
+from ..geometry.points import as_points
 from ..geometry.view import View
 from ..objective.chamfer import spacings
-from ..objective.nearest import nearest
+from ..objective.nearest import nearest, spread_subset
 from .cloud import Cloud
 from .config import parse_symmetry
 
@@ -85,7 +85,7 @@ def find_mirror_plane(points: Array) -> MirrorPlane:
     judged = points[spread_subset(points, JUDGED_POINTS)]
     if len(judged) < 4:
         return MirrorPlane(np.array([1.0, 0.0, 0.0]), float(points[:, 0].mean()), np.inf, np.inf)
-    subset = judged[farthest_point_sample(judged, min(SEARCH_POINTS, len(judged)))]
+    subset = judged[spread_subset(judged, SEARCH_POINTS)]
     centre = subset.mean(0)
     axes = np.concatenate([np.eye(3), np.linalg.svd(subset - centre, full_matrices=False)[2]])
     spacing = _spacing(judged)

@@ -1,0 +1,31 @@
+"""The silhouette's cross-entropy of one view as compiled loops; its reference is in `tso_cli.objective.silhouette`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .losses_numba import cross_entropy, pixels_to_points
+from .splat_numba import gradient as splat_gradient
+from .splat_numba import sums as splat_sums
+from .window import NEGLIGIBLE, window_radius
+
+
+def silhouette_bce(
+    points_px: NDArray[np.floating],
+    valid: NDArray[np.bool_],
+    foreground: NDArray[np.floating],
+    background: NDArray[np.floating],
+    sigma_sq: float,
+) -> tuple[float, NDArray[np.float64]]:
+    """Value and gradient [N, 2], in float32, whose exponentials are SIMD code."""
+    points = points_px.astype(np.float32)[None]
+    weights = foreground.astype(np.float32)[None], background.astype(np.float32)[None]
+    radius = window_radius(sigma_sq)
+    sums = splat_sums(points, valid[None], *foreground.shape, sigma_sq, radius)
+    value, by_sums, waiting = cross_entropy(sums, *weights, NEGLIGIBLE)
+    gradient = splat_gradient(by_sums, points, valid[None], sigma_sq, radius)
+    if waiting.any():
+        more, further = pixels_to_points(waiting, weights[0], points, valid[None], 0.5 / sigma_sq)
+        value, gradient = value + more, gradient + further
+    return float(value[0]), gradient[0].astype(np.float64)
