@@ -34,23 +34,22 @@ def mask_chamfer(
     robust_scale: float,
     resolvability: NDArray[np.float64] | None,
     weight: float,
+    costs: NDArray[np.float64],
     gradient: NDArray[np.float64],
-) -> float:
-    """``weight`` times the loss of ``points`` [N, 3], and as many times its gradient added to ``gradient`` [N, 3].
-
-    Infinite, and nothing added, where the view shows no point.
-    """
+) -> bool:
+    """Add ``weight`` times what each of ``points`` [N, 3] adds to the loss to ``costs`` [N], as many times the loss's gradient
+    to ``gradient`` [N, 3]; returns whether the view shows any point."""
     if resolvability is None:
         resolvability = np.ones(len(points))
     edge = cell_edge(*view.inside.shape, len(points))
-    value: float = _mask_chamfer(points, *view, robust_scale, resolvability, edge, weight, gradient)
-    return value
+    shown: bool = _mask_chamfer(points, *view, robust_scale, resolvability, edge, weight, costs, gradient)
+    return shown
 
 
 @compiled
 def _mask_chamfer(  # type: ignore[no-untyped-def]
     points, K, R, t, near, inside, outside, nearest_foreground, bounds, truncated, within, scale, reference,
-    robust_scale, resolvability, edge, weight, gradient,
+    robust_scale, resolvability, edge, weight, costs, gradient,
 ):  # fmt: skip
     count, (height, width) = len(points), inside.shape
     left, top, right, bottom = bounds[0], bounds[1], bounds[2], bounds[3]
@@ -70,20 +69,26 @@ def _mask_chamfer(  # type: ignore[no-untyped-def]
         observed[n] = valid[n] and (in_image or not truncated)
         shown |= observed[n]
     if not shown:
-        return np.inf
+        return False
     area, robust = scale * scale, robust_scale * robust_scale
-    loss, covered = 0.0, within * within * area
+    open_pixels = inside.copy()
+    for n in range(count):
+        # Pixels with a point this near need not search for their nearest; far outside, the numbers would not fit.
+        x, y = pixels[n, 0], pixels[n, 1]
+        if valid[n] and x > -within and x < width + within and y > -within and y < height + within:
+            for i in range(max(int(np.ceil(y - within)), 0), min(int(np.floor(y + within)), height - 1) + 1):
+                for j in range(max(int(np.ceil(x - within)), 0), min(int(np.floor(x + within)), width - 1) + 1):
+                    if (x - j) * (x - j) + (y - i) * (y - i) <= within * within:
+                        open_pixels[i, j] = False
     cells = sort_into_cells(pixels, valid, height, width, edge)
     for i in range(height):
         for j in range(width):
-            n = nearest_in_cells(float(j), float(i), edge, cells) if inside[i, j] else -1
-            if n < 0 or not observed[n]:
-                continue
-            by_x, by_y = pixels[n, 0] - j, pixels[n, 1] - i
-            squared = (by_x * by_x + by_y * by_y) * area
-            if squared > covered:
+            n = nearest_in_cells(float(j), float(i), edge, cells) if open_pixels[i, j] else -1
+            if n >= 0 and observed[n]:
+                by_x, by_y = pixels[n, 0] - j, pixels[n, 1] - i
+                squared = (by_x * by_x + by_y * by_y) * area
                 inlier = robust / (robust + squared)
-                loss += squared * inlier * area
+                costs[n] += weight * squared * inlier * area
                 by_pixels[n, 0] += 2.0 * area * area * inlier * inlier * by_x
                 by_pixels[n, 1] += 2.0 * area * area * inlier * inlier * by_y
     for n in range(count):
@@ -96,7 +101,7 @@ def _mask_chamfer(  # type: ignore[no-untyped-def]
                 by_x, by_y = x - nearest_foreground[i, j, 1], y - nearest_foreground[i, j, 0]
                 squared = (by_x * by_x + by_y * by_y) * area
                 inlier = robust / (robust + squared)
-                loss += share * squared * inlier
+                costs[n] += weight * share * squared * inlier
                 by_pixels[n, 0] += 2.0 * share * area * inlier * inlier * by_x
                 by_pixels[n, 1] += 2.0 * share * area * inlier * inlier * by_y
         u, v = by_pixels[n, 0], by_pixels[n, 1]
@@ -105,4 +110,4 @@ def _mask_chamfer(  # type: ignore[no-untyped-def]
             by_z = 0.0 if near == -np.inf else -(by_x * plane[n, 0] + by_y * plane[n, 1])
             for axis in range(3):
                 gradient[n, axis] += weight * (R[0, axis] * by_x + R[1, axis] * by_y + R[2, axis] * by_z)
-    return weight * loss
+    return True

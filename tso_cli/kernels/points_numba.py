@@ -1,4 +1,4 @@
-"""Loops over the points of a cloud: farthest-point sampling, interpolation between nodes."""
+"""Loops over the points of a cloud: farthest-point sampling, neighbours, interpolation between nodes."""
 
 from __future__ import annotations
 
@@ -25,6 +25,25 @@ def farthest_points(points, chosen):  # type: ignore[no-untyped-def]
             if nearest[n] > farthest:
                 farthest, following = nearest[n], n
         index = following
+
+
+@compiled
+def nearest_few(queries, data, chosen):  # type: ignore[no-untyped-def]
+    """Fill ``chosen`` [Q, k] with the points of ``data`` [N, 3] nearest to each query [Q, 3], by increasing distance."""
+    count = chosen.shape[1]
+    best = np.empty(count)
+    for q in range(len(queries)):
+        best[:] = np.inf
+        x, y, z = queries[q]
+        for n in range(len(data)):
+            dx, dy, dz = data[n, 0] - x, data[n, 1] - y, data[n, 2] - z
+            squared = dx * dx + dy * dy + dz * dz
+            if squared < best[count - 1]:
+                place = count - 1
+                while place > 0 and squared < best[place - 1]:
+                    best[place], chosen[q, place] = best[place - 1], chosen[q, place - 1]
+                    place -= 1
+                best[place], chosen[q, place] = squared, n
 
 
 @compiled

@@ -19,8 +19,7 @@ def silhouette_bce(
     sigma_sq: float,
 ) -> tuple[float, NDArray[np.float64]]:
     """Value and gradient [N, 2], in float32, whose exponentials are SIMD code."""
-    points = points_px.astype(np.float32)[None]
-    weights = foreground.astype(np.float32)[None], background.astype(np.float32)[None]
+    points, *weights = (array.astype(np.float32, order="C")[None] for array in (points_px, foreground, background))
     radius = window_radius(sigma_sq)
     sums = splat_sums(points, valid[None], *foreground.shape, sigma_sq, radius)
     value, by_sums, waiting = cross_entropy(sums, *weights, NEGLIGIBLE)

@@ -32,8 +32,16 @@ def nearest(queries: Array, data: Array) -> Indices:
 
 def nearest_few(queries: Array, data: Array, count: int) -> Indices:
     """[Q, count] indices of the nearest points of ``data``, by increasing distance."""
-    if len(queries) * len(data) > MOST_PAIRS and count > 1:
+    pairs = len(queries) * len(data)
+    compiled = use_compiled() and data.shape[1] == 3 and count <= len(data)
+    if pairs > (MOST_COMPILED_PAIRS if compiled else MOST_PAIRS):
         return _by_tree(queries, data, count)
+    if compiled:
+        from ..kernels import points_numba
+
+        few = np.empty((len(queries), count), np.int64)
+        points_numba.nearest_few(queries, data, few)
+        return few
     chosen = []
     for squared in _shifted_distances(queries, data):
         few = np.arange(len(data))[None].repeat(len(squared), 0)

@@ -67,19 +67,19 @@ class ViewTarget:
 
     @cached_property
     def compiled(self) -> CompiledView:
-        """The mask and its camera for the compiled loop."""
+        """The mask and its camera for the compiled loop, contiguous: other arrays would be compiled anew."""
         from ..kernels.mask_chamfer_numba import CompiledView
 
         camera, mask = self.camera, self.mask
         near = -np.inf if camera.model == "orthographic" else NEAR
         return CompiledView(
-            K=camera.K,
-            R=camera.R,
-            t=camera.t,
+            K=np.ascontiguousarray(camera.K),
+            R=np.ascontiguousarray(camera.R),
+            t=np.ascontiguousarray(camera.t),
             near=near,
-            inside=mask.inside,
-            outside=mask.outside,
-            nearest_foreground=mask.nearest_foreground,
+            inside=np.ascontiguousarray(mask.inside),
+            outside=np.ascontiguousarray(mask.outside),
+            nearest_foreground=np.ascontiguousarray(mask.nearest_foreground),
             bounds=np.array(mask.bounds),
             truncated=mask.truncated,
             within=COVERED_WITHIN * mask.grain,
@@ -132,35 +132,33 @@ class MaskChamferObjective:
     resolvability: list[Array] | None = None
 
     def __call__(self, points: Array) -> tuple[float, Array]:
-        total, gradient = 0.0, np.zeros_like(points)
-        for view, resolved in self._views():
-            if use_compiled():
-                from ..kernels.mask_chamfer_numba import mask_chamfer as compiled
-
-                value = compiled(points, view.compiled, self.robust_scale, resolved, view.weight, gradient)
-            else:
-                projected = project(points, view.camera)
-                costs, gradient_px = mask_chamfer(
-                    projected.points_px, projected.valid, view.mask, self.robust_scale, resolved
-                )
-                shown = view.mask.observed(projected.points_px, projected.valid).any()
-                value = view.weight * float(costs.sum()) if shown else np.inf
-                gradient += view.weight * projected.pull_back(gradient_px)
-            total += value
-            if view.depth is not None:
+        costs, gradient, shown = self._of_masks(points)
+        total = float(costs.sum()) if shown else np.inf
+        for view in self.targets.views:
+            if view.depth is not None and view.weight > 0.0:
                 value, by_points = depth_loss(points, project(points, view.camera), view.depth, self.robust_scale)
                 total, gradient = total + view.weight * value, gradient + view.weight * by_points
         return total, gradient
 
     def per_point(self, points: Array) -> Array:
         """[N] what each point adds to the masks' part of the loss."""
-        total = np.zeros(len(points))
-        for view, resolved in self._views():
-            projected = project(points, view.camera)
-            costs, _ = mask_chamfer(projected.points_px, projected.valid, view.mask, self.robust_scale, resolved)
-            total += view.weight * costs
-        return total
+        return self._of_masks(points)[0]
 
-    def _views(self) -> list[tuple[ViewTarget, Array | None]]:
-        resolved: Sequence[Array | None] = self.resolvability or [None] * len(self.targets.views)
-        return [(view, of_view) for view, of_view in zip(self.targets.views, resolved, strict=True) if view.weight > 0.0]
+    def _of_masks(self, points: Array) -> tuple[Array, Array, bool]:
+        """What each point adds, [N], the gradient [N, 3], and whether all views show points."""
+        costs, gradient, shown = np.zeros(len(points)), np.zeros_like(points), True
+        for number, view in enumerate(self.targets.views):
+            if view.weight == 0.0:
+                continue
+            resolved = self.resolvability[number] if self.resolvability else None
+            if use_compiled():
+                from ..kernels.mask_chamfer_numba import mask_chamfer as compiled
+
+                shown &= compiled(points, view.compiled, self.robust_scale, resolved, view.weight, costs, gradient)
+                continue
+            projected = project(points, view.camera)
+            of_points, gradient_px = mask_chamfer(projected.points_px, projected.valid, view.mask, self.robust_scale, resolved)
+            costs += view.weight * of_points
+            gradient += view.weight * projected.pull_back(gradient_px)
+            shown &= bool(view.mask.observed(projected.points_px, projected.valid).any())
+        return costs, gradient, shown

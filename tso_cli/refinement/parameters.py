@@ -27,12 +27,12 @@ class FieldParameters:
 
     def __init__(self, initial: Array, field: SmoothField, smoothness: float, optimiser: Adam) -> None:
         self._initial, self._field, self._optimiser = initial, field, optimiser
-        self._smoother = field.smoother(smoothness)
+        self._smoothness = smoothness
         self._values = np.zeros((len(field.nodes), 3))
 
     def forward(self) -> Array:
-        return self._initial + self._field.spread(self._smoother @ self._values)
+        return self._initial + self._field.spread(self._field.smoothed(self._values, self._smoothness))
 
     def step(self, gradient: Array) -> None:
-        # The smoother is symmetric: it is its own transpose.
-        self._values = self._values + self._optimiser.step(self._smoother @ self._field.gather(gradient))
+        by_values = self._field.smoothed(self._field.gather(gradient), self._smoothness)
+        self._values = self._values + self._optimiser.step(by_values)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,8 +41,8 @@ class SmoothField:
         self.nodes = spread_subset(points, NODES)
         positions = points[self.nodes]
         self.patches = _patches(positions)
-        self._laplacian = _laplacian(self.patches) * (len(positions) / REFERENCE_NODES)
-        self._smoothers: dict[float, Array] = {}
+        self._laplacian = _laplacian(self.patches)
+        self._smoothers: dict[float, Callable[[Array], Array]] = {}
         self._index: Indices = np.arange(len(points))[:, None]
         self._weight: Array = np.ones((len(points), 1))
         if len(positions) < len(points):
@@ -48,11 +50,25 @@ class SmoothField:
             distance = np.sqrt(np.square(points[:, None] - positions[self._index]).sum(2))
             self._weight = falling_weights(distance)
 
-    def smoother(self, weight: float) -> Array:
-        """``(I + weight L)^-1``, [M, M]."""
+    def smoothed(self, values: Array, weight: float) -> Array:
+        """``(I + weight L)^-1 values``, [M, C]; a symmetric matrix, its own transpose."""
         if weight not in self._smoothers:
-            self._smoothers[weight] = np.linalg.inv(np.eye(len(self.nodes)) + weight * self._laplacian)
-        return self._smoothers[weight]
+            self._smoothers[weight] = self._smoother(weight)
+        return self._smoothers[weight](values)
+
+    def _smoother(self, weight: float) -> Callable[[Array], Array]:
+        system = np.eye(len(self.nodes)) + weight * self._laplacian
+        if use_compiled():
+            # A sparse factor is ten times as quick as the inverse, but not to import.
+            from scipy.sparse import csc_array
+            from scipy.sparse.linalg import splu
+
+            factor: Callable[[Array], Array] = splu(csc_array(system), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0).solve
+            return factor
+        # Single precision is enough for a preconditioner, and twice as fast.
+        inverse = np.linalg.inv(system.astype(np.float32)).astype(np.float64)
+        inverse = (inverse + inverse.T) / 2.0
+        return lambda values: inverse @ values
 
     def spread(self, values: Array) -> Array:
         """[N, C] values of the points, interpolated between those of the nodes [M, C]."""
@@ -89,7 +105,7 @@ class SmoothField:
         """[N] ``values`` averaged around each point: ``(I + weight L)^-1`` of the nodes' sums over that of their counts."""
         owner = self._index[:, 0]
         sums = np.stack([np.bincount(owner, part, len(self.nodes)) for part in (values, np.ones_like(values))], 1)
-        total, count = (self.smoother(weight) @ sums).T
+        total, count = self.smoothed(sums, weight).T
         return self.of_nearest_node(total / np.maximum(count, np.finfo(float).tiny))
 
 
@@ -110,7 +126,7 @@ def _laplacian(patches: Indices) -> Array:
     np.put_along_axis(joined, patches[:, 1 : NEIGHBOURS + 1], True, 1)
     joined |= joined.T
     np.fill_diagonal(joined, False)
-    laplacian: Array = np.diag(joined.sum(1).astype(float)) - joined
+    laplacian: Array = (np.diag(joined.sum(1)) - joined) * (len(patches) / REFERENCE_NODES)
     return laplacian
 
 

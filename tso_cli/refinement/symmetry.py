@@ -115,7 +115,8 @@ def _improved(plane: MirrorPlane, points: Array) -> tuple[MirrorPlane, float]:
     pairs = points[nearest(image, points)]
     distance = np.linalg.norm(image - pairs, axis=1)
     # The furthest fifth has no counterpart, and would turn the plane.
-    kept = distance <= np.quantile(distance, 0.8)
+    last = int(0.8 * (len(distance) - 1))
+    kept = distance <= np.partition(distance, last)[last]
     x, y = points[kept], pairs[kept]
     mean_x, mean_y = x.mean(0), y.mean(0)
     product = (x - mean_x).T @ (y - mean_y)
