@@ -1,4 +1,4 @@
-"""The mask Chamfer loss of a cloud by one view as a compiled loop; its reference is in `tso_cli.objective.mask_chamfer`."""
+"""The mask Chamfer loss of a cloud by one view as a compiled loop; its reference is in `tso_cli.losses.mask_chamfer`."""
 
 from __future__ import annotations
 
@@ -41,7 +41,8 @@ def mask_chamfer(
     to ``gradient`` [N, 3]; returns whether the view shows any point."""
     if resolvability is None:
         resolvability = np.ones(len(points))
-    edge = cell_edge(*view.inside.shape, len(points))
+    height, width = view.inside.shape
+    edge = cell_edge(height, width, len(points))
     shown: bool = _mask_chamfer(points, *view, robust_scale, resolvability, edge, weight, costs, gradient)
     return shown
 

@@ -1,4 +1,4 @@
-"""The silhouette's cross-entropy of one view as compiled loops; its reference is in `tso_cli.objective.silhouette`."""
+"""The silhouette's cross-entropy of one view as compiled loops; its reference is in `tso_cli.losses.silhouette`."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ def silhouette_bce(
     sigma_sq: float,
 ) -> tuple[float, NDArray[np.float64]]:
     """Value and gradient [N, 2], in float32, whose exponentials are SIMD code."""
-    points, *weights = (array.astype(np.float32, order="C")[None] for array in (points_px, foreground, background))
+    points, covering, freeing = (array.astype(np.float32, order="C")[None] for array in (points_px, foreground, background))
     radius = window_radius(sigma_sq)
-    sums = splat_sums(points, valid[None], *foreground.shape, sigma_sq, radius)
-    value, by_sums, waiting = cross_entropy(sums, *weights, NEGLIGIBLE)
+    height, width = foreground.shape
+    sums = splat_sums(points, valid[None], height, width, sigma_sq, radius)
+    value, by_sums, waiting = cross_entropy(sums, covering, freeing, NEGLIGIBLE)
     gradient = splat_gradient(by_sums, points, valid[None], sigma_sq, radius)
     if waiting.any():
-        more, further = pixels_to_points(waiting, weights[0], points, valid[None], 0.5 / sigma_sq)
+        more, further = pixels_to_points(waiting, covering, points, valid[None], 0.5 / sigma_sq)
         value, gradient = value + more, gradient + further
     return float(value[0]), gradient[0].astype(np.float64)

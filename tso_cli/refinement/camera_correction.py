@@ -12,9 +12,9 @@ from ..geometry.camera import Camera
 from ..geometry.rotations import cross_product_matrix, from_vectors
 from ..geometry.view import View
 from ..geometry.window import window_around, window_of
-from ..objective.chamfer import ChamferToStart
-from ..objective.projection import project
-from ..objective.silhouette import silhouette_bce
+from ..losses.chamfer import ChamferToStart
+from ..losses.projection import project
+from ..losses.silhouette import silhouette_bce
 from .adam import Adam
 from .config import Settings
 from .objective import Array, MaskChamferObjective, ViewTargets

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from ..geometry.camera import NEAR, Camera
 from ..kernels.dispatch import use_compiled
-from ..objective.depth import DepthTarget, depth_loss
-from ..objective.mask_chamfer import COVERED_WITHIN, REFERENCE_POINTS, MaskTarget, mask_chamfer, resolvability
-from ..objective.projection import project
-from ..objective.silhouette import silhouette_bce
+from ..losses.depth import DepthTarget, depth_loss
+from ..losses.mask_chamfer import COVERED_WITHIN, REFERENCE_POINTS, MaskTarget, mask_chamfer, resolvability
+from ..losses.projection import project
+from ..losses.silhouette import silhouette_bce
 from .resampled_view import ResampledView
 from .smooth_field import SmoothField
 

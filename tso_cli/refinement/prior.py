@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..objective.mask_chamfer import REFERENCE_POINTS
+from ..losses.mask_chamfer import REFERENCE_POINTS
 from .objective import Array, MaskChamferObjective, ViewTargets
 from .presets import CoarseToFineConfig
 from .smooth_field import SmoothField

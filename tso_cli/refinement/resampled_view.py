@@ -13,7 +13,7 @@ from ..geometry.camera import NEAR, Camera
 from ..geometry.resampling import area_resize
 from ..geometry.view import View
 from ..geometry.window import Array, Box, window_of
-from ..objective.mask_chamfer import REFERENCE_SIDE, MaskTarget
+from ..losses.mask_chamfer import REFERENCE_SIDE, MaskTarget
 
 # Cells along the side of a resampled view; `fine_cells` says where there are more.
 CELLS = 64

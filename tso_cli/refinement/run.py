@@ -13,8 +13,8 @@ import numpy as np
 from ..errors import TsoError
 from ..evaluation.footprint import common_window, window_iou
 from ..geometry.view import View
-from ..objective.chamfer import ChamferToStart
-from ..objective.photometric import Photo, PhotometricTerm
+from ..losses.chamfer import ChamferToStart
+from ..losses.photometric import Photo, PhotometricTerm
 from .adam import Adam
 from .camera_correction import corrected_cameras
 from .cloud import Array, MovedCloud
@@ -115,11 +115,10 @@ def _optimise(
     on_progress = None if prepared.interrupted else on_progress
     regulariser: list[Term] = [_Weighted(settings.gamma, chamfer)] if settings.gamma else []
     if prepared.field:
-        photos = _photos(problem, prepared.view_weights.loss)
+        photos, colours = _photos(problem, prepared.view_weights.loss), np.asarray(problem.cloud.colours, dtype=np.float64)
 
         def further_terms(points: Array, stage: Stage) -> list[Term]:
-            colours = problem.cloud.colours
-            return regulariser + [PhotometricTerm.at(photo, colours, points, stage.blur) for photo in photos]
+            return [*regulariser, *(PhotometricTerm.at(photo, colours, points, stage.blur) for photo in photos)]
 
         coarse_to_fine = CoarseToFine(
             problem,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..kernels.dispatch import use_compiled
-from ..objective.nearest import nearest_few, spread_subset
+from ..losses.nearest import nearest_few, spread_subset
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -104,7 +104,7 @@ class SmoothField:
     def averaged(self, values: Array, weight: float) -> Array:
         """[N] ``values`` averaged around each point: ``(I + weight L)^-1`` of the nodes' sums over that of their counts."""
         owner = self._index[:, 0]
-        sums = np.stack([np.bincount(owner, part, len(self.nodes)) for part in (values, np.ones_like(values))], 1)
+        sums = np.stack([np.bincount(owner, part, len(self.nodes)).astype(float) for part in (values, np.ones_like(values))], 1)
         total, count = self.smoothed(sums, weight).T
         return self.of_nearest_node(total / np.maximum(count, np.finfo(float).tiny))
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ..geometry.points import as_points
 from ..geometry.view import View
-from ..objective.chamfer import spacings
-from ..objective.nearest import nearest, spread_subset
+from ..losses.chamfer import spacings
+from ..losses.nearest import nearest, spread_subset
 from .cloud import Cloud
 from .config import parse_symmetry
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.camera import Camera
-from ..objective.projection import pixels_under, project
+from ..losses.projection import pixels_under, project
 from .objective import silhouette_loss
 from .resampled_view import ResampledView
 

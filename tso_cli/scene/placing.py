@@ -48,8 +48,8 @@ def align_silhouette(points: Array, view: View, sigma_sq: float | None = None, s
     camera must be about right already, as from `place_in_front`; ``sigma_sq`` is in px^2, None for the view's default. The
     best of all steps counts, the start included.
     """
-    from ..objective.projection import project
-    from ..objective.silhouette import default_sigma_sq, silhouette_bce
+    from ..losses.projection import project
+    from ..losses.silhouette import default_sigma_sq, silhouette_bce
     from ..refinement.adam import Adam
     from ..refinement.optimise import descend
     from ..refinement.parameters import PointParameters

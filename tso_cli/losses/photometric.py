@@ -11,7 +11,7 @@ from ..geometry.camera import Camera
 from .mask_chamfer import REFERENCE_POINTS, REFERENCE_SIDE, robust
 from .projection import Projected, pixels_under, project
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 # A point is visible if it lies no further than this (longest side 1) behind the first within a pixel of it.
 OCCLUSION_DEPTH = 0.015
@@ -65,7 +65,7 @@ class PhotometricTerm:
         detail = _detail(photo.image, photo.inside.astype(float), sigma)
         projected, visible = _visible(points, photo)
         place, _ = pixels_under(projected.points_px, visible, height, width)
-        drawn = np.bincount(place, visible, height * width).reshape(height, width)
+        drawn = np.bincount(place, visible, height * width).astype(float).reshape(height, width)
         total = [np.bincount(place, colours[:, k] * visible, height * width).reshape(height, width) for k in range(3)]
         picture = _detail(np.stack(total, -1) / np.maximum(drawn, 1.0)[..., None], drawn, sigma)
         of_cloud = _sampled(picture, projected.points_px)[0]

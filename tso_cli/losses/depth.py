@@ -12,7 +12,7 @@ from .mask_chamfer import REFERENCE_POINTS, REFERENCE_SIDE, robust
 from .nearest import nearest
 from .projection import Projected, pixels_under
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 # Tolerance of both terms, pixels of an image of 64 at the surface's depth.
 TOLERANCE = 0.7

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .nearest import nearest
 from .projection import pixels_under
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 Marks = NDArray[np.bool_]
 
 # Lengths are stated in pixels of an image whose longer side has 64.
@@ -78,7 +78,8 @@ class MaskTarget:
     def truncated(self) -> bool:
         """Whether the object extends beyond the border of its image."""
         left, top, right, bottom = self.bounds
-        for marked, first, last in ((self.inside.any(0), left, right), (self.inside.any(1), top, bottom)):
+        of_columns, of_rows = (np.asarray(self.inside.any(axis)) for axis in (0, 1))
+        for marked, first, last in ((of_columns, left, right), (of_rows, top, bottom)):
             # The pixels next to the border; it may cut through one of them.
             for place in (math.ceil(first), math.floor(last)):
                 if 0 <= place < len(marked) and marked[place]:
@@ -91,8 +92,7 @@ class MaskTarget:
 
     def in_image(self, points_px: Array) -> Marks:
         """[N] which points [N, 2] fall within the image, in the mask's part of it or beside that."""
-        within: Marks = ((points_px >= self.bounds[:2]) & (points_px <= self.bounds[2:])).all(1)
-        return within
+        return np.asarray(((points_px >= self.bounds[:2]) & (points_px <= self.bounds[2:])).all(1))
 
 
 def sides(mask: Array, known: Array | None = None) -> tuple[Marks, Marks]:

@@ -15,7 +15,7 @@ from .mask_chamfer import REFERENCE_SIDE
 from .nearest import nearest
 from .projection import project
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 # A silhouette blurred by this variance (px^2) changes little from one pixel to the next.
 SMOOTH_SIGMA_SQ = 6.4

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..kernels.dispatch import use_compiled
 from .nearest import nearest, nearest_few
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 
 class ChamferToStart:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..geometry.camera import NEAR, Camera
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..geometry import points as plain
 from ..kernels.dispatch import use_compiled
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 # Distances computed at once; bounds memory.
