@@ -56,7 +56,8 @@ def align_silhouette(points: Array, view: View, sigma_sq: float | None = None, s
 
     sigma_sq = default_sigma_sq(view.camera.width, view.camera.height) if sigma_sq is None else sigma_sq
     known = 1.0 if view.known is None else view.known
-    weights = view.mask * known, (1.0 - view.mask) * known
+    mask = view.mask.astype(np.float64)
+    weights = mask * known, (1.0 - mask) * known
 
     def silhouette_loss(shift: Array) -> tuple[float, Array]:
         projected = project(points, replace(view.camera, t=view.camera.t + shift[0]))
