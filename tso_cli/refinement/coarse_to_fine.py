@@ -66,7 +66,7 @@ class CoarseToFine:
             resolvability = targets.resolvability(points, self.field) if config.use_resolvability else None
             mask_chamfer = MaskChamferObjective(targets, stage.robust_scale, resolvability)
             objective = sum_of([mask_chamfer, prior, *self.further_terms(points, stage)])
-            optimiser = (UniformAdam if config.uniform_adam else Adam)(self.learning_rate)
+            optimiser = (UniformAdam if config.uniform_adam else Adam)(stage.learning_rate_scale * self.learning_rate)
             parameters = FieldParameters(points, self.field, stage.smoothness, optimiser)
             end = round(steps * number / len(stages))
             report = on_progress and offset_progress(on_progress, done, steps)
@@ -75,7 +75,8 @@ class CoarseToFine:
             points, done = part.best, end
             if part.interrupted:
                 break
-        weights = [1.0] * (len(stages) - 1) + [evidence**2]
+        weights = [stage.averaging_weight for stage in stages]
+        weights[-1] *= evidence**2
         return _averaged(parts, weights[: len(parts)], initial, objective), problem
 
 
