@@ -26,7 +26,7 @@ from ...refinement import MODES, PRESETS, RefineConfig, RefineResult, refine
 from ...render import RenderSettings, normalise
 from ...scene.load import load_points_scene
 from ...scene.network import load_network_scene
-from ...silhouette.projection import silhouette_of
+from ...losses.silhouette import silhouette_of
 from ...train import TrainConfig, train
 from ...train.data import TrainingData
 from .discretised import GAUSSIAN, PROJECTIONS, projected_objective

@@ -12,7 +12,7 @@ from ...device import one_thread
 from ...io.shipped import CATEGORIES
 from ...plots.style import COLOURS, page
 from ...render import RenderSettings
-from ...silhouette.projection import silhouette_of
+from ...losses.silhouette import silhouette_of
 from ..study import CATEGORY, COMMON, Cases, Option, Progress, Record, Study, Table, claim, part, record_of
 from .parts import SeenShape, see, shapes_of_part
 from .summary import by_category
