@@ -1,7 +1,5 @@
 """Random damage to files, and the promise that every reader keeps when it meets it."""
 
-from __future__ import annotations
-
 import re
 import struct
 import warnings
@@ -11,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from tso_cli.errors import InputError
 
@@ -64,6 +63,13 @@ def assert_reads_or_refuses(
             assert warning.category is UserWarning, f"damage {i}: {warning.category.__name__}: {warning.message}"
             assert_one_line(str(warning.message))
     return was_read, refused
+
+
+def assert_refused(message: str, read: Callable[..., Any], *arguments: Any, **options: Any) -> None:
+    """``read`` raises InputError, with one line that matches ``message``."""
+    with pytest.raises(InputError, match=message) as caught:
+        read(*arguments, **options)
+    assert_one_line(str(caught.value))
 
 
 def assert_one_line(text: str) -> None:

@@ -4,10 +4,8 @@ Every formula follows the definition of its data set, in the terms used there, i
 vertices are moved into the frame of the camera, not the camera.
 """
 
-from __future__ import annotations
-
 import json
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +25,7 @@ CHAIR = "03001627"
 ANGLES = ((30.0, 20.0), (-110.0, -10.0), (165.0, 35.0))
 
 
-@lru_cache(maxsize=1)
+@cache
 def lopsided() -> Mesh:
     """A shipped chair with a small one beside it, so that no mirrored or turned view looks the same; unit diagonal, centred."""
     mesh = read_mesh(examples_folder() / "meshes/chair/kfurn_chair.ply")
@@ -38,11 +36,10 @@ def lopsided() -> Mesh:
     return Mesh(vertices, np.concatenate([mesh.faces, mesh.faces + len(mesh.vertices)]))
 
 
-@lru_cache(maxsize=1)
+@cache
 def lopsided_points() -> np.ndarray:
     """1,024 points of it."""
-    mesh = lopsided()
-    samples = sample_surface(mesh.vertices, mesh.faces, 4096, np.random.default_rng(0))
+    samples = sample_surface(lopsided().vertices, lopsided().faces, 4096, np.random.default_rng(0))
     return samples[farthest_point_sample(samples, 1024)]
 
 
@@ -77,10 +74,8 @@ def iou(points: np.ndarray, camera: Camera, mask: np.ndarray) -> float:
 
 def agreement(item: ObjectItem) -> float:
     """The smallest IoU of the target with the mask over all views."""
-    assert item.target is not None
-    points = item.target()
+    points, values = item.target(), []
     assert points.dtype == np.float32 and points.shape[1] == 3
-    values = []
     for view in item.views:
         image, mask = view.load()
         assert image.dtype == np.uint8 and mask.dtype == np.float32
@@ -91,14 +86,12 @@ def agreement(item: ObjectItem) -> float:
 
 def agreement_of_surface(item: ObjectItem, mesh: Mesh) -> float:
     """The smallest IoU of the masks with what the cameras of the item see of ``mesh``, which is in the frame of the item."""
-    scene, values = RayScene(mesh), []
-    for view in item.views:
-        seen, mask = render_view(scene, view.camera).mask > 0, view.load()[1] > 0.5
-        values.append(float((seen & mask).sum() / (seen | mask).sum()))
-    return min(values)
+    scene = RayScene(mesh)
+    pairs = [(render_view(scene, view.camera).mask > 0, view.load()[1] > 0.5) for view in item.views]
+    return min((seen & mask).sum() / (seen | mask).sum() for seen, mask in pairs)
 
 
-# --- the CAPNet authors' ShapeNet
+# The CAPNet authors' ShapeNet
 
 
 def authors_points(points: np.ndarray, azimuth: float, elevation: float) -> np.ndarray:
@@ -130,7 +123,7 @@ def write_shapenet(
     return root
 
 
-# --- 3D-R2N2
+# 3D-R2N2
 
 
 def blender_points(vertices: np.ndarray) -> np.ndarray:
@@ -193,7 +186,7 @@ def write_binvox(path: Path, in_the_middle: bool, side: int = 32) -> None:
     path.write_bytes(f"#binvox 1\ndim {side} {side} {side}\ntranslate {translate}\nscale {scale:.6f}\ndata\n".encode() + data)
 
 
-# --- Pix3D
+# Pix3D
 
 PIX3D_SIZE = (88, 60)
 

@@ -1,7 +1,5 @@
 """Plain formulas, as the paper prints them, to hold the fast code against. Slow and in float64."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """A painted sheet that fills its mask, as a cloud and as a photo."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tso_cli import Camera

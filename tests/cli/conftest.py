@@ -1,8 +1,5 @@
-"""Folders to run commands in."""
+"""Masks and a network to run commands with."""
 
-from __future__ import annotations
-
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,17 +10,6 @@ from PIL import Image
 from tso_cli import __version__
 from tso_cli.io.cameras import CameraRecord, read_camera, write_cameras
 from tso_cli.io.clouds import read_cloud
-
-from .run import CHAIR
-
-
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """The working directory: a copy of the chair example."""
-    for name in ("initial.ply", "mask.png", "image.png", "camera.json", "target.ply"):
-        shutil.copy(CHAIR / name, tmp_path / name)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 @pytest.fixture

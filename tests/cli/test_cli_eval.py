@@ -1,8 +1,5 @@
-from __future__ import annotations
-
 import json
 import shutil
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +11,10 @@ from tests.dataset_trees import lopsided, write_binvox
 from tests.io.test_shapes import SQUARE_OFF, SQUARE_PLY
 from tso_cli.commands.evaluate import command
 from tso_cli.errors import GateError, InputError
-from tso_cli.evaluation.compare import EvalConfig
+from tso_cli.evaluation.compare import EvalConfig, evaluate
 from tso_cli.evaluation.footprint import IOU_MEANS
 from tso_cli.evaluation.metrics import chamfer, emd, iou
+from tso_cli.evaluation.pairs import Pair
 from tso_cli.geometry.camera import Camera
 from tso_cli.io.cameras import CameraRecord, write_cameras
 from tso_cli.io.clouds import read_cloud, write_cloud
@@ -33,8 +31,7 @@ def run(*arguments):
 def document(*arguments):
     result = run(*arguments, "--json")
     assert result.exit_code == 0, result.output + repr(result.exception)
-    parsed: dict[str, Any] = json.loads(result.stdout)
-    return parsed
+    return json.loads(result.stdout)
 
 
 def refusal(*arguments):
@@ -68,9 +65,8 @@ def cloud(tmp_path):
 @pytest.fixture
 def square(tmp_path):
     """A mesh of two triangles."""
-    path = tmp_path / "a.off"
-    path.write_text(SQUARE_OFF)
-    return path
+    (tmp_path / "a.off").write_text(SQUARE_OFF)
+    return tmp_path / "a.off"
 
 
 @pytest.fixture
@@ -87,8 +83,7 @@ def test_two_files_give_one_pair_with_raw_numbers(cloud):
     assert (pair["forward"], pair["backward"], pair["chamfer"]) == (expected.forward, expected.backward, expected.chamfer)
     assert (pair["name"], pair["prediction_points"], pair["target_points"]) == ("a", 40, 50)
     assert found["mean"] == {key: pair[key] for key in ("forward", "backward", "chamfer")}
-    assert found["convention"]["protocol"] == "plain"
-    assert found["convention"]["seed"] == 0
+    assert (found["convention"]["protocol"], found["convention"]["seed"]) == ("plain", 0)
 
 
 def test_the_table_shows_thousandfold_values_and_names_its_convention(cloud):
@@ -118,8 +113,7 @@ def test_folders_are_matched_by_the_path_without_suffix(cloud, tmp_path):
 def test_an_unmatched_name_is_an_error_that_names_it(cloud, tmp_path):
     cloud("ours/a.ply"), cloud("theirs/a.ply"), cloud("ours/b.ply"), cloud("theirs/c.ply")
     message = refusal(tmp_path / "ours", tmp_path / "theirs")
-    assert f"{tmp_path / 'ours'} has b, which" in message
-    assert f"{tmp_path / 'theirs'} has c, which" in message
+    assert f"{tmp_path / 'ours'} has b, which" in message and f"{tmp_path / 'theirs'} has c, which" in message
     for name in "defg":
         cloud(f"ours/{name}.ply")
     assert "b, d, e and 2 more" in refusal(tmp_path / "ours", tmp_path / "theirs")
@@ -152,8 +146,7 @@ def test_capnet_protocol_hides_scale_and_place_and_plain_does_not(cloud):
     assert scaled["mean"] == pytest.approx(document(a, b, "--protocol", "capnet", "--emd", "--chamfer")["mean"])
     boxed = [p - (p.min(0) + p.max(0)) / 2 for p in (points_of(1), points_of(2))]
     boxed = [p / np.ptp(p, axis=0).max() for p in boxed]
-    assert scaled["mean"]["emd"] == pytest.approx(emd(*boxed, squared=True))
-    assert "squared" in scaled["convention"]["emd"]
+    assert scaled["mean"]["emd"] == pytest.approx(emd(*boxed, squared=True)) and "squared" in scaled["convention"]["emd"]
     assert document(a, b, "--emd")["mean"]["emd"] == pytest.approx(emd(points_of(1), points_of(2)))
 
 
@@ -267,8 +260,7 @@ def test_plain_protocol_says_when_the_target_is_not_of_size_one(cloud):
 
 def test_emd_of_unequal_clouds_advises_points_and_names_the_files(cloud):
     message = refusal(cloud("a.ply", 1, 60), cloud("b.ply", 2, 30), "--emd")
-    assert "a.ply against" in message
-    assert "--points 30" in message
+    assert "a.ply against" in message and "--points 30" in message
 
 
 def test_f_score_takes_a_threshold(cloud):
@@ -278,7 +270,7 @@ def test_f_score_takes_a_threshold(cloud):
     assert wide["mean"] == {"precision": 1.0, "recall": 1.0, "f_score": 1.0}
 
 
-def test_meshes_are_compared_by_their_surface_and_this_is_logged(square):
+def test_meshes_and_voxel_grids_are_compared_by_their_surface_and_this_is_logged(square, grid):
     mesh = square.with_name("b.ply")
     mesh.write_text(SQUARE_PLY)
     result = run(square, mesh, "--samples", 500, "--json")
@@ -286,10 +278,7 @@ def test_meshes_are_compared_by_their_surface_and_this_is_logged(square):
     (pair,) = json.loads(result.stdout)["pairs"]
     assert (pair["prediction_kind"], pair["prediction_points"]) == ("mesh", 500)
     assert document(mesh, mesh, "--vertices")["pairs"][0]["prediction_points"] == 4
-
-
-def test_a_voxel_grid_is_compared_by_its_surface(grid):
-    pair = document(grid, grid, "--samples", 300, "--points", 50)["pairs"][0]
+    (pair,) = document(grid, grid, "--samples", 300, "--points", 50)["pairs"]
     assert (pair["target_kind"], pair["target_points"]) == ("voxels", 50)
     assert 0.0 < pair["chamfer"] < 0.05
 
@@ -305,8 +294,7 @@ def test_fail_above_prints_the_result_and_then_fails_the_gate(cloud):
     thousandfold = 1000 * document(a, b)["mean"]["chamfer"]
     assert run(a, b, "--fail-above", thousandfold * 1.01).exit_code == 0
     result = run(a, b, "--json", "--fail-above", thousandfold * 0.99)
-    assert isinstance(result.exception, GateError)
-    assert result.exception.exit_code == 3
+    assert isinstance(result.exception, GateError) and result.exception.exit_code == 3
     assert json.loads(result.stdout)["pairs"]
 
 
@@ -388,19 +376,22 @@ def test_masks_and_cameras_of_a_folder_are_found_by_name(pictured, tmp_path):
 
 
 def test_iou_without_a_fitting_camera_is_refused(pictured):
-    cloud, mask = pictured / "cloud.ply", pictured / "mask.png"
+    cloud, masked = pictured / "cloud.ply", ("--iou", "--mask", pictured / "mask.png")
     assert "names no mask" in refusal(cloud, cloud, "--iou", "--camera", pictured / "camera.json")
     (pictured / "camera.json").unlink()
-    assert "no mask.camera.json or camera.json beside it" in refusal(cloud, cloud, "--iou", "--mask", mask)
+    assert "no mask.camera.json or camera.json beside it" in refusal(cloud, cloud, *masked)
     write_cameras(pictured / "small.json", [CameraRecord(Camera.canonical(16, 32))])
-    message = refusal(cloud, cloud, "--iou", "--mask", mask, "--camera", pictured / "small.json")
-    assert "16x32" in message
-    assert "32x32" in message
+    message = refusal(cloud, cloud, *masked, "--camera", pictured / "small.json")
+    assert "16x32" in message and "32x32" in message
 
 
-@pytest.mark.parametrize(
-    ("setting", "message"), [({"metrics": ("volume",)}, "metrics are"), ({"protocol": "x"}, "protocol is 'x'")]
-)
-def test_an_unknown_metric_or_protocol_is_refused(setting, message):
-    with pytest.raises(InputError, match=message):
+@pytest.mark.parametrize("setting", [{"metrics": ("volume",)}, {"protocol": "x"}])
+def test_an_unknown_metric_or_protocol_is_refused(setting):
+    with pytest.raises(InputError, match=f"{next(iter(setting))} (are|is) .*expected (some|one) of"):
         EvalConfig(**setting)
+
+
+def test_progress_counts_the_pairs(cloud):
+    pair, reports = Pair("a", cloud("a.ply"), cloud("b.ply")), []
+    evaluate([pair] * 3, EvalConfig(), lambda *report: reports.append(report))
+    assert reports == [(1, 3), (2, 3), (3, 3)]

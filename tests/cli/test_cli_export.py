@@ -1,8 +1,5 @@
 """`tso export`: half the size, the same network."""
 
-from __future__ import annotations
-
-import json
 import shutil
 from pathlib import Path
 
@@ -13,31 +10,21 @@ from safetensors.torch import load_file
 
 from tso_cli.errors import InputError
 from tso_cli.io.checkpoints import load_network, read_metadata, save_network, save_tensors
-from tso_cli.network import model as networks
 from tso_cli.network.model import NetworkConfig, build_network
 
-from .run import tso
-
+pytestmark = pytest.mark.usefixtures("tiny_network")
 CONFIG = NetworkConfig(points=16, training_set="two chairs", settings={"views": 4})
 
 
-@pytest.fixture(autouse=True)
-def thin_network(monkeypatch):
-    """The same layers with few channels: files of kilobytes instead of 25 MB."""
-    monkeypatch.setattr(networks, "CONVOLUTIONS", tuple((2, size, stride) for _, size, stride in networks.CONVOLUTIONS))
-    monkeypatch.setattr(networks, "LATENT", 4)
-
-
 @pytest.fixture
-def base(tmp_path, thin_network, monkeypatch):
+def base(tmp_path, tiny_network, monkeypatch):
     monkeypatch.chdir(tmp_path)
     save_network("base.safetensors", build_network(16, seed=1), CONFIG)
     return Path("base.safetensors")
 
 
-def test_the_copy_is_half_the_size_and_predicts_the_same(base, capsys):
-    assert tso("export", base, "-o", "small.safetensors") == 0
-    assert "MB" in capsys.readouterr().out
+def test_the_copy_is_half_the_size_and_predicts_the_same(base, tso):
+    assert "MB" in tso("export", base, "-o", "small.safetensors").out
     assert {tensor.dtype for tensor in load_file("small.safetensors").values()} == {torch.float16}
     weights = sum(tensor.nbytes for tensor in load_file(base).values())
     assert base.stat().st_size - Path("small.safetensors").stat().st_size > 0.45 * weights
@@ -48,12 +35,11 @@ def test_the_copy_is_half_the_size_and_predicts_the_same(base, capsys):
     assert not torch.equal(second(image), first(image))
 
 
-def test_the_largest_change_is_that_of_the_examples_points(base, capsys):
+def test_the_largest_change_is_that_of_the_examples_points(base, tso):
     from tso_cli.io.shipped import CATEGORIES, examples_folder
     from tso_cli.scene.network import load_network_scene
 
-    assert tso("export", base, "-o", "small.safetensors", "--json") == 0
-    document = json.loads(capsys.readouterr().out)
+    document = tso("export", base, "-o", "small.safetensors", "--json").document
     changes = []
     for folder in (examples_folder() / name for name in CATEGORIES):
         first, second = (
@@ -66,11 +52,11 @@ def test_the_largest_change_is_that_of_the_examples_points(base, capsys):
     assert document["bytes_after"] == Path("small.safetensors").stat().st_size
 
 
-def test_the_state_of_a_training_is_left_behind(base):
+def test_the_state_of_a_training_is_left_behind(base, tso):
     network, _ = load_network(base)
     tensors = {**network.state_dict(), "training.moment": torch.ones(3)}
     save_tensors("unfinished.safetensors", tensors, CONFIG, {"step": 7})
-    assert tso("export", "unfinished.safetensors", "-o", "small.safetensors") == 0
+    assert tso("export", "unfinished.safetensors", "-o", "small.safetensors").code == 0
     assert set(load_file("small.safetensors")) == set(network.state_dict())
     assert read_metadata(Path("small.safetensors"))[1] == {}
 
@@ -93,13 +79,9 @@ def test_a_weight_too_large_for_half_precision_is_named_and_nothing_is_written(b
         ("nowhere.safetensors -o small.safetensors", "nowhere.safetensors exist"),
     ],
 )
-def test_what_cannot_be_exported_gets_one_line_and_changes_no_file(arguments, words, base, capsys):
+def test_what_cannot_be_exported_gets_one_line_and_changes_no_file(arguments, words, base, tso):
     shutil.copy(base, "taken.safetensors")
     before = {path: path.read_bytes() for path in Path().iterdir()}
-    assert tso("export", *arguments.split()) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    for word in words.split():
-        assert word in captured.err
+    message = tso("export", *arguments.split()).refusal
+    assert all(word in message for word in words.split())
     assert {path: path.read_bytes() for path in Path().iterdir()} == before

@@ -1,7 +1,5 @@
 """What a command does not use it does not import."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -28,17 +26,22 @@ def _imported(folder, *command_lines):
 
 
 def test_refining_points_imports_nothing_heavy_but_torch(tmp_path):
-    found = _imported(tmp_path, f"refine {CHAIR / 'initial.ply'} {CHAIR / 'mask.png'} --steps 6 --overlay chair.png")
-    assert {"torch", "tso_cli.refinement.api", "PIL.Image"} <= found
-    assert not found & set(HEAVY)
+    modules = _imported(tmp_path, f"refine {CHAIR / 'initial.ply'} {CHAIR / 'mask.png'} --steps 6 --overlay chair.png")
+    assert {"torch", "tso_cli.refinement.api", "PIL.Image"} <= modules
+    assert not modules & set(HEAVY)
 
 
 def test_version_and_help_import_no_numbers(tmp_path):
-    found = _imported(tmp_path, "--version", "--help")
-    assert "tso_cli.cli" in found
-    assert not found & {"torch", "numpy", "PIL", *HEAVY}
+    modules = _imported(tmp_path, "--version", "--help")
+    assert "tso_cli.cli" in modules
+    assert not modules & {"torch", "numpy", "PIL", *HEAVY}
 
 
 def test_the_help_of_a_command_imports_no_torch(tmp_path):
     commands = ("refine", "eval", "train", "curves", "export", "render", "compile", "bench", "lab")
     assert not _imported(tmp_path, *(f"{command} --help" for command in commands)) & {"torch", *HEAVY}
+
+
+def test_importing_the_package_imports_no_torch():
+    code = "import sys, tso_cli; assert 'torch' not in sys.modules; from tso_cli import refine; assert callable(refine)"
+    subprocess.run([sys.executable, "-c", code], check=True)

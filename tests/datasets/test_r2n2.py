@@ -1,9 +1,5 @@
 """The renders of ShapeNet made for 3D-R2N2."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import open3d  # noqa: F401  pictures are made by casting rays
 import pytest
@@ -24,16 +20,16 @@ from tso_cli.datasets.r2n2 import open_r2n2, r2n2_camera
 
 
 @pytest.fixture
-def root(tmp_path: Path) -> Path:
+def root(tmp_path):
     return write_r2n2(tmp_path / "ShapeNetRendering", ("abc", "def"))
 
 
-def pictures(root: Path, name: str = "abc") -> Path:
+def pictures(root, name="abc"):
     return root / CHAIR / name / "rendering"
 
 
 @pytest.mark.parametrize("rotation", [0.0, 25.0])
-def test_the_cloud_seen_by_the_cameras_covers_the_masks(tmp_path: Path, rotation: float) -> None:
+def test_the_cloud_seen_by_the_cameras_covers_the_masks(tmp_path, rotation):
     root = write_r2n2(tmp_path / "ShapeNetRendering", rotation=rotation)
     write_clouds(tmp_path, "abc")
     (item,) = open_r2n2(root).objects
@@ -43,12 +39,11 @@ def test_the_cloud_seen_by_the_cameras_covers_the_masks(tmp_path: Path, rotation
 
 
 @pytest.mark.parametrize("in_the_middle", [False, True])
-def test_voxels_are_a_target_in_the_frame_of_the_cameras(tmp_path: Path, in_the_middle: bool) -> None:
+def test_voxels_are_a_target_in_the_frame_of_the_cameras(tmp_path, in_the_middle):
     write_r2n2(tmp_path / "ShapeNetRendering")
     write_binvox(tmp_path / "ShapeNetVox32" / CHAIR / "abc" / "model.binvox", in_the_middle)
     (item,) = open_r2n2(tmp_path).objects
     assert agreement(item) > 0.7
-    assert item.target is not None
     points = item.target()
     assert points.shape == (1024, 3)
     np.testing.assert_array_equal(points, item.target())
@@ -59,7 +54,21 @@ def test_voxels_are_a_target_in_the_frame_of_the_cameras(tmp_path: Path, in_the_
     np.testing.assert_allclose(points.max(0) + points.min(0), 0.0, atol=extent.max() / 16)
 
 
-def test_the_mask_is_the_alpha_channel_soft_edges_and_all(root: Path) -> None:
+def test_clouds_go_before_voxels_and_neither_is_needed(root):
+    assert [item.target for item in open_r2n2(root).objects] == [None, None]
+    write_binvox(root.parent / "ShapeNetVox32" / CHAIR / "abc" / "model.binvox", True)
+    write_clouds(root.parent, "abc")
+    np.testing.assert_array_equal(open_r2n2(root).objects[0].target(), lopsided_points().astype(np.float32))
+
+
+def test_a_name_in_the_list_cannot_lead_out_of_the_folder(root):
+    (root / "secret.png").write_bytes((pictures(root) / "00.png").read_bytes())
+    (pictures(root) / "renderings.txt").write_text("../../../secret.png\n01.png\n")
+    data = open_r2n2(root)
+    assert [view.name[-6:] for view in data.objects[0].views] == ["01.png"] and len(data.skipped) == 1
+
+
+def test_the_mask_is_the_alpha_channel_soft_edges_and_all(root):
     pixels = np.zeros((64, 64, 4), dtype=np.uint8)
     pixels[5, 7] = 10, 20, 30, 51
     Image.fromarray(pixels).save(pictures(root) / "01.png")
@@ -68,7 +77,7 @@ def test_the_mask_is_the_alpha_channel_soft_edges_and_all(root: Path) -> None:
     assert image[5, 7].tolist() == [10, 20, 30]
 
 
-def test_lines_of_the_table_belong_to_the_listed_names_else_to_the_numbers(tmp_path: Path) -> None:
+def test_lines_of_the_table_belong_to_the_listed_names_else_to_the_numbers(tmp_path):
     root = write_r2n2(tmp_path, listed=False)
     by_number = {view.name[-6:]: view.camera for view in open_r2n2(root).objects[0].views}
     (pictures(root) / "renderings.txt").write_text("02.png\n00.png\n01.png\n")
@@ -78,7 +87,7 @@ def test_lines_of_the_table_belong_to_the_listed_names_else_to_the_numbers(tmp_p
         np.testing.assert_array_equal(by_number[number].R, by_list[name].R)
 
 
-def test_the_focal_length_is_35_of_a_sensor_of_32_whatever_the_field_of_view_says() -> None:
+def test_the_focal_length_is_35_of_a_sensor_of_32_whatever_the_field_of_view_says():
     camera = r2n2_camera(0.0, 0.0, 0.8, (137, 137))
     assert camera.K[0, 0] == pytest.approx(35 / 32 * 137) and camera.K[0, 2] == 68.0
     np.testing.assert_allclose(-camera.R.T @ camera.t, [1.4, 0.0, 0.0], atol=1e-12)

@@ -1,7 +1,5 @@
 """Reading back the folder that render writes."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
@@ -9,33 +7,39 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.corruption import assert_refused
 from tso_cli.datasets import rendered
 from tso_cli.datasets.rendered import open_rendered, stored_record, write_object
 from tso_cli.errors import InputError, TsoError
 from tso_cli.geometry.camera import Camera
+from tso_cli.io.images import write_image
 
 
-def picture(seed: int, width: int = 12, height: int = 10) -> tuple[np.ndarray, np.ndarray, Camera]:
+def picture(seed, width=12, height=10):
     rng = np.random.default_rng(seed)
     image = rng.integers(0, 256, (height, width, 3), dtype=np.uint8)
     mask = np.where(rng.random((height, width)) > 0.5, 255, 0).astype(np.uint8)
     return image, mask, Camera.canonical(width, height)
 
 
-def cloud(seed: int, count: int = 20) -> np.ndarray:
+def cloud(seed, count=20):
     return np.random.default_rng(seed).uniform(-0.5, 0.5, (count, 3)).astype(np.float32)
 
 
+def write(folder, number, views=1, **options):
+    pictures = [picture(10 * number + view) for view in range(views)]
+    write_object(folder, pictures, cloud(number, 50), cloud(number), {"n": number}, **options)
+
+
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """Two objects, the second below a category, of two views each."""
     for number, name in enumerate(("b", "a/chair")):
-        views = [picture(10 * number), picture(10 * number + 1)]
-        write_object(tmp_path / "data" / name, views, cloud(number, 50), cloud(number), {"views": 2})
+        write(tmp_path / "data" / name, number, views=2)
     return tmp_path / "data"
 
 
-def test_unfinished_objects_are_left_out_and_one_object_is_a_data_set_of_one(folder: Path) -> None:
+def test_unfinished_objects_are_left_out_and_one_object_is_a_data_set_of_one(folder):
     (folder / "b").rename(folder / ".b.1234.partial")
     assert [item.name for item in open_rendered(folder).objects] == ["a/chair"]
     assert [item.name for item in open_rendered(folder / "a" / "chair").objects] == ["chair"]
@@ -44,68 +48,73 @@ def test_unfinished_objects_are_left_out_and_one_object_is_a_data_set_of_one(fol
         open_rendered(folder)
 
 
-def test_an_object_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object, **__: object) -> None:
+def test_an_object_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
+    def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    old = cloud(1)
-    write_object(tmp_path / "a", [picture(1)], old, old, {"n": 1})
+    write(tmp_path / "a", 1)
     monkeypatch.setattr(rendered, "write_cameras", full)
     for name in ("a", "b"):
         with pytest.raises(TsoError, match="No space left on device"):
-            write_object(tmp_path / name, [picture(2)], cloud(2), cloud(2), {"n": 2}, overwrite=True)
+            write(tmp_path / name, 2, overwrite=True)
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
     assert stored_record(tmp_path / "a") == {"n": 1}
 
 
-def test_the_old_object_comes_back_when_the_new_one_cannot_take_its_place(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_object(tmp_path / "a", [picture(1)], cloud(1), cloud(1), {"n": 1})
+def test_the_old_object_comes_back_when_the_new_one_cannot_take_its_place(tmp_path, monkeypatch):
+    write(tmp_path / "a", 1)
     original = Path.rename
 
-    def stubborn(self: Path, target: Path) -> Path:
+    def stubborn(self, target):
         if self.name.endswith(".partial"):
             raise OSError(5, "Input/output error")
         return original(self, target)
 
     monkeypatch.setattr(Path, "rename", stubborn)
     with pytest.raises(TsoError, match="Input/output error"):
-        write_object(tmp_path / "a", [picture(2)], cloud(2), cloud(2), {"n": 2}, overwrite=True)
+        write(tmp_path / "a", 2, overwrite=True)
     assert stored_record(tmp_path / "a") == {"n": 1}
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
-def test_an_object_is_replaced_only_when_asked(tmp_path: Path) -> None:
-    write_object(tmp_path / "a", [picture(1), picture(2)], cloud(1), cloud(1), {"n": 1})
+def test_an_object_is_replaced_only_when_asked(tmp_path):
+    write(tmp_path / "a", 1, views=2)
     with pytest.raises(InputError, match="--overwrite"):
-        write_object(tmp_path / "a", [picture(1)], cloud(1), cloud(1), {"n": 2})
+        write(tmp_path / "a", 2)
     assert stored_record(tmp_path / "a") == {"n": 1}
-    write_object(tmp_path / "a", [picture(1)], cloud(1), cloud(1), {"n": 2}, overwrite=True)
+    write(tmp_path / "a", 2, overwrite=True)
     assert stored_record(tmp_path / "a") == {"n": 2}
     assert not (tmp_path / "a/001.png").exists()
     assert stored_record(tmp_path / "other") is None
 
 
-def test_as_a_data_set_an_object_has_its_views_target_and_category(folder: Path) -> None:
+def test_as_a_data_set_an_object_has_its_views_target_and_category(folder):
     data = open_rendered(folder)
     assert [(item.name, item.category, len(item.views)) for item in data.objects] == [("a/chair", "a", 2), ("b", "", 2)]
     assert data.skipped == {} and data.description == "data"
     item = data.objects[0]
-    assert item.target is not None
     np.testing.assert_array_equal(item.target(), cloud(1))
     for number, view in enumerate(item.views):
         image, mask, camera = picture(10 + number)
         loaded = view.load()
         np.testing.assert_array_equal(loaded[0], image)
-        np.testing.assert_array_equal(loaded[1], mask / np.float32(255))
-        assert loaded[1].dtype == np.float32
+        np.testing.assert_array_equal(loaded[1], mask / np.float32(255), strict=True)
         np.testing.assert_array_equal(view.camera.K, camera.K)
         assert view.name.endswith(f"{number:03d}.mask.png")
 
 
-def test_a_camera_file_is_read_once_until_it_changes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    reads: list[Path] = []
+def test_missing_damaged_and_resized_pictures_are_named_when_they_are_loaded(folder):
+    views = open_rendered(folder, strict=True).objects[1].views
+    (folder / "b/000.png").write_bytes(b"not a picture")
+    assert_refused(r"b/000\.png: is not a readable image", views[0].load)
+    (folder / "b/000.png").unlink()
+    assert_refused(r"b/000\.png: does not exist", views[0].load)
+    write_image(folder / "b/001.mask.png", picture(0, 13, 10)[1], overwrite=True)
+    assert_refused(r"001\.mask\.png: is 13x10.*12x10", views[1].load)
+
+
+def test_a_camera_file_is_read_once_until_it_changes(folder, monkeypatch):
+    reads = []
     original = rendered.read_cameras
     monkeypatch.setattr(rendered, "read_cameras", lambda path: (reads.append(path), original(path))[1])
     views = open_rendered(folder / "b").objects[0].views
@@ -125,7 +134,7 @@ def test_a_camera_file_is_read_once_until_it_changes(folder: Path, monkeypatch: 
         ("mask", r"views\[1\] names no mask"),
     ],
 )
-def test_an_unusable_object_of_a_data_set_is_skipped_or_an_error(folder: Path, what: str, message: str) -> None:
+def test_an_unusable_object_of_a_data_set_is_skipped_or_an_error(folder, what, message):
     path = folder / "b/cameras.json"
     if what == "target":
         (folder / "b/target.ply").unlink()

@@ -1,28 +1,25 @@
 """Objects of ShapeNet's layouts get one size, and no picture changes by it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.dataset_trees import CHAIR, agreement, iou, lopsided_points, write_clouds, write_r2n2
+from tests.dataset_trees import CHAIR, agreement, iou, lopsided_points, write_clouds, write_r2n2, write_shapenet
 from tso_cli.datasets.items import Dataset
 from tso_cli.datasets.opening import open_dataset
 from tso_cli.datasets.scale import normalised, of_unit_diagonal
 
 
 @pytest.fixture
-def root(tmp_path: Path) -> Path:
+def root(tmp_path):
     """Two chairs, and a third that has pictures and no 3D file."""
     write_r2n2(tmp_path / "ShapeNetRendering", ("abc", "def", "ghi"))
     write_clouds(tmp_path, "abc", "def")
     return tmp_path
 
 
-def test_targets_are_centred_with_longest_side_1_and_still_fill_their_masks(root: Path) -> None:
+def test_targets_are_centred_with_longest_side_1_and_still_fill_their_masks(root):
     for item in open_dataset(root).objects[:2]:
         points = item.target()
         np.testing.assert_allclose(np.ptp(points, axis=0).max(), 1.0, rtol=1e-6)
@@ -32,7 +29,13 @@ def test_targets_are_centred_with_longest_side_1_and_still_fill_their_masks(root
     assert agreement(one) == pytest.approx(agreement(raw), abs=0.01)
 
 
-def test_objects_of_two_sizes_come_out_alike(root: Path) -> None:
+def test_the_layout_of_the_authors_is_scaled_alike(tmp_path):
+    (item,) = open_dataset(write_shapenet(tmp_path)).objects
+    np.testing.assert_allclose(np.ptp(item.target(), axis=0).max(), 1.0, rtol=1e-6)
+    assert agreement(item) > 0.8
+
+
+def test_objects_of_two_sizes_come_out_alike(root):
     """A shape twice as large, seen from twice as far, is the same item."""
     item = open_dataset(root, own_scale=True).objects[0]
     views = [replace(view, camera=replace(view.camera, t=2.0 * view.camera.t)) for view in item.views]
@@ -43,18 +46,16 @@ def test_objects_of_two_sizes_come_out_alike(root: Path) -> None:
         np.testing.assert_allclose(ours.camera.t, theirs.camera.t, rtol=1e-6)
 
 
-def test_an_object_without_a_3d_file_takes_the_size_that_is_usual_for_its_category(root: Path) -> None:
+def test_an_object_without_a_3d_file_takes_the_size_that_is_usual_for_its_category(root):
     data = open_dataset(root)
     known, lacking = data.objects[0], data.objects[2]
-    assert lacking.target is None
-    assert "ghi" in lacking.lacking
-    assert "does not exist" in lacking.lacking
+    assert lacking.target is None and "ghi" in lacking.lacking and "does not exist" in lacking.lacking
     # The pictures of the three are the same.
     np.testing.assert_allclose(lacking.views[0].camera.t, known.views[0].camera.t)
     assert iou(known.target(), lacking.views[0].camera, lacking.views[0].load()[1]) > 0.7
 
 
-def test_a_category_without_any_3d_file_takes_the_usual_size_of_the_others(root: Path) -> None:
+def test_a_category_without_any_3d_file_takes_the_usual_size_of_the_others(root):
     (root / "ShapeNetRendering" / CHAIR).rename(root / "ShapeNetRendering" / "chairs")
     (root / "ShapeNet_pcl" / CHAIR).rename(root / "ShapeNet_pcl" / "chairs")
     write_r2n2(root / "ShapeNetRendering", ("car",))
@@ -63,7 +64,7 @@ def test_a_category_without_any_3d_file_takes_the_usual_size_of_the_others(root:
     np.testing.assert_allclose(other.views[0].camera.t, chair.views[0].camera.t)
 
 
-def test_shapes_that_have_lost_their_size_get_a_unit_diagonal_where_sizes_are_kept(root: Path) -> None:
+def test_shapes_that_have_lost_their_size_get_a_unit_diagonal_where_sizes_are_kept(root):
     raw = open_dataset(root, own_scale=True)
     one = of_unit_diagonal(normalised(raw)).objects[0]
     assert np.linalg.norm(np.ptp(one.target(), axis=0)) == pytest.approx(1.0, rel=1e-6)
@@ -71,20 +72,20 @@ def test_shapes_that_have_lost_their_size_get_a_unit_diagonal_where_sizes_are_ke
     np.testing.assert_allclose(one.views[0].camera.t, raw.objects[0].views[0].camera.t, rtol=0.05, atol=0.02)
 
 
-def test_a_damaged_3d_file_does_not_stop_masks(root: Path) -> None:
+def test_a_damaged_3d_file_does_not_stop_masks(root):
     (root / "ShapeNet_pcl" / CHAIR / "abc" / "pcl_1024_fps_trimesh.npy").write_bytes(b"no array")
     data = open_dataset(root)
     np.testing.assert_allclose(data.objects[0].views[0].camera.t, data.objects[1].views[0].camera.t)
 
 
-def test_without_any_3d_file_everything_stays_in_its_own_scale(tmp_path: Path) -> None:
+def test_without_any_3d_file_everything_stays_in_its_own_scale(tmp_path):
     write_r2n2(tmp_path / "ShapeNetRendering")
     raw, same = (open_dataset(tmp_path, own_scale=own).objects[0] for own in (True, False))
     np.testing.assert_array_equal(raw.views[0].camera.t, same.views[0].camera.t)
     assert open_dataset(tmp_path).scale == "units of the data set"
 
 
-def test_what_learns_from_points_leaves_out_objects_without_them(root: Path) -> None:
+def test_what_learns_from_points_leaves_out_objects_without_them(root):
     data = open_dataset(root).with_points()
     assert [item.name[-3:] for item in data.objects] == ["abc", "def"]
     assert list(data.skipped) == [f"{CHAIR}/ghi"]

@@ -1,7 +1,5 @@
 """The example with photos, on pictures made here: the photos that its page shows are not in the repository."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 

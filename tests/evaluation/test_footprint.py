@@ -1,10 +1,7 @@
 """The silhouette of a cloud and its IoU with a mask."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,31 +14,28 @@ from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.resampling import area_resize
 from tso_cli.geometry.view import View
 from tso_cli.geometry.window import window_of
-from tso_cli.io.cameras import read_cameras
-from tso_cli.io.clouds import read_cloud
-from tso_cli.io.images import read_mask
 from tso_cli.io.meshes import read_mesh
 from tso_cli.refinement.run import view_ious
 from tso_cli.render import RayScene, RenderSettings, fitting_distance, ground_truth, look_at, normalise, render_view
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+from ..scenes import EXAMPLES, example, square_mask
+
 NAMES = ("chair", "car", "airplane")
 # One unit is 100 px; x to the right, y down.
 FLAT = Camera(np.diag([100.0, 100.0, 1.0]), np.eye(3), np.zeros(3), 100, 100, "orthographic")
 
 
-def _example(name: str, cloud: str = "target") -> tuple[np.ndarray, View]:
-    folder = EXAMPLES / name
-    view = View(read_mask(folder / "mask.png"), read_cameras(folder / "camera.json")[0].camera)
-    return read_cloud(folder / f"{cloud}.ply").points, view
+def _example(name, cloud="target"):
+    scene = example(name)
+    return (scene.target if cloud == "target" else scene.points), scene.view
 
 
-def _resized(view: View, size: int) -> View:
+def _resized(view, size):
     cover, _ = area_resize(view.mask, (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5), size, size)
     return View(np.float32(cover > 0.5), view.camera.resized(size, size))
 
 
-def _on_canvas(view: View, times: int, left: int, top: int) -> View:
+def _on_canvas(view, times, left, top):
     """The picture laid into one so many times as wide and high."""
     height, width = view.mask.shape
     mask = np.zeros((times * height, times * width), np.float32)
@@ -50,17 +44,14 @@ def _on_canvas(view: View, times: int, left: int, top: int) -> View:
     return View(mask, replace(view.camera, K=K, width=times * width, height=times * height))
 
 
-def _plate(step: float = 0.02, last: float = 0.88) -> np.ndarray:
+def _plate(step=0.02, last=0.88):
     """A square lattice in the plane z = 0, from 0.1 on."""
     steps = np.arange(0.1, last + 1e-9, step)
     return np.stack([*np.meshgrid(steps, steps), np.zeros((len(steps), len(steps)))], -1).reshape(-1, 3)
 
 
-def _square() -> np.ndarray:
-    """The mask of that plate: it reaches half a pixel beyond the outermost points."""
-    mask = np.zeros((100, 100), np.float32)
-    mask[10:89, 10:89] = 1.0
-    return mask
+# The mask of that plate: it reaches half a pixel beyond the outermost points.
+SQUARE = square_mask(10, 10, 79, 100)
 
 
 @pytest.mark.parametrize("size", [64, 1024])
@@ -103,12 +94,34 @@ def test_a_cloud_that_is_shifted_scaled_or_of_another_shape_scores_clearly_lower
     assert window_iou(_example(name, "initial")[0], view) < score - 0.1
 
 
+def test_half_of_the_object_scores_half():
+    points, view = _plate(), View(SQUARE, FLAT)
+    assert window_iou(points, view) > 0.97
+    assert window_iou(points[points[:, 0] < 0.49], view) == pytest.approx(0.5, abs=0.02)
+
+
+def test_what_lies_beyond_the_border_of_the_image_is_unknown():
+    points, view = _example("car")
+    camera = replace(
+        view.camera, K=view.camera.K - [[0.0, 0.0, 90.0], [0.0, 0.0, 70.0], [0.0, 0.0, 0.0]], width=130, height=150
+    )
+    assert window_iou(points, View(view.mask[70:220, 90:220], camera)) > 0.95
+
+
+@pytest.mark.parametrize("size", [300, 1200])
+def test_pixels_compared_do_not_grow_with_the_photo(size):
+    points, view = _example("chair")
+    large = _resized(view, size)
+    seen = in_window(points, large, window_of(large, points))
+    assert max(seen.mask.shape) <= 257 and seen.silhouette.shape == seen.mask.shape
+
+
 def test_a_hole_wider_than_two_spacings_stays_open_and_the_gaps_between_points_are_closed():
     points = _plate()
     # Two by two points less: from point to point three spacings, of which the outline takes a little.
     hole = (np.abs(points[:, :2] - 0.49) < 0.02).all(1)
     assert hole.sum() == 4
-    seen = in_window(points[~hole], View(_square(), FLAT), (-0.5, -0.5, 99.5, 99.5))
+    seen = in_window(points[~hole], View(SQUARE, FLAT), (-0.5, -0.5, 99.5, 99.5))
     assert not seen.silhouette[48:51, 48:51].any()
     around = np.zeros((100, 100), bool)
     around[11:88, 11:88] = True
@@ -130,7 +143,7 @@ def test_strays_lower_the_score_and_fill_nothing():
 
 
 def test_what_the_mask_does_not_know_says_nothing():
-    points, mask, known = _plate(), _square(), np.ones((100, 100), bool)
+    points, mask, known = _plate(), SQUARE.copy(), np.ones((100, 100), bool)
     mask[:, 60:], known[:, 60:] = 0.0, False
     assert window_iou(points, View(mask, FLAT)) < 0.7
     assert window_iou(points, View(mask, FLAT, known)) > 0.97

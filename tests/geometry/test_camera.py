@@ -1,7 +1,5 @@
 """The camera: what it accepts, and the changes of frame that keep its picture."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,7 +11,7 @@ from tso_cli.geometry.camera import Camera
 CANONICAL = Camera.canonical(64, 48)
 
 
-def _points(seed: int = 0) -> np.ndarray:
+def _points(seed=0):
     return np.random.default_rng(seed).uniform(-0.4, 0.4, (30, 3))
 
 
@@ -21,6 +19,10 @@ def test_the_canonical_camera_is_centred_and_two_units_away_at_any_size():
     assert CANONICAL.K.tolist() == [[120.0, 0.0, 31.5], [0.0, 120.0, 23.5], [0.0, 0.0, 1.0]]
     assert CANONICAL.t.tolist() == [0.0, 0.0, 2.0]
     np.testing.assert_allclose(CANONICAL.resized(128, 96).K, Camera.canonical(128, 96).K)
+    # Right in the world is a larger column, up a smaller row.
+    pixels, depth = CANONICAL.project(np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]]))
+    np.testing.assert_allclose(pixels, [[31.5, 23.5], [37.5, 23.5], [31.5, 17.5]])
+    np.testing.assert_allclose(depth, 2.0)
 
 
 @settings(max_examples=40, deadline=None)

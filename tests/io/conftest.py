@@ -1,19 +1,14 @@
-from __future__ import annotations
-
 import json
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 
 @pytest.fixture
-def save(tmp_path: Path) -> Callable[[str, Any], Path]:
+def save(tmp_path):
     """Write bytes, text, an array (.npy) or a JSON document to a file of tmp_path."""
 
-    def write(name: str, content: Any) -> Path:
+    def write(name, content):
         path = tmp_path / name
         if isinstance(content, np.ndarray):
             np.save(path, content, allow_pickle=True)

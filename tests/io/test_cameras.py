@@ -1,17 +1,14 @@
 """Camera files read back exactly; what is wrong in one is said with the file and the key."""
 
-from __future__ import annotations
-
-import copy
 import json
 
 import numpy as np
 import pytest
 
-from tests.corruption import assert_one_line, assert_reads_or_refuses
+from tests.corruption import assert_reads_or_refuses, assert_refused
 from tso_cli.errors import InputError
 from tso_cli.geometry.camera import Camera
-from tso_cli.io.cameras import CameraRecord, find_camera, read_camera, read_cameras, write_cameras
+from tso_cli.io.cameras import CameraRecord, find_camera, named_masks, pair_with_masks, read_camera, read_cameras, write_cameras
 
 TURN = 0.3
 GOOD = {
@@ -24,9 +21,7 @@ GOOD = {
 
 
 def changed(**keys):
-    document = copy.deepcopy(GOOD)
-    document.update(keys)
-    return document
+    return GOOD | keys
 
 
 def without(key):
@@ -39,16 +34,13 @@ def save_camera(save):
 
 
 def assert_same(a, b):
-    assert np.array_equal(a.K, b.K)
-    assert np.array_equal(a.R, b.R)
-    assert np.array_equal(a.t, b.t)
+    assert all(np.array_equal(getattr(a, name), getattr(b, name)) for name in "KRt")
     assert (a.width, a.height, a.model) == (b.width, b.height, b.model)
 
 
 def test_a_single_camera_is_read_as_it_stands(save):
     (record,) = read_cameras(save(b"\xef\xbb\xbf" + json.dumps(GOOD).encode()))  # a byte order mark is no obstacle
-    assert record.mask is None
-    assert record.image is None
+    assert (record.mask, record.image) == (None, None)
     assert_same(record.camera, Camera(GOOD["K"], GOOD["R"], GOOD["t"], 64, 48))
     assert_same(read_camera(save(GOOD), 64, 48), record.camera)
 
@@ -83,8 +75,7 @@ def test_what_is_written_reads_back_exactly(tmp_path):
 def test_an_existing_camera_file_is_not_replaced_unasked(save):
     path = save(GOOD)
     record = CameraRecord(Camera.canonical(8, 8))
-    with pytest.raises(InputError, match="--overwrite"):
-        write_cameras(path, [record])
+    assert_refused("--overwrite", write_cameras, path, [record])
     write_cameras(path, [record], overwrite=True)
     assert read_cameras(path)[0].camera.width == 8
 
@@ -100,8 +91,7 @@ def test_the_masks_own_camera_comes_before_the_folders(save, tmp_path):
 
 def test_a_camera_for_another_size_is_refused(save, tmp_path):
     with pytest.raises(
-        InputError,
-        match=r"camera\.json: width x height is 64x48, the mask .*m\.png is 128x96, expected the same$",
+        InputError, match=r"camera\.json: width x height is 64x48, the mask .*m\.png is 128x96, expected the same$"
     ):
         read_camera(save(GOOD), 128, 96, tmp_path / "m.png")
 
@@ -109,10 +99,8 @@ def test_a_camera_for_another_size_is_refused(save, tmp_path):
 def test_the_view_that_names_the_mask_is_chosen(save, tmp_path):
     path = save({"views": [changed(mask="a.png"), changed(mask="b.png", t=[0, 0, 9])]})
     assert read_camera(path, 64, 48, tmp_path / "b.png").t[2] == 9
-    with pytest.raises(InputError, match=r"0 of its 2 views name the mask .*c\.png, expected one"):
-        read_camera(path, 64, 48, tmp_path / "c.png")
-    with pytest.raises(InputError, match="0 of its 2 views name a mask"):
-        read_camera(path, 64, 48)
+    assert_refused(r"0 of its 2 views name the mask .*c\.png, expected one", read_camera, path, 64, 48, tmp_path / "c.png")
+    assert_refused("0 of its 2 views name a mask", read_camera, path, 64, 48)
 
 
 BAD = {
@@ -159,16 +147,13 @@ BAD = {
 @pytest.mark.parametrize("case", BAD)
 def test_what_is_wrong_is_said_with_file_and_key(save, case):
     content, message = BAD[case]
-    with pytest.raises(InputError, match=rf"camera\.json: .*{message.removeprefix(': ')}") as caught:
-        read_cameras(save(content))
-    assert_one_line(str(caught.value))
+    assert_refused(rf"camera\.json: .*{message.removeprefix(': ')}", read_cameras, save(content))
 
 
 def test_a_file_too_large_for_a_camera_file_is_refused(tmp_path):
     with (tmp_path / "huge.json").open("wb") as file:
         file.truncate(65 << 20)
-    with pytest.raises(InputError, match=r"huge\.json: holds 68,157,440 bytes, expected .* at most 67,108,864"):
-        read_cameras(tmp_path / "huge.json")
+    assert_refused(r"huge\.json: holds 68,157,440 bytes, .* at most 67,108,864", read_cameras, tmp_path / "huge.json")
 
 
 def test_unknown_keys_are_ignored_with_one_warning(save):
@@ -187,5 +172,58 @@ def test_any_damage_is_read_or_refused_in_one_line(save, form):
             assert np.abs(record.camera.R @ record.camera.R.T - np.eye(3)).max() < 2e-3
 
     was_read, refused = assert_reads_or_refuses(read, path, count=200)
-    assert was_read > 5
-    assert refused > 60
+    assert was_read > 5 and refused > 60
+
+
+# Which view of a camera file belongs to which mask
+
+
+@pytest.fixture
+def save_views(tmp_path):
+    """Write a camera file whose view number i has width 10 + i and names the i-th of the masks (None: no mask)."""
+
+    def write(*masks):
+        cameras = [Camera.canonical(10 + i, 8) for i in range(len(masks))]
+        records = [CameraRecord(c, m and tmp_path / m) for c, m in zip(cameras, masks, strict=True)]
+        write_cameras(tmp_path / "views.json", records, overwrite=True)
+        return tmp_path / "views.json"
+
+    return write
+
+
+def _order(path, *masks, folder=""):
+    return [camera.width - 10 for camera in pair_with_masks(path, [path.parent / folder / mask for mask in masks])]
+
+
+def test_masks_that_are_named_find_their_views_in_whatever_order(save_views):
+    path = save_views("a.png", "b.png", "c.png")
+    assert _order(path, "c.png", "a.png", "b.png") == [2, 0, 1]
+    assert _order(path, "c.png", "b.png") == [2, 1]
+    assert _order(path, "c.png", "a.png", folder="moved") == [2, 0]
+    assert _order(save_views("1/mask.png", "2/mask.png"), "2/mask.png", "1/mask.png") == [1, 0]
+
+
+def test_views_that_name_no_mask_are_taken_in_their_order(save_views, recwarn):
+    assert _order(save_views(None, None, None), "c.png", "a.png", "b.png") == [0, 1, 2]
+    assert not recwarn.list
+
+
+def test_views_that_name_other_masks_are_taken_in_their_order_with_a_warning(save_views):
+    with pytest.warns(UserWarning, match=r"views\[1\] names the mask .*b\.png, used for .*other\.png"):
+        assert _order(save_views("a.png", "b.png"), "a.png", "other.png") == [0, 1]
+
+
+def test_another_number_of_masks_than_views_is_refused_with_both_counts(save_views):
+    message = r"views\.json: holds 3 views, found 2 masks; expected as many"
+    assert_refused(message, _order, save_views(None, None, None), "a.png", "b.png")
+
+
+def test_an_order_that_contradicts_the_names_is_refused(save_views):
+    message = r"b\.png is named by views\[1\] and given at place 0, expected the same order"
+    assert_refused(message, _order, save_views("a.png", "b.png", "c.png"), "b.png", "a.png", "other.png")
+
+
+def test_the_masks_that_the_views_name_are_listed_relative_to_the_file(save_views):
+    path = save_views("b.png", "in/a.png")
+    assert named_masks(path) == [path.parent / "b.png", path.parent / "in" / "a.png"]
+    assert_refused(r"views\.json: views\[1\] of 2 names no mask", named_masks, save_views("a.png", None))

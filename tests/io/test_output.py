@@ -1,7 +1,5 @@
 """Output files are written whole or not at all."""
 
-from __future__ import annotations
-
 import errno
 import os
 import subprocess
@@ -9,6 +7,7 @@ import sys
 
 import pytest
 
+from tests.corruption import assert_refused
 from tso_cli.errors import InputError
 from tso_cli.io.output import atomic_output, check_output, reason
 
@@ -23,17 +22,14 @@ from tso_cli.io.output import atomic_output, check_output, reason
     ],
 )
 def test_what_cannot_be_an_output_is_refused(tmp_path, name, message):
-    (tmp_path / "old.ply").write_text("old")
-    with pytest.raises(InputError, match=message):
-        check_output(tmp_path / name, overwrite=True)
+    (tmp_path / "old.ply").touch()
+    assert_refused(message, check_output, tmp_path / name, overwrite=True)
 
 
 def test_an_existing_file_needs_overwrite(tmp_path):
-    path = tmp_path / "old.ply"
-    path.write_text("old")
-    with pytest.raises(InputError, match=r"old\.ply: exists already.*--overwrite"):
-        check_output(path, overwrite=False)
-    check_output(path, overwrite=True)
+    (tmp_path / "old.ply").touch()
+    assert_refused(r"old\.ply: exists already.*--overwrite", check_output, tmp_path / "old.ply", overwrite=False)
+    check_output(tmp_path / "old.ply", overwrite=True)
 
 
 def test_a_name_that_cannot_be_is_refused_in_one_line(tmp_path):

@@ -81,3 +81,11 @@ def test_without_numba_torch_does_the_work_and_a_warning_says_so(monkeypatch):
             assert cheapest(torch.zeros(8, 1024, 2), 64, 64, 0.4) == "windowed"
     finally:
         dispatch._importable.cache_clear()
+
+
+def test_small_work_and_other_precisions_and_devices_are_left_to_torch():
+    assert cheapest(torch.zeros(8, 1024, 2), 64, 64, 0.4) == "compiled"
+    assert cheapest(torch.zeros(1, 8191, 2), 64, 64, 0.4) == "windowed"
+    assert cheapest(torch.zeros(1, 8191, 2), 20, 20, 6.4) == "exact"
+    assert cheapest(torch.zeros(8, 1024, 2, dtype=torch.bfloat16), 64, 64, 0.4) == "windowed"
+    assert cheapest(torch.zeros(8, 1024, 2, device="meta"), 64, 64, 0.4) == "windowed"

@@ -175,3 +175,15 @@ def test_the_gradients_of_the_compiled_losses_are_those_of_finite_differences(mo
         return LOSSES[loss](splat(p, valid, 12, 12, 0.4, "compiled"), mask, torch.ones_like(mask), p, valid)
 
     assert torch.autograd.gradcheck(value, (points,), eps=1e-6, atol=1e-3, rtol=1e-5)
+
+
+def test_points_that_are_not_finite_attract_no_pixel():
+    points = torch.tensor([[[float("nan"), 3.0], [3.0, float("inf")], [2.0, 2.0]]])
+    pixels = torch.ones(1, 6, 6, dtype=torch.bool)
+    (value, gradient), (expected, expected_gradient) = (
+        _value_and_gradient(
+            lambda p: losses_numba.pixels_to_points(pixels, pixels.float(), p, torch.ones(p.shape[:2]) > 0, 1.0), q
+        )
+        for q in (points, points[:, 2:])
+    )
+    assert torch.equal(value, expected) and torch.equal(gradient[:, 2:], expected_gradient)

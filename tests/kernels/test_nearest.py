@@ -145,3 +145,10 @@ def test_a_moved_copy_finds_its_neighbours_whatever_moved(rows, step):
     to_moved, to_start = StaticNearest(start)(moved)
     _assert_nearest(start, moved, to_moved)
     _assert_nearest(moved, start, to_start)
+
+
+@pytest.mark.parametrize("pairs", [64, 8])
+def test_queries_in_chunks_of_any_size_are_all_answered(pairs, monkeypatch):
+    monkeypatch.setattr(nearest_module, "PAIRS_PER_PRODUCT", pairs)
+    queries, data = torch.rand(2, 50, 3, generator=torch.Generator().manual_seed(3))
+    _assert_nearest(queries, data, nearest(queries, data))

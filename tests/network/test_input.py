@@ -1,9 +1,6 @@
 """Network input: photo, mask and camera get the same crop, an exact area average."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,11 +9,12 @@ from tso_cli.errors import InputError
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.resampling import area_resize
 from tso_cli.geometry.view import View
-from tso_cli.io.cameras import read_camera
-from tso_cli.io.images import read_image, read_mask
+from tso_cli.io.images import read_image
 from tso_cli.network.input import crop_box, network_input
 from tso_cli.network.model import NetworkConfig, build_network
 from tso_cli.scene.network import network_scene
+
+from ..scenes import EXAMPLES
 
 
 def rectangle(height, width, rows, columns):
@@ -96,6 +94,12 @@ def test_the_background_follows_the_mask(background, value):
     inside = crop.mask == 1.0
     np.testing.assert_allclose(crop.image[:, inside], 0.6, atol=1e-6)
     np.testing.assert_allclose(crop.image[:, crop.mask == 0.0], value, atol=1e-6)
+
+
+def test_soft_mask_values_are_kept():
+    view = rectangle(64, 64, slice(20, 44), slice(20, 44))
+    view.mask[20:44, 30:34] = 0.7
+    assert np.isclose(network_input(np.zeros((64, 64, 3), np.uint8), view).mask, 0.7).any()
 
 
 def test_what_lies_outside_the_photo_is_unknown_and_has_the_background_colour():
@@ -195,14 +199,12 @@ def test_a_crop_of_share_0_needs_the_object_before_the_camera_and_near_the_origi
         )
 
 
-def test_a_network_that_sees_sizes_takes_the_distance_of_the_camera_and_warns_without_one():
-    example = Path(__file__).parents[2] / "examples" / "chair"
-    image, mask = read_image(example / "image.png"), read_mask(example / "mask.png")
-    camera = read_camera(example / "camera.json", mask.shape[1], mask.shape[0])
+def test_a_network_that_sees_sizes_takes_the_distance_of_the_camera_and_warns_without_one(chair):
+    image = read_image(EXAMPLES / "chair" / "image.png")
     network, config = build_network(seed=0).eval(), NetworkConfig(crop_share=0.0)
 
     def crop_of(distance):
-        view = View(mask, replace(camera, t=distance * camera.t))
+        view = View(chair.mask, replace(chair.camera, t=distance * chair.camera.t))
         scene = network_scene(image, view, network, config)
         assert "(only its K and t)" in scene.camera_summary
         return scene.views[0].mask
@@ -210,4 +212,4 @@ def test_a_network_that_sees_sizes_takes_the_distance_of_the_camera_and_warns_wi
     # The same object, said to be nearer and so smaller, fills less of what the network sees.
     assert crop_of(0.75).sum() < 0.7 * crop_of(1.0).sum()
     with pytest.warns(UserWarning, match="tells sizes by the whole picture"):
-        network_scene(image, View(mask, camera), network, config, known_camera=False)
+        network_scene(image, chair.view, network, config, known_camera=False)

@@ -1,7 +1,5 @@
 """The network of the supplement's tables, and its initialisation."""
 
-from __future__ import annotations
-
 import torch
 
 from tso_cli.network.model import BaseNetwork, Decoder, Encoder, build_network

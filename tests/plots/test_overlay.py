@@ -1,6 +1,6 @@
 """The picture of a refinement shows what is near, and shows it where it is."""
 
-from __future__ import annotations
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,14 +19,17 @@ from tso_cli.plots.overlay import (
     TITLE,
     UNKNOWN,
     _dots,
+    _fitted,
     compare,
     draw_overlay,
-)  # fmt: skip
+)
 from tso_cli.refinement import RefineConfig, refine
 from tso_cli.silhouette.projection import silhouette_of
 
+from ..scenes import square_mask
 
-def _panel(*points: tuple[float, float, float]) -> np.ndarray:
+
+def _panel(*points):
     return np.asarray(_dots(*np.array(points, float).T))
 
 
@@ -41,6 +44,18 @@ def test_a_point_is_drawn_to_the_right_and_down_of_the_middle_as_far_as_it_lies(
     rows, columns = np.nonzero((panel < 255).any(2))
     assert rows.mean() == pytest.approx(0.1 * PANEL, abs=1.0)
     assert columns.mean() == pytest.approx(0.75 * PANEL, abs=1.0)
+
+
+def test_the_dots_of_a_large_cloud_are_small_but_there():
+    many = np.random.default_rng(0).uniform(-0.9, 0.9, (100_000, 3))
+    assert (_panel(*many) < 255).any(2).mean() > 0.5
+
+
+@pytest.mark.parametrize("height", [10, 1000])
+def test_an_image_fills_its_panel_and_keeps_its_shape(height):
+    image = _fitted(np.repeat([[(0.0, 0.0, 0.0)] * height + [(1.0, 0.5, 0.0)] * height], height, axis=0))
+    assert image.size == (PANEL, PANEL // 2)
+    assert (image.getpixel((0, 3)), image.getpixel((PANEL - 1, 3))) == ((0, 0, 0), (255, 128, 0))
 
 
 @pytest.mark.parametrize(("count", "rows"), [(1, 2), (3, 3), (8, 6)])
@@ -64,11 +79,8 @@ def test_mask_and_silhouette_are_told_apart_by_colour():
 @pytest.mark.parametrize("times", [1, 8])
 def test_the_object_fills_its_panel_in_a_photo_of_any_size(times, tmp_path):
     points = np.random.default_rng(0).uniform(-0.3, 0.3, (400, 3))
-    small = Camera.canonical(64, 64)
-    mask = np.zeros((64 * times, 64 * times), np.float32)
-    mask[20:46, 20:46] = 1.0
-    camera = Camera(small.K, small.R, small.t, 64 * times, 64 * times)
-    view = View(mask, camera)
+    camera = replace(Camera.canonical(64, 64), width=64 * times, height=64 * times)
+    view = View(square_mask(20, 20, 26, 64 * times), camera)
     draw_overlay(tmp_path / "picture.png", refine(points, view, config=RefineConfig(steps=0)), [view])
     with Image.open(tmp_path / "picture.png") as picture:
         panel = np.asarray(picture)[TITLE : TITLE + PANEL, GAP : GAP + PANEL]

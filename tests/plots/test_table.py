@@ -1,7 +1,5 @@
 """Tables of text and numbers."""
 
-from __future__ import annotations
-
 from tso_cli.plots.table import text_table
 
 

@@ -69,6 +69,13 @@ def test_a_scan_with_coordinates_near_four_million_is_refined_as_at_the_origin(c
     assert _error(far.points - 4e6, chair) == pytest.approx(_error(expected.points, chair), rel=0.02)
 
 
+def test_another_unit_changes_nothing(chair):
+    points, mask, camera, _ = chair
+    expected, scaled = refine(points, mask, camera), refine(points * 1000.0, mask, _shifted(camera, 0.0, 1000.0))
+    np.testing.assert_allclose(scaled.points / 1000.0, expected.points, atol=1e-4)
+    assert scaled.chamfer_to_initial == pytest.approx(expected.chamfer_to_initial, rel=1e-3)
+
+
 def test_enlarging_mask_and_intrinsics_by_two_changes_nothing(chair):
     points, mask, camera, _ = chair
     config = RefineConfig(steps=12, symmetry="none")

@@ -13,7 +13,7 @@ from tso_cli.geometry.view import View
 from tso_cli.refinement import RefineConfig, refine, refine_batch
 from tso_cli.silhouette.projection import silhouette_of
 
-from .conftest import example
+from ..scenes import example
 
 PRESETS = pytest.mark.parametrize("preset", ["best", "paper"])
 

@@ -9,7 +9,7 @@ from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.view import View
 from tso_cli.refinement import RefineConfig, refine, refine_batch
 
-from .conftest import example
+from ..scenes import example
 
 NAMES = pytest.mark.parametrize("name", ["chair", "airplane", "car"])
 

@@ -10,20 +10,11 @@ from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
 from tso_cli.refinement.placement import box_iou, place, require_overlap
 
-
-def _square(left: int, top: int, side: int, size: int = 64) -> np.ndarray:
-    mask = np.zeros((size, size), np.float32)
-    mask[top : top + side, left : left + side] = 1.0
-    return mask
-
-
-@pytest.fixture
-def cloud():
-    return np.random.default_rng(0).uniform(-0.25, 0.25, (500, 3))
+from ..scenes import square_mask
 
 
 def test_points_are_counted_behind_the_camera_inside_the_image_and_on_the_mask(cloud):
-    view = View(_square(24, 24, 16), Camera.canonical(64, 64))
+    view = View(square_mask(24, 24, 16), Camera.canonical(64, 64))
     points = np.vstack([cloud, [[0.0, 0.0, 3.0], [5.0, 0.0, 0.0]]])
     placement = place(points, view)
     assert (placement.points, placement.behind, placement.inside_image) == (502, 1, 500)
@@ -43,7 +34,7 @@ def test_the_iou_of_boxes():
     [((0, 0, 5.0), "all 500 points lie behind"), ((9.0, 0, 0), "no point falls inside"), ((0.42, -0.4, 0), "hardly meet")],
 )
 def test_a_cloud_that_misses_the_mask_is_refused_with_advice(cloud, move, words):
-    view = View(_square(4, 4, 8), Camera.canonical(64, 64), name="mask.png")
+    view = View(square_mask(4, 4, 8), Camera.canonical(64, 64), name="mask.png")
     moved = cloud * 0.2 + move
     with pytest.raises(InputError, match=words) as caught:
         require_overlap(place(moved, view), view)
@@ -52,7 +43,7 @@ def test_a_cloud_that_misses_the_mask_is_refused_with_advice(cloud, move, words)
 
 
 def test_points_behind_the_camera_are_warned_of(cloud):
-    view = View(_square(20, 20, 24), Camera.canonical(64, 64))
+    view = View(square_mask(20, 20, 24), Camera.canonical(64, 64))
     points = np.vstack([cloud, [[0.0, 0.0, 3.0]]])
     with pytest.warns(UserWarning, match="1 of 501 points lie behind the camera"):
         require_overlap(place(points, view), view)

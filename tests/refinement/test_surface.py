@@ -14,14 +14,17 @@ from tso_cli.cli import main
 from tso_cli.errors import InputError
 from tso_cli.evaluation.metrics import chamfer, nearest_squared
 from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.points import sample_surface
+from tso_cli.geometry.points import normalise_longest_side, sample_surface
 from tso_cli.geometry.view import View
 from tso_cli.io.clouds import read_cloud
+from tso_cli.io.meshes import read_mesh
 from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.run import view_ious
 from tso_cli.refinement.surface import SAMPLES, Surface
 from tso_cli.silhouette.projection import silhouette_of
+
+from ..scenes import EXAMPLES, example
 
 CORNERS = np.array([[x, y, z] for x in (-0.25, 0.25) for y in (-0.2, 0.2) for z in (-0.15, 0.15)])
 QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -72,6 +75,19 @@ def test_a_mesh_is_stretched_further_than_its_vertices_as_a_cloud(stretched, vie
     alone = refine(CORNERS, views)
     assert alone.surface_samples is None
     assert np.ptp(alone.points[:, 0]) < np.ptp(stretched.points[:, 0]) - 0.02
+
+
+def test_a_mesh_comes_as_near_to_the_truth_as_a_cloud_of_its_samples():
+    _, mask, camera, target = example("airplane")
+    mesh = read_mesh(sorted((EXAMPLES / "meshes" / "airplane").glob("*.ply"))[0])
+    config = RefineConfig(steps=24, symmetry="none")
+    result = refine(normalise_longest_side(mesh.vertices), mask, camera, config, faces=mesh.faces)
+    cloud = refine(result.surface[0], mask, camera, config)
+    ratios = [
+        chamfer(after, target).chamfer / chamfer(before, target).chamfer
+        for before, after in (result.surface, (cloud.initial, cloud.points))
+    ]
+    assert ratios[0] < ratios[1] + 0.03
 
 
 def test_the_measures_of_a_result_are_of_samples_of_the_moved_faces(stretched, views):

@@ -15,7 +15,7 @@ from tso_cli.refinement.symmetry import MirrorPlane, find_mirror_plane
 from tso_cli.render import look_at
 from tso_cli.silhouette.projection import silhouette_of
 
-from .conftest import example
+from ..scenes import example
 
 
 def _rotation(seed: int) -> np.ndarray:
@@ -174,3 +174,13 @@ def test_the_misfit_of_coinciding_points_is_zero_or_infinite():
     assert (exact.misfit, exact.far) == (0.0, 0.0)
     beside = MirrorPlane(np.array([1.0, 0.0, 0.0]), 0.1).judged(cloud)
     assert (beside.misfit, beside.far) == (np.inf, np.inf)
+
+
+def test_a_flipped_view_has_the_flipped_depth_map(chair):
+    points, mask, camera, _ = chair
+    plane = MirrorPlane(np.array([1.0, 0.0, 0.0]), 0.0)
+    flipped = plane.view(View(mask, camera, depth=np.tile(np.arange(1.0, 257.0), (256, 1))))
+    (pixel,), (depth,) = camera.project(points[:1])
+    (image,), (same,) = flipped.camera.project(plane.reflect(points[:1]))
+    np.testing.assert_allclose([*image, same], [255.0 - pixel[0], pixel[1], depth])
+    np.testing.assert_array_equal(flipped.depth[0], np.arange(256.0, 0.0, -1.0))

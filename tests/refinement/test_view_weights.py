@@ -17,7 +17,7 @@ from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.view_weights import ViewWeights, inlier_weights, shared_weights
 from tso_cli.silhouette.projection import silhouette_of
 
-from .conftest import example
+from ..scenes import example
 
 ORTHOGONAL = torch.eye(5, dtype=torch.float64)[None, :4]  # gradients of four views
 LOSSES = torch.tensor([[1.0, 1.1, 0.9, 6.0]], dtype=torch.float64)
@@ -166,3 +166,14 @@ def test_clouds_of_a_batch_have_the_weights_and_ious_of_each_alone():
         assert result.view_weights == pytest.approx(alone.view_weights, rel=1e-3)
         np.testing.assert_allclose(result.view_ious, alone.view_ious, atol=2e-3)
         assert result.iou_after == pytest.approx(np.mean(result.view_ious, 0)[1])
+
+
+def test_the_viewing_direction_of_an_orthographic_camera_is_its_axis():
+    camera = replace(LEVEL, model="orthographic", K=np.array([[40.0, 0.0, 31.5], [0.0, 40.0, 31.5], [0.0, 0.0, 1.0]]))
+    aside = replace(camera, t=np.array([0.2, 0.1, 9.0]))
+    assert _weights(BALL, [_seen(BALL, camera), _seen(BALL, aside)]).loss[0].tolist() == pytest.approx([0.5, 0.5])
+
+
+def test_the_units_of_losses_and_gradients_change_no_inlier_weight():
+    scaled = inlier_weights(1e-6 * LOSSES, ORTHOGONAL * torch.tensor([1.0, 1e3, 1e-3, 7.0], dtype=torch.float64)[:, None])
+    torch.testing.assert_close(scaled, inlier_weights(LOSSES, ORTHOGONAL))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tso_cli import Camera, RefineConfig, View, refine, refine_batch
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.view import object_box
-from tso_cli.geometry.window import window_of
+from tso_cli.geometry.window import window_around, window_of
 from tso_cli.io.clouds import read_cloud
 from tso_cli.lab.studies.evidence_cases import framed
 from tso_cli.refinement import PRESETS
@@ -61,6 +61,10 @@ def test_a_few_outliers_do_not_widen_the_window():
     photo = framed(view, 8, 0.5, 0.3)
     stray = np.vstack([initial, initial.mean(0) + [1.5, 0.0, 0.0]])
     np.testing.assert_allclose(window_of(photo, stray), window_of(photo, initial), atol=4.0)
+
+
+def test_the_window_around_two_holds_both():
+    assert window_around((0.0, 10.0, 20.0, 30.0), (10.0, 5.0, 40.0, 35.0)) == (0.0, 0.0, 40.0, 40.0)
 
 
 def test_the_window_ends_at_the_border_that_truncates_the_object():

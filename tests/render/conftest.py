@@ -1,23 +1,17 @@
 """A folder of meshes, and `tso render` run in this process."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from tso_cli.io.meshes import Mesh, write_mesh
 
-from ..cli.run import run
-
 
 @pytest.fixture
-def tso_render(capsys):
-    return lambda source, output, *options: run(capsys, "render", source, "-o", output, *options)
+def tso_render(tso):
+    return lambda source, output, *options: tso("render", source, "-o", output, *options)
 
 
-def box(sides: tuple[float, float, float] = (1.0, 1.0, 1.0), centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Mesh:
+def box(sides=(1.0, 1.0, 1.0), centre=(0.0, 0.0, 0.0)):
     """A closed box of 12 triangles."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -25,20 +19,20 @@ def box(sides: tuple[float, float, float] = (1.0, 1.0, 1.0), centre: tuple[float
     return Mesh(corners * sides + centre, np.array(faces, dtype=np.int64))
 
 
-def joined(*parts: Mesh) -> Mesh:
+def joined(*parts):
     starts = np.cumsum([0] + [len(part.vertices) for part in parts])
     faces = [part.faces + start for part, start in zip(parts, starts[:-1], strict=True)]
     return Mesh(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
 
 
-def stool() -> Mesh:
+def stool():
     """Not convex, not symmetric: a seat, three legs and a post."""
     legs = [box((0.1, 0.6, 0.1), (x, -0.35, z)) for x, z in ((-0.3, -0.2), (0.3, -0.2), (0.1, 0.2))]
     return joined(box((0.8, 0.1, 0.5)), *legs, box((0.1, 0.5, 0.1), (-0.3, 0.3, 0.0)))
 
 
 @pytest.fixture
-def meshes(tmp_path: Path) -> Path:
+def meshes(tmp_path):
     folder = tmp_path / "meshes"
     (folder / "chair").mkdir(parents=True)
     write_mesh(folder / "chair" / "a.ply", stool())

@@ -1,7 +1,5 @@
 """Rendering one mesh: cameras, rays, surface samples."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 
@@ -147,15 +145,11 @@ def test_nearer_parts_hide_those_behind():
     assert (front[0, 0] == 255).all()
 
 
-def test_an_object_out_of_sight_gives_an_empty_mask_on_white():
-    camera = replace(render.look_at(0.0, 0.0, 2.0, (20, 20)), t=np.array([50.0, 0.0, 2.0]))
-    view = render_view(RayScene(box()), camera)
+def test_an_object_out_of_sight_gives_an_empty_mask_on_white_and_one_around_the_camera_a_full_mask():
+    camera, scene = render.look_at(0.0, 0.0, 2.0, (20, 20), 10.0), RayScene(box())
+    view = render_view(scene, replace(camera, t=np.array([50.0, 0.0, 2.0])))
     assert not view.mask.any() and (view.image == 255).all()
-
-
-def test_a_camera_inside_the_mesh_sees_it_all_around():
-    camera = replace(render.look_at(0.0, 0.0, 2.0, (20, 20), 10.0), t=np.zeros(3))
-    assert render_view(RayScene(box()), camera).mask.all()
+    assert render_view(scene, replace(camera, t=np.zeros(3))).mask.all()
 
 
 def test_a_large_picture_is_cast_in_pieces_that_fit_together(monkeypatch):
@@ -177,21 +171,11 @@ def test_a_large_picture_is_cast_in_pieces_that_fit_together(monkeypatch):
 
 def test_without_open3d_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(TsoError, match=r"tso-cli\[render\].*libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1") as caught:
+    with pytest.raises(TsoError, match=r"^.*tso-cli\[render\].*libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1\Z"):
         RayScene(box())
-    assert "\n" not in str(caught.value)
 
 
 # Ground truth
-
-
-def test_samples_are_uniform_by_area():
-    points, _ = render.ground_truth(box((1.0, 0.5, 0.25)), RenderSettings(samples=40000, points=1), np.random.default_rng(4))
-    half, areas = np.array([0.5, 0.25, 0.125]), np.array([0.5 * 0.25, 1.0 * 0.25, 1.0 * 0.5])
-    on_side = np.isclose(np.abs(points), half, atol=1e-12).mean(axis=0)
-    np.testing.assert_allclose(on_side, areas / areas.sum(), atol=0.01)
-    assert (np.abs(points) <= half + 1e-12).all()
-    np.testing.assert_allclose(points.mean(axis=0), 0.0, atol=0.01)
 
 
 def test_a_rendered_mesh_lies_inside_its_pictures_with_its_target():

@@ -1,7 +1,5 @@
 """Textures: what is read of them, and what a picture shows of them."""
 
-from __future__ import annotations
-
 import json
 import socket
 import warnings
@@ -162,6 +160,12 @@ def test_materials_of_an_obj_have_their_textures_or_their_plain_colour(tmp_path)
     assert mesh.colours[other].tolist() == [0, 255, 0]
 
 
+def test_options_of_a_texture_are_ignored(tmp_path):
+    path, material = saved(tmp_path / "a.obj"), tmp_path / "material.mtl"
+    material.write_text(material.read_text().replace("map_Kd ", "map_Kd -s 2 2 1 "))
+    np.testing.assert_array_equal(read_mesh(path).textures[0].pixels, CHECKS)
+
+
 def test_grey_palette_and_transparent_textures_are_read_as_colours(tmp_path):
     saved(tmp_path / "a.obj")
     grey = np.array([[0, 90], [180, 255]], np.uint8)
@@ -236,7 +240,7 @@ def test_a_texture_that_cannot_be_used_gives_one_warning_and_the_colour_of_the_m
         raise AssertionError("a connection was opened")
 
     path, words = broken(kind, tmp_path)
-    programs: list[str] = []
+    programs = []
     monkeypatch.setattr(EpsImagePlugin, "Ghostscript", lambda *_, **__: programs.append("a program was run"))
     monkeypatch.setattr(socket, "socket", refuse)
     monkeypatch.setattr(socket, "create_connection", refuse)

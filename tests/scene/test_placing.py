@@ -1,7 +1,5 @@
 """Placing a network's cloud in front of a camera."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,22 +11,13 @@ from tso_cli.scene import placing
 from tso_cli.scene.placing import align_silhouette, place_in_front, view_to_world
 from tso_cli.silhouette.projection import silhouette_of
 
-
-def _square(left: int, top: int, side: int, size: int = 64) -> np.ndarray:
-    mask = np.zeros((size, size), np.float32)
-    mask[top : top + side, left : left + side] = 1.0
-    return mask
-
-
-@pytest.fixture
-def cloud():
-    return np.random.default_rng(0).uniform(-0.25, 0.25, (500, 3))
+from ..scenes import square_mask
 
 
 @pytest.mark.parametrize("focal", [60.0, 120.0, 400.0])
 def test_a_cloud_placed_in_front_fills_the_box_of_the_mask(cloud, focal):
     K = np.array([[focal, 0.0, 20.0], [0.0, focal, 40.0], [0.0, 0.0, 1.0]])
-    view = View(_square(10, 30, 22), Camera(K, np.eye(3), np.zeros(3), 64, 64))
+    view = View(square_mask(10, 30, 22), Camera(K, np.eye(3), np.zeros(3), 64, 64))
     placed = place_in_front(cloud, view)
     pixels, depth = placed.project(cloud)
     low, high = pixels.min(0) - 0.5, pixels.max(0) + 0.5

@@ -38,6 +38,18 @@ def test_the_printed_affinity_of_a_batch_is_that_of_each_image():
     assert values[3].item() == pytest.approx(0.0, abs=1e-9)
 
 
+def test_over_all_nonzero_pixels_the_printed_loss_of_an_uncovered_mask_would_nearly_vanish():
+    """The rim of a Gaussian is not zero, and the least product is there: hence values over 0.5 alone."""
+    mask = torch.zeros(40, 40, dtype=torch.float64)
+    mask[20, 30] = 1.0
+    point = torch.tensor([[[8.0, 20.0]]], dtype=torch.float64)
+    silhouette = torch.tanh(splat(point, torch.ones(1, 1, dtype=torch.bool), 40, 40, SIGMA_SQ))[0]
+    rows, columns = torch.nonzero(silhouette, as_tuple=True)
+    products = ((rows - 20) ** 2 + (columns - 30) ** 2) * silhouette[rows, columns]
+    assert oracles.affinity_paper(silhouette, mask) > 300.0 * (4096.0 / 1600.0) ** 2
+    assert products.min() < 1e-3
+
+
 def test_a_stray_point_is_attracted_by_the_mask_and_a_covered_mask_costs_nothing():
     mask = disc(32, 6.0)
     rows, columns = torch.nonzero(mask, as_tuple=True)

@@ -110,3 +110,21 @@ def test_the_total_gradient_of_bce_is_that_of_log_sum_exp_on_soft_masks(points, 
     total, total_expected = gradient.sum(0), expected.sum(0)
     scale = expected.abs().sum() + 1.0
     assert (total - total_expected).abs().max() <= 0.2 * scale
+
+
+def test_a_far_mask_pixel_attracts_its_nearest_point_with_the_weight_of_its_known_part():
+    mask, points = torch.zeros(64, 64), torch.tensor([[20.0, 40.0], [5.0, 5.0]])
+    mask[40, 50] = 1.0
+    value, gradient = value_and_gradient(lambda p: _bce(p, mask), points)
+    assert value > 30.0**2 / (2 * SIGMA_SQ)
+    assert gradient[0, 0] < -10.0  # downhill is toward larger columns, where the pixel is
+    rest = _bce(points, mask, 1.0 - mask)
+    assert (_bce(points, mask, 1.0 - 0.75 * mask) - rest).item() == pytest.approx(0.25 * (value - rest.item()), rel=1e-5)
+
+
+def test_twice_the_resolution_has_nearly_the_same_bce():
+    points = torch.rand(2000, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64) * 24 + 20
+    mask, valid = disc(64), torch.ones(1, 2000, dtype=torch.bool)
+    finer, finer_px = mask.repeat_interleave(2, 0).repeat_interleave(2, 1), (points[None] + 0.5) * 2 - 0.5
+    fine = silhouette_bce(splat(finer_px, valid, 128, 128, 4 * SIGMA_SQ), finer[None], finer_px, valid, 4 * SIGMA_SQ)
+    assert fine.item() == pytest.approx(_bce(points, mask).item(), rel=0.05)

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from tests import oracles
+from tso_cli.kernels import dispatch
 from tso_cli.silhouette.chamfer import ChamferToInitial, chamfer
 
 
@@ -28,3 +29,10 @@ def test_the_regulariser_is_the_chamfer_distance_to_the_start():
         assert ChamferToInitial(start[None])(moved[None]).item() == pytest.approx(
             sum(oracles.chamfer(moved, start)).item(), abs=1e-15
         )
+
+
+def test_the_chamfer_of_a_batch_in_compiled_loops_is_that_of_each_cloud(monkeypatch):
+    a, b = (torch.rand(4, count, 3, generator=torch.Generator().manual_seed(count)) for count in (60, 50))
+    single = [torch.cat(parts) for parts in zip(*(chamfer(x[None], y[None]) for x, y in zip(a, b, strict=True)), strict=True)]
+    monkeypatch.setattr(dispatch, "POINTS_WORTH_COMPILING", 0)
+    torch.testing.assert_close(list(chamfer(a, b)), single)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
-from tso_cli import Camera, RefineConfig, refine
+from tso_cli import Camera, RefineConfig, refine, refine_batch
 from tso_cli.errors import InputError
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.points import normalise_longest_side
@@ -155,3 +157,18 @@ def test_unusable_depth_maps_are_refused():
         View(mask, flat, depth=np.ones((SIZE, SIZE)))
     with pytest.raises(InputError, match="preset best, found points with paper"):
         refine(normalise_longest_side(start), view, config=RefineConfig(preset="paper"))
+
+
+def test_depth_maps_without_known_pixels_and_points_behind_the_camera_cost_nothing():
+    assert cost(grid(2.2), np.full((SIZE, SIZE), np.nan)) == 0.0
+    assert cost(np.array([[0.0, 0.0, 5.0]]), wall()) == 0.0
+
+
+def test_the_unit_changes_nothing_and_scenes_with_and_without_depth_share_a_batch():
+    start, view = seen_sheet()
+    config = RefineConfig(steps=9, symmetry="none")
+    expected = refine(start, view, config=config).points
+    large = replace(view, camera=replace(CAMERA, t=1000.0 * CAMERA.t), depth=1000.0 * view.depth)
+    assert np.abs(refine(1000.0 * start, large, config=config).points / 1000.0 - expected).max() < 1e-4
+    both = refine_batch([(start, view), (start, View(view.mask, CAMERA))], config)
+    assert np.abs(both[0].points - expected).max() < 1e-5

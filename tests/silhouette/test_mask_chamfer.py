@@ -133,3 +133,12 @@ def test_of_a_truncated_object_pixels_nearest_to_points_beyond_the_border_cost_n
     known = (to_each[0] <= to_each[1]).float()[None]
     alone = mask_chamfer_loss(points[:, :1], there[:, :1], MaskTarget.of(mask, known), 6.0, torch.tensor([2.0]))
     assert loss.item() == pytest.approx(alone.item(), rel=1e-6)
+
+
+def test_of_an_object_that_is_not_truncated_a_point_beyond_the_border_is_attracted():
+    mask = torch.zeros(1, 64, 64)
+    mask[0, 20:40, 2:30] = 1.0
+    point = torch.tensor([[[-6.0, 22.0]]], requires_grad=True)
+    _loss(point, mask, 6.0).sum().backward()
+    assert point.grad[0, 0, 0] < 0.0
+    assert _loss(point, mask, 6.0, valid=torch.zeros(1, 1, dtype=torch.bool)).tolist() == [0.0]

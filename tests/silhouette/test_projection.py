@@ -104,3 +104,20 @@ def test_a_silhouette_of_points_drawn_in_parts_is_that_of_all_at_once(monkeypatc
     monkeypatch.setattr(projection, "POINTS_AT_ONCE", 130)
     np.testing.assert_allclose(silhouette_of(cloud, camera), whole, atol=1e-5)
     assert whole.max() > 0.1
+
+
+@pytest.mark.usefixtures("form")
+def test_each_cloud_of_a_batch_can_have_different_cameras():
+    points = torch.tensor(np.random.default_rng(3).uniform(-0.4, 0.4, (3, 9, 3)))
+    rows = [CameraBatch.of([_camera(seed=2 * i), _camera(seed=2 * i + 1)], points) for i in range(3)]
+    K, R, t = (torch.stack([getattr(row, name) for row in rows]) for name in "KRt")
+    together = project(points, CameraBatch(K, R, t, 40, 30)).points_px
+    for i, row in enumerate(rows):
+        torch.testing.assert_close(together[i], project(points[i : i + 1], row).points_px[0])
+
+
+def test_the_silhouette_of_a_scan_four_million_units_away_keeps_its_pixels():
+    cloud, camera = np.random.default_rng(4).uniform(-0.5, 0.5, (400, 3)), Camera.canonical(64, 64)
+    shift = np.array([4e6, -3e6, 5e6])
+    far = Camera(camera.K, camera.R, camera.t - camera.R @ shift, 64, 64)
+    np.testing.assert_allclose(silhouette_of(cloud + shift, far), silhouette_of(cloud, camera), atol=1e-4)

@@ -1,40 +1,33 @@
 """What the tests of training share: data in memory and on disk, and `tso train` run in this process."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from tso_cli.datasets.items import ObjectItem
 from tso_cli.datasets.rendered import write_object
 from tso_cli.train.data import TrainingData
 
-from ..cli.run import run
 from ..training import make_objects, make_thin
 
 
 @pytest.fixture
-def thin(monkeypatch: pytest.MonkeyPatch) -> None:
+def thin(monkeypatch):
     make_thin(monkeypatch)
 
 
 @pytest.fixture(scope="module")
-def data() -> TrainingData:
+def data():
     return TrainingData(make_objects(), "three boxes")
 
 
-def write(folder: Path, item: ObjectItem) -> None:
+def write(folder, item):
     """An object as `tso render` would have written it."""
     pictures = [(*view.load(), view.camera) for view in item.views]
     views = [(image, (mask * 255).astype(np.uint8), camera) for image, mask, camera in pictures]
-    assert item.target is not None
     write_object(folder / item.name, views, item.target(), item.target(), {"seed": 0})
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     (tmp_path / "boxes").mkdir()
     for item in make_objects(2):
         write(tmp_path / "boxes", item)
@@ -42,7 +35,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def tso_train(thin, tmp_path, capsys):
+def tso_train(thin, tmp_path, tso):
     """`tso train` on a data set for two short steps; of an option that is given twice the last one counts."""
     common = ("-o", tmp_path / "base.safetensors", "--steps", 2, "--batch-size", 2, "--points", 32)
-    return lambda data, *options: run(capsys, "train", data, *common, *options)
+    return lambda data, *options: tso("train", data, *common, *options)

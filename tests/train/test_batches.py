@@ -1,7 +1,5 @@
 """Batches: frames and cameras, random draws, augmentation, backgrounds, and what stands in for unusable data."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 
@@ -58,11 +56,16 @@ def test_a_view_aligned_batch_has_the_axes_and_the_crop_of_its_picture(data):
     np.testing.assert_array_equal(batch.images, data.prepared(1, 2).image[None])
 
 
-def test_an_orthographic_camera_is_refused():
+def test_a_training_set_without_objects_or_views_or_with_orthographic_cameras_is_refused():
     item = make_objects(count=1, views=1)[0]
-    camera = replace(item.views[0].camera, model="orthographic")
-    with pytest.raises(InputError, match="orthographic, expected perspective"):
-        TrainingData([replace(item, views=[replace(item.views[0], camera=camera)])], "one")
+    orthographic = replace(item.views[0], camera=replace(item.views[0].camera, model="orthographic"))
+    for objects, message in (
+        ([], "no object"),
+        ([replace(item, views=[])], "box0: has no view"),
+        ([replace(item, views=[orthographic])], "orthographic, expected perspective"),
+    ):
+        with pytest.raises(InputError, match=message):
+            TrainingData(objects, "one")
 
 
 # Random draws
@@ -224,11 +227,6 @@ def test_an_unreadable_photo_is_warned_of_once_and_replaced_by_the_next(tmp_path
 
 
 # Sources
-
-
-def test_an_empty_training_set_is_refused():
-    with pytest.raises(InputError, match="no object"):
-        TrainingData([], "nothing")
 
 
 def test_the_fingerprint_changes_with_the_pictures_of_the_same_objects():

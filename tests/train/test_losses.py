@@ -1,7 +1,5 @@
 """The training losses and the schedule of lambda."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Training that is shared by two processes gives what one process gives."""
 
-from __future__ import annotations
-
 import json
 import os
 import socket

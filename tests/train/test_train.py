@@ -1,11 +1,7 @@
 """Training: what is learned, how it stops and resumes, and that it depends on seed and data alone."""
 
-from __future__ import annotations
-
 import json
-import signal
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +19,7 @@ from tso_cli.train.state import load_training, save_training, state_path
 from ..training import config, make_objects
 
 # Six bit-identical steps under every form of state that a resume must restore.
-SETTINGS: list[dict[str, Any]] = [
+SETTINGS = [
     {"learning_rate": 1e-3},
     {"learning_rate": 1e-3, "supervision": "masks"},
     {"averaging": 0.9, "augment": True, "balance": True},
@@ -143,8 +139,12 @@ def test_the_saturation_window_is_a_sixth_of_the_steps_within_bounds():
 def test_a_resumed_training_is_bit_for_bit_the_uninterrupted_one(thin, data, tmp_path, settings):
     path, other = tmp_path / "base.safetensors", tmp_path / "straight.safetensors"
     straight = train_into(other, data, config(**settings))
-    train_into(path, data, config(steps=3, **settings))
-    resumed = train_into(path, data, config(**settings), resume(path, data, config(**settings)))
+    state = start(data, config(**settings))
+    train_into(path, data, config(steps=3, **settings), state)
+    resumed_state = resume(path, data, config(**settings))
+    assert resumed_state.schedule == state.schedule
+    assert (state.schedule.count == 1) == (settings.get("supervision") == "masks")  # amid a window
+    resumed = train_into(path, data, config(**settings), resumed_state)
     assert_equal(weights(straight.network), weights(resumed.network))
     np.testing.assert_array_equal(straight.history, resumed.history)
     assert_equal(load_file(state_path(other)), load_file(state_path(path)))
@@ -155,14 +155,6 @@ def test_a_resume_of_the_full_network_is_bit_for_bit_too(data, tmp_path):
     straight = train(data, config(steps=2))
     train_into(path, data, config(steps=1))
     assert_equal(weights(straight.network), weights(train(data, config(steps=2), resume(path, data, config())).network))
-
-
-def test_a_resumed_schedule_continues_its_window(thin, data, tmp_path):
-    settings = config(supervision="masks", steps=3)
-    state = start(data, settings)
-    train_into(tmp_path / "base.safetensors", data, settings, state)
-    assert state.schedule.previous is not None and state.schedule.count == 1
-    assert resume(tmp_path / "base.safetensors", data, settings).schedule == state.schedule
 
 
 def test_checkpoints_are_saved_every_few_steps_and_can_be_read(thin, data, tmp_path):
@@ -179,13 +171,18 @@ def test_checkpoints_are_saved_every_few_steps_and_can_be_read(thin, data, tmp_p
     assert steps == [2, 4, 5]
 
 
-def test_a_second_ctrl_c_interrupts_at_once(thin, data):
-    def press(*_):
-        signal.raise_signal(signal.SIGINT)
-        signal.raise_signal(signal.SIGINT)
+def test_a_full_disk_leaves_the_previous_checkpoint(thin, data, tmp_path, monkeypatch):
+    path = tmp_path / "base.safetensors"
+    train_into(path, data, config(steps=2))
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
 
-    with pytest.raises(KeyboardInterrupt):
-        train(data, config(), progress=press)
+    def full(self, content):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch, pytest.raises(TsoError, match="No space left on device"):
+        patch.setattr(type(path), "write_bytes", full)
+        train_into(path, data, config(steps=4), resume(path, data, config()))
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
 def test_a_loss_that_is_not_finite_stops_the_training(thin, data, monkeypatch):
@@ -229,7 +226,7 @@ def test_a_damaged_training_state_is_refused(thin, data, tmp_path):
     tensors, raw = load_file(file), file.read_bytes()
     whole = json.loads(json.loads(raw[8 : 8 + int.from_bytes(raw[:8], "little")])["__metadata__"]["tso"])
     state, weight, moment = whole["training"], "encoder.convolutions.0.weight", "training.exp_avg.encoder.latent.weight"
-    cases: list[tuple[dict[str, Any], dict[str, torch.Tensor], str]] = [
+    cases = [
         ({"schedule": 3}, tensors, file.name),
         ({"schedule": {**state["schedule"], "window": "x"}}, tensors, file.name),
         ({"step": 7}, tensors, file.name),

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from ..errors import InputError
 from . import options
-
-if TYPE_CHECKING:
-    from ..plots.curves import Sample
 
 
 @click.command("curves")
@@ -27,8 +23,11 @@ def command(logs: tuple[Path, ...], output: Path, overwrite: bool, count: int, *
 
     With --checkpoint and --data also samples of a network: input, prediction and target from two sides.
     """
+    from ..io.checkpoints import load_network
     from ..io.logs import read_log
-    from ..plots.curves import draw_curves, draw_samples, labels, lambda_drop, running_mean
+    from ..io.shipped import named_checkpoint
+    from ..plots.curves import draw_curves, draw_samples, labels, lambda_drop, running_mean, sample_predictions
+    from .training_data import DataSelection, load
 
     checkpoint, data, split_file = (chosen[name] for name in ("checkpoint", "data", "split_file"))
     if (checkpoint is None) != (data is None):
@@ -39,7 +38,12 @@ def command(logs: tuple[Path, ...], output: Path, overwrite: bool, count: int, *
     for path in (output, pictures) if checkpoint else (output,):
         options.require_output(path, ".png", overwrite)
     histories = [read_log(path) for path in logs]
-    samples, scale = _samples(checkpoint, data, split_file, count) if checkpoint and data else ([], "")
+    samples, scale = [], ""
+    if checkpoint and data:
+        network, config = load_network(named_checkpoint(checkpoint))
+        selection = DataSelection(data, split_file, crop_share=config.crop_share, background=config.background, part="test")
+        training = load(selection)
+        samples, scale = sample_predictions(network, training, config.frame, count), training.scale
     draw_curves(output, histories, overwrite)
     for name, log in zip(labels(histories), histories, strict=True):
         losses, drop = log.columns["loss"], lambda_drop(log)
@@ -49,15 +53,3 @@ def command(logs: tuple[Path, ...], output: Path, overwrite: bool, count: int, *
     if samples:
         draw_samples(pictures, samples, scale, overwrite)
         click.echo(f"{pictures}: {len(samples)} samples of {checkpoint}, {scale}")
-
-
-def _samples(checkpoint: Path, folder: Path, split_file: Path | None, count: int) -> tuple[list[Sample], str]:
-    """The predicted first view of ``count`` objects spread evenly over the data set; and the scale of the clouds."""
-    from ..io.checkpoints import load_network
-    from ..io.shipped import named_checkpoint
-    from ..plots.curves import sample_predictions
-    from .training_data import DataSelection, load
-
-    network, config = load_network(named_checkpoint(checkpoint))
-    data = load(DataSelection(folder, split_file, crop_share=config.crop_share, background=config.background, part="test"))
-    return sample_predictions(network, data, config.frame, count), data.scale

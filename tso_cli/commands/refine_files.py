@@ -78,7 +78,7 @@ class RefineInputs:
         if not self.masks:
             if self.camera is None or self.fit:
                 raise InputError("no MASK was given, expected one or more, or --camera FILE whose views name their masks")
-            from ..io.pairing import named_masks
+            from ..io.cameras import named_masks
 
             self.masks = tuple(named_masks(self.camera))
 

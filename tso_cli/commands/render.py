@@ -59,7 +59,7 @@ def command(source: Path, output: Path, seed: int, as_json: bool, **chosen: Any)
     settings = options.pick(RenderSettings, chosen)
     names = None
     if chosen["split"] is not None:
-        from ..datasets.opening import read_part
+        from ..datasets.splits import read_part
 
         names = read_part(chosen["split"], chosen["part"])
     with options.terminated_as_interrupted():

@@ -74,7 +74,8 @@ def load(selection: DataSelection, quiet: bool = False) -> TrainingData:
 
 
 def _select(selection: DataSelection, folder: Path) -> Dataset:
-    from ..datasets.opening import open_dataset, read_part
+    from ..datasets.opening import open_dataset
+    from ..datasets.splits import read_part
 
     dataset = open_dataset(folder, selection.strict, own_scale=selection.crop_share == 0.0)
     categories = selection.categories

@@ -106,8 +106,6 @@ class Picture(NamedTuple):
 class ModelLayout:
     """A layout with the pictures of each model in SYNSET/MODEL.
 
-    Attributes
-    ----------
     pictures : those in the folder of a model; InputError where the model cannot be used.
     view : from that folder, the file of a picture, its row and the size (width, height).
     """

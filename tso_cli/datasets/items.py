@@ -20,8 +20,6 @@ Floats = NDArray[np.float32]
 class ViewItem:
     """One picture of an object.
 
-    Attributes
-    ----------
     camera : from the object's own frame to the pixels of image and mask.
     load : gives image [H, W, 3] and mask [H, W] in [0, 1], both of the camera's size; InputError if they cannot be read.
     """
@@ -35,10 +33,7 @@ class ViewItem:
 class ObjectItem:
     """One shape.
 
-    Attributes
-    ----------
-    name : unique in its data set, CATEGORY/NAME as a rule.
-    category : "" where the data set knows none.
+    name : unique in its data set, CATEGORY/NAME as a rule. category : "" where the data set knows none.
     views : at least one.
     target : gives points of the surface [P, 3] in the object's own frame; None where there is no such file.
     lacking : one line naming the 3D file that is missing, where other objects of the data set have theirs.

@@ -16,9 +16,6 @@ from .rendered import holds_object, open_rendered
 from .scale import AS_READ, normalised, of_unit_diagonal
 from .shapenet import RENDERED as SHAPENET
 from .shapenet import open_shapenet
-from .splits import read_part, read_split
-
-__all__ = ["open_dataset", "read_part", "read_split"]
 
 Opener = Callable[[Path, bool], Dataset]
 LAYOUTS = (
@@ -30,12 +27,9 @@ LAYOUTS = (
 def open_dataset(folder: Path | str, strict: bool = False, own_scale: bool = False) -> Dataset:
     """Open the data set in ``folder``; its layout shows in the names of the folders and files in it.
 
-    Parameters
-    ----------
-    strict : what cannot be used is an InputError; else it is named in ``skipped`` and left out. Pictures are read, and found to
-        be damaged, only when they are loaded.
-    own_scale : keep the sizes of objects. Those that have lost it, rendered here or of Pix3D, get a unit diagonal as ShapeNet's
-        have. Else every object is centred and of longest side 1.
+    What cannot be used is named in ``skipped`` and left out, with ``strict`` it is an InputError; pictures are read, and found
+    to be damaged, only when they are loaded. ``own_scale`` keeps the sizes of objects; those that lost it, rendered here or of
+    Pix3D, get a unit diagonal as ShapeNet's have. Else every object is centred and of longest side 1.
 
     Raises InputError if ``folder`` has no layout known here or two of them, or no object of it can be used.
     """

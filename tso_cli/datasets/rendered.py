@@ -87,7 +87,7 @@ def write_object(
 ) -> None:
     """Write one object of images [H, W, 3], masks [H, W] and cameras; ``folder`` appears whole or not at all.
 
-    Raises InputError if the folder exists (without ``overwrite``) or is not an object (with it), TsoError if writing failed.
+    Raises InputError if it exists (without ``overwrite``) or is not an object (with it), TsoError if writing failed.
     """
     token = secrets.token_hex(4)
     staging, old = (folder.with_name(f".{folder.name[:40]}.{token}.{kind}") for kind in ("partial", "old"))
@@ -192,10 +192,7 @@ def _view(folder: str, index: int) -> ViewItem:
 
 
 def _walk(folder: Path) -> Iterator[tuple[str, Path, bool]]:
-    """Name and folder of every object, and whether it has its target; what is hidden is unfinished and left out.
-
-    Any file of an object makes a folder one: what it lacks is said when it is opened.
-    """
+    """Name and folder of every object (it has any file of one), and whether it has its target; hidden ones are unfinished."""
     for path, folders, files in os.walk(folder):
         folders[:] = [name for name in folders if not name.startswith(".")]
         if not {CAMERAS, TARGET, RECORD}.isdisjoint(files):

@@ -15,9 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..io.arrays import array_type, read_array
 from ..io.output import reason
-from ..io.reading import read_bytes, read_json, shown
+from ..io.reading import array_type, read_array, read_bytes, read_json, shown
 from . import common
 from .shapenet import RENDERED, SPLITS
 

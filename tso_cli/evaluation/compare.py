@@ -36,10 +36,8 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class EvalConfig:
-    """What to measure, and how.
+    """What to measure, and how; InputError for a value out of range.
 
-    Parameters
-    ----------
     protocol : "plain" takes coordinates as they are. "capnet" is the paper's: each cloud is thinned to ``points``, then centred
         on its own bounding box and scaled to longest side 1, which hides errors of scale and place; EMD squares its distances.
     points : thin every cloud first (`farthest_point_sample`). None: all points; under "capnet" at most 1,024.
@@ -47,8 +45,6 @@ class EvalConfig:
     threshold : of the F-score, in units of the clouds as compared; None for 1 % of the target's longest side.
     sigma_sq : IoU of the paper's silhouette, Gaussians of this variance in px^2, instead of that of `footprint`.
     as_vertices : of meshes take the vertices, not the surface.
-
-    Raises InputError for a value out of range.
     """
 
     metrics: tuple[str, ...] = ("chamfer",)

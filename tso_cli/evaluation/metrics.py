@@ -67,7 +67,7 @@ def chamfer(prediction: ArrayLike, target: ArrayLike) -> Chamfer:
 def f_score(prediction: ArrayLike, target: ArrayLike, threshold: float | None = None) -> FScore:
     """F-score at a distance (Knapitsch et al., "Tanks and Temples", 2017), clouds as of `chamfer`.
 
-    Points count if they are closer than ``threshold``, by default 1 % of the longest side of the target's bounding box. Raises
+    Points count if they are closer than ``threshold``, by default 1 % of the longest side of the target's bounding box;
     InputError where that is not a finite number > 0.
     """
     prediction, target = as_points(prediction, "prediction"), as_points(target, "target")

@@ -55,10 +55,8 @@ def find_pairs(
 ) -> list[Pair]:
     """Two files, or the files of two folders matched by name: the path in the folder without its suffix.
 
-    Parameters
-    ----------
-    mask, camera : a file for all pairs, or a folder with one file for each name (NAME.png, NAME.camera.json and the like).
-    suffix : in folders, take only predictions whose names end in this, and match them without it: ".refined".
+    ``mask`` and ``camera`` are a file for all pairs, or a folder with one file for each name (NAME.png, NAME.camera.json
+    and so on). In folders, ``suffix`` takes only predictions whose names end in it, and matches them without it: ".refined".
 
     Raises InputError if the two sides do not match, or a name has no mask or camera.
     """

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
-
-Array = NDArray[np.float64]
+from .camera import Array
 
 # Points among which farthest-point sampling chooses about a thousand.
 CANDIDATES = 16_384

@@ -53,12 +53,8 @@ def area_resize(
     weights : [H, W] in [0, 1], how much each old pixel counts; all 1 if None.
     interpolate : average over at least one old pixel: cells smaller than that are interpolated linearly between pixels.
 
-    Returns
-    -------
-    values : [height, width] or [height, width, C], the mean over the covered part of the cell; 0 where none is.
-    coverage : [height, width] in [0, 1], the part of the cell's area that the array (times weights) covers.
-
-    Raises InputError if the box is empty or not finite.
+    Returns the mean over the covered part of each cell, 0 where none is, and the part of its area that the array (times
+    weights) covers, [height, width] in [0, 1]. Raises InputError if the box is empty or not finite.
     """
     array = np.asarray(array)
     left, top, right, bottom = (float(edge) for edge in box)

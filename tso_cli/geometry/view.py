@@ -19,8 +19,6 @@ SPECK, BESIDE = 0.01, 0.25
 class View:
     """A mask and the camera that saw it.
 
-    Parameters
-    ----------
     mask : [H, W] in [0, 1], inside 1; foreground is > 0.5. Soft values are kept.
     known : [H, W], False where the mask says nothing, or None when every pixel counts.
     name : what messages call it, usually the file.

@@ -18,8 +18,8 @@ STRAYS = 0.005
 def window_of(view: View, points: Array | None = None) -> Box:
     """The square (left, top, right, bottom) that holds the mask's foreground and the projected points [N, 3], with a margin.
 
-    It depends on the object alone: in a larger photo it covers the same pixels. A few outliers may lie outside. Close to a
-    border of the image it ends there along that axis; the other axis may reach beyond the image.
+    It depends on the object alone, whatever the size of the photo; a few outliers may lie outside. Close to a border of the
+    image it ends there along that axis; the other axis may reach beyond the image.
     """
     low, high = np.array(view.box()).reshape(2, 2)
     border = np.array([view.camera.width, view.camera.height]) - 0.5

@@ -113,6 +113,41 @@ def check_size(path: str | Path, camera: Camera, width: int, height: int, mask: 
         )
 
 
+def named_masks(path: str | Path) -> list[Path]:
+    """The masks that the views of a camera file name, in their order; InputError as `read_cameras`, or if one names none."""
+    masks = [record.mask for record in read_cameras(path)]
+    if None in masks:
+        where = f"views[{masks.index(None)}] of {len(masks)}"
+        raise InputError(f"{path}: {where} names no mask, expected a mask in each view, or MASK arguments")
+    return [mask for mask in masks if mask is not None]
+
+
+def pair_with_masks(path: str | Path, masks: Sequence[str | Path]) -> list[Camera]:
+    """The camera of each of several masks: of the view that names its path, or the last part of it, else by order.
+
+    Raises InputError as `read_cameras`, or if the views do not name all masks, and are not as many or contradict the order.
+    """
+    records = read_cameras(path)
+    naming: list[list[int]] = []  # views, of each mask
+    for alike in (same_file, lambda a, b: Path(a).name == Path(b).name):
+        naming = [[i for i, r in enumerate(records) if r.mask is not None and alike(r.mask, mask)] for mask in masks]
+        if all(len(views) == 1 for views in naming) and len({views[0] for views in naming}) == len(masks):
+            return [records[views[0]].camera for views in naming]
+    if len(records) != len(masks):
+        raise InputError(
+            f"{path}: holds {len(records)} view{'s' * (len(records) > 1)}, found {len(masks)} masks; expected as many, "
+            "or views that name every mask"
+        )
+    for i, (record, mask, views) in enumerate(zip(records, masks, naming, strict=True)):
+        if views and i not in views:
+            raise InputError(
+                f"{path}: the mask {mask} is named by views[{views[0]}] and given at place {i}, expected the same order"
+            )
+        if not views and record.mask is not None:
+            warnings.warn(f"{path}: views[{i}] names the mask {record.mask}, used for {mask}", stacklevel=2)
+    return [record.camera for record in records]
+
+
 def write_cameras(path: str | Path, records: Sequence[CameraRecord], overwrite: bool = False) -> None:
     """Write a camera file that reads back exactly; one record without files in the flat form, others as views."""
     path = Path(path)
@@ -173,7 +208,7 @@ def _record(path: Path, where: str, view: dict[str, Any]) -> CameraRecord:
     for key in _REQUIRED:
         if key not in view:
             raise InputError(f"{path}: {where}{key} is missing, expected width, height, K, R and t")
-    width, height = (view[key] for key in ("width", "height"))
+    width, height = view["width"], view["height"]
     if _number(path, where + "width", width) * _number(path, where + "height", height) > PIXEL_LIMIT:
         raise InputError(f"{path}: {where}width x height is {width}x{height}, expected at most {PIXEL_LIMIT:,} pixels")
     K, R = (_numbers(path, where + key, view[key], "3x3") for key in ("K", "R"))
@@ -207,8 +242,6 @@ def _numbers(path: Path, where: str, value: Any, shape: str) -> list[Any]:
 
 def _file(path: Path, where: str, view: dict[str, Any], key: str) -> Path | None:
     value = view.get(key)
-    if value is None:
-        return None
-    if not isinstance(value, str) or not value or min(value) < " ":
+    if value is not None and (not isinstance(value, str) or not value or min(value) < " "):
         raise InputError(f"{path}: {where}{key} is {_kind(value)}, expected the path of a file")
-    return path.parent / value
+    return None if value is None else path.parent / value

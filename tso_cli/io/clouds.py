@@ -11,11 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, TsoError
-from .arrays import read_array
 from .output import atomic_output, check_output
 from .ply import PlyFile, new_ply
-from .reading import read_bytes
-from .text import TextTable
+from .reading import TextTable, read_array, read_bytes
 
 Points = NDArray[np.float64]
 SUFFIXES = (".ply", ".npy", ".xyz", ".txt")
@@ -46,10 +44,9 @@ class PointCloud:
 def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
     """Read a point cloud; of a mesh in PLY, its vertices, which ``faces()`` of the result joins.
 
-    The suffix decides: .ply; .npy with an array [N, 3]; .xyz and .txt with three numbers or more a line, of which the
-    first three count, and comment lines that start with #.
-
-    Raises InputError if the file cannot be read, holds no point or one that is not finite, or (``extended``) has no extent.
+    The suffix decides: .ply; .npy with an array [N, 3]; .xyz and .txt with three numbers or more a line, of which the first
+    three count, and comment lines that start with #. Raises InputError if the file cannot be read, holds no point or one that
+    is not finite, or (``extended``) has no extent.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -79,12 +76,9 @@ def write_cloud(
 ) -> None:
     """Write ``points`` [N, 3] as a .ply file.
 
-    Parameters
-    ----------
-    like : the cloud before its points moved. If it came from a PLY file, all else in that stays byte for byte; a warning says
-        that normals are those of the old points.
-    dtype : of the coordinates, without a ``like`` from PLY. By default the precision of ``like``; without it float32 where
-        that moves no point by over a millionth of the cloud's extent.
+    With a ``like`` from a PLY file, all of that file but the coordinates stays byte for byte; a warning says that normals are
+    those of the old points. Else coordinates have the type ``dtype``, by default the precision of ``like``; without one float32
+    where that moves no point by over a millionth of the cloud's extent.
 
     Raises InputError if ``path`` is not a .ply or cannot be written, or ``points`` are not as many as those of ``like``;
     TsoError if a coordinate is not finite or too large for its type. Nothing is written then.

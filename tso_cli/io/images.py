@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .arrays import read_array
 from .output import atomic_output, check_output, reason
-from .reading import read_bytes
+from .reading import read_array, read_bytes
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -41,10 +40,9 @@ def read_mask(path: str | Path, invert: bool = False) -> NDArray[np.float32]:
 
 
 def read_depth(path: str | Path, scale: float = 1.0) -> NDArray[np.float64]:
-    """Read a depth map [H, W], in the units of the camera, from a picture of one grey channel or a .npy file.
+    """Read a depth map [H, W] from a picture of one grey channel or a .npy file, ``scale`` units of the camera to a step.
 
-    ``scale`` is the camera's units to a step of the file. 0, NaN and infinity are unknown: NaN in the result. Raises InputError
-    if the file is not such a map, or a depth is negative.
+    0, NaN and infinity are unknown: NaN. Raises InputError if the file is not such a map, or a depth is negative.
     """
     path = Path(path)
     with np.errstate(invalid="ignore"):  # signalling NaN

@@ -49,11 +49,8 @@ def find_meshes(folder: Path | str) -> list[Path]:
 def read_mesh(path: Path | str, textures: bool = True, within: Path | None = None) -> Mesh:
     """Read a triangle mesh; faces stay in order and vertices in place, polygons become triangles.
 
-    Parameters
-    ----------
-    textures : read pictures on it too: baseColorTexture (times baseColorFactor) of .glb, map_Kd of .obj. They are inside the
-        file or in the folder ``within`` or below; of one that cannot be read a warning says so, the material's colour stays.
-    within : a folder above the file; None for the file's own.
+    With ``textures`` also pictures on it: baseColorTexture (times baseColorFactor) of .glb, map_Kd of .obj, inside the file or
+    in the folder ``within`` (None: the file's own) or below. One that cannot be read gives a warning and the material's colour.
 
     Raises InputError if the file cannot be read, holds no face, one of a missing vertex, or no area; or is not finite.
     """

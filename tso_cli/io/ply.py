@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from .ply_body import BinaryBody, TextBody, layout
 from .ply_header import Element, parse_header
-from .reading import shown
-from .text import Integers
+from .reading import Integers, shown
 
 Points = NDArray[np.float64]
 AXES = ("x", "y", "z")

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .ply_header import Element
-from .reading import shown
-from .text import Integers, TextTable
+from .reading import Integers, TextTable, shown
 
 Points = NDArray[np.float64]
 _CHUNK = 1 << 16  # values replaced at a time

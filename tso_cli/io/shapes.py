@@ -22,12 +22,11 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.points import Array, sample_surface
-from .arrays import read_array
 from .clouds import SUFFIXES as CLOUD_SUFFIXES
 from .clouds import read_cloud
 from .meshes import read_mesh
 from .ply_header import HEADER_LIMIT
-from .reading import read_bytes, shown
+from .reading import read_array, read_bytes, shown
 
 MESH_SUFFIXES = (".obj", ".off", ".stl", ".glb")
 SUFFIXES = (*CLOUD_SUFFIXES, *MESH_SUFFIXES, ".binvox")

@@ -9,17 +9,17 @@ from ..errors import InputError
 CATEGORIES = ("chair", "car", "airplane")
 DEFAULT = "default"
 """What `--checkpoint` calls the network that comes with the program."""
-WEIGHTS = Path(__file__).resolve().parent.parent / "weights"
+PACKAGE = Path(__file__).resolve().parent.parent
+WEIGHTS = PACKAGE / "weights"
 
 
 def examples_folder() -> Path:
     """The folder ``examples`` inside the installed package, else beside it in a clone."""
-    package = Path(__file__).resolve().parent.parent
-    for folder in (package / "examples", package.parent / "examples"):
+    for folder in (PACKAGE / "examples", PACKAGE.parent / "examples"):
         if (folder / "meshes").is_dir():
             return folder
     raise InputError(
-        f"{package.parent / 'examples'}: the shipped examples are not here, expected a clone of the repository "
+        f"{PACKAGE.parent / 'examples'}: the shipped examples are not here, expected a clone of the repository "
         "(or give a folder of your own)"
     )
 

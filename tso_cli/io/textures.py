@@ -43,12 +43,9 @@ class Texture:
 
 
 class Pictures:
-    """The pictures of the parts of a scene in the file ``path`` with the bytes ``content``.
+    """The pictures of the parts of a scene in the file ``path`` with the bytes ``content``; without ``decode`` only taken away.
 
-    Without ``decode`` they are only taken away. They lie in the folder ``within`` (None: that of ``path``) or below.
-
-    Attributes
-    ----------
+    They lie in the folder ``within`` (None: that of ``path``) or below.
     resolver : what trimesh is to read the files with that ``path`` names.
     missing : what there is to say of pictures that cannot be used, each once.
     """

@@ -21,8 +21,6 @@ WHOLE = 64.0 * CANONICAL_DISTANCE / CANONICAL_FOCAL_AT_64
 class NetworkInput:
     """The network's input, and the crop's mask and camera, which losses compare with.
 
-    Parameters
-    ----------
     image : float32 [3, size, size] in [0, 1].
     mask : float32 [size, size] in [0, 1], the photo's mask resampled the same way; 0 where it is not known.
     camera : the photo's camera, cropped the same way.
@@ -54,8 +52,7 @@ def crop_box(mask_box: Box, crop_share: float) -> Box:
 def whole_box(camera: Camera, name: str = "mask") -> Box:
     """The square of the photo that shows `WHOLE` units around the world's origin, as the canonical camera does.
 
-    Its size does not depend on the object, so that the crop shows the object's size, like the whole pictures that CAPNet
-    trains with. Raises InputError if the origin is not in front of the camera.
+    Like the whole pictures that CAPNet trains with, it shows the object's size. InputError if the origin is not in front.
     """
     depth = float(camera.t[2]) if camera.model == "perspective" else 1.0
     if depth <= 0.0:
@@ -73,17 +70,12 @@ def network_input(
     Parameters
     ----------
     image : [H, W], [H, W, 3] or [H, W, 4]; uint8, or float in [0, 1].
-    view : mask [H, W] and camera of the photo.
-    size : pixels of the network's input along each side.
-    crop_share : the crop is the square around the object's box whose side the box's longer side fills to this share
-        (`crop_box`); 0 takes `whole_box`.
+    view : mask [H, W] and camera of the photo. size : pixels of the network's input along each side.
+    crop_share : the longer side of the object's box is this share of the crop's (`crop_box`); 0 takes `whole_box`.
     background : "black" or "white" puts the object, cut out by its mask, on that colour; "keep" leaves the photo as it
         is. Transparent parts and what lies outside the photo then are black.
 
-    Raises
-    ------
-    InputError
-        Image and mask differ in size, a setting is not one of the above, or the crop shows nothing of the object.
+    Raises InputError if sizes of image and mask differ, a setting is none of the above, or the crop misses the object.
     """
     if background not in BACKGROUNDS:
         raise InputError(f"background is {background!r}, expected one of {', '.join(BACKGROUNDS)}")

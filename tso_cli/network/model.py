@@ -15,37 +15,22 @@ FRAMES = ("view", "canonical")
 SUPERVISIONS = ("points", "masks", "joint")
 # (output channels, filter size, stride); 64x64 shrinks to 4x4.
 CONVOLUTIONS = (
-    (32, 3, 1),
-    (32, 3, 1),
-    (64, 3, 2),
-    (64, 3, 1),
-    (64, 3, 1),
-    (128, 3, 2),
-    (128, 3, 1),
-    (128, 3, 1),
-    (256, 3, 2),
-    (256, 3, 1),
-    (256, 3, 1),
-    (512, 5, 2),
-)
+    (32, 3, 1), (32, 3, 1), (64, 3, 2), (64, 3, 1), (64, 3, 1), (128, 3, 2),
+    (128, 3, 1), (128, 3, 1), (256, 3, 2), (256, 3, 1), (256, 3, 1), (512, 5, 2),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class NetworkConfig:
     """What a checkpoint says of its network.
 
-    Parameters
-    ----------
-    points : N, size of the predicted cloud.
-    image_size : side of the input image in pixels; always 64.
+    points : N, size of the predicted cloud. image_size : side of the input image in pixels; always 64.
     frame : "view" (x right, y up, z toward the viewer) or "canonical" (the frame of the objects).
     sigma_sq : variance of the projection kernel, px^2 of a 64x64 mask.
     crop_share, background : of `network_input`; with a share of 0 clouds are in the scale of the training set instead of
         longest side 1.
-    training_set : in words.
     supervision : "points" (3D, PSGN-FC), "masks" (2D) or "joint".
-    seed, steps, settings : of the training run.
-    version : of tso.
+    training_set, seed, steps, settings : of the training run. version : of tso.
     """
 
     points: int = 1024

@@ -12,8 +12,7 @@ Cell = str | float | int | None
 def text_table(header: Sequence[str], rows: Sequence[Sequence[Cell]], decimals: int = 3, rule_before_last: bool = False) -> str:
     """Columns two spaces apart, text to the left, numbers to the right; without a final newline.
 
-    Floats show ``decimals`` decimals (small ones 3 digits), None and NaN a dash. ``rule_before_last`` separates the last row,
-    a mean or a sum.
+    Floats show ``decimals`` decimals (small ones 3 digits), None and NaN a dash. ``rule_before_last`` sets off the last row.
     """
     texts = [[_text(cell, decimals) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(header, *texts, strict=True)]

@@ -8,9 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.rotations import from_vectors
-
-Array = NDArray[np.float64]
+from ..geometry.rotations import Array, from_vectors
 
 # Largest scale / focal: points of a cloud of radius 0.87 (longest side 1) keep at least a tenth of the centre's depth.
 LARGEST_NEARNESS = 1.0
@@ -80,11 +78,8 @@ def improve(
 ) -> Poses:
     """Gauss-Newton steps: each mask pixel attracts the nearest projected point, each stray point the nearest mask pixel.
 
-    Parameters
-    ----------
-    points : [N, 3], longest side 1, centred.
-    prior : on the focal length: its mean, px (one, or [P]), and the standard deviation of its logarithm; 0 fixes it.
-    robust : scale of the weights 1 / (1 + (d / robust)^2) of distances d, px.
+    The cloud ``points`` [N, 3] has longest side 1 and is centred. ``prior`` on the focal length: its mean, px (one, or [P]),
+    and the standard deviation of its logarithm; 0 fixes it. Distances d, px, have the weight 1 / (1 + (d / ``robust``)^2).
     """
     pixels = target.inside()
     for _ in range(steps):

@@ -10,14 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
 from ..geometry.camera import CANONICAL_FOCAL_AT_64, Camera
-from ..geometry.points import as_points, bounding_box_normalisation, farthest_point_sample
+from ..geometry.points import Array, as_points, bounding_box_normalisation, farthest_point_sample
 from ..geometry.resampling import area_resize
 from ..geometry.rotations import angle_between
 from ..geometry.view import View
 from .alignment import Poses, Target, improve
 from .starts import closed_iou, distinct, starts
-
-Array = NDArray[np.float64]
 
 # Prior on the focal length: that of the canonical camera, in longer sides of the image, and the deviation of its logarithm.
 FOCAL = CANONICAL_FOCAL_AT_64 / 64.0
@@ -101,18 +99,10 @@ def fit_camera(
     """Find the camera that projects ``points`` [N, 3] onto the mask [H, W] in [0, 1]. Deterministic.
 
     Scores 2,700 poses over all directions by coarse silhouettes, improves the best 48 distinct ones by Gauss-Newton on two-way
-    nearest neighbours in the image, then the best 12 at twice the resolution.
+    nearest neighbours in the image, then the best 12 at twice the resolution. ``known`` [H, W] is False at ignored pixels,
+    ``focal`` the mean of the prior on the focal length, px (None: the canonical 1.875 times the longer side of the image).
 
-    Parameters
-    ----------
-    known : [H, W], False at ignored pixels.
-    focal : mean of the prior on the focal length, px; None for the canonical 1.875 times the longer side of the image.
-    name : what messages call the mask.
-
-    Raises
-    ------
-    InputError
-        The cloud has no extent or under 16 points, or the mask no object or no background.
+    Raises InputError if the cloud has no extent or under 16 points, or the mask no object or no background.
     """
     array = as_points(points)
     if len(array) < FEWEST_POINTS:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.rotations import angle_between, spread
+from ..geometry.rotations import Array, angle_between, spread
 from .alignment import Poses, Target, project
-
-Array = NDArray[np.float64]
 
 # Viewing directions 16 degrees apart, each with in-plane turns of 20 degrees.
 DIRECTIONS, TURNS = 150, 18
@@ -21,7 +19,7 @@ BORDER = 2
 def starts(points: Array, target: Target, focal: float) -> tuple[Poses, Array]:
     """Starting poses over all directions, and their scores (`coarse_iou`).
 
-    Scale and centre give the box of the projected points, [N, 3] of longest side 1 and centred, the area and the middle of the
+    Scale and centre give the box of the projected ``points`` [N, 3] (longest side 1, centred) the area and the middle of the
     mask's box. ``focal`` is in px of the target.
     """
     rotations = spread(DIRECTIONS, TURNS)

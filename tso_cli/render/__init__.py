@@ -4,23 +4,6 @@ Meshes are centred on their bounding box and scaled to longest side 1. y is up; 
 along -z; azimuth grows toward +x. At azimuth and elevation 0 its R is the canonical one.
 """
 
-from __future__ import annotations
-
-from .folder import render_folder
-from .objects import ground_truth, normalise, render_mesh
+from .folder import ground_truth, normalise, render_folder, render_mesh
 from .rays import RayScene, RenderedView, render_view
 from .viewpoints import RenderSettings, fitting_distance, look_at, sample_cameras
-
-__all__ = [
-    "RayScene",
-    "RenderSettings",
-    "RenderedView",
-    "fitting_distance",
-    "ground_truth",
-    "look_at",
-    "normalise",
-    "render_folder",
-    "render_mesh",
-    "render_view",
-    "sample_cameras",
-]

@@ -1,24 +1,62 @@
-"""Rendering of a mesh file, or of a folder of them, into a folder of objects."""
+"""Pictures and ground truth of a mesh, and of a folder of mesh files in a folder of objects."""
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Collection
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..datasets.items import copied
 from ..datasets.rendered import stored_record, sweep, write_object
 from ..errors import InputError
-from ..io.meshes import find_meshes, read_mesh
+from ..geometry.points import Array, farthest_point_sample, sample_surface
+from ..io.meshes import Mesh, find_meshes, read_mesh
 from ..version import __version__
-from .objects import normalise, render_mesh
-from .variation import warp
-from .viewpoints import RenderSettings
+from .rays import RayScene, RenderedView, render_view
+from .variation import paint, warp
+from .viewpoints import RenderSettings, sample_cameras
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedObject:
+    """Pictures and ground truth of one mesh, longest side 1.
+
+    samples : [S, 3] float32 points of the surface; target : [P, 3] float32, the farthest-point subset of them.
+    """
+
+    views: list[RenderedView]
+    samples: NDArray[np.float32]
+    target: NDArray[np.float32]
+
+
+def normalise(mesh: Mesh) -> Mesh:
+    """The mesh centred on its bounding box and scaled to longest side 1, without the vertices that no face uses."""
+    used, faces = np.unique(mesh.faces, return_inverse=True)
+    vertices = mesh.vertices[used]
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    vertices = (vertices - (low + high) / 2.0) / (high - low).max()
+    return replace(mesh, vertices=vertices, faces=faces.reshape(mesh.faces.shape).astype(np.int64))
+
+
+def ground_truth(mesh: Mesh, settings: RenderSettings, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Surface samples [samples, 3] and the farthest-point subset of them [points, 3]."""
+    samples = sample_surface(mesh.vertices, mesh.faces, settings.samples, rng)
+    return samples, samples[farthest_point_sample(samples, settings.points)]
+
+
+def render_mesh(mesh: Mesh, settings: RenderSettings, rng: np.random.Generator) -> RenderedObject:
+    """Normalise ``mesh``, render its views and sample its ground truth."""
+    mesh = normalise(paint(mesh, rng) if settings.paint else mesh)
+    scene = RayScene(mesh)
+    views = [render_view(scene, camera, rng) for camera in sample_cameras(settings, mesh.vertices, rng)]
+    samples, target = ground_truth(mesh, settings, rng)
+    return RenderedObject(views, samples.astype(np.float32), target.astype(np.float32))
 
 
 @dataclass(frozen=True)
@@ -45,13 +83,13 @@ def render_folder(
 ) -> RenderSummary:
     """Render a mesh, or every mesh of a folder, into ``output``/NAME as `datasets.rendered` describes.
 
-    NAME is the file's path below ``source`` without suffix, NAME~0001 and so on its warped copies. An object is written whole
-    or not at all and depends only on its mesh, its name, ``settings`` and ``seed``: a run after a stopped one skips what is
-    complete. A mesh of a folder that cannot be rendered is left out and named in ``failed``.
+    NAME is the file's path below ``source`` without suffix, NAME~0001 and so on its warped copies; ``only`` names the meshes to
+    render. An object is written whole or not at all and depends only on its mesh, its name, ``settings`` and ``seed``: a run
+    after a stopped one skips what is complete. A mesh of a folder that cannot be rendered is left out and named in ``failed``.
+    ``progress`` is called with the number of objects done, their total and the name of the last one.
 
-    ``progress`` is called with the number of objects done, their total and the name of the last one; ``only`` names the meshes
-    to render. Raises InputError if there is no mesh, one of ``only`` is missing or none can be rendered, names collide, or an
-    object was rendered with other settings and ``overwrite`` is false; TsoError if open3d is missing or writing failed.
+    Raises InputError if there is no mesh, one of ``only`` is missing or none can be rendered, names collide, or an object was
+    rendered with other settings and ``overwrite`` is false; TsoError if open3d is missing or writing failed.
     """
     source, output = Path(source), Path(output)
     _check_folder(output)

@@ -13,18 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..geometry.camera import Camera
+from ..geometry.camera import Array, Camera
 from ..geometry.view import View
-from ..io.cameras import check_size, find_camera, read_camera
+from ..io.cameras import check_size, find_camera, pair_with_masks, read_camera
 from ..io.clouds import PointCloud, read_cloud
 from ..io.images import read_depth, read_image, read_mask
-from ..io.pairing import pair_with_masks
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork
     from ..refinement.surface import Surface
 
-Array = NDArray[np.float64]
 
 NO_FILE = "(no camera file was given or found beside the mask)"
 
@@ -103,8 +101,8 @@ class ViewFiles:
 def load_views(files: ViewFiles) -> tuple[list[View], list[Path | None]]:
     """Read masks and their cameras: of the file named, else of one beside the mask, else (for a single mask) the canonical one.
 
-    Returns the views, and the camera's file of each (None for the canonical camera). Raises InputError if a file cannot be
-    used, sizes or numbers of files differ, or a mask is all object or all background.
+    Returns the views and each camera's file, None for the canonical one. Raises InputError if a file cannot be used, sizes or
+    numbers of files differ, or a mask is all object or all background.
     """
     ignore = files.one_each("--ignore", "ignore maps", files.ignore)
     sources = [files.camera or find_camera(mask) for mask in files.masks]

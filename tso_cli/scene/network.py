@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..geometry.camera import CANONICAL_ROTATION, Camera
+from ..geometry.camera import CANONICAL_ROTATION, Array, Camera
 from ..geometry.view import View
 from ..io.images import read_image
 from ..network.input import network_input
@@ -22,7 +22,6 @@ from .placing import align_silhouette, place_in_front, view_to_world
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork, NetworkConfig
 
-Array = NDArray[np.float64]
 Placing = Literal["silhouette", "box", "camera"]
 
 
@@ -48,10 +47,7 @@ def load_network_scene(
     placing : of a view-aligned network's cloud: "silhouette" aligns it with the mask (`align_silhouette`), "box" with its
         box (`place_in_front`), "camera" takes t of the camera file, as for an object of longest side 1 at the origin.
 
-    Raises
-    ------
-    InputError
-        A file cannot be used, image and mask differ in size, or the frame or placing needs a camera file.
+    Raises InputError if a file cannot be used, sizes of image and mask differ, or the frame or placing needs a camera file.
     """
     from ..io.checkpoints import load_network
 

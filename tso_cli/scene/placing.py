@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_ROTATION, Camera
+from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_ROTATION, Array, Camera
 from ..geometry.view import View
-
-Array = NDArray[np.float64]
 
 # Twenty steps of a 200th shift a cloud by a tenth of its longest side; more change no result.
 ALIGNMENT_STEPS, ALIGNMENT_STEP = 20, 0.005
@@ -20,8 +17,8 @@ ALIGNMENT_STEPS, ALIGNMENT_STEP = 20, 0.005
 def place_in_front(points: Array, view: View) -> Camera:
     """The canonical camera with the view's K, shifted so that a view-aligned, centred cloud [N, 3] fills the mask's box.
 
-    A network sees a crop, which shows neither the object's distance nor its size. At the distance chosen the longer side of
-    the projected box equals the mask's, and a sideways shift centres the box on the mask's.
+    A crop shows neither distance nor size of the object: at the distance chosen the longer side of the projected box equals the
+    mask's, and a sideways shift centres it on the mask's.
     """
     left, top, right, bottom = view.box()
     size, middle = max(right - left, bottom - top), np.array([left + right, top + bottom]) / 2.0
@@ -45,8 +42,7 @@ def align_silhouette(points: Array, view: View, sigma_sq: float | None = None, s
     """The view's camera, shifted to where the silhouette of a cloud agrees best with the mask (BCE, Eq. 4).
 
     A box depends on the outermost points of a prediction, which are often wrong; the silhouette depends on all of them. The
-    camera must be about right already, as from `place_in_front`; ``sigma_sq`` is in px^2, None for the view's default. The
-    best of all steps counts, the start included.
+    camera must be about right already, as from `place_in_front`; ``sigma_sq`` is in px^2, None for the view's default.
     """
     from ..losses.projection import project
     from ..losses.silhouette import default_sigma_sq, silhouette_bce

@@ -24,8 +24,8 @@ MOST_PHOTOS, PHOTO_SIDE = 2000, 256
 class Backgrounds:
     """Random pictures [3, 64, 64] in [0, 1]: crops of the photos in the folder ``source``, or generated ("textures").
 
-    With ``strict`` a photo that cannot be read is an error; else it is warned of once, noted in ``unusable`` (photo -> why),
-    and the next one takes its place. Raises InputError if the folder is missing or holds no picture that can be read.
+    A photo that cannot be read is warned of once and noted in ``unusable`` (photo -> why), and the next one takes its place;
+    with ``strict`` it is an error, as are a missing folder and one without a readable picture.
     """
 
     def __init__(self, source: str, strict: bool = False) -> None:

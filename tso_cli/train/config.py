@@ -16,7 +16,7 @@ PRECISIONS = ("float32", "bfloat16")
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Settings of one training.
+    """Settings of one training; InputError for one out of range.
 
     Parameters
     ----------
@@ -28,18 +28,11 @@ class TrainConfig:
     affinity_weight : lambda of Eq. 6 ("masks" and "joint"); affinity : form of Eq. 5.
     saturation_steps : window of `AffinitySchedule`; None for a sixth of ``steps``, from 10 to 500.
     sigma_sq : variance of the projection kernel, px^2 of the 64x64 mask; category_sigma_sq : category -> its own.
-    points : N, size of the predicted cloud.
     joint_weight : of the Chamfer distance beside the mask loss ("joint" only); 1e6, as gamma in refinement.
     averaging : decay of the running mean of the weights, which is what is saved; 0 saves the last weights.
-    balance, augment : see `batches.Drawing`.
+    balance, augment : see `batches.Drawing`. workers : threads that prepare batches ahead.
     precision : "bfloat16" runs the network's layers in mixed precision; weights, losses and the projector stay in float32.
-    workers : threads that prepare batches ahead.
     seed : of the weights and of every draw. A run depends on it, the data and the device alone.
-
-    Raises
-    ------
-    InputError
-        A setting is outside what makes sense.
     """
 
     supervision: str = "points"

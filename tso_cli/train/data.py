@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datasets.items import ObjectItem
+from ..datasets.items import Floats, ObjectItem
 from ..errors import InputError
 from ..geometry.camera import Camera
 from ..geometry.view import View
@@ -21,7 +21,6 @@ from ..network.input import NetworkInput, network_input
 from .backgrounds import Backgrounds
 
 T = TypeVar("T")
-Floats = NDArray[np.float32]
 # Memory for prepared views, 20 KiB each, and targets; the rest is read again when it is needed.
 CACHE_BYTES = 1 << 30
 # Unusable pictures that are warned of by name; the command counts them all.
@@ -34,18 +33,11 @@ FINGERPRINTED = 16
 class TrainingData:
     """Objects prepared for training. Several threads may use it at once.
 
-    Parameters
-    ----------
-    objects : at least one, each with at least one view.
-    description : in words, for the checkpoint.
+    objects : at least one, each with at least one view. description : in words, for the checkpoint.
     crop_share, background : of `network_input`.
     strict : an unusable picture is an error; else it is warned of, and another takes its place.
     backgrounds : what `batches` puts behind the object, cut out by its mask; needs background "keep".
-    skipped : item that the data set left out -> why.
-    scale : of all clouds and cameras, in words.
-
-    Attributes
-    ----------
+    skipped : item that the data set left out -> why. scale : of all clouds and cameras, in words.
     categories : indices of the objects of each category, one array a category.
     unusable : picture, or object whose points cannot be read -> why.
     not_judged : object that cannot be evaluated because its points cannot be read -> why.

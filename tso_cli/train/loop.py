@@ -37,13 +37,9 @@ Save = Callable[[TrainingState, NetworkConfig], None]
 
 @dataclass(frozen=True, eq=False)
 class TrainResult:
-    """A trained network and its training.
+    """A trained network (in evaluation mode, on the CPU) and its training.
 
-    Attributes
-    ----------
-    network, config : in evaluation mode, on the CPU.
-    steps : done so far, those before a resume included.
-    stop_reason : "max_steps" or "interrupted" (Ctrl-C).
+    steps : done so far, those before a resume included. stop_reason : "max_steps" or "interrupted" (Ctrl-C).
     history : [steps, 4]: loss, forward and backward (or BCE and affinity), lambda.
     lambda_dropped_at : the step after which lambda dropped, or None.
     """
@@ -118,12 +114,8 @@ def train(
     progress : called after every step with (step, steps, note), in the first process.
     save : called with the state every ``save_every`` steps (0: never) and at the end, in the first process.
 
-    Raises
-    ------
-    InputError
-        The data lack what the supervision needs, or the steps asked for are done already.
-    TsoError
-        The loss stopped being a finite number.
+    Raises InputError if the data lack what the supervision needs or the steps are done already, TsoError if the loss is no
+    longer finite.
     """
     processes = processes or Processes()
     _require_data(data, masked, config, processes)

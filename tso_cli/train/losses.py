@@ -64,7 +64,6 @@ def mask_loss(
     ``weight`` and ``form`` are lambda and the form of Eq. 5. ``silhouette`` gives the sums s [B, V, H, W] of another
     projection; BCE then has the gradient of those sums alone. ``bounded`` adds the squared distance, px^2, of each point
     outside the crop to the crop's edge to the affinity: BCE does not see such points, and the object lies inside the crop.
-
     Returns the loss, and the values of BCE and of the affinity term (before its weight).
     """
 

@@ -57,8 +57,7 @@ class Processes:
 def joined(device: str) -> Iterator[tuple[Processes, str]]:
     """Join the processes that `torchrun` started, until the end of the block; without `torchrun` train alone.
 
-    Yields the processes and the device of this one: on GPUs "cuda:LOCAL_RANK". Raises InputError if this machine has fewer
-    GPUs than processes.
+    Yields the processes and this one's device, on GPUs "cuda:LOCAL_RANK". InputError if there are fewer GPUs than processes.
     """
     if int(os.environ.get("WORLD_SIZE", "1")) <= 1:
         yield Processes(), device

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datasets.items import Dataset, ObjectItem, ViewItem
+from ..datasets.items import Dataset, Floats, ObjectItem, ViewItem
 from ..datasets.scale import of_unit_diagonal
 from ..geometry.points import normalise_longest_side
 from .data import TrainingData
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from ..render import RenderedView
 
 T = TypeVar("T")
-Floats = NDArray[np.float32]
 # Pictures of each shipped mesh, and their side in pixels: about the size of the network's input once cropped.
 EXAMPLE_VIEWS, EXAMPLE_SIZE = 32, 96
 

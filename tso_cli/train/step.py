@@ -54,14 +54,11 @@ def batch_loss(clouds: list[Tensor], batches: list[Batch], config: TrainConfig, 
     return config.joint_weight * loss + mask, forward + backward, bce
 
 
-def images_of(batch: Batch, device: torch.device) -> Tensor:
-    """The images of a batch [B, 3, 64, 64] on ``device``, channels last like the network's weights."""
-    return torch.as_tensor(batch.images, device=device).contiguous(memory_format=torch.channels_last)
-
-
 def predict(network: BaseNetwork, batches: list[Batch], precision: str) -> list[Tensor]:
     """Clouds [B, N, 3] float32 of each batch; the layers run in mixed precision with "bfloat16"."""
     device = next(network.parameters()).device
     with torch.autocast(device.type, torch.bfloat16, enabled=precision == "bfloat16"):
-        clouds = [network(images_of(batch, device)) for batch in batches]
+        images = [torch.as_tensor(batch.images, device=device) for batch in batches]
+        # Channels last, like the network's weights.
+        clouds = [network(each.contiguous(memory_format=torch.channels_last)) for each in images]
     return [cloud.float() for cloud in clouds]

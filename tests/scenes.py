@@ -1,12 +1,9 @@
-"""The shipped examples."""
-
-from __future__ import annotations
+"""The shipped examples, and a square mask."""
 
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pytest
 
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
@@ -14,7 +11,7 @@ from tso_cli.io.cameras import read_camera
 from tso_cli.io.clouds import read_cloud
 from tso_cli.io.images import read_mask
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 class Example(NamedTuple):
@@ -36,6 +33,7 @@ def example(name: str) -> Example:
     return Example(read_cloud(folder / "initial.ply").points, mask, camera, read_cloud(folder / "target.ply").points)
 
 
-@pytest.fixture(scope="session")
-def chair() -> Example:
-    return example("chair")
+def square_mask(left: int, top: int, side: int, size: int = 64) -> np.ndarray:
+    mask = np.zeros((size, size), np.float32)
+    mask[top : top + side, left : left + side] = 1.0
+    return mask
