@@ -24,7 +24,7 @@ from tso_cli.geometry.view import View
 from tso_cli.io.cameras import CameraRecord, read_cameras, write_cameras
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.io.images import read_image, read_mask, write_image
-from tso_cli.lab.studies.fingerprint import stamped
+from tso_cli.lab.studies.fingerprint import today
 
 Array = NDArray[np.float64]
 
@@ -165,7 +165,8 @@ def compare(folder: Path, output: Path) -> None:
         "conventions": f"{IOU_MEANS}; seed 0; cpu",
         "summary": rows,
     }
-    output.write_text(json.dumps(stamped(record), indent=1) + "\n")
+    record["fingerprint"] = {part: today(part) for part in ("points, paper", "points, best")}
+    output.write_text(json.dumps(record, indent=1) + "\n")
 
 
 def main() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tso_cli.cli import main
@@ -41,15 +42,9 @@ def tso(*arguments: object) -> int:
     return int(stopped.value.code or 0)
 
 
-def check_command(output: Path, capsys: pytest.CaptureFixture[str], *arguments: object, words: tuple[str, ...]) -> dict:
-    """The record of `tso lab`, whose chart, page and table are there, and which --resume gives again without work."""
-    assert tso("lab", *arguments, "-o", output) == 0
-    printed = capsys.readouterr().out
-    page = output.with_suffix(".md").read_text()
-    for word in words:
-        assert word in printed
-        assert word in page
-    assert output.with_suffix(".png").stat().st_size > 3000
-    record = json.loads(output.read_text())
-    assert record["command"].startswith(f"tso lab {arguments[0]}")
-    return record
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+def holding(claims: list[dict]) -> list[bool]:
+    return [claim["holds"] for claim in claims]

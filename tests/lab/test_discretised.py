@@ -8,14 +8,13 @@ import torch
 
 from tso_cli.lab.studies.discretised import (
     DEPTH,
-    GAUSSIAN,
     PLAIN,
     depth_loss,
     discrete_depth,
     discrete_mask,
     projected_objective,
+    silhouette_sums,
 )
-from tso_cli.lab.studies.discretised import silhouette_sums as plain_sums
 from tso_cli.train import start, train
 from tso_cli.train.batches import Batch, Drawing, draw_batch
 from tso_cli.train.data import TrainingData
@@ -89,19 +88,10 @@ def truth(batch: Batch) -> torch.Tensor:
     return torch.from_numpy(np.stack(batch.targets))
 
 
-def test_training_with_the_papers_projection_as_another_one_gives_the_same_network(monkeypatch, data):
-    make_thin(monkeypatch)
-    settings = config(supervision="masks", frame="canonical", averaging=0.9, learning_rate=1e-3)
-    networks = [train(data, settings, objective=objective) for objective in (None, projected_objective(settings, GAUSSIAN))]
-    expected, state = (result.network.state_dict() for result in networks)
-    assert all(torch.equal(tensor, state[name]) for name, tensor in expected.items())
-    assert networks[0].lambda_dropped_at == networks[1].lambda_dropped_at
-
-
 def test_bce_through_rounded_points_has_no_gradient_but_a_lower_loss_at_the_truth(batch, truth):
     leaf = (truth * 0.7).requires_grad_(True)
-    assert not mask_loss(leaf, batch, 0.4, 0.0, "points", plain_sums)[0].requires_grad
-    true, moved = (mask_loss(cloud, batch, 0.4, 0.0, "points", plain_sums)[0] for cloud in (truth, truth + 0.2))
+    assert not mask_loss(leaf, batch, 0.4, 0.0, "points", silhouette_sums)[0].requires_grad
+    true, moved = (mask_loss(cloud, batch, 0.4, 0.0, "points", silhouette_sums)[0] for cloud in (truth, truth + 0.2))
     assert float(true) < 0.5 * float(moved)
 
 

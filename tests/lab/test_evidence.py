@@ -1,38 +1,36 @@
-"""The study of evidence: what is done to its cases is what the rows say, and a stopped one goes on."""
+"""The study of evidence: what is done to its cases is what the rows say."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.rotations import angle_between
-from tso_cli.lab.studies import evidence, evidence_questions
-from tso_cli.lab.studies.accuracy_cases import CaseBuilder
-from tso_cli.lab.studies.accuracy_variants import Variant
-from tso_cli.lab.studies.evidence import summarise, tables
-from tso_cli.lab.studies.evidence_cases import Truth, anothers_mask, bunched, cameras_off, turned_away, with_depth, without
-from tso_cli.lab.studies.evidence_colours import paint_of, painted, photo
-from tso_cli.lab.studies.evidence_questions import QUESTIONS, Question
-from tso_cli.lab.studies.parts import shapes_of_part
-from tso_cli.lab.study import Progress
+from tso_cli.lab.studies.cases import CaseBuilder
+from tso_cli.lab.studies.evidence import QUESTIONS, Question, conclude, judge, tables
+from tso_cli.lab.studies.evidence_alterations import (
+    Truth,
+    bunched,
+    paint_of,
+    painted,
+    photo,
+    unaltered,
+    with_cameras_off,
+    with_depth,
+    with_wrong_camera,
+    with_wrong_mask,
+    without,
+)
+from tso_cli.lab.studies.refining import Variant
+from tso_cli.lab.studies.shapes import shapes_of_part
 from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.symmetry import find_mirror_plane
 
-from ..training import make_known
-from .studying import MESHES, check_command, write_split
-
-TRAIN = ["car/qreal_SUV", "car/qbasic_BasicCar", "chair/q19_Chair", "chair/q17_Chair"]
-VALIDATION = ["car/qreal_Cop", "car/qreal_NormalCar1", "chair/kfurn_chair"]
-
-
-@pytest.fixture(scope="module")
-def split(tmp_path_factory):
-    return write_split(tmp_path_factory.mktemp("split"), train=TRAIN, validation=VALIDATION)
+from .conftest import VALIDATION
+from .studying import MESHES, rng
 
 
 @pytest.fixture(scope="module")
@@ -46,10 +44,6 @@ def truths(split):
 def cases(split, truths):
     builder = CaseBuilder(MESHES, split, views=1, size=64, points=1024)
     return {name: builder.cases(truth.shape, "other")[0] for name, truth in truths.items()}
-
-
-def rng() -> np.random.Generator:
-    return np.random.default_rng(0)
 
 
 def lifted(view) -> np.ndarray:
@@ -88,7 +82,7 @@ def test_an_object_that_lacks_a_part_lacks_it_in_truth_and_masks_and_keeps_its_s
 
 def test_wrong_views_are_the_last_alone(cases, truths):
     right = cases["car"]
-    masked, turned = (alter(right, truths["car"], rng()) for alter in (anothers_mask, turned_away))
+    masked, turned = (alter(right, truths["car"], rng()) for alter in (with_wrong_mask, with_wrong_camera))
     for wrong in (masked, turned):
         assert all(a is b for a, b in zip(wrong.views[:3], right.views[:3], strict=True))
     assert (masked.views[3].mask != right.views[3].mask).any()
@@ -97,7 +91,7 @@ def test_wrong_views_are_the_last_alone(cases, truths):
     assert angle_between(turned.views[3].camera.R, right.views[3].camera.R) == pytest.approx(30.0)
     # The object stays in the middle of the picture.
     np.testing.assert_array_equal(turned.views[3].camera.t, right.views[3].camera.t)
-    assert anothers_mask(cases["chair"], truths["chair"], rng()) is None
+    assert with_wrong_mask(cases["chair"], truths["chair"], rng()) is None
 
 
 def test_three_cameras_stand_together_and_one_to_the_side(cases, truths):
@@ -109,7 +103,7 @@ def test_three_cameras_stand_together_and_one_to_the_side(cases, truths):
 
 def test_cameras_are_off_by_the_angle_that_the_row_says(cases, truths):
     right = cases["car"]
-    off = cameras_off(right, truths["car"], rng(), 5)
+    off = with_cameras_off(right, truths["car"], rng(), 5)
     for a, b in zip(off.views, right.views, strict=True):
         assert angle_between(a.camera.R, b.camera.R) == pytest.approx(5.0)
         assert np.linalg.norm(a.camera.t - b.camera.t) == pytest.approx(0.025 * b.camera.t[2])
@@ -145,53 +139,20 @@ def test_a_photo_shows_the_paint_of_what_is_seen_shaded_on_white(cases, truths):
 QUICK = RefineConfig(steps=3)
 
 
-@pytest.fixture
-def study(split, monkeypatch):
-    """The study of one view, with two small questions in place of all."""
+@pytest.mark.slow
+def test_a_row_that_a_case_cannot_have_is_left_out_and_a_figure_that_a_result_lacks_is_none(cases, truths):
+    rows = {"wrong mask": (with_wrong_mask, Variant(QUICK, 4)), "as it is": (unaltered, Variant(QUICK))}
     # Some results have no such figure.
     measures = {"one": lambda case, altered, result: 1.0 if len(result.cameras) > 1 else None}
-    rows = {"other": (anothers_mask, Variant(QUICK, 4)), "as it is": (evidence_questions.as_it_is, Variant(QUICK))}
-    sides = {"a side": (partial(without, part="side"), Variant(replace(QUICK, symmetry="none")))}
-    questions = {
-        "wrong": Question("Wrong views", ("other",), rows, ("car", "chair"), measures),
-        "missing": Question("Missing parts", ("other", "near"), sides, ("car",)),
-    }
-    monkeypatch.setattr(evidence, "QUESTIONS", questions)
-    monkeypatch.setattr(evidence, "CATEGORIES", ("car", "chair"))
-    settings = {"part": "validation", "limit": None, "views": 1, "device": "cpu", "seed": 0, "questions": tuple(questions)}
-
-    def run(progress=None):
-        return evidence.run(progress or Progress(), meshes=MESHES, split=split, **settings)
-
-    return run
-
-
-@pytest.mark.slow
-def test_every_question_is_asked_of_its_kinds_and_categories_and_a_stopped_study_goes_on(study):
-    whole = study()
-    assert whole["complete"]
-    cars = VALIDATION[:2]
-    assert [(case["question"], case["kind"], case["shape"]) for case in whole["cases"]] == [
-        *(("wrong", "other", name) for name in VALIDATION),
-        *(("missing", kind, name) for kind in ("other", "near") for name in cars),
-    ]
-    summary = whole["summary"]["wrong"]["other"]
-    assert summary["all"]["as it is"]["cases"] == 3
+    question = Question("Wrong views", ("other",), rows, ("car", "chair"), measures)
+    records = [record for name in cases for record in judge("wrong", question, [(cases[name], truths[name])], 0, "cpu")]
+    summary = conclude(records)["summary"]["wrong"]["other"]
+    assert summary["all"]["as it is"]["cases"] == 2
     # Of one chair there is no other.
-    assert summary["all"]["other"]["cases"] == summary["car"]["other"]["cases"] == 2
-    assert "other" not in summary["chair"]
-    assert summary["all"]["other"]["one"] == 1.0
-    json.dumps(whole, allow_nan=False)
-    kept = []
-
-    def keep_one(record):
-        kept.append(json.loads(json.dumps(record)))
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        study(Progress(keep=keep_one))
-    assert (kept[0]["complete"], len(kept[0]["cases"])) == (False, 2)
-    assert study(Progress(earlier=kept[0])) == whole
+    assert summary["all"]["wrong mask"]["cases"] == summary["car"]["wrong mask"]["cases"] == 1
+    assert "wrong mask" not in summary["chair"]
+    assert summary["all"]["wrong mask"]["one"] == 1.0
+    assert "one" not in summary["all"]["as it is"]
 
 
 def a_case(category: str, rows: dict[str, tuple[float, float]]) -> dict:
@@ -201,27 +162,19 @@ def a_case(category: str, rows: dict[str, tuple[float, float]]) -> dict:
 
 def test_the_summary_is_of_the_cases_own_ratios():
     cases = [a_case("car", {"mask": (1.0, 0.5)}), a_case("car", {"mask": (4.0, 4.4)}), a_case("chair", {"mask": (1.0, 1.0)})]
-    found = summarise(cases)["depth"]["other"]
-    assert list(found) == ["car", "chair", "all"]
-    assert found["car"]["mask"] == {"cases": 2, "worse": 1, "mean_ratio": 0.8, "worst_ratio": 1.1}
-    assert found["all"]["mask"]["mean_ratio"] == pytest.approx(2.6 / 3.0, abs=1e-5)
-    # A question that is no longer asked has no table.
-    table = tables({"summary": {"older": {}, **summarise(cases)}})[0]
+    summary = conclude(cases)
+    groups = summary["summary"]["depth"]["other"]
+    assert list(groups) == ["car", "chair", "all"]
+    assert groups["car"]["mask"] == {"cases": 2, "worse": 1, "mean_ratio": 0.8, "worst_ratio": 1.1}
+    assert groups["all"]["mask"]["mean_ratio"] == pytest.approx(2.6 / 3.0, abs=1e-5)
+    (table,) = tables(summary)
     assert table.title == "Depth maps"
     assert [row[1:6] for row in table.rows][:2] == [["car", "mask", 2, 0.8, 1.1], ["chair", "mask", 1, 1.0, 1.0]]
 
 
-@pytest.mark.slow
-def test_the_command_writes_a_table_for_each_question(study, split, tmp_path, capsys, monkeypatch):
-    make_known(monkeypatch)
-    arguments = ("evidence", "--meshes", MESHES, "--split", split, "--question", "wrong", "--views", 1)
-    record = check_command(tmp_path / "evidence.json", capsys, *arguments, words=("as it is", "Wrong views"))
-    assert record["complete"]
-
-
 def test_further_figures_of_a_result_are_of_that_result(cases, truths):
     right = cases["car"]
-    off = cameras_off(right, truths["car"], rng(), 5)
+    off = with_cameras_off(right, truths["car"], rng(), 5)
     measures = QUESTIONS["cameras"].measures
     as_given = refine(off.initial, off.views[0], config=replace(QUICK, symmetry="none"))
     assert measures["corrected"](right, off, as_given) == 0.0
@@ -229,9 +182,9 @@ def test_further_figures_of_a_result_are_of_that_result(cases, truths):
     mended = replace(as_given, cameras=(right.views[0].camera,))
     assert measures["corrected"](right, off, mended) == 1.0
     assert measures["degrees left"](right, off, mended) == pytest.approx(0.0, abs=1e-5)
-    trust = QUESTIONS["wrong"].measures["trust in the fourth"]
-    assert trust(right, right, replace(as_given, view_trust=[1.0, 1.0, 1.0, 0.2])) == 0.2
-    assert trust(right, right, as_given) is None
-    without_a_plane = QUESTIONS["missing"].measures["without a plane"]
-    assert without_a_plane(right, right, as_given) == 1.0
-    assert without_a_plane(right, right, replace(as_given, symmetry=(1.0, 0.0, 0.0, 0.0))) == 0.0
+    inlier_weight = QUESTIONS["wrong"].measures["fourth inlier weight"]
+    assert inlier_weight(right, right, replace(as_given, view_trust=[1.0, 1.0, 1.0, 0.2])) == 0.2
+    assert inlier_weight(right, right, as_given) is None
+    no_plane = QUESTIONS["missing"].measures["no mirror plane"]
+    assert no_plane(right, right, as_given) == 1.0
+    assert no_plane(right, right, replace(as_given, symmetry=(1.0, 0.0, 0.0, 0.0))) == 0.0

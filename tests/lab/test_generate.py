@@ -38,9 +38,6 @@ def is_closed(mesh: Mesh) -> bool:
     return len(np.unique(edges, axis=0)) == len(edges) and {*map(tuple, edges)} == {*map(tuple, edges[:, ::-1])}
 
 
-# Every shape
-
-
 @pytest.mark.parametrize(("category", "kind"), KINDS)
 def test_every_kind_is_of_closed_parts_of_moderate_size_and_mirror_symmetric(category, kind):
     for seed in range(2):
@@ -68,9 +65,6 @@ def test_an_unknown_category_is_refused_before_anything_is_written(tmp_path):
     with pytest.raises(InputError, match="'boat' is not a category, expected chair, car, airplane"):
         write_shapes(tmp_path / "out", {"boat": 1})
     assert not (tmp_path / "out").exists()
-
-
-# Which way they face
 
 
 @pytest.mark.parametrize("kind", ["dining", "office", "shell", "armchair", "lounger"])
@@ -121,9 +115,6 @@ def test_aeroplanes_spread_their_wings_along_z_and_have_their_fin_at_the_rear(ki
             assert middle[middle[:, 1].argmax(), 0] > points[:, 0].min() + 0.7 * x
 
 
-# Parts
-
-
 def test_parts_have_the_volume_of_what_they_are():
     assert volume(parts.box((2, 3, 4), (5, 6, 7))) == pytest.approx(24)
     frustum = parts.rod((0, 0, 0), (0, 2, 0), 0.5, 0.25, sides=200)
@@ -132,9 +123,6 @@ def test_parts_have_the_volume_of_what_they_are():
     u, v = np.meshgrid(np.linspace(0, 2, 5), np.linspace(0, 3, 4))
     assert volume(parts.plate(np.stack([u, v, 0 * u], axis=-1), 0.1)) == pytest.approx(0.6)
     assert [volume(part) for part in parts.both(parts.box((1, 1, 1), (3, 0, 0)))] == pytest.approx([1, 1])
-
-
-# Folders
 
 
 def test_a_shape_depends_on_seed_category_and_number_alone(tmp_path):

@@ -1,85 +1,35 @@
-"""The study of the three variants: what it judges, what it says of it, and that a stopped one goes on."""
+"""The study of the three variants: what it judges, what it says of it, and what Ctrl-C leaves."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 
-from tso_cli.errors import InputError
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.points import normalise_longest_side, sample_surface
 from tso_cli.geometry.view import View
 from tso_cli.io.meshes import Mesh
 from tso_cli.lab.studies import variants
-from tso_cli.lab.studies.parts import see, shapes_of_part, view_aligned_network
-from tso_cli.lab.studies.variants import VARIANTS, claims, distances, summarise
-from tso_cli.lab.studies.visibility import visible_points
-from tso_cli.lab.study import Progress
+from tso_cli.lab.studies.shapes import Shape, see, view_aligned_network
+from tso_cli.lab.studies.variants import VARIANTS, conclude, distances, judge_view, visible_points
 from tso_cli.refinement import RefineConfig
 from tso_cli.refinement.objective import SilhouetteObjective
 from tso_cli.render import RayScene, RenderSettings, look_at
 from tso_cli.scene.network import network_scene
 
-from .studying import MESHES, check_command, thin_checkpoint, tso, write_split
+from .studying import MESHES, holding, thin_checkpoint, tso, write_split
 
-NAMES = ["car/qreal_Cop", "car/qreal_SUV", "car/qbasic_RaceCar", "chair/q19_Chair", "chair/q17_Chair"]
-QUICK = {"part": "test", "categories": ("car",), "limit": 2, "views": 1, "steps": 2, "seed": 0, "device": "cpu"}
-
-
-@pytest.fixture
-def split(tmp_path):
-    return write_split(tmp_path, test=NAMES, validation=["chair/kfurn_chair"])
+COP = Shape("car/qreal_Cop", MESHES / "car" / "qreal_Cop.ply")
 
 
 @pytest.fixture
 def checkpoint(tmp_path, monkeypatch):
     return thin_checkpoint(tmp_path, monkeypatch, 64)
-
-
-@pytest.fixture
-def study(split, checkpoint):
-    """The quick study, with other settings and another progress if wanted."""
-
-    def run(progress=None, **changes):
-        settings = {**QUICK, **changes}
-        return variants.run(progress or Progress(), meshes=MESHES, checkpoint=checkpoint, split=split, **settings)
-
-    return run
-
-
-def test_only_shapes_of_the_part_are_studied_spread_over_each_category(split):
-    def names(*arguments, **options):
-        return [shape.name for shape in shapes_of_part(MESHES, split, *arguments, **options)]
-
-    assert sorted(names()) == sorted(NAMES)
-    assert names("validation") == ["chair/kfurn_chair"]
-    assert names(limit=2) == ["car/qreal_Cop", "car/qbasic_RaceCar", "chair/q19_Chair", "chair/q17_Chair"]
-    assert names(categories=["chair"], limit=1) == ["chair/q19_Chair"]
-
-
-def test_a_shape_or_category_that_is_not_there_is_named(split, tmp_path):
-    with pytest.raises(InputError, match="aeroplane"):
-        shapes_of_part(MESHES, split, categories=["aeroplane"])
-    with pytest.raises(InputError, match="train"):
-        shapes_of_part(MESHES, split, "train")
-    split.write_text(json.dumps({"test": [*NAMES, "car/Batmobile"]}))
-    with pytest.raises(InputError, match=r"car/Batmobile \(1 of 6 are missing\)"):
-        shapes_of_part(MESHES, split)
-
-
-@pytest.mark.slow
-def test_a_shape_is_seen_alike_whatever_else_is_studied(split):
-    settings = RenderSettings(views=2)
-    alone = see(shapes_of_part(MESHES, split, limit=1)[0], settings, 0)
-    again, other_seed = (see(shapes_of_part(MESHES, split)[0], settings, seed) for seed in (0, 1))
-    np.testing.assert_array_equal(alone.target, again.target)
-    np.testing.assert_array_equal(alone.views[1].image, again.views[1].image)
-    assert not np.array_equal(alone.views[1].image, other_seed.views[1].image)
 
 
 def square(z: float, half: float) -> tuple[np.ndarray, np.ndarray]:
@@ -101,8 +51,6 @@ def test_a_plate_hides_what_lies_behind_it_and_nothing_beside_it():
 
 
 def test_on_a_convex_body_a_point_is_seen_exactly_where_its_surface_faces_the_camera():
-    import trimesh
-
     body = trimesh.creation.box(extents=(1.0, 0.6, 0.8))
     scene = RayScene(Mesh(np.asarray(body.vertices), np.asarray(body.faces, dtype=np.int64), None))
     points = sample_surface(body.vertices, body.faces, 500, np.random.default_rng(0))
@@ -130,46 +78,30 @@ def test_visible_and_occluded_points_make_up_the_forward_distance():
     assert distances(prediction, target, np.ones(30, dtype=bool))["occluded"] is None
 
 
-def test_the_truth_in_the_cameras_axes_is_at_distance_zero_whatever_its_scale(split, checkpoint, monkeypatch):
+def test_the_truth_in_the_cameras_axes_is_at_distance_zero_whatever_its_scale(checkpoint, monkeypatch):
     """A network that predicted the true shape, twice as large and elsewhere, is faultless by the paper's protocol only."""
-    shape = shapes_of_part(MESHES, split, limit=1)[0]
-    seen = see(shape, RenderSettings(views=1), 0)
-    camera = seen.views[0].camera
-    in_view = (seen.target @ camera.R.T) * [1.0, -1.0, -1.0]
-    points = 2.0 * in_view + 0.1
+    seen = see(COP, RenderSettings(views=1), 0)
+    points = 2.0 * (seen.target @ seen.views[0].camera.R.T) * [1.0, -1.0, -1.0] + 0.1
     untouched = SimpleNamespace(points=points, iou_before=0.5, iou_after=0.5, best_step=0, stop_reason="max_steps")
-
-    def perfect(*arguments, **options):
-        return replace(network_scene(*arguments, **options), points=points)
-
-    monkeypatch.setattr(variants, "network_scene", perfect)
+    monkeypatch.setattr(variants, "network_scene", lambda *of, **options: replace(network_scene(*of, **options), points=points))
     monkeypatch.setattr(variants, "refine", lambda *_, **__: untouched)
-    case = variants.judge_view(shape, seen, 0, *view_aligned_network(checkpoint), partial(RefineConfig, steps=2))
+    case = judge_view(COP, seen, 0, *view_aligned_network(checkpoint), RefineConfig(steps=2, preset="paper"))
     for name in ("before", *VARIANTS):
         assert case["capnet"][name]["forward"] == pytest.approx(0.0, abs=1e-20)
 
 
 @pytest.mark.slow
-def test_every_variant_moves_the_prediction_and_is_judged_as_eval_does_under_the_papers_protocol(study, split, checkpoint):
-    record = study()
-    assert record["complete"]
-    assert record["settings"]["categories"] == ["car"]
-    assert [case["shape"] for case in record["cases"]] == ["car/qreal_Cop", "car/qbasic_RaceCar"]
-    for case in record["cases"]:
-        assert len({case["capnet"][name]["forward"] for name in ("before", *VARIANTS)}) == 4
-    picture = see(shapes_of_part(MESHES, split, categories=["car"])[0], RenderSettings(views=1, size=(128, 128)), 0)
-    view = picture.views[0]
+def test_every_variant_moves_the_prediction_and_is_judged_as_eval_does_under_the_papers_protocol(checkpoint):
+    seen = see(COP, RenderSettings(views=1, size=(128, 128)), 0)
     network, about = view_aligned_network(checkpoint)
-    scene = network_scene(view.image, View(view.mask / np.float32(255.0), view.camera), network, about)
-    target = (picture.target @ view.camera.R.T) * [1.0, -1.0, -1.0]
+    case = judge_view(COP, seen, 0, network, about, RefineConfig(steps=2, preset="paper"))
+    assert len({case["capnet"][name]["forward"] for name in ("before", *VARIANTS)}) == 4
+    picture = seen.views[0]
+    scene = network_scene(picture.image, View(picture.mask / np.float32(255.0), picture.camera), network, about)
+    target = (seen.target @ picture.camera.R.T) * [1.0, -1.0, -1.0]
     expected = chamfer(normalise_longest_side(scene.points), normalise_longest_side(target))
-    found = record["cases"][0]["capnet"]["before"]
-    assert (found["forward"], found["backward"]) == pytest.approx((expected.forward, expected.backward), rel=1e-5)
-
-
-def test_a_network_of_another_frame_is_refused(tmp_path, monkeypatch):
-    with pytest.raises(InputError, match="view-aligned"):
-        view_aligned_network(thin_checkpoint(tmp_path, monkeypatch, 64, frame="canonical"))
+    before = case["capnet"]["before"]
+    assert (before["forward"], before["backward"]) == pytest.approx((expected.forward, expected.backward), rel=1e-5)
 
 
 def case_of(category: str, before: float, after: dict[str, float], occluded: float = 1.0) -> dict:
@@ -194,11 +126,12 @@ def test_the_summary_tells_the_ratio_of_means_from_the_cases_own():
         case_of("car", 9.0, {"encoder": 9.9, "encoder-decoder": 9.0, "points": 9.0}),
         case_of("car", 2.0, {"encoder": 1.6, "encoder-decoder": 2.0, "points": 2.0}),
     ]
-    found = summarise(cases)["car"]["capnet"]["encoder"]
+    summary = conclude(cases)["summary"]
+    found = summary["car"]["capnet"]["encoder"]
     assert found["ratio_of_means"] == pytest.approx(1.0)
     assert [found["mean_ratio"], found["median_ratio"]] == pytest.approx([0.8, 0.8])
     assert (found["worst_ratio"], found["worse"]) == (pytest.approx(1.1), 1)
-    assert summarise(cases)["all"] == summarise(cases)["car"]
+    assert summary["all"] == summary["car"]
 
 
 GAINS = {"encoder": 0.95, "encoder-decoder": 0.94, "points": 0.97}
@@ -206,9 +139,9 @@ GAINS = {"encoder": 0.95, "encoder-decoder": 0.94, "points": 0.97}
 
 def test_a_claim_holds_only_where_the_figures_say_so():
     def answers(*cases):
-        return claims(summarise(list(cases)))
+        return conclude(list(cases))["claims"]
 
-    assert [claim["holds"] for claim in answers(case_of("car", 1.0, GAINS))] == [True, True, True, True, False]
+    assert holding(answers(case_of("car", 1.0, GAINS))) == [True, True, True, True, False]
     occluded_lost = answers(case_of("car", 1.0, GAINS, occluded=1.2))[2]
     assert not occluded_lost["holds"]
     assert occluded_lost["found"].endswith("; not on car, all")
@@ -222,33 +155,19 @@ def test_a_claim_holds_only_where_the_figures_say_so():
 def test_a_gain_that_depends_on_the_choice_of_shapes_does_not_count():
     # On average a gain of 1 %, but of shapes that gain or lose 20 %.
     cases = [case_of("car", 1.0 + 0.001 * i, GAINS | {"encoder": 0.79 if i % 2 else 1.19}) for i in range(12)]
-    summary = summarise(cases)
+    record = conclude(cases)
+    summary = record["summary"]
     low, high = summary["all"]["capnet"]["encoder"]["interval"]
     assert low < summary["all"]["capnet"]["encoder"]["ratio_of_means"] < 1.0 < high
-    assert not claims(summary)[0]["holds"]
+    assert not holding(record["claims"])[0]
     assert 0.93 < summary["all"]["capnet"]["encoder-decoder"]["interval"][1] < 0.95
     # The interval is over shapes and not over their views.
-    assert summarise(cases * 5)["all"]["capnet"]["encoder"]["interval"] == pytest.approx([low, high])
+    assert conclude(cases * 5)["summary"]["all"]["capnet"]["encoder"]["interval"] == pytest.approx([low, high])
 
 
 @pytest.mark.slow
-def test_ctrl_c_keeps_the_shapes_done_and_the_command_goes_on_from_them(split, checkpoint, tmp_path, capsys, monkeypatch):
-    output = tmp_path / "tso.json"
-    arguments = [
-        "tso",
-        "--meshes",
-        MESHES,
-        "--split",
-        split,
-        "--checkpoint",
-        checkpoint,
-        "--limit",
-        1,
-        "--views",
-        1,
-        "--steps",
-        1,
-    ]
+def test_ctrl_c_keeps_the_shapes_done(checkpoint, tmp_path, monkeypatch):
+    output, split = tmp_path / "tso.json", write_split(tmp_path, test=["car/qreal_Cop", "chair/q19_Chair"])
     calls = iter(range(1000))
     true_call = SilhouetteObjective.__call__
 
@@ -257,14 +176,9 @@ def test_ctrl_c_keeps_the_shapes_done_and_the_command_goes_on_from_them(split, c
             raise KeyboardInterrupt
         return true_call(self, moved)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(SilhouetteObjective, "__call__", interrupted)
-        assert tso("lab", *arguments, "-o", output) == 130
+    monkeypatch.setattr(SilhouetteObjective, "__call__", interrupted)
+    arguments = ("--meshes", MESHES, "--split", split, "--checkpoint", checkpoint, "--views", 1, "--steps", 1, "-o", output)
+    assert tso("lab", "tso", *arguments) == 130
     record = json.loads(output.read_text())
     assert not record["complete"]
     assert [case["shape"] for case in record["cases"]] == ["car/qreal_Cop"]
-    words = ("4.64", "-5.82", "E and D", "occluded", "chair", "hold")
-    resumed = check_command(output, capsys, *arguments, "--resume", words=words)
-    assert resumed["complete"]
-    assert [case["shape"] for case in resumed["cases"]] == ["car/qreal_Cop", "chair/q19_Chair"]
-    assert resumed["cases"][0] == record["cases"][0]

@@ -1,5 +1,6 @@
 """The window: lengths belong to the object, whatever photo it is in."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,6 @@ from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.view import object_box
 from tso_cli.geometry.window import window_around, window_of
 from tso_cli.io.clouds import read_cloud
-from tso_cli.lab.studies.evidence_cases import framed
 from tso_cli.refinement import PRESETS
 from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.problem import Problem
@@ -22,6 +22,16 @@ from tso_cli.scene.load import ViewFiles, load_views
 from tso_cli.silhouette.mask_chamfer import MaskTarget, mask_chamfer_loss
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def framed(view, times, across, down):
+    """The view in a photo ``times`` as wide and high; ``across`` and ``down`` are its place, from 0 to 1."""
+    height, width = view.mask.shape
+    top, left = int(height * (times - 1) * down), int(width * (times - 1) * across)
+    mask = np.zeros((times * height, times * width), np.float32)
+    mask[top : top + height, left : left + width] = view.mask
+    K = view.camera.K + [[0, 0, left], [0, 0, top], [0, 0, 0]]
+    return View(mask, replace(view.camera, K=K, width=mask.shape[1], height=mask.shape[0]), name=view.name)
 
 
 def _example(name):

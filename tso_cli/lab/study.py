@@ -1,4 +1,4 @@
-"""What a study is: a question, the options of its command, how it runs, and how its record is shown."""
+"""What a study is: a question, the options of its command, the cases that it judges, and how its record is shown."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..version import __version__
 from .studies import QUESTIONS
 
 Record = dict[str, Any]
-Cases = list[dict[str, Any]]
+Cases = list[Record]
 Report = Callable[[str, int, int], None]
 """Called with (what is being done, done, total)."""
 
@@ -23,7 +23,7 @@ class Option:
     """An option of a study's command.
 
     ``kind`` is bool for a flag without a value. ``help`` names the default where ``default`` is None or empty. With
-    ``multiple`` `Study.run` gets a tuple without duplicates. ``name`` is that of its parameter, if not that of the flag.
+    ``multiple`` `Study.plan` gets a tuple without duplicates. ``name`` is that of its parameter, if not that of the flag.
     """
 
     flag: str
@@ -87,10 +87,10 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """What a study goes on from, and where it reports to.
+    """What a study resumes from, and where it reports to.
 
-    ``earlier`` is the record to go on from, ``keep`` is called with the record so far, ``unfinished`` is the checkpoint beside
-    which a network in training is kept, and ``overwrite`` says whether files that the study itself writes may be replaced.
+    ``earlier`` is the record to resume, ``keep`` is called with the record so far, ``unfinished`` is the checkpoint of a
+    network in training, and ``overwrite`` says whether files that the study itself writes may be replaced.
     """
 
     report: Report = lambda what, done, total: None
@@ -99,83 +99,113 @@ class Progress:
     unfinished: Path | None = None
     overwrite: bool = False
 
-    def earlier_cases(self, study: str, settings: dict[str, Any]) -> Cases:
-        """The cases of the earlier record; InputError if it is of another study or of other settings."""
-        if self.earlier is None:
-            return []
-        name, before, cases = (self.earlier.get(key) for key in ("study", "settings", "cases"))
-        if name != study or not isinstance(before, dict) or not isinstance(cases, list):
-            raise InputError(f"the record to go on from is of the study {name!r}, expected one of tso lab {study}")
-        for key, value in settings.items():
-            if before.get(key) != value:
-                raise InputError(
-                    f"the record to go on from has {key} {before.get(key)!r}, now it is {value!r}; expected the same"
-                )
-        return list(cases)
 
-    def complete(
-        self,
-        doing: str,
-        cases: Cases,
-        groups: Sequence[Callable[[], Cases] | None],
-        record: Callable[[Cases, bool], Record],
-    ) -> Record:
-        """The record of ``cases`` and of what ``groups`` add to them, kept after every group.
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The work of a study.
 
-        A group is None where ``cases`` has it already; ``record`` takes the cases so far, and whether these are all.
-        """
-        for number, judge in enumerate(groups, 1):
-            if judge is not None:
-                cases = cases + judge()
-                self.keep(record(cases, number == len(groups)))
-            self.report(doing, number, len(groups))
-        return record(cases, True)
+    settings : of the record; only a record with equal ones is resumed.
+    jobs : (values that only the cases of this job share, function that judges them); the record is kept after each.
+    doing : what is reported. after_job : called once the cases of a job are kept. finish : called with the complete record.
+    """
+
+    settings: Record
+    jobs: Sequence[tuple[Record, Callable[[], Cases]]]
+    doing: str = "refining"
+    after_job: Callable[[], None] = lambda: None
+    finish: Callable[[Record], None] = lambda record: None
 
 
 @dataclass(frozen=True)
-class Study:
-    """A question to the method, and how it is answered.
+class Shown:
+    """How the record of a study or measurement is shown.
 
-    ``tables`` and ``draw`` (path, record, overwrite) show a record, which `run` makes from the options; ``reading`` says on its
-    page what it means. ``kept`` says when the record is kept; it is empty where the study cannot be resumed.
+    ``parts`` are those of the method that its `fingerprint` is of; ``tables`` and ``draw`` (path, record, overwrite) show a
+    record, ``reading`` says on its page what it means.
     """
 
     name: str
     about: str
-    options: tuple[Option, ...]
-    run: Callable[..., Record]
+    parts: tuple[str, ...]
     tables: Callable[[Record], list[Table]]
     draw: Callable[[Path, Record, bool], None]
-    reading: str = ""
-    kept: str = ""
+    reading: str
 
     @property
     def question(self) -> str:
         return QUESTIONS[self.name][1] if self.name in QUESTIONS else self.about
 
 
-def record_of(study: str, convention: dict[str, str] | str, **content: Any) -> Record:
-    """A record of the version at hand."""
-    return {"study": study, "version": __version__, "convention": convention, **content}
+@dataclass(frozen=True)
+class Study(Shown):
+    """A question to the method: ``plan`` says what to do for ``options``, ``conclude`` what all cases together say."""
+
+    convention: Record
+    options: tuple[Option, ...]
+    plan: Callable[..., Plan]
+    conclude: Callable[[Cases], Record]
+    kept: str = "after every shape"
+
+    def run(self, progress: Progress, **options: Any) -> Record:
+        """The record of all cases; those of ``progress.earlier`` are not judged again.
+
+        Raises InputError if the earlier record is of another study or of other settings.
+        """
+        plan = self.plan(progress, **options)
+        cases = self._earlier_cases(progress.earlier, plan.settings)
+        record = self._record(plan, cases)
+        progress.keep(record)
+        for number, (shared, judge) in enumerate(plan.jobs, 1):
+            if not _judged(shared, cases):
+                cases = [*cases, *judge()]
+                record = self._record(plan, cases)
+                progress.keep(record)
+                plan.after_job()
+            progress.report(plan.doing, number, len(plan.jobs))
+        plan.finish(record)
+        return record
+
+    def _record(self, plan: Plan, cases: Cases) -> Record:
+        complete = all(_judged(shared, cases) for shared, _ in plan.jobs)
+        head = {"study": self.name, "version": __version__, "convention": self.convention, "complete": complete}
+        conclusions = self.conclude(cases) if complete else {}
+        return {**head, "settings": plan.settings, **conclusions, "cases": cases}
+
+    def _earlier_cases(self, earlier: Record | None, settings: Record) -> Cases:
+        if earlier is None:
+            return []
+        name, before, cases = (earlier.get(key) for key in ("study", "settings", "cases"))
+        if name != self.name or not isinstance(before, dict) or not isinstance(cases, list):
+            raise InputError(f"the record to go on from is of the study {name!r}, expected one of tso lab {self.name}")
+        for key, value in settings.items():
+            if before.get(key) != value:
+                raise InputError(
+                    f"the record to go on from has {key} {before.get(key)!r}, now it is {value!r}; expected the same"
+                )
+        return cases
 
 
-def claim(text: str, holds: bool, found: str) -> dict[str, Any]:
+def _judged(shared: Record, cases: Cases) -> bool:
+    return any(shared.items() <= case.items() for case in cases)
+
+
+def claim(text: str, holds: bool, found: str) -> Record:
     """One of a record's claims: whether it holds, and the figures that say so."""
     return {"claim": text, "holds": bool(holds), "found": found}
 
 
-def claim_line(claim: dict[str, Any]) -> str:
+def claim_line(claim: Record) -> str:
     """A claim as tables and pages state it."""
     return f"{'holds' if claim['holds'] else 'target missed'}: {claim['claim']} ({claim['found']})"
 
 
-def answer(study: Study, record: Record) -> str:
+def answer(study: Shown, record: Record) -> str:
     """Tables, convention and claims of a record, for a terminal."""
     claims = "\n".join(map(claim_line, record.get("claims", [])))
     return "\n\n".join(filter(None, (*(table.text() for table in study.tables(record)), _convention(record), claims)))
 
 
-def page(study: Study, record: Record, file_name: str, more_charts: Sequence[str] = ()) -> str:
+def page(study: Shown, record: Record, file_name: str, more_charts: Sequence[str] = ()) -> str:
     """The page of the record in ``file_name``, NAME.json, as Markdown; its chart is NAME.png beside it."""
     parts = [
         f"# {study.question}",
@@ -191,7 +221,4 @@ def page(study: Study, record: Record, file_name: str, more_charts: Sequence[str
 
 
 def _convention(record: Record, bullet: str = "") -> str:
-    convention = record.get("convention", {})
-    if isinstance(convention, str):
-        convention = {"Chamfer": convention}
-    return "\n".join(f"{bullet}{name}: {meaning}" for name, meaning in convention.items())
+    return "\n".join(f"{bullet}{name}: {meaning}" for name, meaning in record["convention"].items())

@@ -57,13 +57,13 @@ def mask_loss(
     weight: float,
     form: str,
     silhouette: Silhouette | None = None,
-    bounded: bool = True,
 ) -> tuple[Tensor, float, float]:
     """BCE + lambda * affinity (Eq. 4 to 6) of predicted points [B, N, 3], summed over views, mean over the batch.
 
     ``weight`` and ``form`` are lambda and the form of Eq. 5. ``silhouette`` gives the sums s [B, V, H, W] of another
-    projection; BCE then has the gradient of those sums alone. ``bounded`` adds the squared distance, px^2, of each point
-    outside the crop to the crop's edge to the affinity: BCE does not see such points, and the object lies inside the crop.
+    projection; BCE then has the gradient of those sums alone. The affinity includes the squared distance, px^2, of each point
+    outside the crop to the crop's edge: BCE does not see such points, and the object lies inside the crop.
+
     Returns the loss, and the values of BCE and of the affinity term (before its weight).
     """
 
@@ -81,10 +81,9 @@ def mask_loss(
     if weight == 0.0:
         return bce, float(bce.detach()), 0.0
     outliers = affinity(sums, masks, points_px, valid, form)
-    if bounded:
-        edge = points_px.new_tensor([width - 0.5, height - 0.5])
-        beyond = points_px - torch.minimum(points_px.clamp(min=-0.5), edge)
-        outliers = outliers + (beyond.square().sum(-1) * valid).sum(-1)
+    edge = points_px.new_tensor([width - 0.5, height - 0.5])
+    beyond = points_px - torch.minimum(points_px.clamp(min=-0.5), edge)
+    outliers = outliers + (beyond.square().sum(-1) * valid).sum(-1)
     outliers = outliers.sum() / len(points)
     return bce + weight * outliers, float(bce.detach()), float(outliers.detach())
 

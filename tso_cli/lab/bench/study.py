@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from ..charts.speed_chart import draw_speed
 from ..charts.speed_table import tables
-from ..study import Study
-from .speed import speed
+from ..study import Shown
 
-STUDY = Study(
+STUDY = Shown(
     name="speed",
     about="How fast is it, beside other ways and other packages?",
-    options=(),
-    run=speed,
+    parts=("points, paper", "points, best", "network modes", "training"),
     tables=tables,
     draw=draw_speed,
     reading="Contestants for the same work take turns in one process. Trust ratios before times: two runs on a shared machine "

@@ -13,7 +13,7 @@ from ...geometry.points import Array
 from ...plots.style import WORSE, page
 
 if TYPE_CHECKING:
-    from ..studies.accuracy_cases import AccuracyCase
+    from ..studies.cases import Case
 
 CELL = 1.75
 """Inches."""
@@ -26,7 +26,7 @@ SIDES = {
 }
 
 
-def draw_cases(path: Path, cases: Sequence[tuple[str, AccuracyCase, Array]], overwrite: bool = False) -> None:
+def draw_cases(path: Path, cases: Sequence[tuple[str, Case, Array]], overwrite: bool = False) -> None:
     """A row for each (title, case, refined points).
 
     The mask with the silhouette's outline before and after, then both clouds and the truth from two sides. Raises InputError if

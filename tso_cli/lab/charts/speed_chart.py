@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +10,20 @@ from ...plots.style import BETTER, COLOURS, INK, page
 from .speed_table import machine_line
 
 MARKERS = "osD^vP*Xh"
-Records = Sequence[dict[str, Any]]
-Panel = Callable[[Any, Records], None]
+KERNELS = {
+    "silhouette": "silhouette and cross-entropy, forward and backward",
+    "chamfer": "Chamfer to the start, a step, value and gradient",
+}
+"""Part -> the title of its panel of lines."""
+BARS = (
+    (("batch",), "many clouds: clouds a second", "{name} of {batch}, {preset}", "clouds_per_second"),
+    (("step", "step, encoder", "step, encoder-decoder"), "a step and its parts: ms", "{name}, {what}, {points:,}", "ms"),
+    (("terms",), "losses: times the projector", "{name}, {points:,}", "over_projector"),
+    (("threads",), "more threads: times quicker", "{name}\n{threads} threads", "over_first"),
+    (("training, points", "training, masks"), "images a second", "{what}, {precision}\n{name}", "images_per_second"),
+    (("start-up",), "whole processes: ms", "{name}", "ms"),
+)
+"""Parts, title of their panel of bars, label of a bar, and its value."""
 
 
 def draw_speed(path: Path, record: dict[str, Any], overwrite: bool = False) -> None:
@@ -19,81 +31,40 @@ def draw_speed(path: Path, record: dict[str, Any], overwrite: bool = False) -> N
 
     Raises InputError if ``path`` cannot be written to.
     """
-    measured = [r for r in record["records"] if r["seconds"]]
-    panels = [(panel, rows) for whats, panel in PANELS.items() if (rows := [r for r in measured if r["what"] in whats])]
-    columns = min(3, len(panels)) or 1
-    rows_of_panels = -(-len(panels) // columns) or 1
-    with page(path, overwrite, (max(7.0, 5.4 * columns), 0.4 + 4.6 * rows_of_panels)) as figure:
-        axes = figure.subplots(rows_of_panels, columns, squeeze=False).flatten()
-        for axis in axes[len(panels) :]:
+    measured = [{**r, "ms": 1e3 * r["seconds"]["median"]} for r in record["records"] if r["seconds"]]
+    lines = [(title, [r for r in measured if r["what"] == what and "over_tso" in r]) for what, title in KERNELS.items()]
+    bars = [(title, label, value, [r for r in measured if r["what"] in whats]) for whats, title, label, value in BARS]
+    lines, bars = [panel for panel in lines if panel[-1]], [panel for panel in bars if panel[-1]]
+    columns = min(3, len(lines) + len(bars)) or 1
+    rows = -(-(len(lines) + len(bars)) // columns) or 1
+    with page(path, overwrite, (max(7.0, 5.4 * columns), 0.4 + 4.6 * rows)) as figure:
+        axes = figure.subplots(rows, columns, squeeze=False).flatten()
+        for axis in axes[len(lines) + len(bars) :]:
             axis.remove()
-        for axis, (panel, rows) in zip(axes, panels, strict=False):
-            panel(axis, rows)
+        for axis, (title, records) in zip(axes, lines, strict=False):
+            _draw_lines(axis, title, records)
+        for axis, (title, label, value, records) in zip(axes[len(lines) :], bars, strict=False):
+            shown = [r for r in records if r.get("over_first") != 1.0]
+            drawn = axis.barh(range(len(shown)), [r[value] for r in shown], color=BETTER, height=0.6)
+            axis.bar_label(drawn, fmt="%.4g", padding=4, fontsize=8)
+            axis.set_yticks(range(len(shown)), [label.format(**r) for r in shown], fontsize=8)
+            axis.margins(x=0.15)
+            axis.invert_yaxis()
+            axis.set_title(title)
         figure.suptitle(machine_line(record).partition(";")[0], fontsize=11, color=INK)
 
 
-def _lines(title: str) -> Panel:
-    """A panel of each contestant's median and quartiles over the number of points."""
-
-    def panel(axis: Any, records: Records) -> None:
-        records = [r for r in records if "over_tso" in r]
-        for i, name in enumerate(dict.fromkeys(r["name"] for r in records)):
-            rows = [r for r in records if r["name"] == name]
-            colour, sizes = [*COLOURS, "#8c6d31", "#7f7f7f", "#9467bd"][i % 9], [r["points"] for r in rows]
-            low, median, high = ([1e3 * r["seconds"][key] for r in rows] for key in ("low", "median", "high"))
-            axis.plot(sizes, median, label=name, color=colour, marker=MARKERS[i % 9], markersize=5, linewidth=1.4 if i else 2.5)
-            axis.fill_between(sizes, low, high, color=colour, alpha=0.15, linewidth=0)
-        axis.set(title=title, xlabel="points", ylabel="ms", xscale="log", yscale="log")
-        ticks = dict.fromkeys((r["points"], r["side"]) for r in records)
-        axis.set_xticks([n for n, _ in ticks], [_short(n) + (f"\n{side}²" if side else "") for n, side in ticks])
-        axis.minorticks_off()
-        axis.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2, frameon=False, fontsize=8)
-
-    return panel
-
-
-def _bars(title: str, label: str, name: Callable[[dict[str, Any]], str], value: str, scale: float = 1.0) -> Panel:
-    """A panel of one bar a record, from the top down."""
-
-    def panel(axis: Any, records: Records) -> None:
-        rows = [r for r in records if r.get("over_first") != 1.0]
-        values = [scale * (r["seconds"]["median"] if value == "seconds" else r[value]) for r in rows]
-        bars = axis.barh(range(len(rows)), values, color=BETTER, height=0.6)
-        axis.bar_label(bars, [f"{v:.3g}" for v in values], padding=4, fontsize=8)
-        axis.set_yticks(range(len(rows)), [name(r) for r in rows], fontsize=8)
-        axis.set_xlim(0.0, 1.2 * max(values))
-        axis.invert_yaxis()
-        axis.set(title=title, xlabel=label)
-
-    return panel
-
-
-PANELS: dict[tuple[str, ...], Panel] = {
-    ("silhouette",): _lines("silhouette and cross-entropy, forward and backward"),
-    ("chamfer",): _lines("Chamfer to the start, a step, value and gradient"),
-    ("batch",): _bars(
-        "many clouds", "clouds a second", lambda r: f"{r['name']} of {r['batch']}, {r['preset']}", "clouds_per_second"
-    ),
-    ("step", "step, encoder", "step, encoder-decoder"): _bars(
-        "a step and its parts", "ms", lambda r: f"{r['name']}, {_mode(r) or _short(r['points'])}", "seconds", 1e3
-    ),
-    ("terms",): _bars("losses", "times the projector", lambda r: f"{r['name']}, {_short(r['points'])}", "over_projector"),
-    ("threads",): _bars("more threads", "times quicker", lambda r: f"{r['name']}\n{r['threads']} threads", "over_first"),
-    ("training, points", "training, masks"): _bars(
-        "training", "images a second", lambda r: f"{_mode(r)}, {r['precision']}\n{r['name']}", "images_per_second"
-    ),
-    ("start-up",): _bars("whole processes", "seconds", lambda r: str(r["name"]), "seconds"),
-}
-
-
-def _mode(record: dict[str, Any]) -> str:
-    """The mode or supervision, named in "what" behind the comma."""
-    return str(record["what"].partition(", ")[2])
-
-
-def _short(count: int) -> str:
-    """1024 -> 1,024; 65536 -> 65.5k; 1000000 -> 1M."""
-    if count >= 1_000_000:
-        return f"{count / 1e6:.3g}M"
-    return f"{count:,}" if count < 10_000 else f"{count / 1e3:.3g}k"
+def _draw_lines(axis: Any, title: str, records: Sequence[dict[str, Any]]) -> None:
+    """Each contestant's median and quartiles over the number of points."""
+    for i, name in enumerate(dict.fromkeys(r["name"] for r in records)):
+        rows = [r for r in records if r["name"] == name]
+        colour, sizes = [*COLOURS, "#8c6d31", "#7f7f7f", "#9467bd"][i % 9], [r["points"] for r in rows]
+        low, median, high = ([1e3 * r["seconds"][key] for r in rows] for key in ("low", "median", "high"))
+        axis.plot(sizes, median, label=name, color=colour, marker=MARKERS[i % 9], markersize=5, linewidth=1.4 if i else 2.5)
+        axis.fill_between(sizes, low, high, color=colour, alpha=0.15, linewidth=0)
+    axis.set(title=title, xlabel="points", ylabel="ms", xscale="log", yscale="log")
+    ticks = dict.fromkeys((r["points"], r["side"]) for r in records)
+    axis.set_xticks([n for n, _ in ticks], [f"{n:,}" + (f"\n{side}²" if side else "") for n, side in ticks], fontsize=7)
+    axis.minorticks_off()
+    axis.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2, frameon=False, fontsize=8)

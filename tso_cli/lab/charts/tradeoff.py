@@ -2,43 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from ...plots.style import COLOURS, INK, PALE, page
+from ..study import Record
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 
 
-@dataclass(frozen=True)
-class Tradeoff:
-    """Variants of one object type: label -> (seconds, mean of Chamfer after / before).
-
-    ``floor`` : the ratio of the truth sampled anew."""
-
-    title: str
-    variants: Mapping[str, tuple[float, float]]
-    floor: float | None = None
-
-
-def draw_tradeoffs(path: Path, panels: list[Tradeoff], overwrite: bool) -> None:
-    """A panel for each object type, seconds logarithmic; at most eight variants.
+def draw_tradeoffs(path: Path, groups: Record, overwrite: bool) -> None:
+    """A panel for each category of the summary of accuracy, seconds logarithmic; at most eight variants.
 
     Raises InputError if ``path`` cannot be written to.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    labels = list(dict.fromkeys(label for panel in panels for label in panel.variants))[: len(MARKERS)]
-    with page(path, overwrite, (2.3 * len(panels), 3.3), dpi=100) as figure:
-        axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-        for axis, panel in zip(axes, panels, strict=True):
-            for number, label in enumerate(labels):
-                if label in panel.variants:
-                    colour = COLOURS[number % len(COLOURS)]
-                    axis.plot(*panel.variants[label], MARKERS[number], color=colour, markersize=8, alpha=0.85, label=label)
-            if panel.floor is not None:
-                axis.axhline(panel.floor, color=PALE, linestyle=":")
+    with page(path, overwrite, (2.3 * len(groups), 3.3), dpi=100) as figure:
+        axes = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
+        for axis, (category, group) in zip(axes, groups.items(), strict=True):
+            for number, (label, row) in enumerate(group["variants"].items()):
+                place, colour = (row["median_seconds"], row["mean_ratio"]), COLOURS[number % len(COLOURS)]
+                axis.plot(*place, MARKERS[number], color=colour, markersize=8, alpha=0.85, label=label)
+            axis.axhline(group["before"]["floor_ratio"], color=PALE, linestyle=":")
             axis.axhline(1.0, color=INK, linewidth=0.8, zorder=0)
             axis.set_xscale("log")
             low, high = axis.get_xlim()
@@ -47,7 +32,7 @@ def draw_tradeoffs(path: Path, panels: list[Tradeoff], overwrite: bool) -> None:
             axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             axis.xaxis.set_minor_formatter(NullFormatter())
-            axis.set_title(panel.title, fontsize=10)
+            axis.set_title(category, fontsize=10)
             axis.tick_params(labelsize=8)
         axes[0].set_ylim(bottom=0.0)
         axes[0].set_ylabel("mean of Chamfer after / before", fontsize=9)

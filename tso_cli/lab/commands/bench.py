@@ -61,6 +61,7 @@ def speed(
         raise click.BadParameter(f"{seconds} is no finite number.", param_hint="'--seconds'")
     records.check_outputs(output, overwrite)
     from ...device import resolve
+    from ..bench.speed import speed as measure
     from ..bench.study import STUDY
     from ..bench.timing import Setting
     from ..study import answer
@@ -70,9 +71,9 @@ def speed(
     def report(name: str) -> None:
         options.log(f"tso: {time.monotonic() - begun:4.0f} s  {name}")
 
-    record = STUDY.run(Setting(resolve(device), threads, seconds, full, seed, report), only)
+    record = measure(Setting(resolve(device), threads, seconds, full, seed, report), only)
     if output is not None:
-        records.write_record(record, output)
+        records.write_record(record, STUDY.parts, output)
         write_page(STUDY, record, output)
     if as_json:
         options.echo_json(record)

@@ -7,36 +7,21 @@ from pathlib import Path
 import click
 
 from ...commands import options
-from ...errors import GateError, InputError
-from .records import read_record, write_record
+from ...errors import GateError
+from .records import read_record
 
 
 @click.command("fingerprint")
 @click.argument("records", nargs=-1, required=True, type=options.FilePath())
-@click.option(
-    "--complete", is_flag=True, help="Add what fingerprints have gained to those of RECORDS, where the rest is today's."
-)
-def command(records: tuple[Path, ...], complete: bool) -> None:
-    """Whether RECORDS are of the method as it is: their fingerprints beside today's.
+def command(records: tuple[Path, ...]) -> None:
+    """Whether RECORDS are of the method as it is, by their fingerprints: what it makes of the shipped examples.
 
-    A fingerprint is what the method does to the shipped examples, in a few numbers; every record that -o writes has one.
-    The exit code is 3 where one differs or is missing. What differs is made anew by its own command: no option says that it
-    need not be.
+    The exit code is 3 where one differs or is missing; then the study is to be run again.
     """
     from ..studies.fingerprint import differences
 
-    others = 0
-    for path in records:
-        record = read_record(path)
-        try:
-            changes = differences(record, lacking=not complete)
-            if complete and not changes:
-                write_record(record, path)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
-        others += bool(changes)
-        click.echo(f"{path}: " + ("of another method" if changes else "of the method as it is"))
-        for line in changes:
-            click.echo(f"  {line}")
-    if others:
+    changes = {path: differences(read_record(path)) for path in records}
+    for path, lines in changes.items():
+        click.echo("\n  ".join([f"{path}: of {'another method' if lines else 'the method as it is'}", *lines]))
+    if others := sum(map(bool, changes.values())):
         raise GateError(f"{others} of {len(records)} records are not known to be of the method as it is")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -12,18 +13,16 @@ from ...errors import InputError
 from ...io.output import atomic_output
 from ...io.reading import shown
 from ..studies import QUESTIONS
-from ..study import Record, Study, page
+from ..study import Record, Shown, page
 from .records import read_record
 
 
-def load(name: str) -> Study:
-    """The study of that name."""
-    module = "bench.study" if name == "speed" else f"studies.{QUESTIONS[name][0]}"
-    study: Study = import_module(f"tso_cli.lab.{module}").STUDY
-    return study
+def load(name: str) -> Any:
+    """The `Study` of that name, or what shows the record of `tso bench speed`."""
+    return import_module(f"tso_cli.lab.{'bench.study' if name == 'speed' else f'studies.{QUESTIONS[name][0]}'}").STUDY
 
 
-def write_page(study: Study, record: Record, output: Path) -> None:
+def write_page(study: Shown, record: Record, output: Path) -> None:
     """The chart and the page of the record at ``output``, beside it."""
     study.draw(output.with_suffix(".png"), record, True)
     with atomic_output(output.with_suffix(".md")) as temporary:
@@ -40,5 +39,7 @@ def command(records: tuple[Path, ...]) -> None:
         name = record.get("study", record.get("bench"))
         if name not in (*QUESTIONS, "speed"):
             raise InputError(f"{path}: is of the study {shown(name)}, expected one of {', '.join(QUESTIONS)}, speed")
+        if not record.get("complete", True):
+            raise InputError(f"{path}: is not complete, expected a finished record (--resume finishes it)")
         write_page(load(name), record, path)
         click.echo(path.with_suffix(".md"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,17 +31,17 @@ def check_outputs(output: Path | None, overwrite: bool, resume: bool = False) ->
 
 
 def earlier_record(study: str, output: Path | None, resume: bool) -> dict[str, Any] | None:
-    """The record to go on from, None where there is none or ``resume`` is false.
+    """The record to resume, None where there is none or ``resume`` is false.
 
     Raises InputError if the file is no record, or one of ``study`` that another method made: the cases of two methods do not
     mix. A record of another study is for the study to refuse.
     """
     if output is None or not resume or not output.exists():
         return None
-    from ..studies.fingerprint import differences, study_of
+    from ..studies.fingerprint import differences
 
     record = read_record(output)
-    if study_of(record) == study and (changes := differences(record)):
+    if record.get("study") == study and (changes := differences(record)):
         raise InputError(
             f"{output}: was made by another method ({changes[0]}), expected one made by the method as it is (with --overwrite "
             "in place of --resume it is made anew)"
@@ -59,11 +60,11 @@ def read_record(path: Path) -> dict[str, Any]:
     return record
 
 
-def write_record(record: dict[str, Any], output: Path) -> None:
-    """Write the record, with the fingerprint of the method as it is, over the one before: a case a line."""
-    from ..studies.fingerprint import stamped
+def write_record(record: dict[str, Any], parts: Sequence[str], output: Path) -> None:
+    """Write the record over the one before, a case a line, with ``parts`` of the fingerprint of the method as it is."""
+    from ..studies.fingerprint import today
 
-    record = stamped(record)
+    record = {**record, "fingerprint": {part: today(part) for part in parts}}
     cases = record.pop("cases", None)
     text = json.dumps(record, indent=1)
     if cases is not None:

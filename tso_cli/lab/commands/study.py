@@ -31,7 +31,7 @@ def command_of(study: Study) -> click.Command:
 
         def keep(record: Record) -> None:
             if output is not None:
-                write_record({**record, "command": command_line}, output)
+                write_record({**record, "command": command_line}, study.parts, output)
 
         unfinished = output.with_name(f"{output.stem}.unfinished.safetensors") if output else None
         earlier = earlier_record(study.name, output, resume)

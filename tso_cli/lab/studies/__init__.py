@@ -4,8 +4,6 @@ QUESTIONS = {
     "accuracy": ("accuracy", "How much nearer to the truth does a refinement come, and how often further away?"),
     "evidence": ("evidence", "What is other evidence worth than one right mask of the whole object?"),
     "tso": ("variants", "What gains most at test stage: moving the encoder, encoder and decoder, or the points?"),
-    "examples": ("examples", "What does each mode make of the shipped examples?"),
-    "points": ("points", "Does the points variant bring real clouds nearer to the truth?"),
     "pose": ("pose", "How well is a camera found from mask and cloud alone?"),
     "network": ("network", "How good is the base network on unseen shapes?"),
     "supervision": ("supervision", "What does a network learn from points, from masks and from other projections?"),
@@ -14,6 +12,5 @@ QUESTIONS = {
     "affinity": ("affinity", "Does the affinity loss remove outliers?"),
     "sigma": ("sigma", "How wide should the Gaussian be?"),
     "failures": ("failures", "Do the paper's two failures show: narrow aeroplanes, cars deformed in depth?"),
-    "departures": ("departures", "Where does training depart from the paper, and what does that change?"),
 }
 """Name of the command -> (its module in this package, whose ``STUDY`` is the `Study`; the question)."""

@@ -17,13 +17,13 @@ from ...io.output import check_output
 from ...network.model import BaseNetwork
 from ..charts.accuracy_pictures import draw_cases
 from ..charts.ratios import Panel, draw_ratios
-from ..charts.tradeoff import Tradeoff, draw_tradeoffs
-from ..study import CHECKPOINT, COMMON, DEVICE, VIEWS, Cases, Option, Progress, Record, Study, Table, part, record_of
-from .accuracy_cases import KINDS, AccuracyCase, CaseBuilder, check_points, kinds_of
-from .accuracy_claims import claims, ratios_of, select, summarise
-from .accuracy_variants import DEFAULT, Variant, alone, refined, variants_of
-from .parts import Shape, shapes_of_part, view_aligned_network, weights_hash
-from .summary import by_category, rounded
+from ..charts.tradeoff import draw_tradeoffs
+from ..study import CHECKPOINT, COMMON, DEVICE, VIEWS, Cases, Option, Plan, Progress, Record, Study, Table, part
+from .accuracy_targets import claims
+from .cases import JUDGED, KINDS, SAMPLES, Case, CaseBuilder, kinds_of
+from .refining import DEFAULT, TWO_MASKS, Variant, alone, refined, variants_of
+from .shapes import Shape, shapes_of_part, view_aligned_network, weights_hash
+from .summary import grouped, mean, ratio_figures, ratios_of, rounded
 
 CATEGORIES = ("chair", "airplane", "car", "sofa", "table")
 GROUP = 32
@@ -42,7 +42,7 @@ CONVENTION = {
 }
 
 
-def run(
+def plan(
     progress: Progress,
     *,
     meshes: Path,
@@ -51,19 +51,22 @@ def run(
     pictures: Path | None,
     kinds: tuple[str, ...],
     **settings: Any,
-) -> Record:
+) -> Plan:
     """Refine every case of every kind with every variant, and judge it against the truth.
 
-    ``settings`` are the other options, which the record keeps. Raises TsoError where a case cannot be refined.
+    Raises InputError where there are no such cases.
     """
     if pictures is not None:
         check_output(pictures, progress.overwrite)
     kinds = kinds or tuple(kind for kind in KINDS if kind != "right" or not settings["ablation"])
-    categories, size = settings["categories"], settings["size"]
+    categories, points = settings["categories"], settings["points"]
     shapes = shapes_of_part(meshes, split, settings["part"], categories, settings["limit"])
     network, about = view_aligned_network(checkpoint) if "network" in kinds else (None, None)
-    check_points(settings["points"], kinds, about)
-    builder = CaseBuilder(meshes, split, settings["views"], size, settings["points"], settings["seed"], network, about)
+    if not JUDGED <= points <= SAMPLES:
+        raise InputError(f"points is {points}, expected {JUDGED} to {SAMPLES}")
+    if about is not None and about.points != points:
+        raise InputError(f"points is {points}, expected {about.points}, as many as the network predicts, for kind network")
+    builder = CaseBuilder(meshes, split, settings["views"], settings["size"], points, settings["seed"], network, about)
     variants = {kind: variants_of(kind, settings["ablation"]) for kind in kinds}
     settings |= {
         "categories": list(categories),
@@ -72,55 +75,39 @@ def run(
         "network": weights_hash(network) if network else None,
         "variants": {kind: list(of_kind) for kind, of_kind in variants.items()},
     }
-    groups = _groups(shapes, categories, kinds, max(1, GROUP // settings["views"]))
-    if not groups:
-        raise InputError(f"kinds are {', '.join(kinds)}, expected some that {', '.join(categories)} have")
-    cases = progress.earlier_cases("accuracy", settings)
-    done = {(case["kind"], case["shape"]) for case in cases}
 
-    def judged(kind: str, group: list[Shape], timed: int) -> Cases:
-        built = [case for shape in group for case in builder.cases(shape, kind)]
-        return judge_group(built, variants[kind], settings["device"], network, timed)
+    def judge(kind: str, group: list[Shape], timed: int) -> Cases:
+        cases = [case for shape in group for case in builder.cases(shape, kind)]
+        return judge_group(cases, variants[kind], settings["device"], network, timed)
 
-    def record(cases: Cases, complete: bool) -> Record:
-        summary = summarise(cases)
-        answers = claims(cases, summary) if complete and not settings["ablation"] else []
-        return record_of(
-            "accuracy", CONVENTION, complete=complete, settings=settings, summary=summary, claims=answers, cases=cases
-        )
-
-    work = [None if (kind, group[0].name) in done else partial(judged, kind, group, timed) for kind, group, timed in groups]
-    finished = progress.complete("refining", cases, work, record)
-    if pictures is not None:
-        draw_cases(pictures, _extremes(finished, builder, shapes), progress.overwrite)
-    return finished
-
-
-def _groups(
-    shapes: list[Shape], categories: tuple[str, ...], kinds: tuple[str, ...], size: int
-) -> list[tuple[str, list[Shape], int]]:
-    """(kind, shapes of one category that are refined together, how many of their cases are timed)."""
-    groups = []
+    jobs, size = [], max(1, GROUP // settings["views"])
     for category in categories:
         members = [shape for shape in shapes if shape.category == category]
         for kind in kinds_of(category, kinds):
-            groups += [(kind, members[i : i + size], TIMED if i == 0 else 0) for i in range(0, len(members), size)]
-    return groups
+            for start in range(0, len(members), size):
+                group, timed = members[start : start + size], 0 if start else TIMED
+                jobs.append(({"kind": kind, "shape": group[0].name}, partial(judge, kind, group, timed)))
+    if not jobs:
+        raise InputError(f"kinds are {', '.join(kinds)}, expected some that {', '.join(categories)} have")
+
+    def draw_extremes(record: Record) -> None:
+        if pictures is not None:
+            draw_cases(pictures, _extremes(record, builder, shapes), progress.overwrite)
+
+    return Plan(settings, jobs, finish=draw_extremes)
 
 
-def judge_group(
-    cases: list[AccuracyCase], variants: dict[str, Variant], device: str, network: BaseNetwork | None, timed: int
-) -> Cases:
+def judge_group(cases: list[Case], variants: dict[str, Variant], device: str, network: BaseNetwork | None, timed: int) -> Cases:
     """Refine cases of one kind and category with every variant; the first ``timed`` once more, alone, for the time."""
     records: Cases = []
     for case in cases:
-        before = {**_judged(case.initial, case), "floor": case.floor}
         names = {key: getattr(case, key) for key in ("kind", "category", "shape", "view", "start")}
-        records.append({**names, "before": rounded(before), "variants": {}})
+        before = rounded({**_scores(case.initial, case), "floor": case.floor})
+        records.append({**names, "before": before, "variants": {}})
     for name, variant in variants.items():
         results = refined(cases, variant, device, network)
         for number, (case, record, result) in enumerate(zip(cases, records, results, strict=True)):
-            row = {**_judged(result.points, case), "iou_before": result.iou_before, "iou": result.iou_after}
+            row = {**_scores(result.points, case), "iou_before": result.iou_before, "iou": result.iou_after}
             if number < timed:
                 start = time.perf_counter()
                 alone(case, variant, device, network)
@@ -129,24 +116,21 @@ def judge_group(
     return records
 
 
-def _judged(points: Array, case: AccuracyCase) -> dict[str, Any]:
-    return {
-        "chamfer": chamfer(points, case.target).chamfer,
-        "f_score": f_score(points, case.dense, F_THRESHOLD).f_score,
-    }
+def _scores(points: Array, case: Case) -> dict[str, float]:
+    distance, score = chamfer(points, case.target), f_score(points, case.dense, F_THRESHOLD)
+    return {"chamfer": distance.chamfer, "f_score": score.f_score}
 
 
-def _extremes(record: Record, builder: CaseBuilder, shapes: list[Shape]) -> list[tuple[str, AccuracyCase, Array]]:
+def _extremes(record: Record, builder: CaseBuilder, shapes: list[Shape]) -> list[tuple[str, Case, Array]]:
     """Worst, median and best case of each category under the default preset, refined once more: (title, case, points).
 
     They are of the first kind in ``record``.
     """
     by_name = {shape.name: shape for shape in shapes}
-    kind = next(iter(record["summary"]))
+    kind, cases_of_kind = next(iter(grouped(record["cases"], "kind").items()))
     variant = variants_of(kind, record["settings"]["ablation"])[DEFAULT]
     rows = []
-    for category in record["summary"][kind]:
-        cases = by_category(select(record["cases"], kind))[category]
+    for category, cases in grouped(cases_of_kind, "category").items():
         ratios = ratios_of(cases, DEFAULT)
         order = np.argsort(ratios)[::-1]
         # One or two cases have fewer than three places.
@@ -159,6 +143,28 @@ def _extremes(record: Record, builder: CaseBuilder, shapes: list[Shape]) -> list
     return rows
 
 
+def conclude(cases: Cases) -> Record:
+    """{"summary": {kind: {category: {"cases", "before", "variants": {variant: {...}}}}}, "claims"}; of an ablation none."""
+    summary = {
+        kind: {category: _means(group) for category, group in grouped(of_kind, "category").items()}
+        for kind, of_kind in grouped(cases, "kind").items()
+    }
+    return {"summary": summary, "claims": claims(cases, summary) if TWO_MASKS in cases[0]["variants"] else []}
+
+
+def _means(cases: Cases) -> Record:
+    before = {key: mean(case["before"][key] for case in cases) for key in ("chamfer", "f_score")}
+    before["floor_ratio"] = mean(case["before"]["floor"] / case["before"]["chamfer"] for case in cases)
+    variants = {}
+    for name in cases[0]["variants"]:
+        rows = [case["variants"][name] for case in cases]
+        seconds = [row["seconds"] for row in rows if "seconds" in row]
+        row = {key: mean(row[key] for row in rows) for key in ("chamfer", "f_score", "iou_before", "iou")}
+        row |= ratio_figures(ratios_of(cases, name))
+        variants[name] = rounded({**row, "median_seconds": float(np.median(seconds)) if seconds else None})
+    return {"cases": len(cases), "before": before, "variants": variants}
+
+
 def tables(record: Record) -> list[Table]:
     """What each variant reaches; of an ablation a row an ingredient and a column a kind and category."""
     groups = [(kind, category, group) for kind, summary in record["summary"].items() for category, group in summary.items()]
@@ -169,7 +175,7 @@ def tables(record: Record) -> list[Table]:
         before = group["before"]
         for name, row in group["variants"].items():
             figures = [row[key] for key in ("mean_ratio", "median_ratio", "worst_ratio", "worse")]
-            figures += [before.get("floor_ratio"), before["f_score"], row["f_score"]]
+            figures += [before["floor_ratio"], before["f_score"], row["f_score"]]
             figures += [row[key] for key in ("iou_before", "iou", "median_seconds")]
             rows.append([kind, category, group["cases"], name, 1e3 * before["chamfer"], 1e3 * row["chamfer"], *figures])
     header = ["kind", "category", "cases", "variant", "before", "after", "ratio", "median", "worst", "worse", "floor"]
@@ -180,8 +186,8 @@ def tables(record: Record) -> list[Table]:
     return [Table([*header, "F", "after", "IoU", "after", "s"], rows, note=note)]
 
 
-def _ablation(groups: list[tuple[str, str, dict[str, Any]]]) -> Table:
-    def cell(row: dict[str, Any]) -> str:
+def _ablation(groups: list[tuple[str, str, Record]]) -> Table:
+    def cell(row: Record) -> str:
         return f"{row['mean_ratio']:.2f} ({row['worse']}, {row['worst_ratio']:.2f})"
 
     header = ["", *(f"{category}, {kind}" for kind, category, _ in groups)]
@@ -192,34 +198,33 @@ def _ablation(groups: list[tuple[str, str, dict[str, Any]]]) -> Table:
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """Chamfer after / before of every case, a row of panels for each kind and a panel for each category; and the same means
-    against seconds, NAME.tradeoff.png."""
-    tradeoffs = [
-        Tradeoff(category, timed, group["before"].get("floor_ratio"))
-        for category, group in record["summary"].get("other", {}).items()
-        if (timed := _timed(group["variants"])) and not record["settings"]["ablation"]
+    """Ratios of all cases, a row of panels for each kind; and their means against seconds, NAME.tradeoff.png."""
+    if "other" in record["summary"] and not record["settings"]["ablation"]:
+        draw_tradeoffs(path.with_suffix(".tradeoff.png"), record["summary"]["other"], overwrite)
+    grid = [
+        [
+            Panel(f"{category}, {kind}", {name: ratios_of(cases, name) for name in cases[0]["variants"]})
+            for category, cases in grouped(of_kind, "category").items()
+        ]
+        for kind, of_kind in grouped(record["cases"], "kind").items()
     ]
-    if tradeoffs:
-        draw_tradeoffs(path.with_suffix(".tradeoff.png"), tradeoffs, overwrite)
-    grid = []
-    for kind, summary in record["summary"].items():
-        panels = []
-        for category, group in summary.items():
-            cases = by_category(select(record["cases"], kind))[category]
-            panels.append(Panel(f"{category}, {kind}", {name: ratios_of(cases, name) for name in group["variants"]}))
-        grid.append(panels)
     draw_ratios(path, grid, overwrite)
 
 
-def _timed(variants: dict[str, Any]) -> dict[str, tuple[float, float]]:
-    return {name: (row["median_seconds"], row["mean_ratio"]) for name, row in variants.items() if row["median_seconds"]}
-
-
 STUDY = Study(
-    "accuracy",
-    "Starts are another shape's cloud as wrong as a trained network's (other), one near the truth (near), the first with an "
-    "object that the border truncates (cut), the truth sampled once more (right), and the network's prediction (network).",
-    (
+    name="accuracy",
+    about="Starts are another shape's cloud as wrong as a trained network's (other), one near the truth (near), the first "
+    "with an object that the border truncates (cut), the truth sampled once more (right), and the network's prediction "
+    "(network).",
+    parts=("pictures", "points, paper", "points, best", "network modes"),
+    tables=tables,
+    draw=draw,
+    reading="The default preset is judged by two questions: how much of the error it removes, and how often it adds some. One "
+    "mask says nothing of depth; symmetry and further masks are what reaches beyond it. Two samplings of one surface differ "
+    "too: no ratio can fall below that floor. Starts that are right already show what a refinement costs where there is "
+    "nothing to gain.",
+    convention=CONVENTION,
+    options=(
         *COMMON,
         CHECKPOINT,
         part("test"),
@@ -232,12 +237,7 @@ STUDY = Study(
         Option("--pictures", "Draw the worst, the median and the best case of each category here (.png).", Path),
         DEVICE,
     ),
-    run,
-    tables,
-    draw,
-    "The default preset is judged by two questions: how much of the error it removes, and how often it adds some. One mask "
-    "says nothing of depth; symmetry and further masks are what reaches beyond it. Two samplings of one surface differ too: "
-    "no ratio can fall below that floor. Starts that are right already show what a refinement costs where there is nothing "
-    "to gain.",
+    plan=plan,
+    conclude=conclude,
     kept="after every group of shapes",
 )

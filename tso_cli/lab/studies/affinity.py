@@ -10,11 +10,10 @@ from scipy.spatial import cKDTree
 
 from ...geometry.points import Array
 from ...train.data import TrainingData
-from ..charts.training_charts import draw_affinity
-from ..packing import pack
-from ..study import Record, Table, claim
+from ..charts.bars import Rows
+from ..study import Cases, Record, claim
 from .judging import JUDGED_VIEWS, Predicted, object_axes
-from .trained import CATEGORIES, Comparison, Setting, chamfers, masks, table
+from .trained import CATEGORIES, Comparison, Setting, chamfers, masks, trained_study
 
 WITHOUT = "without"
 # Name -> form and weight; the weight is one that the study `lambda` finds good: the printed form breaks down at 1.
@@ -33,27 +32,16 @@ def settings(categories: Sequence[str]) -> list[Setting]:
 
 
 def measure(predicted: list[Predicted], data: TrainingData) -> Record:
-    """Mean fraction of outliers in views that the network was not given, by category; and a picture of one shape of each."""
+    """Mean fraction of outliers in views that the network was not given, by category."""
     fractions: dict[str, list[float]] = {}
-    pictures: dict[str, Record] = {}
     for shape in predicted:
         views = data.objects[shape.index].views
         unobserved = [data.prepared(shape.index, view) for view in range(JUDGED_VIEWS, len(views))]
         for number, cloud in enumerate(shape.points):
             points = object_axes(cloud, views[number].camera, shape.frame)
-            pixels = [view.camera.project(points)[0] for view in unobserved]
-            strays = [outliers(projected, view.mask) for projected, view in zip(pixels, unobserved, strict=True)]
-            fractions.setdefault(shape.category, []).append(float(np.mean([stray.mean() for stray in strays])))
-            if shape.category not in pictures:
-                pictures[shape.category] = {
-                    "shape": shape.name,
-                    "category": shape.category,
-                    "points_px": pack(pixels[0], 1.0 / 32.0),
-                    "outliers": pack(strays[0], 1.0),
-                    "mask": pack(unobserved[0].mask, 1.0 / 255.0),
-                }
-    means = {category: float(np.mean(values)) for category, values in fractions.items()}
-    return {"outliers": means, "pictures": list(pictures.values())}
+            strays = [outliers(view.camera.project(points)[0], view.mask).mean() for view in unobserved]
+            fractions.setdefault(shape.category, []).append(float(np.mean(strays)))
+    return {"outliers": {category: float(np.mean(values)) for category, values in fractions.items()}}
 
 
 def outliers(pixels: Array, mask: NDArray[np.floating]) -> NDArray[np.bool_]:
@@ -66,11 +54,11 @@ def outliers(pixels: Array, mask: NDArray[np.floating]) -> NDArray[np.bool_]:
     return np.asarray(~finite | (distance > OUTLIER_PX + 0.5))
 
 
-def conclude(runs: list[Record]) -> Record:
+def conclude(cases: Cases) -> Record:
     """Outliers and Chamfer by category, with and without; and whether the loss lowers both."""
     summary: dict[str, dict[str, dict[str, float]]] = {}
-    for name, by_category in chamfers(runs).items():
-        fractions = {key: value for run in runs if run["setting"] == name for key, value in run["outliers"].items()}
+    for name, by_category in chamfers(cases).items():
+        fractions = {key: value for case in cases if case["setting"] == name for key, value in case["outliers"].items()}
         summary[name] = {key: {"outliers": fractions[key], "chamfer": value} for key, value in by_category.items()}
     claims = []
     for name in FORMS:
@@ -80,24 +68,27 @@ def conclude(runs: list[Record]) -> Record:
             figures = [f"{category} {scale * a:.2f}{unit} to {scale * b:.2f}{unit}" for category, (a, b) in pairs.items()]
             text = f"a network trained with the affinity loss ({name}) has {text}"
             claims.append(claim(text, all(after < before for before, after in pairs.values()), ", ".join(figures)))
-    return {"summary": summary, "paper": {}, "claims": claims}
+    return {"summary": summary, "claims": claims}
 
 
-def tables(record: Record) -> list[Table]:
+def rows(record: Record) -> Rows:
     """Outliers in per cent and Chamfer by setting and category."""
-    rows = {
-        name: {f"{category}: outliers, %": 100.0 * values["outliers"] for category, values in by_category.items()}
-        | {f"{category}: Chamfer": values["chamfer"] for category, values in by_category.items()}
-        for name, by_category in record["summary"].items()
+    return {
+        title: {
+            name: {category: scale * values[key] for category, values in by_category.items()}
+            for name, by_category in record["summary"].items()
+        }
+        for key, title, scale in (("outliers", "outliers, %", 100.0), ("chamfer", "Chamfer", 1.0))
     }
-    return [table(record, "affinity loss", rows)]
 
 
-STUDY = Comparison("affinity", 500, CATEGORIES, settings, conclude, measure).study(
-    "Networks trained without it and with each of its forms. An outlier is a point that falls more than a pixel outside the "
-    "mask, in views of unseen shapes that the network was not given. Reduced size: 500 steps of 8, 32 shapes a category.",
-    tables,
-    draw_affinity,
-    "With the affinity loss, in either form, fewer points lie outside the masks of views that the network was not given, and "
-    "the clouds are nearer to the truth, in every category.",
+STUDY = trained_study(
+    name="affinity",
+    about="Networks trained without it and with each of its forms. An outlier is a point that falls more than a pixel outside "
+    "the mask, in views of unseen shapes that the network was not given. Reduced size: 500 steps of 8, 32 shapes a category.",
+    reading="With the affinity loss, in either form, fewer points lie outside the masks of views that the network was not "
+    "given, and the clouds are nearer to the truth, in every category.",
+    comparison=Comparison(500, CATEGORIES, settings, measure),
+    conclude=conclude,
+    rows=rows,
 )

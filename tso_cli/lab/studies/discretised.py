@@ -17,7 +17,6 @@ from ...train.step import Objective
 UPSAMPLING = 5
 """U of the paper's comparison."""
 GAUSSIAN, PLAIN, DEPTH = "gaussian", "plain", "depth"
-PROJECTIONS = (PLAIN, DEPTH)
 # The sum s whose tanh is 0.999: a wrong pixel costs -log 0.001, not infinity.
 FILLED = 3.8002
 
@@ -100,17 +99,15 @@ def depth_map(points: Tensor, cameras: CameraBatch) -> tuple[Tensor, Tensor]:
     return discrete_depth(points_px[0], depth, valid[0], cameras.height, cameras.width)
 
 
-def projected_objective(config: TrainConfig, projection: str, bounded: bool = True) -> Objective:
+def projected_objective(config: TrainConfig, projection: str) -> Objective:
     """The loss of training with masks through another projection; the affinity loss works on the points themselves.
 
     projection : "plain", the discretised one: BCE has no gradient, only the affinity loss moves points. "depth", Lin et al.'s:
-        the L1 loss of depth maps, made of the targets, also moves points along the line of sight. "gaussian", the paper's.
-    bounded : see `mask_loss`.
+        the L1 loss of depth maps, made of the targets, also moves points along the line of sight.
     """
-    silhouette = None if projection == GAUSSIAN else silhouette_sums
 
     def objective(points: Tensor, batch: Batch, weight: float) -> tuple[Tensor, float, float]:
-        loss, bce, outliers = mask_loss(points, batch, config.sigma_sq, weight, config.affinity, silhouette, bounded)
+        loss, bce, outliers = mask_loss(points, batch, config.sigma_sq, weight, config.affinity, silhouette_sums)
         return (loss + depth_loss(points, batch) if projection == DEPTH else loss), bce, outliers
 
     return objective

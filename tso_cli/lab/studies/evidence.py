@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,33 +12,162 @@ from typing import Any
 import numpy as np
 
 from ...evaluation.metrics import chamfer
+from ...geometry.rotations import angle_between
+from ...refinement import RefineConfig, RefineResult
+from ...refinement.presets import BEST
 from ..charts.ratios import Panel, draw_ratios
-from ..study import COMMON, DEVICE, VIEWS, Cases, Option, Progress, Record, Study, Table, part, record_of
-from .accuracy_cases import AccuracyCase, CaseBuilder, kinds_of
-from .accuracy_variants import refined
-from .evidence_cases import Truth
-from .evidence_questions import CATEGORIES, QUESTIONS, Question
-from .parts import Shape, shapes_of_part
-from .summary import rounded
+from ..study import COMMON, DEVICE, VIEWS, Cases, Option, Plan, Progress, Record, Study, Table, part
+from .cases import Case, CaseBuilder, kinds_of
+from .evidence_alterations import (
+    Alter,
+    Truth,
+    bunched,
+    painted,
+    unaltered,
+    with_cameras_off,
+    with_depth,
+    with_wrong_camera,
+    with_wrong_mask,
+    without,
+)
+from .refining import Variant, refined
+from .shapes import Shape, shapes_of_part
+from .summary import grouped, rounded
 
 SIZE, POINTS = 64, 1024
 """Pixels of the masks each way, points of the clouds."""
 CONVENTION = {
     "ratio": "Chamfer distance after / before, mean of the cases' own; squared distances, mean over points, forward + "
     "backward, longest side 1, to as many target points; worse: cases over 1",
-    "without a plane": "share of the cases whose refinement used no mirror plane",
-    "trust in the fourth": "1, or less where the other views contradict the fourth, mean",
+    "no mirror plane": "share of the cases whose refinement used none",
+    "fourth inlier weight": "1, or less where the other views contradict the fourth, mean",
     "corrected": "share of the cameras that --refine-camera corrected",
     "degrees left": "angle between the cameras that were used and the true ones, mean",
 }
 FIGURES = ("cases", "mean_ratio", "worst_ratio", "worse")
 ALL = "all"
+Rows = dict[str, tuple[Alter, Variant]]
+"""By label: how a case is altered, and how it is then refined."""
+Measure = Callable[[Case, Case, RefineResult], float | None]
+"""A further figure: of the case as it was, the altered case, and its result; None where there is none."""
 
 
-def run(progress: Progress, *, meshes: Path, split: Path | None, questions: tuple[str, ...], **settings: Any) -> Record:
+@dataclass(frozen=True)
+class Question:
+    """Rows that are compared on cases of some kinds, of `KINDS`, and categories; ``measures`` are further figures by name."""
+
+    title: str
+    kinds: tuple[str, ...]
+    rows: Rows
+    categories: tuple[str, ...]
+    measures: dict[str, Measure] = field(default_factory=dict)
+
+
+def _variant(masks: int = 1, **settings: object) -> Variant:
+    return Variant(RefineConfig(**settings), masks)  # type: ignore[arg-type]
+
+
+def _corrected(case: Case, altered: Case, result: RefineResult) -> float:
+    pairs = zip(result.cameras, altered.views, strict=False)
+    return float(np.mean([not np.array_equal(camera.R, view.camera.R) for camera, view in pairs]))
+
+
+def _degrees_left(case: Case, altered: Case, result: RefineResult) -> float:
+    pairs = zip(result.cameras, case.views, strict=False)
+    return float(np.mean([angle_between(camera.R, view.camera.R) for camera, view in pairs]))
+
+
+def _fourth_inlier_weight(case: Case, altered: Case, result: RefineResult) -> float | None:
+    return result.view_trust[3] if len(result.view_trust) > 3 else None
+
+
+def _depth_rows() -> Rows:
+    one, two = _variant(symmetry="none"), _variant(2, symmetry="none")
+    return {
+        "mask, no symmetry": (unaltered, one),
+        "mask and depth, no symmetry": (with_depth, one),
+        "mask, symmetry auto": (unaltered, _variant()),
+        "mask and depth, symmetry auto": (with_depth, _variant()),
+        "mask and depth with noise of 0.01, no symmetry": (partial(with_depth, noise=0.01), one),
+        "mask and depth with noise of 0.03, no symmetry": (partial(with_depth, noise=0.03), one),
+        "two masks, no symmetry": (unaltered, two),
+        "two masks and their depths, no symmetry": (with_depth, two),
+    }
+
+
+def _colour_rows() -> Rows:
+    starts = {"bent 2": "bent to Chamfer 2", "bent 6": "bent to Chamfer 6", "other": "another shape, other colours"}
+    photos = {None: "mask", 0.7: "mask and photo, exposure 0.7", 1.4: "mask and photo, exposure 1.4"}
+    return {
+        f"{start_label}; {photo_label}": (partial(painted, start=start, exposure=exposure), _variant(symmetry="none"))
+        for start, start_label in starts.items()
+        for exposure, photo_label in photos.items()
+    }
+
+
+def _missing_rows() -> Rows:
+    parts = {"side": "one side missing", "high": "upper part of a side missing", "low": "lower part of a side missing"}
+    objects: dict[str, Alter] = {"whole": unaltered, **{text: partial(without, part=key) for key, text in parts.items()}}
+    planes = {"symmetry none": _variant(symmetry="none"), "symmetry auto": _variant()}
+    return {f"{name}; {plane}": (alter, variant) for name, alter in objects.items() for plane, variant in planes.items()}
+
+
+def _wrong_rows() -> Rows:
+    views: dict[str, Alter] = {
+        "four right views": unaltered,
+        "three views close together, one from the side": bunched,
+        "fourth mask of another shape": with_wrong_mask,
+        "fourth camera 30 degrees off": with_wrong_camera,
+    }
+    rows: Rows = {}
+    for preset in ("paper", "best"):
+        rows |= {f"{name}; {preset}": (alter, _variant(4, preset=preset)) for name, alter in views.items()}
+        if preset == "best":
+            unweighted = _variant(4, coarse_to_fine=replace(BEST, weigh_views=False))
+            rows |= {f"{name}; best, views unweighted": (alter, unweighted) for name, alter in views.items()}
+        rows[f"first three views alone; {preset}"] = unaltered, _variant(3, preset=preset)
+        rows[f"three views close together alone; {preset}"] = bunched, _variant(3, preset=preset)
+    return rows
+
+
+def _camera_rows() -> Rows:
+    return {
+        f"{masks} mask{'s' * (masks > 1)}, {degrees} degrees off; {'refined' if refine else 'as given'}": (
+            partial(with_cameras_off, degrees=degrees),
+            _variant(masks, refine_camera=refine),
+        )
+        for masks in (1, 2)
+        for degrees in (0, 2, 5)
+        for refine in (False, True)
+    }
+
+
+THREE = ("chair", "airplane", "car")
+CATEGORIES = (*THREE, "sofa", "table")
+STARTS = ("other", "near")
+QUESTIONS = {
+    "depth": Question("Depth maps", STARTS, _depth_rows(), THREE),
+    "colours": Question("Photos of painted objects", ("other",), _colour_rows(), THREE),
+    "missing": Question(
+        "Objects of which a part is missing",
+        ("other",),
+        _missing_rows(),
+        CATEGORIES[:4],
+        {"no mirror plane": lambda case, altered, result: float(result.symmetry is None)},
+    ),
+    "wrong": Question(
+        "Wrong views among four", ("other",), _wrong_rows(), CATEGORIES, {"fourth inlier weight": _fourth_inlier_weight}
+    ),
+    "cameras": Question(
+        "Cameras that are off", STARTS, _camera_rows(), THREE, {"corrected": _corrected, "degrees left": _degrees_left}
+    ),
+}
+
+
+def plan(progress: Progress, *, meshes: Path, split: Path | None, questions: tuple[str, ...], **settings: Any) -> Plan:
     """Ask each question of every case that it is about; errors are those of the study of accuracy."""
-    asked = {name: QUESTIONS[name] for name in questions}
-    categories = [name for name in CATEGORIES if any(name in question.categories for question in asked.values())]
+    chosen = {name: QUESTIONS[name] for name in questions}
+    categories = [name for name in CATEGORIES if any(name in question.categories for question in chosen.values())]
     shapes = shapes_of_part(meshes, split, settings["part"], categories, settings["limit"])
     by_category = {name: [shape for shape in shapes if shape.category == name] for name in categories}
     builder = CaseBuilder(meshes, split, settings["views"], SIZE, POINTS, settings["seed"])
@@ -44,40 +175,34 @@ def run(progress: Progress, *, meshes: Path, split: Path | None, questions: tupl
         "questions": list(questions),
         "points": POINTS,
         "size": SIZE,
-        "rows": {name: list(question.rows) for name, question in asked.items()},
+        "rows": {name: list(question.rows) for name, question in chosen.items()},
         "shapes": [shape.name for group in by_category.values() for shape in group],
     }
-    cases = progress.earlier_cases("evidence", settings)
-    done = {(case["question"], case["kind"], case["shape"]) for case in cases}
 
-    def judged(name: str, kind: str, group: list[Shape]) -> Cases:
-        built = [
-            (case, Truth(shape, group[(place + 1) % len(group)] if len(group) > 1 else None))
-            for place, shape in enumerate(group)
-            for case in builder.cases(shape, kind)
-        ]
-        return judge(name, asked[name], built, settings["seed"], settings["device"])
+    def judge_group(name: str, kind: str, group: list[Shape]) -> Cases:
+        others = [*group[1:], group[0]] if len(group) > 1 else [None]
+        truths = [Truth(shape, other) for shape, other in zip(group, others, strict=True)]
+        cases = [(case, truth) for truth in truths for case in builder.cases(truth.shape, kind)]
+        return judge(name, chosen[name], cases, settings["seed"], settings["device"])
 
-    def record(cases: Cases, complete: bool) -> Record:
-        return record_of("evidence", CONVENTION, complete=complete, settings=settings, summary=summarise(cases), cases=cases)
-
-    groups = [
-        None if all((name, kind, shape.name) in done for shape in group) else partial(judged, name, kind, group)
-        for name, question in asked.items()
+    jobs = [
+        ({"question": name, "kind": kind, "shape": group[0].name}, partial(judge_group, name, kind, group))
+        for name, question in chosen.items()
         for kind in question.kinds
         for category, group in by_category.items()
         if category in question.categories and kind in kinds_of(category, question.kinds)
     ]
-    return progress.complete("refining", cases, groups, record)
+    return Plan(settings, jobs)
 
 
-def judge(name: str, question: Question, cases: list[tuple[AccuracyCase, Truth]], seed: int, device: str) -> Cases:
+def judge(name: str, question: Question, cases: list[tuple[Case, Truth]], seed: int, device: str) -> Cases:
     """Every row of a question for cases of one kind and category; a row that a case cannot have is left out of it."""
     keys = ("kind", "category", "shape", "view")
     records: Cases = [{"question": name, **{key: getattr(case, key) for key in keys}, "rows": {}} for case, _ in cases]
     for label, (alter, variant) in question.rows.items():
         # The same random numbers for each row: what is compared differs in nothing else.
-        altered = [alter(case, truth, _rng(seed, name, case)) for case, truth in cases]
+        seeds = [[seed, zlib.crc32(f"{name} {case.shape}".encode()), case.view] for case, _ in cases]
+        altered = [alter(case, truth, np.random.default_rng(key)) for (case, truth), key in zip(cases, seeds, strict=True)]
         numbers = [number for number, case in enumerate(altered) if case is not None]
         changed = [case for case in altered if case is not None]
         results = refined(changed, variant, device, None) if changed else []
@@ -88,85 +213,83 @@ def judge(name: str, question: Question, cases: list[tuple[AccuracyCase, Truth]]
     return records
 
 
-def _rng(seed: int, question: str, case: AccuracyCase) -> np.random.Generator:
-    return np.random.default_rng([seed, zlib.crc32(f"{question} {case.shape}".encode()), case.view])
+def conclude(cases: Cases) -> Record:
+    """{"summary": {question: {kind: {category, and "all": {row: {"cases", "mean_ratio", "worst_ratio", "worse", ...}}}}}}."""
+    summary: Record = {}
+    for question, asked in grouped(cases, "question").items():
+        summary[question] = {}
+        for kind, of_kind in grouped(asked, "kind").items():
+            groups = {**grouped(of_kind, "category"), ALL: of_kind}
+            summary[question][kind] = {category: _means(group) for category, group in groups.items()}
+    return {"summary": summary}
 
 
-def summarise(cases: Cases) -> dict[str, Any]:
-    """{question: {kind: {category, and "all": {row: {"cases", "mean_ratio", "worst_ratio", "worse", ...}}}}}."""
-    summary: dict[str, Any] = {}
-    for case, category in [(case, case["category"]) for case in cases] + [(case, ALL) for case in cases]:
-        rows = summary.setdefault(case["question"], {}).setdefault(case["kind"], {}).setdefault(category, {})
+def _means(cases: Cases) -> Record:
+    """By row; a case may lack some."""
+    by_row: dict[str, Cases] = {}
+    for case in cases:
         for label, figures in case["rows"].items():
-            rows.setdefault(label, []).append(figures)
-    for kinds in summary.values():
-        for categories in kinds.values():
-            for category, rows in categories.items():
-                categories[category] = {label: _means(figures) for label, figures in rows.items()}
-    return summary
-
-
-def _means(figures: Cases) -> dict[str, Any]:
-    ratios = np.array([row["chamfer"] / row["before"] for row in figures])
-    columns = {key: [row[key] for row in figures] for key in figures[0] if key not in ("before", "chamfer")}
-    means = {key: float(np.mean(values)) for key, values in columns.items() if None not in values}
-    counts = {"cases": len(figures), "worse": int((ratios > 1.0).sum())}
-    return rounded({**counts, "mean_ratio": float(ratios.mean()), "worst_ratio": float(ratios.max()), **means})
-
-
-def _known(record: Record) -> dict[str, Any]:
-    """The summary by question; older records have questions that are no longer asked."""
-    return {question: kinds for question, kinds in record["summary"].items() if question in QUESTIONS}
+            by_row.setdefault(label, []).append(figures)
+    means = {}
+    for label, rows in by_row.items():
+        ratios = np.array([row["chamfer"] / row["before"] for row in rows])
+        columns = {key: [row[key] for row in rows] for key in rows[0] if key not in ("before", "chamfer")}
+        further = {key: float(np.mean(values)) for key, values in columns.items() if None not in values}
+        counts = {"cases": len(rows), "worse": int((ratios > 1.0).sum())}
+        means[label] = rounded({**counts, "mean_ratio": float(ratios.mean()), "worst_ratio": float(ratios.max()), **further})
+    return means
 
 
 def tables(record: Record) -> list[Table]:
-    """A table for each question."""
+    """A table for each question; not every row has every figure: of three views there is no fourth."""
     result = []
-    for question, kinds in _known(record).items():
+    for question, kinds in record["summary"].items():
+        columns = [*FIGURES, *QUESTIONS[question].measures]
         rows = [
-            (kind, category, label, figures)
+            [kind, category, label, *map(figures.get, columns)]
             for kind, categories in kinds.items()
-            for category, rows in categories.items()
-            for label, figures in rows.items()
+            for category, of_category in categories.items()
+            for label, figures in of_category.items()
         ]
-        # Not every row has everything: of three views there is no fourth.
-        further = list(dict.fromkeys(key for *_, figures in rows for key in figures if key not in FIGURES))
-        cells = [[*names, *(figures.get(key) for key in (*FIGURES, *further))] for *names, figures in rows]
-        header = ["kind", "category", question, "cases", "ratio", "worst", "worse", *further]
-        result.append(Table(header, cells, title=QUESTIONS[question].title))
+        header = ["kind", "category", question, "cases", "ratio", "worst", "worse", *columns[len(FIGURES) :]]
+        result.append(Table(header, rows, title=QUESTIONS[question].title))
     return result
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
     """Chamfer after / before of every case; a row of panels for each question, a panel for each kind."""
     grid = []
-    for question, kinds in _known(record).items():
+    for question, cases in grouped(record["cases"], "question").items():
         panels = []
-        for kind, categories in kinds.items():
-            cases = [case["rows"] for case in record["cases"] if (case["question"], case["kind"]) == (question, kind)]
-            rows = {label: [case[label] for case in cases if label in case] for label in categories[ALL]}
-            ratios = {label: [row["chamfer"] / row["before"] for row in figures] for label, figures in rows.items()}
+        for kind, of_kind in grouped(cases, "kind").items():
+            ratios: dict[str, list[float]] = {label: [] for label in record["summary"][question][kind][ALL]}
+            for case in of_kind:
+                for label, row in case["rows"].items():
+                    ratios[label].append(row["chamfer"] / row["before"])
             panels.append(Panel(f"{question}, {kind}", ratios))
         grid.append(panels)
     draw_ratios(path, grid, overwrite)
 
 
 STUDY = Study(
-    "evidence",
-    "Depth maps (depth), photos of painted objects (colours), objects of which a part is missing (missing), wrong views among "
-    "right ones (wrong), and cameras that are off (cameras).",
-    (
+    name="evidence",
+    about="Depth maps (depth), photos of painted objects (colours), objects of which a part is missing (missing), wrong views "
+    "among right ones (wrong), and cameras that are off (cameras).",
+    parts=("pictures", "points, paper", "points, best", "camera fit"),
+    tables=tables,
+    draw=draw,
+    reading="Each question alters cases in one way and compares rows that see the same random numbers. Evidence that is right "
+    "helps: more masks, depth, a photo of an object whose colours are known. What matters as much is the harm that wrong "
+    "evidence does: a method that weighs its evidence loses little to one wrong view, camera or plane.",
+    convention=CONVENTION,
+    options=(
         *COMMON,
         part("validation"),
         Option("--question", "May be repeated.", str, tuple(QUESTIONS), tuple(QUESTIONS), multiple=True, name="questions"),
         VIEWS,
         DEVICE,
     ),
-    run,
-    tables,
-    draw,
-    "Each question alters cases in one way and compares rows that see the same random numbers. Evidence that is right "
-    "helps: more masks, depth, a photo of an object whose colours are known. What matters as much is the harm that wrong "
-    "evidence does: a method that weighs its evidence loses little to one wrong view, camera or plane.",
+    plan=plan,
+    conclude=conclude,
     kept="after every group of shapes",
 )

@@ -1,145 +1,118 @@
-"""Which method a record is of: it keeps what that method did to the shipped examples.
-
-A record of another method than today's is not resumed, and no page may show it.
-"""
+"""Fingerprints: what the method makes of the shipped examples, in a few numbers, to tell whether a record is of it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, partial
 from typing import Any
 
-from ...errors import InputError
-from ...io.reading import shown
-from .fingerprint_parts import PARTS, Numbers
+import numpy as np
 
-Record = dict[str, Any]
-Fingerprint = dict[str, Numbers]
+from ...evaluation.metrics import chamfer
+from ...geometry.rotations import angle_between, from_vectors
+from ...geometry.view import View
+from ...io.clouds import read_cloud
+from ...io.shipped import default_checkpoint, examples_folder
+from ...pose.fit import fit_camera
+from ...refinement import PRESETS, RefineConfig, RefineResult, refine
+from ...render import RenderSettings
+from ...scene.load import load_points_scene
+from ...scene.network import load_network_scene
+from ...silhouette.projection import silhouette_of
+from ...train import TrainConfig, train
+from ...train.sources import shipped_examples
+from .shapes import Shape, see
 
-KEY = "fingerprint"
-# Relative tolerances of two numbers. On one or two threads, in plain or compiled loops, with another BLAS or set of
-# instructions they differ by 3e-4 at most. Where points move in stages the last bit of a start can choose other nodes, which
-# more masks and steps amplify: there Chamfer distances differ by up to 0.014, displacements by up to 0.029.
-TOLERANCE = 0.005
-STAGED, STAGED_TOLERANCES = "points, best", {"Chamfer": 0.02, "moved": 0.04, "IoU": 0.01}
+Numbers = dict[str, float]
+# Relative. Threads, plain loops, another BLAS or other instructions change a number by 3e-4 at most; but in the stages of the
+# default preset the last bit of a start can choose other nodes, which masks and steps amplify.
+TOLERANCE, STAGED_TOLERANCES = 0.005, {"Chamfer": 0.02, "IoU": 0.01}
+CHAIR, PLANE = examples_folder() / "chair", examples_folder() / "airplane"
 
-PAPER, BEST = "points, paper", "points, best"
-FOUR = "four masks"
-NETWORKS = tuple(f"{mode}, {preset}" for mode in ("encoder", "encoder-decoder", "latent") for preset in ("paper", "best"))
-MASKS, PRINTED = "training on masks", "training on masks, printed affinity"
-OTHERS = ("training on masks, plain projection", "training on masks, depth projection")
-POINTS, MEAN = "training on points", "mean shape"
-PICTURES, PREDICTION = "pictures", "prediction"
-# Those of older records too.
-QUESTIONS = {
-    "framing": (BEST, f"{BEST}, in a larger photo", f"{BEST}, in photos of other widths each"),
-    "depth": (BEST, f"{BEST}, depth map"),
-    "colours": (BEST, f"{BEST}, photo"),
-    "missing": (BEST,),
-    "wrong": (f"{PAPER}, {FOUR}", f"{BEST}, {FOUR}"),
-    "cameras": (BEST, f"{BEST}, camera refined"),
-    "placing": (PREDICTION, PAPER, BEST, "latent, best"),
-    "rates": (PREDICTION, BEST, *NETWORKS),
-    "meshes": (BEST, f"{BEST}, mesh"),
+
+def _judged(label: str, result: RefineResult, points: np.ndarray) -> Numbers:
+    distance = chamfer(points, read_cloud(CHAIR / "target.ply").points).chamfer
+    return {f"{label}: Chamfer": 1e3 * distance, f"{label}: IoU": result.iou_after}
+
+
+def _points(preset: str) -> Numbers:
+    """The chair with one mask, with four, truncated by the border, and with the depth map of a plane."""
+    scene, truth = load_points_scene(CHAIR / "initial.ply", CHAIR / "mask.png"), read_cloud(CHAIR / "target.ply").points
+    view, camera, numbers = scene.view, scene.view.camera, Numbers()
+    turned = [replace(camera, R=camera.R @ from_vectors(np.array([0.0, turn * np.pi, 0.0]))) for turn in (0.5, 1.0, 1.5)]
+    seen = {"one mask": [view], "four masks": [view, *(View(silhouette_of(truth, camera), camera) for camera in turned)]}
+    seen["truncated"] = [View(view.mask[:, :128], replace(camera, width=128))]
+    if preset == "best":
+        seen["depth"] = [replace(view, depth=np.full(view.mask.shape, camera.t[2]))]
+    for label, views in seen.items():
+        result = refine(scene.points, views, config=RefineConfig(preset=preset))
+        numbers |= _judged(label, result, result.points)
+    return numbers
+
+
+def _network_modes() -> Numbers:
+    """The shipped network's prediction of the chair after 12 steps of each mode and preset."""
+    scene, numbers = load_network_scene(CHAIR / "image.png", CHAIR / "mask.png", default_checkpoint(), world=True), Numbers()
+    for mode in ("encoder", "encoder-decoder", "latent"):
+        for preset in PRESETS:
+            config = RefineConfig(mode, preset=preset, steps=12)
+            result = refine(None, scene.view, config=config, network=scene.network, image=scene.image)
+            numbers |= _judged(f"{mode}, {preset}", result, scene.to_output(result.points))
+    return numbers
+
+
+def _camera_fit() -> Numbers:
+    """The fitted camera of the true aeroplane, and its own camera turned by 10 degrees and corrected."""
+    scene = load_points_scene(PLANE / "target.ply", PLANE / "mask.png")
+    fitted, camera = fit_camera(scene.points, scene.view.mask), scene.view.camera
+    tilt = from_vectors(np.radians(10.0) * np.array([0.6, 0.64, 0.48]))
+    turned = View(silhouette_of(scene.points, camera), replace(camera, R=tilt @ camera.R))
+    corrected = refine(scene.points, turned, config=RefineConfig(refine_camera=True)).cameras[0]
+    degrees = float(angle_between(corrected.R, camera.R))
+    return {"IoU": fitted.iou, "distance": float(fitted.camera.t[2]), "corrected: degrees": degrees}
+
+
+def _training() -> Numbers:
+    """The loss after three steps under each supervision; at higher rates rounding changes it by several per cent."""
+    masks = TrainConfig("masks", views=1, steps=3, batch_size=3, learning_rate=3e-6)
+    configs = {
+        "masks": masks,
+        "printed Eq. 5": replace(masks, affinity="paper"),
+        "points": replace(masks, supervision="points"),
+    }
+    return {name: float(train(shipped_examples(), config).history[-1][0]) for name, config in configs.items()}
+
+
+def _pictures() -> Numbers:
+    """A shipped mesh as the studies render theirs."""
+    mesh = CHAIR.parent / "meshes" / "chair" / "q17_Chair.ply"
+    shape = see(Shape("chair/q17_Chair", mesh), RenderSettings(views=1), 0)
+    means = {"mask": shape.views[0].mask, "image": shape.views[0].image, "points": np.abs(shape.target)}
+    return {key: float(values.mean()) for key, values in means.items()}
+
+
+PARTS: dict[str, Callable[[], Numbers]] = {
+    **{f"points, {preset}": partial(_points, preset) for preset in PRESETS},
+    **{"network modes": _network_modes, "camera fit": _camera_fit, "training": _training, "pictures": _pictures},
 }
-TIMED = {
-    "silhouette": (PAPER,),
-    "chamfer": (PAPER,),
-    "step": (PAPER,),
-    "batch": (PAPER, BEST),
-    "step, encoder": ("encoder, paper",),
-    "step, encoder-decoder": ("encoder-decoder, paper",),
-    "training, points": (POINTS,),
-    "training, masks": (MASKS,),
-    "start-up": (BEST,),
-}
-JUDGED: dict[str, Callable[[Record], Iterable[str]]] = {
-    "points": lambda record: [PICTURES, PAPER],
-    "examples": lambda record: [PREDICTION, *(f"{row['mode']}, paper" for row in record["examples"])],
-    "tso": lambda record: [PICTURES, PREDICTION, PAPER, "encoder, paper", "encoder-decoder, paper"],
-    "accuracy": lambda record: [PICTURES, *_of_accuracy(**record["settings"])],
-    "evidence": lambda record: [PICTURES, *(part for name in record["settings"]["questions"] for part in QUESTIONS[name])],
-    "pose": lambda record: [PICTURES, "camera fitted"],
-    "network": lambda record: [PICTURES, PREDICTION, MEAN],
-    "sigma": lambda record: [PICTURES, "silhouette"],
-    "supervision": lambda record: [PICTURES, POINTS, MASKS, *OTHERS, MEAN],
-    "views": lambda record: [PICTURES, MASKS, MEAN],
-    "lambda": lambda record: [PICTURES, MASKS, PRINTED],
-    "affinity": lambda record: [PICTURES, MASKS, PRINTED],
-    "failures": lambda record: [PICTURES, MASKS],
-    "departures": lambda record: [PICTURES, MASKS],
-    "photos": lambda record: [PAPER, BEST, f"{PAPER}, {FOUR}", f"{BEST}, {FOUR}"],
-    "speed": lambda record: [part for row in record["records"] for part in TIMED.get(row["what"], ())],
-}
-"""Study -> the parts of the method that its record judges."""
-
-_known: Fingerprint = {}
 
 
-def _of_accuracy(kinds: list[str], ablation: bool, **_: Any) -> Iterable[str]:
-    yield from (PAPER, BEST, f"{BEST}, mask of 64 px")
-    if "cut" in kinds:
-        yield from (f"{PAPER}, cut by the border", f"{BEST}, cut by the border")
-    if "network" in kinds:
-        yield PREDICTION
-    if not ablation:
-        yield f"{BEST}, {FOUR}"
-        if "network" in kinds:
-            yield from NETWORKS
+@cache
+def today(part: str) -> Numbers:
+    """The numbers of a part by the method as it is, five digits each."""
+    return {key: float(f"{value:.5g}") for key, value in PARTS[part]().items()}
 
 
-def study_of(record: Record) -> str | None:
-    """The study that a record is of; None for what is no record of one."""
-    name = record.get("study", record.get("bench"))
-    return name if isinstance(name, str) and name in JUDGED else None
-
-
-def parts_of(record: Record) -> list[str]:
-    """The parts that ``record`` depends on; InputError where its settings do not say."""
-    name = study_of(record)
-    if name is None:
-        raise InputError(f"the record is of the study {shown(record.get('study'))}, expected one of {', '.join(JUDGED)}")
-    try:
-        return list(dict.fromkeys(JUDGED[name](record)))
-    except (KeyError, TypeError) as error:
-        raise InputError(f"the record of the study {name} lacks {error}, expected settings that say what it judges") from None
-
-
-def fingerprint(record: Record) -> Fingerprint:
-    """The numbers of today's method that ``record`` depends on, five digits each; computed once in a process."""
-    parts = parts_of(record)
-    for part in parts:
-        if part not in _known:
-            _known[part] = {what: float(f"{value:.5g}") for what, value in PARTS[part]().items()}
-    return {part: dict(_known[part]) for part in parts}
-
-
-def stamped(record: Record) -> Record:
-    """The record with the fingerprint of the method as it is."""
-    return {**record, KEY: fingerprint(record)}
-
-
-def differences(record: Record, lacking: bool = True) -> list[str]:
-    """How the method of ``record`` differs from today's, a line a number; empty where it does not.
-
-    ``lacking`` : a number that only one of the two has is a difference too.
-    """
-    parts_of(record)
-    kept = record.get(KEY)
-    if not isinstance(kept, dict):
-        return [f"it has no {KEY}"]
-    lines = []
-    for part, numbers in fingerprint(record).items():
-        earlier = kept.get(part)
-        earlier = earlier if isinstance(earlier, dict) else {}
-        for what in dict.fromkeys((*numbers, *earlier)):
-            then, today = earlier.get(what), numbers.get(what)
-            if (lacking or None not in (then, today)) and not _alike(part, what, then, today):
-                lines.append(f"{part}: {what} {then}, now {today}")
+def differences(record: dict[str, Any]) -> list[str]:
+    """A line for each number by which the method of ``record`` differs from today's."""
+    fingerprint = record.get("fingerprint")
+    lines = [] if fingerprint else ["it has no fingerprint"]
+    for part, earlier in (fingerprint or {}).items():
+        numbers = today(part) if part in PARTS else {}
+        for key in dict.fromkeys((*numbers, *earlier)):
+            then, now = earlier.get(key), numbers.get(key)
+            tolerance = STAGED_TOLERANCES.get(key.split(": ")[-1], TOLERANCE) if part == "points, best" else TOLERANCE
+            if then is None or now is None or abs(then - now) > tolerance * abs(now):
+                lines.append(f"{part}: {key} {then}, now {now}")
     return lines
-
-
-def _alike(part: str, what: str, then: object, today: float | None) -> bool:
-    if not isinstance(then, (int, float)) or today is None:
-        return False
-    tolerance = STAGED_TOLERANCES.get(what.split(": ")[-1], TOLERANCE) if part.startswith(STAGED) else TOLERANCE
-    return abs(then - today) <= tolerance * abs(today)

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from torch import Tensor
 
+from ...evaluation.metrics import chamfer
 from ...io.checkpoints import load_network
 from ...io.shipped import CATEGORIES
-from ...plots.style import COLOURS, PALE, page
-from ...silhouette.chamfer import chamfer
 from ...train.batches import Draw, assemble
-from ..study import CHECKPOINT, MESHES, SEED, SPLIT, Option, Progress, Record, Study, Table, record_of
-from .material import Material, Source
-from .mean_shape import TURNS, aligned_mean, mean_shape, pair_chamfer, view_targets
-from .parts import SPLIT as SHIPPED_SPLIT
+from ..charts.bars import draw_bars
+from ..study import CHECKPOINT, MESHES, SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table
+from .judging import Floats, mean_shape, view_targets
+from .material import Material
+from .shapes import SPLIT as SHIPPED_SPLIT
+from .shapes import weights_hash
+from .summary import grouped, mean
 
-Floats = NDArray[np.float32]
 PARTS = ("validation", "test")
 LABELS = {
     "network": "network",
@@ -30,65 +28,77 @@ LABELS = {
     "mean_aligned": "mean shape, aligned",
     "mean_view": "mean shape, view",
 }
-"""The network, and answers without one; see `run`."""
-CONVENTION = "squared distances, mean over points, forward + backward; targets of longest side 1, in the view's frame"
+"""The network, and answers without one; see `plan`."""
+# Quarter turns about y: shapes of one category may face any of four ways.
+TURNS = tuple(np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]], dtype=np.float32) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1)))
 
 
-def run(
+def plan(
     progress: Progress, *, meshes: Path, split: Path | None, checkpoint: Path, categories: tuple[str, ...], seed: int
-) -> Record:
+) -> Plan:
     """Judge a view-aligned network by Chamfer distance on the validation and test shapes of a split, beside three answers.
 
     - ``mean_view``: the mean training shape as the cameras see it: what a network that ignores the picture would learn.
     - ``mean_aligned``: the mean training shape in the objects' frame, in the best of four quarter turns: the pose is given.
     - ``nearest``: the nearest training shape in the best of four quarter turns: the best that retrieval could do.
     """
-    network, about = load_network(checkpoint)
-    source = Source(meshes, split or SHIPPED_SPLIT, seed=seed, categories=categories)
-    materials = {part: Material(replace(source, part=part), progress.report) for part in PARTS}
-    summary: dict[str, dict[str, Any]] = {part: {} for part in PARTS}
-    shapes: list[dict[str, Any]] = []
-    for category in categories:
+    network, _ = load_network(checkpoint)
+    materials = {part: Material(meshes, split, part, categories, seed=seed, report=progress.report) for part in PARTS}
+
+    def judge(category: str) -> Cases:
         training = materials[PARTS[0]].data(category, training=True)
         mean_view = mean_shape(view_targets(training), seed)
         clouds = [training.target(i) for i in range(len(training.objects))]
         mean_aligned = aligned_mean(clouds, seed)
-        for part in PARTS:
-            judged = materials[part].data(category, training=False)
-            rows = []
+        cases = []
+        for part, material in materials.items():
+            judged = material.data(category, training=False)
             for index, item in enumerate(judged.objects):
                 batch = assemble(judged, [Draw(index, view) for view in range(len(item.views))], "view")
-                truth = judged.target(index)
                 with torch.no_grad():
-                    predicted = network(torch.from_numpy(batch.images))
+                    predicted = network(torch.from_numpy(batch.images)).numpy()
+                pairs = list(zip(predicted, batch.targets, strict=True))
                 distances = {
-                    "network": _distance(predicted, batch.targets),
-                    "mean_view": _distance(torch.from_numpy(mean_view).expand(len(batch.targets), -1, -1), batch.targets),
-                    "mean_aligned": nearest_of([mean_aligned], truth),
-                    "nearest": nearest_of(clouds, truth),
+                    "network": mean(chamfer(cloud, target).chamfer for cloud, target in pairs),
+                    "mean_view": mean(chamfer(mean_view, target).chamfer for target in batch.targets),
+                    "mean_aligned": nearest_of([mean_aligned], judged.target(index)),
+                    "nearest": nearest_of(clouds, judged.target(index)),
                 }
-                rows.append({"part": part, "shape": item.name, **distances})
+                cases.append({"part": part, "category": category, "shape": item.name, **distances})
                 progress.report(f"{category}: judging, {part}", index + 1, len(judged.objects))
-            shapes += rows
-            summary[part][category] = _summary(rows, len(clouds))
-    settings = {key: getattr(about, key) for key in ("steps", "training_set", "points", "sigma_sq")}
-    settings |= {"seed": seed, "split": source.split.name, "device": "cpu"}
-    return record_of("network", CONVENTION, settings=settings, summary=summary, shapes=shapes)
+        return cases
+
+    settings = {"seed": seed, "split": (split or SHIPPED_SPLIT).name, "network": weights_hash(network)}
+    settings |= {"shapes": {part: material.counts() for part, material in materials.items()}}
+    return Plan(settings, [({"category": category}, partial(judge, category)) for category in categories], "judging")
 
 
 def nearest_of(clouds: Sequence[Floats], truth: Floats) -> float:
     """Chamfer distance from ``truth`` to the nearest of ``clouds``, in the best of four quarter turns."""
-    return min(pair_chamfer(cloud, truth @ turn) for cloud in clouds for turn in TURNS)
+    return min(chamfer(cloud, truth @ turn).chamfer for cloud in clouds for turn in TURNS)
 
 
-def _distance(clouds: Tensor, targets: Sequence[Floats]) -> float:
-    forward, backward = chamfer(clouds, torch.from_numpy(np.stack(targets)))
-    return float((forward + backward).mean())
+def aligned_mean(targets: Sequence[Floats], seed: int = 0) -> Floats:
+    """The mean shape of ``targets`` in the quarter turns that fit it best; turns and mean alternate three times."""
+    result = targets[0]
+    for _ in range(3):
+        turned = [
+            min((target @ turn for turn in TURNS), key=lambda cloud: chamfer(result, cloud).chamfer) for target in targets
+        ]
+        result = mean_shape(turned, seed)
+    return result
 
 
-def _summary(rows: list[dict[str, Any]], training: int) -> dict[str, Any]:
-    means = {name: float(np.mean([row[name] for row in rows])) for name in LABELS}
-    return {"shapes": len(rows), "training_shapes": training, **means}
+def conclude(cases: Cases) -> Record:
+    """{"summary": {part: {category: {"shapes", "network", "nearest", ...}}}}, means over the shapes."""
+    summary = {
+        part: {
+            category: {"shapes": len(rows), **{name: mean(row[name] for row in rows) for name in LABELS}}
+            for category, rows in grouped(of_part, "category").items()
+        }
+        for part, of_part in grouped(cases, "part").items()
+    }
+    return {"summary": summary}
 
 
 def tables(record: Record) -> list[Table]:
@@ -105,33 +115,35 @@ def tables(record: Record) -> list[Table]:
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
     """Chamfer of the network and of its three rivals, by category, on validation and test shapes."""
-    with page(path, overwrite, (9.6, 4.2)) as figure:
-        axes = figure.subplots(1, len(record["summary"]), sharey=True, squeeze=False)[0]
-        for axis, (part, summary) in zip(axes, record["summary"].items(), strict=True):
-            for j, (name, colour) in enumerate(zip(LABELS, (COLOURS[0], "#999999", PALE, "#e5e5e5"), strict=True)):
-                values = [1e3 * row[name] for row in summary.values()]
-                bars = axis.bar(np.arange(len(values)) + 0.2 * (j - 1.5), values, 0.19, color=colour, label=LABELS[name])
-                axis.bar_label(bars, fmt="%.1f", fontsize=7, padding=2)
-            axis.set_xticks(range(len(summary)), [f"{name}\n{row['shapes']} shapes" for name, row in summary.items()])
-            axis.set_title(part)
-        axes[0].set_ylabel("Chamfer to the truth x1000, mean")
-        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", frameon=False, ncols=4)
+    panels = {
+        f"{part}: mean Chamfer to the truth x1000": {
+            category: {label: 1e3 * row[key] for key, label in LABELS.items()} for category, row in summary.items()
+        }
+        for part, summary in record["summary"].items()
+    }
+    draw_bars(path, panels, overwrite)
 
 
 STUDY = Study(
-    "network",
-    "Chamfer to the truth, beside the mean training shape and the nearest training shape.",
-    (
+    name="network",
+    about="Chamfer to the truth, beside the mean training shape and the nearest training shape.",
+    parts=("pictures", "network modes"),
+    tables=tables,
+    draw=draw,
+    reading="A network that ignored the picture could do no better than the mean shape in its own frame. The nearest training "
+    "shape is the best that retrieval could do, were it told the answer: a network that comes close to it has learnt more "
+    "than to remember.",
+    convention={
+        "Chamfer": "squared distances, mean over points, forward + backward; targets of longest side 1, in the view's frame"
+    },
+    options=(
         MESHES,
         SPLIT,
         CHECKPOINT,
         Option("--category", "May be repeated.", str, CATEGORIES, multiple=True, name="categories"),
         SEED,
     ),
-    run,
-    tables,
-    draw,
-    "A network that ignored the picture could do no better than the mean shape in its own frame. The nearest training shape is "
-    "the best that retrieval could do, were it told the answer: a network that comes close to it has learnt more than to "
-    "remember.",
+    plan=plan,
+    conclude=conclude,
+    kept="after every category",
 )

@@ -13,15 +13,15 @@ from ...geometry.camera import CANONICAL_FOCAL_AT_64
 from ...geometry.points import Array
 from ...geometry.rotations import angle_between
 from ...plots.style import COLOURS, INK, page
-from ...pose.fit import FittedCamera, fit_camera
-from ..study import COMMON, VIEWS, Cases, Progress, Record, Study, Table, part, record_of
-from .accuracy_cases import AccuracyCase, CaseBuilder, kinds_of
-from .parts import Shape, shapes_of_part
-from .summary import rounded
+from ...pose.fit import fit_camera
+from ..study import COMMON, VIEWS, Cases, Plan, Progress, Record, Study, Table, part
+from .cases import Case, CaseBuilder, kinds_of
+from .shapes import Shape, shapes_of_part
+from .summary import grouped, rounded
 
 CATEGORIES = ("chair", "airplane", "car")
-TRUE, WRONG_PRIOR = "the true one", "the true one, focal length taken to be 0.64 of it"
-CLOUDS = {"other": "another shape at the paper's error level", "near": "another shape near it"}
+TRUE, WRONG_PRIOR = "true cloud", "true cloud, focal length prior 0.64 times the true one"
+CLOUDS = {"other": "another shape at the paper's error level", "near": "another shape near the truth"}
 PRIOR = 0.64
 """Of the true focal length: 1.2 times the image's side in place of 1.875."""
 RIGHT = 15.0
@@ -33,27 +33,20 @@ CONVENTION = {
 }
 
 
-def run(progress: Progress, *, meshes: Path, split: Path | None, **settings: Any) -> Record:
+def plan(progress: Progress, *, meshes: Path, split: Path | None, **settings: Any) -> Plan:
     """Fit a camera to one 64x64 mask of each case and compare it with the true one."""
     shapes = shapes_of_part(meshes, split, settings["part"], CATEGORIES, settings["limit"])
     builder = CaseBuilder(meshes, split, settings["views"], 64, 1024, settings["seed"])
     settings["shapes"] = [shape.name for shape in shapes]
-    cases = progress.earlier_cases("pose", settings)
-    done = {case["shape"] for case in cases}
-    groups = [None if shape.name in done else partial(_judge_shape, builder, shape) for shape in shapes]
 
-    def record(cases: Cases, complete: bool) -> Record:
-        return record_of("pose", CONVENTION, complete=complete, settings=settings, summary=summarise(cases), cases=cases)
+    def judge_shape(shape: Shape) -> Cases:
+        kinds = kinds_of(shape.category, tuple(CLOUDS))
+        return [row for kind in kinds for case in builder.cases(shape, kind) for row in judge(case)]
 
-    return progress.complete("fitting", cases, groups, record)
+    return Plan(settings, [({"shape": shape.name}, partial(judge_shape, shape)) for shape in shapes], "fitting")
 
 
-def _judge_shape(builder: CaseBuilder, shape: Shape) -> Cases:
-    kinds = kinds_of(shape.category, tuple(CLOUDS))
-    return [row for kind in kinds for case in builder.cases(shape, kind) for row in judge(case)]
-
-
-def judge(case: AccuracyCase) -> Cases:
+def judge(case: Case) -> Cases:
     """The fitted cameras of the clouds of one case; kind "other" includes the true cloud."""
     view = case.views[0]
     clouds: dict[str, tuple[Array, float | None]] = {CLOUDS[case.kind]: (case.initial, None)}
@@ -64,54 +57,47 @@ def judge(case: AccuracyCase) -> Cases:
     for name, (cloud, focal_prior) in clouds.items():
         start = time.perf_counter()
         fitted = fit_camera(cloud, view.mask, focal=focal_prior)
-        errors = {**_errors(case, fitted), "seconds": time.perf_counter() - start}
+        seconds = time.perf_counter() - start
+        answers = [fitted.camera, *(alternative.camera for alternative in fitted.alternatives)]
+        degrees = [float(angle_between(answer.R, view.camera.R)) for answer in answers]
+        shortest, longest = (focal / view.camera.K[0, 0] for focal in fitted.focal_range)
+        figures = {"degrees": degrees[0], "answers": min(degrees), "shortest": shortest, "longest": longest, "seconds": seconds}
         names = {"cloud": name, "category": case.category, "shape": case.shape, "view": case.view}
-        rows.append({**names, "sure": fitted.sure, **rounded(errors)})
+        rows.append({**names, "sure": fitted.sure, **rounded(figures)})
     return rows
 
 
-def _errors(case: AccuracyCase, fitted: FittedCamera) -> dict[str, float]:
-    true = case.views[0].camera
-    answers = [fitted.camera, *(alternative.camera for alternative in fitted.alternatives)]
-    degrees = [float(angle_between(answer.R, true.R)) for answer in answers]
-    return {
-        "degrees": degrees[0],
-        "answers": min(degrees),
-        "shortest": fitted.focal_range[0] / true.K[0, 0],
-        "longest": fitted.focal_range[1] / true.K[0, 0],
-    }
-
-
-def summarise(cases: Cases) -> dict[str, Any]:
+def conclude(cases: Cases) -> Record:
     """For each cloud medians, and counts of cases within 15 degrees."""
-    summary = {}
+
+    def right(rows: Cases, key: str) -> int:
+        return sum(row[key] <= RIGHT for row in rows)
+
+    summary, by_cloud = {}, grouped(cases, "cloud")
     for name in (TRUE, WRONG_PRIOR, *CLOUDS.values()):
-        if rows := [case for case in cases if case["cloud"] == name]:
-            sure = [case for case in rows if case["sure"]]
-            medians = {key: float(np.median([case[key] for case in rows])) for key in ("shortest", "longest", "seconds")}
+        if rows := by_cloud.get(name):
+            sure = [row for row in rows if row["sure"]]
+            median = {
+                key: float(np.median([row[key] for row in rows])) for key in ("degrees", "shortest", "longest", "seconds")
+            }
             summary[name] = {
                 "cases": len(rows),
-                "median_degrees": float(np.median([case["degrees"] for case in rows])),
-                "right": _right(rows, "degrees"),
-                "answers": _right(rows, "answers"),
+                "median_degrees": median["degrees"],
+                "right": right(rows, "degrees"),
+                "answers": right(rows, "answers"),
                 "sure": len(sure),
-                "sure_right": _right(sure, "degrees"),
-                "shortest": medians["shortest"],
-                "longest": medians["longest"],
-                "median_seconds": medians["seconds"],
+                "sure_right": right(sure, "degrees"),
+                "shortest": median["shortest"],
+                "longest": median["longest"],
+                "median_seconds": median["seconds"],
             }
-    return summary
-
-
-def _right(cases: Cases, key: str) -> int:
-    return sum(case[key] <= RIGHT for case in cases)
+    return {"summary": summary}
 
 
 def tables(record: Record) -> list[Table]:
     """A row for each cloud."""
-    keys = ("cases", "median_degrees", "right", "answers", "sure", "sure_right", "shortest", "longest", "median_seconds")
     header = ["cloud", "cases", "median degrees", "within 15", "one of the answers", "sure", "of them right"]
-    rows = [[name, *(row[key] for key in keys)] for name, row in record["summary"].items()]
+    rows = [[name, *row.values()] for name, row in record["summary"].items()]
     return [Table([*header, "shortest focal / true", "longest", "s"], rows)]
 
 
@@ -133,14 +119,16 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 
 
 STUDY = Study(
-    "pose",
-    "`tso refine --camera fit` on the true cloud, and on other shapes' clouds.",
-    (*COMMON, part("validation"), VIEWS),
-    run,
-    tables,
-    draw,
-    "A true cloud and its mask mostly determine the rotation, but an object and its mirror image turned round in depth cast "
-    "nearly the same silhouette. Where a wrong answer comes first, the right one is therefore often among the alternatives. "
-    "The focal length is hardly determined: a wide range of them fits as well.",
-    kept="after every shape",
+    name="pose",
+    about="`tso refine --camera fit` on the true cloud, and on other shapes' clouds.",
+    parts=("pictures", "camera fit"),
+    tables=tables,
+    draw=draw,
+    reading="A true cloud and its mask mostly determine the rotation, but an object and its mirror image turned round in "
+    "depth cast nearly the same silhouette. Where a wrong answer comes first, the right one is therefore often among the "
+    "alternatives. The focal length is hardly determined: a wide range of them fits as well.",
+    convention=CONVENTION,
+    options=(*COMMON, part("validation"), VIEWS),
+    plan=plan,
+    conclude=conclude,
 )

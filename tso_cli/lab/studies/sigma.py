@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,9 @@ from ...io.shipped import CATEGORIES
 from ...losses.silhouette import silhouette_of
 from ...plots.style import COLOURS, page
 from ...render import RenderSettings
-from ..study import CATEGORY, COMMON, Cases, Option, Progress, Record, Study, Table, claim, part, record_of
-from .parts import SeenShape, see, shapes_of_part
-from .summary import by_category
+from ..study import CATEGORY, COMMON, Cases, Option, Plan, Progress, Record, Study, Table, claim, part
+from .shapes import SeenShape, Shape, see, shapes_of_part
+from .summary import grouped
 
 # From 0.05 to 3.2 px^2 in steps of the square root of two.
 SIGMAS = tuple(round(0.05 * 2.0 ** (k / 2), 3) for k in range(13))
@@ -29,22 +30,25 @@ CONVENTION = {
 }
 
 
-def run(
+def plan(
     progress: Progress, *, meshes: Path, split: Path | None, categories: tuple[str, ...], limit: int | None, **settings: Any
-) -> Record:
+) -> Plan:
     """Project the true cloud of 1,024 points of each shape and compare its silhouette with the mask at 64x64."""
     shapes = shapes_of_part(meshes, split, settings["part"], categories or (() if split else CATEGORIES), limit)
     render = RenderSettings(views=settings["views"], size=(SIZE, SIZE))
-    rows: Cases = []
-    for done, shape in enumerate(shapes, 1):
+
+    def judge(shape: Shape) -> Cases:
         seen = see(shape, render, settings["seed"])
         with one_thread(True):  # small images: threads would wait for each other longer than they work
-            rows.append({"category": shape.category, "shape": shape.name, **mask_errors(seen)})
-        progress.report("projecting", done, len(shapes))
-    summary = {name: _means(name, group) for name, group in {**by_category(rows), "all": rows}.items()}
-    settings |= {"points": render.points, "mask": f"{SIZE}x{SIZE}", "sigma_sq": list(SIGMAS)}
-    answers = claims(summary)
-    return record_of("sigma", CONVENTION, settings=settings, summary=summary, claims=answers, shapes=rows)
+            return [{"category": shape.category, "shape": shape.name, **mask_errors(seen)}]
+
+    settings |= {
+        "shapes": [shape.name for shape in shapes],
+        "points": render.points,
+        "mask": f"{SIZE}x{SIZE}",
+        "sigma_sq": list(SIGMAS),
+    }
+    return Plan(settings, [({"shape": shape.name}, partial(judge, shape)) for shape in shapes], "projecting")
 
 
 def mask_errors(seen: SeenShape, sigmas: Sequence[float] = SIGMAS) -> dict[str, list[float]]:
@@ -59,7 +63,7 @@ def mask_errors(seen: SeenShape, sigmas: Sequence[float] = SIGMAS) -> dict[str, 
     return {"missing": errors[0].tolist(), "stray": errors[1].tolist(), "l1": errors.sum(0).tolist()}
 
 
-def _means(category: str, rows: Cases) -> dict[str, Any]:
+def _means(category: str, rows: Cases) -> Record:
     """Means over shapes; the best sigma^2, and the error at the paper's."""
     means = {key: np.mean([row[key] for row in rows], axis=0) for key in ("l1", "missing", "stray")}
     best, paper = int(means["l1"].argmin()), PAPER.get(category)
@@ -73,7 +77,13 @@ def _means(category: str, rows: Cases) -> dict[str, Any]:
     }
 
 
-def claims(summary: dict[str, Any]) -> list[dict[str, Any]]:
+def conclude(cases: Cases) -> Record:
+    """Means by category and of all, and what the paper says of sigma^2."""
+    summary = {name: _means(name, group) for name, group in {**grouped(cases, "category"), "all": cases}.items()}
+    return {"summary": summary, "claims": claims(summary)}
+
+
+def claims(summary: Record) -> list[Record]:
     """What the paper says of sigma^2, whether it holds here, and the figures that say so."""
     overall = summary["all"]
     named = {name: row for name, row in summary.items() if row["paper"] is not None and name != "all"}
@@ -142,17 +152,21 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 
 
 STUDY = Study(
-    "sigma",
-    "Each shape's true cloud of 1,024 points is projected at 64x64 with growing sigma^2 and compared with the mask.",
-    (
+    name="sigma",
+    about="Each shape's true cloud of 1,024 points is projected at 64x64 with growing sigma^2 and compared with the mask.",
+    parts=("pictures", "points, paper"),
+    tables=tables,
+    draw=draw,
+    reading="A narrow Gaussian leaves holes between the points, a wide one blurs the outline and fills gaps. The best width "
+    "depends on how densely the points cover the mask, so thin shapes want a smaller one; between the extremes the error is "
+    "flat.",
+    convention=CONVENTION,
+    options=(
         *COMMON,
         part("test", "test", "validation", "train"),
         CATEGORY,
         Option("--views", "Random views of each shape.", int, 4, least=1),
     ),
-    run,
-    tables,
-    draw,
-    "A narrow Gaussian leaves holes between the points, a wide one blurs the outline and fills gaps. The best width depends on "
-    "how densely the points cover the mask, so thin shapes want a smaller one; between the extremes the error is flat.",
+    plan=plan,
+    conclude=conclude,
 )

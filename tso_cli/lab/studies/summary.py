@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
 
-from ..study import Cases
+from ..study import Cases, Record
 
 RESAMPLED, ENDS = 4000, (2.5, 97.5)
 """Resampled sets of shapes behind an interval, and the percentiles at its ends."""
 
 
-def rounded(values: dict[str, Any]) -> dict[str, Any]:
+def rounded(values: Record) -> Record:
     """Floats with five digits: the sixth differs between machines."""
     return {name: float(f"{value:.5g}") if isinstance(value, (float, np.floating)) else value for name, value in values.items()}
 
 
-def mean(values: Iterable[float | None]) -> float | None:
-    """The mean; None where a value is missing."""
-    numbers = list(values)
-    return None if None in numbers else float(np.mean(numbers))  # type: ignore[arg-type]
+def mean(values: Iterable[float]) -> float:
+    return float(np.mean(list(values)))
 
 
-def ratio_figures(ratios: np.ndarray) -> dict[str, Any]:
+def ratios_of(cases: Cases, variant: str) -> np.ndarray:
+    """Chamfer after / before of every case."""
+    return np.array([case["variants"][variant]["chamfer"] / case["before"]["chamfer"] for case in cases])
+
+
+def ratio_figures(ratios: np.ndarray) -> Record:
     """Mean, median and worst of Chamfer after / before, and how many cases got worse."""
     return {
         "mean_ratio": float(ratios.mean()),
@@ -46,9 +48,9 @@ def interval(shapes: Sequence[str], values: np.ndarray, weights: np.ndarray | No
     return [float(low), float(high)]
 
 
-def by_category(cases: Cases) -> dict[str, Cases]:
-    """The cases of each category, in the order in which they come."""
+def grouped(cases: Cases, key: str) -> dict[str, Cases]:
+    """The cases by their value of ``key``, in the order in which they come."""
     groups: dict[str, Cases] = {}
     for case in cases:
-        groups.setdefault(case["category"], []).append(case)
+        groups.setdefault(case[key], []).append(case)
     return groups

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
-from ..charts.training_charts import draw_settings
-from ..study import Record, Table, claim
+from ..charts.bars import Rows
+from ..study import Cases, Record, claim
 from .discretised import DEPTH, PLAIN
+from .judging import MEAN_SHAPE
 from .material import ALL
-from .mean_shape import MEAN_SHAPE
-from .trained import CATEGORIES, NOISE, Comparison, Setting, chamfers, masks, table, with_mean
+from .trained import CATEGORIES, NOISE, Comparison, Setting, chamfers, masks, trained_study, with_mean
 
 POINTS, MASKS = "3D points", "masks"
 DISCRETISED, LIN = "masks, discretised", "depth maps, Lin et al."
@@ -47,9 +46,9 @@ def settings(categories: Sequence[str]) -> list[Setting]:
     return networks
 
 
-def conclude(runs: list[Record]) -> Record:
+def conclude(cases: Cases) -> Record:
     """Chamfer of each kind by category beside the paper's, and which of its claims hold in every category."""
-    values = chamfers(runs)
+    values = chamfers(cases)
 
     def compared(text: str, name: str, rivals: Sequence[str], factor: float = NOISE, paper: str = "") -> Record:
         """Whether ``name`` is at most ``factor`` times each of the ``rivals`` in every category."""
@@ -71,28 +70,32 @@ def conclude(runs: list[Record]) -> Record:
         text = f"one network for all categories is comparable with one for each (at most {COMPARABLE:g} times)"
         claims.append(compared(text, MASKS_ALL, [MASKS], COMPARABLE, "1.16 times in the mean"))
     summary = {name: with_mean(by_category) for name, by_category in values.items()}
-    return {"summary": summary, "paper": PAPER, "notes": NOTES, "claims": claims}
+    return {"summary": summary, "paper": PAPER, "claims": claims}
 
 
-def tables(record: Record) -> list[Table]:
+def rows(record: Record) -> Rows:
     """Chamfer of each kind by category, ours and the paper's."""
     summary = record["summary"]
     paper = {name: with_mean(values) for name, values in record["paper"].items() if name in summary}
-    rows: dict[str, dict[str, Any]] = {
-        name: values | {f"paper: {category}": paper[name].get(category) for category in values if name in paper}
-        for name, values in summary.items()
+    return {
+        "supervision": {
+            name: values | {f"paper: {category}": paper[name].get(category) for category in values if name in paper}
+            for name, values in summary.items()
+        }
     }
-    return [table(record, "", rows, "\n".join(f"{name}: {text}." for name, text in record["notes"].items()))]
 
 
-STUDY = Comparison("supervision", 1000, CATEGORIES, settings, conclude).study(
-    "A network of each kind for each category, and two for all categories at once, is trained on the list train of the split "
-    "and judged on unseen shapes, beside the mean training shape. Reduced size: 1,000 steps of 8, 32 shapes a category.",
-    tables,
-    draw_settings,
-    "What a network is ahead of the mean training shape it has learnt from pictures. Rounded points have no gradient across "
-    "the picture, so those networks learn from the affinity loss alone: that they are level with the continuous projection "
-    "says that the affinity loss does the work here. With dozens of shapes to learn from, where the paper has thousands, none "
-    "of these numbers says what the methods do with the paper's data. One seed each; the same training comes out up to 5 % "
-    "away.",
+STUDY = trained_study(
+    name="supervision",
+    about="A network of each kind for each category, and two for all categories at once, is trained on the list train of the "
+    "split and judged on unseen shapes, beside the mean training shape. Reduced size: 1,000 steps of 8, 32 shapes a category.",
+    reading="What a network is ahead of the mean training shape it has learnt from pictures. Rounded points have no gradient "
+    "across the picture, so those networks learn from the affinity loss alone: that they are level with the continuous "
+    "projection says that the affinity loss does the work here. With dozens of shapes to learn from, where the paper has "
+    "thousands, none of these numbers says what the methods do with the paper's data. One seed each; the same training comes "
+    "out up to 5 % away.",
+    comparison=Comparison(1000, CATEGORIES, settings),
+    conclude=conclude,
+    rows=rows,
+    notes=NOTES,
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,20 +13,19 @@ from numpy.typing import NDArray
 
 from ...evaluation.footprint import IOU_MEANS
 from ...evaluation.metrics import nearest_squared
-from ...geometry.camera import CANONICAL_ROTATION
+from ...geometry.camera import CANONICAL_ROTATION, Camera
 from ...geometry.points import Array, normalise_longest_side
 from ...geometry.view import View
 from ...io.shipped import CATEGORIES
 from ...network.model import BaseNetwork, NetworkConfig
 from ...refinement import RefineConfig, refine
-from ...render import RenderSettings
+from ...render import RayScene, RenderSettings
 from ...scene.network import network_scene
 from ..charts.ratios import Panel, draw_ratios
-from ..study import CATEGORY, CHECKPOINT, COMMON, DEVICE, Cases, Option, Progress, Record, Study, Table, claim, part, record_of
-from .accuracy_variants import uninterrupted
-from .parts import SeenShape, Shape, see, shapes_of_part, view_aligned_network, weights_hash
-from .summary import by_category, interval, ratio_figures
-from .visibility import visible_points
+from ..study import CATEGORY, CHECKPOINT, COMMON, DEVICE, Cases, Option, Plan, Progress, Record, Study, Table, claim, part
+from .refining import uninterrupted
+from .shapes import SeenShape, Shape, see, shapes_of_part, view_aligned_network, weights_hash
+from .summary import grouped, interval, ratio_figures
 
 VARIANTS = ("encoder", "encoder-decoder", "points")
 LETTERS = {"before": "before", "encoder": "E", "encoder-decoder": "E and D", "points": "p"}
@@ -42,6 +41,10 @@ KEPT = 1.01
 """Up to this ratio of distances after and before, what the picture does not show counts as kept."""
 SIZE = 128
 """Pixels of the pictures each way."""
+TOLERANCE = 2e-3
+"""How far behind the first hit along its ray a point may lie and still be seen, in longest sides."""
+# Rays are cast through a grid of columns and rows, of which only the diagonal is used.
+POINTS_AT_ONCE = 32
 GAINS = "every variant lowers the mean Chamfer distance"
 ORDER = "E and D together gain most, p alone least"
 KEEPS = "what the picture does not show is kept"
@@ -56,9 +59,9 @@ CONVENTION = {
 }
 
 
-def run(
+def plan(
     progress: Progress, *, meshes: Path, checkpoint: Path, split: Path | None, categories: tuple[str, ...], **settings: Any
-) -> Record:
+) -> Plan:
     """Let the network predict unseen shapes, refine every prediction with each variant and judge it against the truth."""
     shapes = shapes_of_part(meshes, split, settings["part"], categories or (() if split else CATEGORIES), settings["limit"])
     network, about = view_aligned_network(checkpoint)
@@ -70,27 +73,19 @@ def run(
         "sigma_sq": about.sigma_sq,
         "network": weights_hash(network),
     }
-    cases = progress.earlier_cases("tso", settings)
-    done = {case["shape"] for case in cases}
     render = RenderSettings(views=settings["views"], size=(SIZE, SIZE))
+    config = RefineConfig(steps=settings["steps"], device=settings["device"], sigma_sq=about.sigma_sq, preset="paper")
 
-    def judged(shape: Shape) -> Cases:
+    def judge(shape: Shape) -> Cases:
         seen = see(shape, render, settings["seed"])
-        config = partial(RefineConfig, steps=settings["steps"], device=settings["device"])
         return [judge_view(shape, seen, number, network, about, config) for number in range(settings["views"])]
 
-    def record(cases: Cases, complete: bool) -> Record:
-        summary = summarise(cases)
-        about = {"complete": complete, "settings": settings, "paper": PAPER, "summary": summary}
-        return record_of("tso", CONVENTION, **about, claims=claims(summary) if complete else [], cases=cases)
-
-    groups = [None if shape.name in done else partial(judged, shape) for shape in shapes]
-    return progress.complete("refining", cases, groups, record)
+    return Plan(settings, [({"shape": shape.name}, partial(judge, shape)) for shape in shapes])
 
 
 def judge_view(
-    shape: Shape, seen: SeenShape, number: int, network: BaseNetwork, about: NetworkConfig, config: Callable[..., RefineConfig]
-) -> dict[str, Any]:
+    shape: Shape, seen: SeenShape, number: int, network: BaseNetwork, about: NetworkConfig, config: RefineConfig
+) -> Record:
     """Predict from one picture, refine with every variant, and measure all four clouds."""
     picture = seen.views[number]
     view = View(picture.mask.astype(np.float32) / 255.0, picture.camera, name=f"{shape.name}, view {number}")
@@ -99,13 +94,13 @@ def judge_view(
     ious: dict[str, float] = {}
     seconds: dict[str, float] = {}
     for variant in VARIANTS:
-        settings = config(variant, sigma_sq=about.sigma_sq, preset="paper")
         points = scene.points if variant == "points" else None
         start = time.perf_counter()
+        settings = replace(config, mode=variant)
         result = uninterrupted(refine(points, scene.view, config=settings, network=network, image=scene.image))
         seconds[variant] = time.perf_counter() - start
         clouds[variant] = result.points
-        ious.setdefault("before", result.iou_before)
+        ious |= {"before": result.iou_before} if variant == VARIANTS[0] else {}
         ious[variant] = result.iou_after
     target = seen.target @ (CANONICAL_ROTATION @ picture.camera.R).T
     visible = visible_points(seen.scene, seen.target, picture.camera)
@@ -117,6 +112,29 @@ def judge_view(
         "iou": ious,
         "seconds": seconds,
     }
+
+
+def visible_points(scene: RayScene, points: Array, camera: Camera) -> NDArray[np.bool_]:
+    """For each of ``points`` [N, 3] on the surface of ``scene`` whether the perspective ``camera`` sees it.
+
+    A point is seen when the first hit along its ray is no more than `TOLERANCE` before it, or when its ray, which grazes an
+    edge, hits nothing at all.
+    """
+    pixels, depth = camera.project(points)
+    rays = (points - camera.position) / depth[:, None]  # of depth 1 in the camera's axes
+    casts = [
+        scene.cast(camera, *block.T) for block in np.array_split(pixels, np.arange(POINTS_AT_ONCE, len(pixels), POINTS_AT_ONCE))
+    ]
+    hits, faces, normals = (
+        np.concatenate([cast[key][range(len(cast[key])), range(len(cast[key]))] for cast in casts])
+        for key in ("hit", "face", "normal")
+    )
+    corners = scene.mesh.vertices[scene.mesh.faces[np.where(hits, faces, 0).astype(np.int64), 0]]
+    along = (normals * rays).sum(1)
+    # Where the plane of the hit face meets the ray; a face seen edge-on hides nothing.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first = (normals * (corners - camera.position)).sum(1) / along
+    return ~(hits & (np.abs(along) > 1e-9) & (first < depth - TOLERANCE))
 
 
 def distances(prediction: Array, target: Array, visible: NDArray[np.bool_]) -> dict[str, float | None]:
@@ -134,62 +152,61 @@ def distances(prediction: Array, target: Array, visible: NDArray[np.bool_]) -> d
     }
 
 
-def summarise(cases: Cases) -> dict[str, Any]:
-    """Means over the cases of each category, and over all of them as "all"."""
-    return {name: _group(group) for name, group in {**dict(sorted(by_category(cases).items())), "all": cases}.items()}
+def conclude(cases: Cases) -> Record:
+    """The means over the cases of each category, and over "all", beside the paper's; and whether its statements hold."""
+    groups = {**dict(sorted(grouped(cases, "category").items())), "all": cases}
+    summary = {name: _means(group) for name, group in groups.items()}
+    return {"paper": PAPER, "summary": summary, "claims": claims(summary)}
 
 
-def _group(cases: Cases) -> dict[str, Any]:
-    return {
-        "shapes": len({case["shape"] for case in cases}),
-        "cases": len(cases),
-        "iou": {name: float(np.mean([case["iou"][name] for case in cases])) for name in LETTERS},
-        "median_seconds": {name: float(np.median([case["seconds"][name] for case in cases])) for name in VARIANTS},
-        "capnet": _distances([case["capnet"] for case in cases], [case["shape"] for case in cases]),
-    }
-
-
-def _distances(cases: list[dict[str, dict[str, Any]]], shapes: list[str]) -> dict[str, Any]:
+def _means(cases: Cases) -> Record:
     """Before and each variant: means of the distances; and of each variant what became of them."""
-    chamfers = {name: np.array([case[name]["forward"] + case[name]["backward"] for case in cases]) for name in LETTERS}
-    summary: dict[str, Any] = {}
+    chamfers = {
+        name: np.array([case["capnet"][name]["forward"] + case["capnet"][name]["backward"] for case in cases])
+        for name in LETTERS
+    }
+    capnet: Record = {}
     for name, chamfer in chamfers.items():
-        row: dict[str, Any] = {}
+        row: Record = {}
         for key in ("forward", "backward", "visible", "occluded"):
-            values = [case[name][key] for case in cases if case[name][key] is not None]
+            values = [case["capnet"][name][key] for case in cases if case["capnet"][name][key] is not None]
             row[key] = float(np.mean(values)) if values else None
         row["chamfer"] = float(chamfer.mean())
         if name != "before":
-            before = summary["before"]
+            before = capnet["before"]
             row["ratio_of_means"] = row["chamfer"] / before["chamfer"]
-            row["interval"] = interval(shapes, chamfer, chamfers["before"])
+            row["interval"] = interval([case["shape"] for case in cases], chamfer, chamfers["before"])
             for key in ("visible", "occluded"):
                 row[f"{key}_ratio"] = row[key] / before[key] if before[key] else None
             row |= ratio_figures(chamfer / chamfers["before"])
-        summary[name] = row
-    return summary
+        capnet[name] = row
+    return {
+        "cases": len(cases),
+        "iou": {name: float(np.mean([case["iou"][name] for case in cases])) for name in LETTERS},
+        "median_seconds": {name: float(np.median([case["seconds"][name] for case in cases])) for name in VARIANTS},
+        "capnet": capnet,
+    }
 
 
-def claims(summary: dict[str, Any]) -> list[dict[str, Any]]:
+def claims(summary: Record) -> list[Record]:
     """What the paper says of its table, whether it holds here over all cases and in every category, and the figures."""
     holding = {name: _holding(group, name == "all") for name, group in summary.items()}
-    whole = summary["all"]
-    total, visible, occluded = (_changes(_ratios(whole, key)) for key in ("ratio_of_means", "visible_ratio", "occluded_ratio"))
+    total, visible, occluded = (_changes(summary["all"], key) for key in ("ratio_of_means", "visible_ratio", "occluded_ratio"))
     figures = {
         GAINS: total,
         ORDER: total,
         KEEPS: f"forward distance of occluded points {occluded}",
         SHOWS: f"forward distance of visible points {visible}",
-        MISSES: f"visible points {visible}; IoU " + ", ".join(f"{whole['iou'][name]:.3f}" for name in VARIANTS),
+        MISSES: f"visible points {visible}; IoU " + ", ".join(f"{summary['all']['iou'][name]:.3f}" for name in VARIANTS),
     }
     answers = []
     for text, numbers in figures.items():
         fails = [name for name, holds in holding.items() if not holds[text]]
-        answers.append(claim(text, not fails, numbers + (f"; not on {', '.join(fails)}" if fails else "")))
+        answers.append(claim(text, not fails, numbers + f"; not on {', '.join(fails)}" * bool(fails)))
     return answers
 
 
-def _holding(group: dict[str, Any], whole: bool) -> dict[str, bool]:
+def _holding(group: Record, whole: bool) -> dict[str, bool]:
     """Whether each claim holds of a group of cases; over all cases a gain must show in the whole of its interval."""
     total, visible, occluded = (_ratios(group, key) for key in ("ratio_of_means", "visible_ratio", "occluded_ratio"))
     highest = [group["capnet"][name]["interval"][1] for name in VARIANTS] if whole else total.values()
@@ -203,14 +220,14 @@ def _holding(group: dict[str, Any], whole: bool) -> dict[str, bool]:
     }
 
 
-def _ratios(group: dict[str, Any], key: str) -> dict[str, float]:
+def _ratios(group: Record, key: str) -> dict[str, float]:
     """After / before of each variant; 1 where a view that shows everything leaves no occluded points."""
     ratios = {name: group["capnet"][name][key] for name in VARIANTS}
     return {name: 1.0 if ratio is None else ratio for name, ratio in ratios.items()}
 
 
-def _changes(ratios: dict[str, float]) -> str:
-    return ", ".join(f"{LETTERS[name]} {100.0 * (ratio - 1.0):+.1f} %" for name, ratio in ratios.items())
+def _changes(group: Record, key: str) -> str:
+    return ", ".join(f"{LETTERS[name]} {100.0 * (ratio - 1.0):+.1f} %" for name, ratio in _ratios(group, key).items())
 
 
 def tables(record: Record) -> list[Table]:
@@ -219,22 +236,21 @@ def tables(record: Record) -> list[Table]:
     sides = []
     for name, theirs in paper.items():
         row = summary["all"]["capnet"][name]
-        change = None if name == "before" else 100.0 * (row["ratio_of_means"] - 1.0)
-        theirs_change = None if name == "before" else 100.0 * (theirs[2] / paper["before"][2] - 1.0)
+        changes = [None, None]
+        if name != "before":
+            changes = [100.0 * (ratio - 1.0) for ratio in (row["ratio_of_means"], theirs[2] / paper["before"][2])]
         ours = [1e3 * row[key] for key in ("forward", "backward", "chamfer")]
-        sides.append([LETTERS[name], *ours, change, *theirs, theirs_change])
+        sides.append([LETTERS[name], *ours, changes[0], *theirs, changes[1]])
     rows = []
     for category, group in summary.items():
         before = group["capnet"]["before"]["chamfer"]
         for name in VARIANTS:
             row = group["capnet"][name]
             low, high = row["interval"]
-            rows.append(
-                [category, LETTERS[name], group["cases"], 1e3 * before, 1e3 * row["chamfer"], row["ratio_of_means"]]
-                + [f"{low:.3f} to {high:.3f}", row["median_ratio"], row["worst_ratio"], row["worse"]]
-                + [row["visible_ratio"], row["occluded_ratio"]]
-                + [group["iou"]["before"], group["iou"][name], group["median_seconds"][name]]
-            )
+            figures = [row[key] for key in ("median_ratio", "worst_ratio", "worse", "visible_ratio", "occluded_ratio")]
+            figures += [group["iou"]["before"], group["iou"][name], group["median_seconds"][name]]
+            names = [category, LETTERS[name], group["cases"], 1e3 * before, 1e3 * row["chamfer"], row["ratio_of_means"]]
+            rows.append([*names, f"{low:.3f} to {high:.3f}", *figures])
     header = ["category", "moves", "cases", "before", "after", "ratio", "95 % interval", "median", "worst", "worse"]
     note = (
         "Chamfer x1000, the paper's protocol; ratio: after/before of the means; median, worst: of the cases' own; worse: cases "
@@ -251,7 +267,7 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
     """Chamfer after / before of every view, a panel for each category; dotted: the paper's ratio of the means."""
     paper = {LETTERS[name]: record["paper"][name][2] / record["paper"]["before"][2] for name in VARIANTS}
     panels = []
-    for category, cases in {**by_category(record["cases"]), "all": record["cases"]}.items():
+    for category, cases in {**grouped(record["cases"], "category"), "all": record["cases"]}.items():
         sums = [{name: row["forward"] + row["backward"] for name, row in case["capnet"].items()} for case in cases]
         rows = {LETTERS[name]: [row[name] / row["before"] for row in sums] for name in VARIANTS}
         panels.append(Panel(f"{category}, {len(cases)} views", rows, paper))
@@ -259,10 +275,17 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 
 
 STUDY = Study(
-    "tso",
-    "The paper's table. The network predicts each view of each shape; the prediction is judged before and after moving the "
-    "encoder (E), the whole network (E and D) and the points (p), with the paper's settings.",
-    (
+    name="tso",
+    about="The paper's table. The network predicts each view of each shape; the prediction is judged before and after moving "
+    "the encoder (E), the whole network (E and D) and the points (p), with the paper's settings.",
+    parts=("pictures", "points, paper", "network modes"),
+    tables=tables,
+    draw=draw,
+    reading="The paper reports gains of 3 to 6 %. What a variant moves decides what it changes: through the weights the whole "
+    "cloud moves, points alone move where the mask says so. The intervals are over shapes, as views of one shape are not "
+    "independent; a gain counts only where its whole interval lies below 1.",
+    convention=CONVENTION,
+    options=(
         *COMMON,
         CHECKPOINT,
         part("test"),
@@ -271,11 +294,6 @@ STUDY = Study(
         Option("--steps", kind=int, default=50, least=0),
         DEVICE,
     ),
-    run,
-    tables,
-    draw,
-    "The paper reports gains of 3 to 6 %. What a variant moves decides what it changes: through the weights the whole "
-    "cloud moves, points alone move where the mask says so. The intervals are over shapes, as views of one shape are not "
-    "independent; a gain counts only where its whole interval lies below 1.",
-    kept="after every shape",
+    plan=plan,
+    conclude=conclude,
 )

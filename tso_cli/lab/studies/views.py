@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..charts.training_charts import draw_lines
-from ..study import Record, Table, claim
-from .mean_shape import MEAN_SHAPE
-from .trained import Comparison, Setting, chamfers, masks, repeated, table
+from ..charts.bars import Rows
+from ..study import Cases, Record, claim
+from .judging import MEAN_SHAPE
+from .trained import Comparison, Setting, chamfers, masks, trained_study
 
 COUNTS = ("1", "2", "3", "4", "5", "6", "8")
 PAPER = {
@@ -23,7 +23,7 @@ CONSTANT = 1.1
 
 def _names(count: str) -> list[str]:
     """The networks for ``count`` masks: three for one and for two, the comparison that the study is about."""
-    return [repeated(f"V = {count}", repeat) for repeat in range(3 if count in "12" else 1)]
+    return [f"V = {count}" + f", seed + {repeat}" * (repeat > 0) for repeat in range(3 if count in "12" else 1)]
 
 
 def settings(categories: Sequence[str]) -> list[Setting]:
@@ -37,9 +37,9 @@ def settings(categories: Sequence[str]) -> list[Setting]:
     return networks
 
 
-def conclude(runs: list[Record]) -> Record:
+def conclude(cases: Cases) -> Record:
     """Chamfer by category and number of masks (the mean over seeds) beside the paper's, and which of its claims hold."""
-    values = chamfers(runs)
+    values = chamfers(cases)
     constant = values[MEAN_SHAPE]
     seeds = {category: {count: [values[name][category] for name in _names(count)] for count in COUNTS} for category in constant}
     summary = {name: {count: float(np.mean(one)) for count, one in by_count.items()} for name, by_count in seeds.items()}
@@ -71,7 +71,7 @@ def conclude(runs: list[Record]) -> Record:
             ),
         ),
     ]
-    return {"summary": summary, "seeds": seeds, "constant": constant, "paper": PAPER, "claims": claims}
+    return {"summary": summary, "constant": constant, "paper": PAPER, "claims": claims}
 
 
 def _gain(values: dict[str, float]) -> str:
@@ -79,22 +79,24 @@ def _gain(values: dict[str, float]) -> str:
     return f"{100.0 * (values['2'] / values['1'] - 1.0):+.0f} %"
 
 
-def tables(record: Record) -> list[Table]:
+def rows(record: Record) -> Rows:
     """Chamfer by number of masks, ours and the paper's."""
-    rows = {}
+    shown = {}
     for category, means in record["summary"].items():
-        rows[category] = {**means, MEAN_SHAPE: record["constant"][category]}
+        shown[category] = {**means, MEAN_SHAPE: record["constant"][category]}
         if category in record["paper"]:
-            rows[f"{category}, paper"] = record["paper"][category]
-    return [table(record, "masks", rows)]
+            shown[f"{category}, paper"] = record["paper"][category]
+    return {"masks": shown}
 
 
-STUDY = Comparison("views", 2000, ("car",), settings, conclude).study(
-    "Networks trained with 1, 2, 3, 4, 5, 6 and 8 masks of each object a step; of 1 and 2 three networks each, which differ in "
-    "their seed alone. Reduced size: cars alone, 2,000 steps of 8.",
-    tables,
-    draw_lines,
-    "In the paper the second mask of each object gains a lot, and more gain nothing. Here the second gains nothing either. One "
-    "mask a step is another one at every step, so that over the training every object is seen from all 24 sides: that may be "
-    "why.",
+STUDY = trained_study(
+    name="views",
+    about="Networks trained with 1, 2, 3, 4, 5, 6 and 8 masks of each object a step; of 1 and 2 three networks each, which "
+    "differ in their seed alone. Reduced size: cars alone, 2,000 steps of 8.",
+    reading="In the paper the second mask of each object gains a lot, and more gain nothing. Here the second gains nothing "
+    "either. One mask a step is another one at every step, so that over the training every object is seen from all 24 sides: "
+    "that may be why.",
+    comparison=Comparison(2000, ("car",), settings),
+    conclude=conclude,
+    rows=rows,
 )

@@ -1,4 +1,4 @@
-"""The ways of refining that the study of accuracy compares."""
+"""The ways of refining that the studies of accuracy and evidence compare."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ...errors import TsoError
 from ...network.model import BaseNetwork
 from ...refinement import RefineConfig, RefineResult, refine, refine_batch
 from ...refinement.presets import BEST, Stage
-from .accuracy_cases import AccuracyCase
+from .cases import Case
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Variant:
     then: RefineConfig | None = None
 
 
-def _made(**changes: object) -> Variant:
+def _best_with(**changes: object) -> Variant:
     return Variant(RefineConfig(coarse_to_fine=replace(BEST, **changes)))  # type: ignore[arg-type]
 
 
@@ -57,16 +57,16 @@ ABLATION = {
     PAPER: POINTS[PAPER],
     DEFAULT: POINTS[DEFAULT],
     "no mirror plane": POINTS[NO_SYMMETRY],
-    "no smoothing": _made(stages=tuple(replace(stage, smoothness=0.0) for stage in BEST.stages)),
-    "one stage": _made(stages=(Stage(10.0, 3.0, 1.0, fine_grid=True),)),
-    "64 cells in the last stage too": _made(stages=tuple(replace(stage, fine_grid=False) for stage in BEST.stages)),
-    "anchor by the whole cloud alone": _made(local_prior=False),
-    "no anchor": _made(prior_weight=0.0, least_prior_weight=0.0),
-    "anchor alike for all": _made(prior_decay=0.0),
-    "anchor down to 30 where the start is far off": _made(least_prior_weight=30.0),
-    "no bounded reach": _made(stages=tuple(replace(stage, robust_scale=1000.0) for stage in BEST.stages)),
-    "what pixels do not show pulled back too": _made(use_resolvability=False),
-    "Adam for each number": Variant(RefineConfig(learning_rate=ADAM_RATE, coarse_to_fine=replace(BEST, uniform_adam=False))),
+    "no smoothing": _best_with(stages=tuple(replace(stage, smoothness=0.0) for stage in BEST.stages)),
+    "one stage": _best_with(stages=(Stage(10.0, 3.0, 1.0, fine_grid=True),)),
+    "64 cells in the last stage too": _best_with(stages=tuple(replace(stage, fine_grid=False) for stage in BEST.stages)),
+    "prior by the error of the whole cloud alone": _best_with(local_prior=False),
+    "no prior": _best_with(prior_weight=0.0, least_prior_weight=0.0),
+    "prior alike for each start": _best_with(prior_decay=0.0),
+    "prior down to 30 where the start is far off": _best_with(least_prior_weight=30.0),
+    "no robust loss": _best_with(stages=tuple(replace(stage, robust_scale=1000.0) for stage in BEST.stages)),
+    "no resolvability": _best_with(use_resolvability=False),
+    "Adam per coordinate": Variant(RefineConfig(learning_rate=ADAM_RATE, coarse_to_fine=replace(BEST, uniform_adam=False))),
     "Chamfer to the start added": Variant(RefineConfig(gamma=1e6)),
 }
 """The default preset with one ingredient changed in each row, between the paper's and itself."""
@@ -79,7 +79,7 @@ def variants_of(kind: str, ablation: bool) -> dict[str, Variant]:
     return {"network": NETWORK, "other": {**POINTS, **STEPS}}.get(kind, POINTS)
 
 
-def refined(cases: list[AccuracyCase], variant: Variant, device: str, network: BaseNetwork | None) -> list[RefineResult]:
+def refined(cases: list[Case], variant: Variant, device: str, network: BaseNetwork | None) -> list[RefineResult]:
     """The result of each case; networks and colours have no batch. Raises TsoError where a case cannot be refined."""
     if variant.config.mode != "points" or any(case.colours is not None for case in cases):
         return [alone(case, variant, device, network) for case in cases]
@@ -92,7 +92,7 @@ def refined(cases: list[AccuracyCase], variant: Variant, device: str, network: B
     return results
 
 
-def alone(case: AccuracyCase, variant: Variant, device: str, network: BaseNetwork | None) -> RefineResult:
+def alone(case: Case, variant: Variant, device: str, network: BaseNetwork | None) -> RefineResult:
     """The result of one case, refined by itself."""
     config, views = replace(variant.config, device=device), case.views[: variant.masks]
     if config.mode == "points":

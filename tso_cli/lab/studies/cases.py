@@ -1,4 +1,4 @@
-"""Cases to measure the accuracy of a refinement on: unseen shapes, masks of them, and clouds that are wrong in a known way."""
+"""Cases to refine: unseen shapes, masks of them, and clouds that are wrong in a known way."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ...io.shipped import CATEGORIES
 from ...network.model import BaseNetwork, NetworkConfig
 from ...render import RayScene, RenderSettings, fitting_distance, look_at, normalise, render_view, sample_cameras
 from ...scene.network import network_scene
-from .parts import Shape, shape_type, shapes_of_part
+from .shapes import Shape, shape_type, shapes_of_part
 
 KINDS = ("other", "near", "cut", "right", "network")
 """Where the start is from; "cut" is "other" with an object that the border truncates, "right" another sampling of the truth."""
@@ -32,14 +32,14 @@ SAMPLES, JUDGED = 16_384, 1024
 """Points of a surface, and how many of them say which start is how far off."""
 MASKS = 4
 """Of each case. The network sees one picture; the other masks of its cases are from known cameras."""
-CUT_SHARE = 0.75
-"""Distance of the camera of kind "cut", of that from which the whole object is seen."""
+TRUNCATING_DISTANCE = 0.75
+"""Of the camera of kind "cut", of that from which the whole object is seen."""
 PICTURE = 128
 """Pixels each way of the picture that the network's crop is cut from."""
 
 
 @dataclass(frozen=True, eq=False)
-class AccuracyCase:
+class Case:
     """One thing to refine.
 
     Attributes
@@ -47,7 +47,7 @@ class AccuracyCase:
     category, shape : of the truth; start : the shape that the initial cloud is from.
     initial, target : [N, 3]; dense : [16384, 3], more points of the target. Longest side 1, centred; of kind "network" turned
         into the axes of the camera.
-    views : the first is the case's own, the others are further evidence.
+    views : the first is the case's own, the others are further masks.
     floor : Chamfer distance of another sampling of the truth to ``target``.
     image : [3, 64, 64], what the network saw.
     colours : [N, 3] in [0, 1] of ``initial``, for views that have photos.
@@ -85,7 +85,7 @@ class CaseBuilder:
     about: NetworkConfig | None = None
     _starts: dict[str, list[tuple[Shape, Array, Array]]] = field(default_factory=dict)
 
-    def cases(self, shape: Shape, kind: str) -> list[AccuracyCase]:
+    def cases(self, shape: Shape, kind: str) -> list[Case]:
         """The cases of one shape, one for each of the views."""
         mesh = normalise(read_mesh(shape.path))
         rng = self._rng(shape, "truth")
@@ -98,15 +98,13 @@ class CaseBuilder:
             start, initial = self._start(shape, _subset(dense, JUDGED), LEVELS[kind].get(shape.category, 0.0))
         # Each view has the next three beside it; `_predicted` makes those of a network's case.
         count = 0 if kind == "network" else self.views + MASKS - 1
-        views = [self._seen(shape, number, mesh.vertices, scene, kind == "cut", rng) for number in range(count)]
+        views = [self._view(shape, number, scene, kind == "cut", rng) for number in range(count)]
         cases = []
         for number in range(self.views):
             beside = tuple(views[number : number + MASKS])
-            case = AccuracyCase(kind, shape.category, shape.name, number, start, initial, target, dense, beside, floor)
-            cases.append(case)
-        if kind != "network":
-            return cases
-        return [self._predicted(case, shape, mesh.vertices, scene, rng) for case in cases]
+            case = Case(kind, shape.category, shape.name, number, start, initial, target, dense, beside, floor)
+            cases.append(self._predicted(case, shape, scene, rng) if kind == "network" else case)
+        return cases
 
     def _rng(self, shape: Shape, purpose: str) -> np.random.Generator:
         return np.random.default_rng([self.seed, zlib.crc32(shape.name.encode()), zlib.crc32(purpose.encode())])
@@ -120,39 +118,36 @@ class CaseBuilder:
                 samples = sample_surface(mesh.vertices, mesh.faces, SAMPLES, self._rng(training, "truth"))
                 starts.append((training, samples, _subset(samples, JUDGED)))
         object_type = shape_type(shape.path.stem)
-        others = [start for start in self._starts[shape.category] if shape_type(start[0].path.stem) != object_type]
-        if not others:
+        candidates = [start for start in self._starts[shape.category] if shape_type(start[0].path.stem) != object_type]
+        if not candidates:
             raise InputError(
                 f"{shape.name}: no {shape.category} of another type is in the list train, expected one to start from"
             )
-        nearest, samples, _ = min(others, key=lambda start: abs(chamfer(start[2], target).chamfer - level))
+        nearest, samples, _ = min(candidates, key=lambda start: abs(chamfer(start[2], target).chamfer - level))
         return nearest.name, _subset(samples, self.points)
 
-    def _seen(
-        self, shape: Shape, number: int, vertices: Array, scene: RayScene, truncated: bool, rng: np.random.Generator
-    ) -> View:
+    def _view(self, shape: Shape, number: int, scene: RayScene, truncated: bool, rng: np.random.Generator) -> View:
         settings = RenderSettings(views=1, size=(self.size, self.size))
         while True:
-            camera = _nearer(settings, vertices, rng) if truncated else sample_cameras(settings, vertices, rng)[0]
+            camera = (_truncating_camera if truncated else _whole_camera)(settings, scene.mesh.vertices, rng)
             mask = render_view(scene, camera, rng).mask
+            border = np.concatenate([mask[[0, -1]].ravel(), mask[:, [0, -1]].ravel()])
             # From its narrow side a long object fits the picture from nearer too: then another direction is drawn.
-            if not truncated or _touches_border(mask):
+            if not truncated or border.max() > 127:
                 return View(mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, mask {number}")
 
-    def _predicted(
-        self, case: AccuracyCase, shape: Shape, vertices: Array, scene: RayScene, rng: np.random.Generator
-    ) -> AccuracyCase:
+    def _predicted(self, case: Case, shape: Shape, scene: RayScene, rng: np.random.Generator) -> Case:
         """The network's prediction from a picture, before a camera whose distance from the object is known."""
         assert self.network is not None and self.about is not None
-        camera = sample_cameras(RenderSettings(views=1, size=(PICTURE, PICTURE)), vertices, rng)[0]
+        camera = _whole_camera(RenderSettings(views=1, size=(PICTURE, PICTURE)), scene.mesh.vertices, rng)
         picture = render_view(scene, camera, rng)
         view = View(picture.mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, view {case.view}")
         predicted = network_scene(picture.image, view, self.network, self.about, placing="camera")
         turn = (CANONICAL_ROTATION @ camera.R).T
         # A generator for each view: the number of views changes none of them.
-        further = np.random.default_rng([self.seed, zlib.crc32(shape.name.encode()), case.view])
-        others = [self._seen(shape, number, vertices, scene, False, further) for number in range(1, MASKS)]
-        turned = [replace(view, camera=replace(view.camera, R=view.camera.R @ turn)) for view in others]
+        rng = np.random.default_rng([self.seed, zlib.crc32(shape.name.encode()), case.view])
+        views = [self._view(shape, number, scene, False, rng) for number in range(1, MASKS)]
+        turned = [replace(view, camera=replace(view.camera, R=view.camera.R @ turn)) for view in views]
         return replace(
             case,
             initial=predicted.points,
@@ -169,25 +164,16 @@ def kinds_of(category: str, kinds: Sequence[str]) -> list[str]:
     return [kind for kind in kinds if (kind != "near" or near) and (kind != "network" or known)]
 
 
-def check_points(points: int, kinds: Sequence[str], about: NetworkConfig | None) -> None:
-    """InputError where clouds of so many points cannot be had."""
-    if not JUDGED <= points <= SAMPLES:
-        raise InputError(f"points is {points}, expected {JUDGED} to {SAMPLES}")
-    if "network" in kinds and about is not None and about.points != points:
-        raise InputError(f"points is {points}, expected {about.points}, as many as the network predicts, for kind network")
-
-
 def _subset(samples: Array, count: int) -> Array:
     """So many of ``samples`` [S, 3], spread evenly."""
     return samples if count == len(samples) else samples[farthest_point_sample(samples, count)]
 
 
-def _nearer(settings: RenderSettings, vertices: Array, rng: np.random.Generator) -> Camera:
+def _whole_camera(settings: RenderSettings, vertices: Array, rng: np.random.Generator) -> Camera:
+    return sample_cameras(settings, vertices, rng)[0]
+
+
+def _truncating_camera(settings: RenderSettings, vertices: Array, rng: np.random.Generator) -> Camera:
     azimuth, elevation = rng.uniform(*settings.azimuth), rng.uniform(*settings.elevation)
     camera = look_at(azimuth, elevation, 1.0, settings.size)
-    return look_at(azimuth, elevation, CUT_SHARE * fitting_distance(vertices, camera), settings.size)
-
-
-def _touches_border(mask: NDArray[np.uint8]) -> bool:
-    inside = mask > 127
-    return bool(inside[[0, -1]].any() or inside[:, [0, -1]].any())
+    return look_at(azimuth, elevation, TRUNCATING_DISTANCE * fitting_distance(vertices, camera), settings.size)

@@ -1,4 +1,4 @@
-"""What studies are made on: the shapes of one part of a split, and a network."""
+"""The shapes of one part of a split, rendered, and the network that predicts them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -19,7 +18,6 @@ from ...io.meshes import Mesh, find_meshes, read_mesh
 from ...network.model import BaseNetwork, NetworkConfig
 from ...render import RayScene, RenderedView, RenderSettings, ground_truth, normalise, render_view, sample_cameras
 
-Item = TypeVar("Item")
 SPLIT = Path(__file__).with_name("split.json")
 """Training, validation and test types of the shapes that the shipped network is from."""
 
@@ -55,12 +53,8 @@ def shapes_of_part(
 ) -> list[Shape]:
     """The shapes of one part of a split, sorted by category, in the order of the split.
 
-    Parameters
-    ----------
-    folder : holds CATEGORY/NAME with a mesh's suffix for every name of the part.
-    split_file : None for that of the shipped network.
-    categories : only these; empty for all.
-    limit : at most so many of each category, spread evenly over the list.
+    ``folder`` holds CATEGORY/NAME with a mesh's suffix for every name of the part; without ``split_file`` the split is that of
+    the shipped network. Of ``categories`` (empty: all) at most ``limit`` shapes each, spread evenly over the list.
 
     Raises InputError if the part or a category has no shape in the split, or a mesh is missing.
     """
@@ -75,7 +69,9 @@ def shapes_of_part(
     meshes = {path.relative_to(folder).with_suffix("").as_posix(): path for path in find_meshes(folder)}
     chosen = []
     for category in [name for name in known if not categories or name in categories]:
-        chosen += spread([name for name in names if name.split("/")[0] == category], limit)
+        members = [name for name in names if name.split("/")[0] == category]
+        count = min(limit or len(members), len(members))
+        chosen += [members[i] for i in np.linspace(0, len(members) - 1, count).round().astype(int)]
     missing = [name for name in chosen if name not in meshes]
     if missing:
         raise InputError(
@@ -83,12 +79,6 @@ def shapes_of_part(
             f"{split_file} names for {part}"
         )
     return [Shape(name, meshes[name]) for name in chosen]
-
-
-def spread(items: Sequence[Item], limit: int | None) -> list[Item]:
-    """At most ``limit`` of ``items``, evenly over their order."""
-    count = len(items) if limit is None else min(limit, len(items))
-    return [items[i] for i in np.linspace(0, len(items) - 1, count).round().astype(int)]
 
 
 def shape_type(stem: str) -> str:

@@ -1,0 +1,223 @@
+"""Cases with other evidence: depth maps, photos, wrong views, wrong cameras, objects that lack a part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...evaluation.metrics import chamfer
+from ...geometry.camera import Camera
+from ...geometry.points import Array, farthest_point_sample, sample_surface
+from ...geometry.rotations import from_vectors
+from ...geometry.view import View
+from ...io.meshes import Mesh, read_mesh
+from ...refinement.symmetry import find_mirror_plane
+from ...render import RayScene, fitting_distance, look_at, normalise, render_view
+from ...render.rays import AMBIENT, RAYS_ACROSS
+from .cases import SAMPLES, Case
+from .shapes import Shape
+
+# Fewer than these, once a part of the object is gone, make no case.
+FEWEST_FACES, FEWEST_PIXELS = 20, 50
+# A wrong camera is shifted by this share of its distance for each degree that it is turned.
+SHIFT = 0.005
+WRONG_TURN = 30.0
+# Three cameras that stand close together, and one to the side of them; degrees.
+BUNCHED = (0.0, 10.0, 20.0, 100.0)
+# Waves of a paint, and their lengths (longest side 1): stripes and patches of the size of a window or a cheat line, up to whole
+# parts in one colour.
+WAVES, SHORTEST, LONGEST = 12, 0.1, 1.0
+# How sharp the edges between two colours are.
+SHARPNESS = 4.0
+# Waves by which a cloud is bent, and their lengths.
+BENDS, BEND_LENGTHS = 6, (0.8, 2.0)
+HALVINGS = 25
+
+Rng = np.random.Generator
+Paint = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The shape that a case is of, and another one of its category; None where there is no other."""
+
+    shape: Shape
+    other: Shape | None
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        return normalise(read_mesh(self.shape.path))
+
+    @cached_property
+    def scene(self) -> RayScene:
+        return RayScene(self.mesh)
+
+    @cached_property
+    def other_scene(self) -> RayScene | None:
+        return None if self.other is None else RayScene(normalise(read_mesh(self.other.path)))
+
+
+Alter = Callable[[Case, Truth, Rng], Case | None]
+"""Alters a case; None where that is not possible."""
+
+
+def unaltered(case: Case, truth: Truth, rng: Rng) -> Case:
+    return case
+
+
+def with_depth(case: Case, truth: Truth, rng: Rng, noise: float = 0.0) -> Case:
+    """Each view with the depth of the true surface at its pixels, and Gaussian noise (longest side 1) on it."""
+    views = []
+    for view in case.views:
+        columns, rows = np.arange(view.camera.width), np.arange(view.camera.height)
+        depth = truth.scene.cast(view.camera, columns.astype(float), rows.astype(float))["depth"]
+        depth = np.where(np.isfinite(depth), depth + noise * rng.normal(size=depth.shape), 0.0)
+        views.append(replace(view, depth=depth))
+    return replace(case, views=tuple(views))
+
+
+def without(case: Case, truth: Truth, rng: Rng, part: str) -> Case | None:
+    """The object lacks "side", "high" or "low" parts on one side of the start's mirror plane; the start has them.
+
+    Faces go whose middle lies more than 0.12 beyond the plane through the middle, or more than 0.03 and higher than 0 or lower
+    than -0.1 (longest side 1, y up).
+    """
+    normal = np.abs(find_mirror_plane(case.initial).normal)
+    middles = truth.mesh.vertices[truth.mesh.faces].mean(1)
+    beyond, height = middles[:, 0 if normal[0] >= normal[2] else 2], middles[:, 1]
+    gone = {"side": beyond > 0.12, "high": (beyond > 0.03) & (height > 0.0), "low": (beyond > 0.03) & (height < -0.1)}[part]
+    faces = truth.mesh.faces[~gone]
+    if len(faces) < FEWEST_FACES:
+        return None
+    mesh = replace(truth.mesh, faces=faces, colours=None)
+    scene = RayScene(mesh)
+    masks = [_mask(scene, view.camera) for view in case.views]
+    if min(int((mask > 0.5).sum()) for mask in masks) < FEWEST_PIXELS:
+        return None
+    views = tuple(replace(view, mask=mask) for view, mask in zip(case.views, masks, strict=True))
+    dense = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
+    return replace(case, views=views, dense=dense, target=dense[farthest_point_sample(dense, len(case.target))])
+
+
+def bunched(case: Case, truth: Truth, rng: Rng) -> Case:
+    """Three of the four cameras within 20 degrees, the last to the side of them."""
+    size = case.views[0].camera.width, case.views[0].camera.height
+    azimuth, elevation = rng.uniform(0.0, 360.0), rng.uniform(-5.0, 40.0)
+    views = []
+    for turn in BUNCHED:
+        near = look_at(azimuth + turn, elevation, 1.0, size)
+        camera = look_at(azimuth + turn, elevation, fitting_distance(truth.mesh.vertices, near), size)
+        views.append(View(_mask(truth.scene, camera), camera, name=f"{case.shape}, {turn:g} degrees"))
+    return replace(case, views=tuple(views))
+
+
+def with_wrong_mask(case: Case, truth: Truth, rng: Rng) -> Case | None:
+    """The last view's mask is that of another shape of the category."""
+    if truth.other_scene is None:
+        return None
+    wrong = case.views[-1]
+    return replace(case, views=(*case.views[:-1], replace(wrong, mask=_mask(truth.other_scene, wrong.camera))))
+
+
+def with_wrong_camera(case: Case, truth: Truth, rng: Rng) -> Case:
+    """The last view's camera is taken to stand 30 degrees to the side, left or right, of where it stood."""
+    wrong = case.views[-1]
+    turn = from_vectors(np.array([0.0, np.radians(WRONG_TURN) * rng.choice([-1.0, 1.0]), 0.0]))
+    camera = replace(wrong.camera, R=wrong.camera.R @ turn)
+    return replace(case, views=(*case.views[:-1], replace(wrong, camera=camera)))
+
+
+def with_cameras_off(case: Case, truth: Truth, rng: Rng, degrees: float) -> Case:
+    """Every camera is turned by so many degrees about the object's middle, about any axis, and shifted in proportion."""
+    views = []
+    for view in case.views:
+        turn, shift = _directions(rng, (2,))
+        turned = from_vectors(np.radians(degrees) * turn)
+        moved = view.camera.t + degrees * SHIFT * view.camera.t[2] * shift
+        views.append(replace(view, camera=replace(view.camera, R=turned @ view.camera.R, t=moved)))
+    return replace(case, views=tuple(views))
+
+
+def painted(case: Case, truth: Truth, rng: Rng, start: str, exposure: float | None) -> Case:
+    """The object is painted, its photos are taken under a random light, and the cloud has colours of its own.
+
+    ``start`` is "bent 2" or "bent 6", the true cloud in the object's own paint, bent by a smooth random field until it is that
+    far off (Chamfer x1000), or "other", the case's own start in another paint. ``exposure`` : how many times as long as
+    needed; None takes no photo.
+    """
+    paint, other_paint, bend = paint_of(rng), paint_of(rng), _bend_of(rng)
+    lights = _directions(rng, (len(case.views),))
+    if start == "other":
+        initial, colours = case.initial, other_paint(case.initial)
+    else:
+        resampled = case.dense[rng.choice(len(case.dense), len(case.target), replace=False)]
+        initial, colours = _bent(resampled, bend, case.target, 1e-3 * float(start.split()[1])), paint(resampled)
+    views = case.views
+    if exposure is not None:
+        photos = [photo(truth.scene, view, paint, light, exposure) for view, light in zip(views, lights, strict=True)]
+        views = tuple(replace(view, image=image) for view, image in zip(views, photos, strict=True))
+    return replace(case, initial=initial, colours=colours, views=views)
+
+
+def paint_of(rng: Rng) -> Paint:
+    """Colours [..., 3] in [0, 1] of places [..., 3]: two of each channel's tones in patches with clear edges."""
+    lengths = np.exp(rng.uniform(np.log(SHORTEST), np.log(LONGEST), (3, WAVES, 1)))
+    directions = _directions(rng, (3, WAVES)) * (2.0 * np.pi / lengths)
+    phases, dark, light = rng.uniform(0.0, 2.0 * np.pi, (3, WAVES)), rng.uniform(0.1, 0.45, 3), rng.uniform(0.55, 0.9, 3)
+
+    def paint(places: Array) -> Array:
+        waves = np.cos(np.einsum("...k,cwk->...cw", places, directions) + phases).sum(-1) / np.sqrt(WAVES)
+        colours: Array = dark + (light - dark) * (0.5 + 0.5 * np.tanh(SHARPNESS * waves))
+        return colours
+
+    return paint
+
+
+def photo(scene: RayScene, view: View, paint: Paint, light: Array, exposure: float = 1.0) -> NDArray[np.float32]:
+    """[H, W, 3] in [0, 1]: the painted mesh under one far ``light`` (unit vector, world axes), on white; 25 rays a pixel."""
+    camera = view.camera
+    offsets = (np.arange(RAYS_ACROSS) + 0.5) / RAYS_ACROSS - 0.5
+    columns, rows = ((np.arange(size)[:, None] + offsets).ravel() for size in (camera.width, camera.height))
+    hits = scene.cast(camera, columns, rows)
+    x, y = np.meshgrid((columns - camera.K[0, 2]) / camera.K[0, 0], (rows - camera.K[1, 2]) / camera.K[1, 1])
+    hit = hits["hit"]
+    depth = hits["depth"][hit][:, None]
+    places = (np.stack([x[hit], y[hit], np.ones(hit.sum())], 1) * depth - camera.t) @ camera.R
+    shade = AMBIENT + (1.0 - AMBIENT) * np.abs(hits["normal"][hit] @ light)
+    image = np.ones((*hit.shape, 3))
+    image[hit] = np.minimum(exposure * shade[:, None] * paint(places), 1.0)
+    means: Array = image.reshape(camera.height, RAYS_ACROSS, camera.width, RAYS_ACROSS, 3).mean((1, 3))
+    return means.astype(np.float32)
+
+
+def _bend_of(rng: Rng) -> Callable[[Array], Array]:
+    waves = _directions(rng, (BENDS,)) * (2.0 * np.pi / rng.uniform(*BEND_LENGTHS, (BENDS, 1)))
+    sizes, phases = rng.normal(size=(BENDS, 3)), rng.uniform(0.0, 2.0 * np.pi, BENDS)
+    return lambda points: np.cos(points @ waves.T + phases) @ sizes / np.sqrt(BENDS)
+
+
+def _bent(points: Array, bend: Callable[[Array], Array], target: Array, level: float) -> Array:
+    """``points`` moved along ``bend`` until they are ``level`` from ``target``; at once where they are that far already."""
+    field, low, high = bend(points), 0.0, 0.5
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2.0
+        near = chamfer(points + middle * field, target).chamfer < level
+        low, high = (middle, high) if near else (low, middle)
+    moved: Array = points + low * field
+    return moved
+
+
+def _directions(rng: Rng, shape: tuple[int, ...]) -> Array:
+    """Unit vectors [*shape, 3]."""
+    vectors = rng.normal(size=(*shape, 3))
+    directions: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return directions
+
+
+def _mask(scene: RayScene, camera: Camera) -> NDArray[np.float32]:
+    mask: NDArray[np.float32] = render_view(scene, camera).mask.astype(np.float32) / 255.0
+    return mask
