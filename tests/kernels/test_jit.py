@@ -8,10 +8,10 @@ import time
 
 import pytest
 import torch
+from tso_cli.kernels.projection_numba import project
 
 from tso_cli.kernels import jit
 from tso_cli.kernels.jit import PrecomputedGradient, forget_stale, share
-from tso_cli.kernels.projection_numba import project
 from tso_cli.kernels.splat import splat
 
 

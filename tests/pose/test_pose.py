@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from tso_cli.refinement.camera_moves import CameraMoves, moved_camera
 
 from tso_cli.errors import InputError
 from tso_cli.geometry.rotations import angle_between, from_vectors, spread
@@ -13,7 +14,6 @@ from tso_cli.io.cameras import read_camera
 from tso_cli.pose import alignment, fit_camera
 from tso_cli.pose.alignment import Poses, Target
 from tso_cli.pose.fit import _same_by_symmetry, _spacing
-from tso_cli.refinement.camera_moves import CameraMoves, moved_camera
 from tso_cli.silhouette.projection import CameraBatch, project
 
 from ..scenes import example

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from tso_cli.refinement.photometric import PhotometricLoss
 
 from tests.painted import CAMERA, MASK, SIZE, painted, photo, sheet
 from tso_cli import Camera, RefineConfig, refine
 from tso_cli.errors import InputError
 from tso_cli.geometry.view import View
 from tso_cli.refinement import refine_batch
-from tso_cli.refinement.photometric import PhotometricLoss
 from tso_cli.refinement.resampled_view import resample_view
 
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tso_cli.silhouette.mask_chamfer import MaskTarget, mask_chamfer_loss
 
 from tso_cli import Camera, RefineConfig, View, refine, refine_batch
 from tso_cli.evaluation.metrics import chamfer
@@ -19,7 +20,6 @@ from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.resampled_view import resample_view
 from tso_cli.scene.load import ViewFiles, load_views
-from tso_cli.silhouette.mask_chamfer import MaskTarget, mask_chamfer_loss
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

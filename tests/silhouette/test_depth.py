@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from tso_cli.silhouette.depth import DepthTarget, depth_loss
 
 from tso_cli import Camera, RefineConfig, refine, refine_batch
 from tso_cli.errors import InputError
@@ -15,7 +16,6 @@ from tso_cli.geometry.points import normalise_longest_side
 from tso_cli.geometry.view import View
 from tso_cli.refinement.objective import MaskChamferObjective, ViewTargets
 from tso_cli.refinement.resampled_view import resample_view
-from tso_cli.silhouette.depth import DepthTarget, depth_loss
 from tso_cli.silhouette.projection import CameraBatch, Projected, project
 
 SIZE = 64

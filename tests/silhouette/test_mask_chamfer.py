@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from tso_cli.silhouette.mask_chamfer import COVERED_WITHIN, MaskTarget, mask_chamfer_loss, resolvability
 
 from tso_cli.silhouette import mask_chamfer
-from tso_cli.silhouette.mask_chamfer import COVERED_WITHIN, MaskTarget, mask_chamfer_loss, resolvability
 
 
 def _mask(seed: int = 0, height: int = 24, width: int = 32) -> torch.Tensor:

@@ -14,12 +14,12 @@ from ...geometry.rotations import angle_between, from_vectors
 from ...geometry.view import View
 from ...io.clouds import read_cloud
 from ...io.shipped import default_checkpoint, examples_folder
+from ...losses.silhouette import silhouette_of
 from ...pose.fit import fit_camera
 from ...refinement import PRESETS, RefineConfig, RefineResult, refine
 from ...render import RenderSettings
 from ...scene.load import load_points_scene
 from ...scene.network import load_network_scene
-from ...silhouette.projection import silhouette_of
 from ...train import TrainConfig, train
 from ...train.sources import shipped_examples
 from .shapes import Shape, see

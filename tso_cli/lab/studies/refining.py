@@ -59,6 +59,7 @@ ABLATION = {
     "no mirror plane": POINTS[NO_SYMMETRY],
     "no smoothing": _best_with(stages=tuple(replace(stage, smoothness=0.0) for stage in BEST.stages)),
     "one stage": _best_with(stages=(Stage(10.0, 3.0, fine_grid=True),)),
+    "stages averaged alike": _best_with(stages=tuple(replace(stage, averaging_weight=1.0) for stage in BEST.stages)),
     "64 cells in the last stage too": _best_with(stages=tuple(replace(stage, fine_grid=False) for stage in BEST.stages)),
     "prior by the error of the whole cloud alone": _best_with(local_prior=False),
     "no prior": _best_with(prior_weight=0.0, least_prior_weight=0.0),
@@ -85,7 +86,7 @@ def refined(cases: list[Case], variant: Variant, device: str, network: BaseNetwo
         return [alone(case, variant, device, network) for case in cases]
     problems = [(case.initial, case.views[: variant.masks]) for case in cases]
     results = []
-    for result in refine_batch(problems, replace(variant.config, device=device)):
+    for result in refine_batch(problems, variant.config):
         if isinstance(result, TsoError):
             raise result
         results.append(uninterrupted(result))
@@ -94,13 +95,14 @@ def refined(cases: list[Case], variant: Variant, device: str, network: BaseNetwo
 
 def alone(case: Case, variant: Variant, device: str, network: BaseNetwork | None) -> RefineResult:
     """The result of one case, refined by itself."""
-    config, views = replace(variant.config, device=device), case.views[: variant.masks]
+    config, views = variant.config, case.views[: variant.masks]
     if config.mode == "points":
         return uninterrupted(refine(case.initial, views, config=config, colours=case.colours))
+    config = replace(config, device=device)
     result = uninterrupted(refine(None, views, config=config, network=network, image=case.image))
     if variant.then is None:
         return result
-    then = uninterrupted(refine(result.points, views, config=replace(variant.then, device=device)))
+    then = uninterrupted(refine(result.points, views, config=variant.then))
     return replace(then, iou_before=result.iou_before)
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from ...device import one_thread
 from ...io.shipped import CATEGORIES
 from ...losses.silhouette import silhouette_of
 from ...plots.style import COLOURS, page
@@ -39,8 +38,7 @@ def plan(
 
     def judge(shape: Shape) -> Cases:
         seen = see(shape, render, settings["seed"])
-        with one_thread(True):  # small images: threads would wait for each other longer than they work
-            return [{"category": shape.category, "shape": shape.name, **mask_errors(seen)}]
+        return [{"category": shape.category, "shape": shape.name, **mask_errors(seen)}]
 
     settings |= {
         "shapes": [shape.name for shape in shapes],
