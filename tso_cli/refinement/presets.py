@@ -85,7 +85,5 @@ NETWORK = CoarseToFineConfig(
     stages=(Stage(0.0, 3.0),), prior_weight=500.0, prior_decay=0.5, least_prior_weight=30.0, local_prior=False
 )
 # The symmetry check: one short, loosely held stage. A strong prior would hide how the two descents it compares differ.
-SYMMETRY_PROBE = CoarseToFineConfig(
-    stages=(Stage(10.0, 6.0),), prior_weight=350.0, least_prior_weight=30.0, local_prior=False
-)
+SYMMETRY_PROBE = CoarseToFineConfig(stages=(Stage(10.0, 6.0),), prior_weight=350.0, least_prior_weight=30.0, local_prior=False)
 SYMMETRY_PROBE_STEPS = 20
