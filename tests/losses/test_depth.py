@@ -102,22 +102,9 @@ def test_any_points_cost_the_same_in_both_forms(places):
     assert_equal(*(in_form(form, loss, points, _uneven(), 3.0, camera_of()) for form in (COMPILED, NUMPY)))
 
 
-def test_a_surface_that_no_point_reaches_costs_the_robust_square_of_its_distance_in_pixels():
-    """One pixel, one point 4 px behind its surface: 120 px to 2 units, so 60 px to one."""
-    depth = np.full((SIZE, SIZE), np.nan)
-    depth[30, 30] = 2.0
-    behind = on(30, 30, 2.0 + 4.0 / 60.0)
-    distance = np.linalg.norm(np.subtract(behind, on(30, 30, 2.0))) * 60.0
-    assert loss([behind], depth)[0] == pytest.approx(distance**2 * 9.0 / (9.0 + distance**2), rel=1e-9)
-
-
-def test_covered_surfaces_and_points_hidden_behind_them_cost_nothing():
-    value, gradient = loss(np.concatenate([grid(2.0), grid(2.3)]), wall())
-    assert value == 0.0 and not gradient.any()
-
-
-def test_a_point_in_front_of_the_surface_is_pushed_back():
+def test_points_on_a_surface_or_hidden_behind_it_cost_nothing_and_a_point_in_front_is_pushed_back():
     points = np.concatenate([grid(2.0), [on(32, 32, 2.0 - 3.0 / 60.0)]])
+    assert loss(np.concatenate([grid(2.0), grid(2.3)]), wall())[0] == 0.0
     value, gradient = loss(points, wall(), 2.0)
     assert value == pytest.approx(9.0 * 4.0 / (4.0 + 9.0) * 1024.0 / len(points), rel=1e-9)
     # The camera looks along -z of the world: downhill is away from it.

@@ -153,14 +153,6 @@ def test_a_covered_mask_costs_nothing():
     assert value == 0.0 and not gradient.any()
 
 
-def test_points_outside_the_image_or_on_unknown_pixels_cost_nothing():
-    mask, known = np.zeros((16, 16)), np.ones((16, 16))
-    mask[4, 10], known[:, :3] = 1.0, 0.0
-    pixels = [[10.0, 4.0], [-5.0, 4.0], [1.0, 8.0]]
-    assert _loss(pixels, MaskTarget.of(mask, known))[0] == 0.0
-    assert _loss(pixels, MaskTarget.of(mask))[0] > 0.0
-
-
 def test_pixels_many_times_the_robust_scale_away_have_next_to_no_gradient():
     mask = np.zeros((64, 64))
     mask[4, 60] = 1.0
@@ -182,29 +174,6 @@ def test_a_strip_thinner_than_a_pixel_is_not_resolved_and_a_wider_one_is():
     # Half as far from the middle as it is wide, which is its standard deviation.
     for result in (resolvability(strips), resolvability(2.0 * strips, 2.0)):
         np.testing.assert_allclose(result, [0.0, (0.5 - 0.2) / 0.6, 1.0], atol=0.02)
-
-
-def test_of_a_truncated_object_pixels_nearest_to_points_beyond_the_border_cost_nothing():
-    mask = np.zeros((64, 64))
-    mask[20:40, :30] = 1.0  # it goes on to the left
-    points = np.array([[10.0, 30.0], [-6.0, 22.0]])
-    value, gradient = _loss(points, MaskTarget.of(mask), 6.0)
-    assert not gradient[1].any()
-    # The same as a mask in which those pixels are unknown.
-    rows, columns = np.mgrid[:64, :64]
-    first, second = ((columns - x) ** 2 + (rows - y) ** 2 for x, y in points)
-    assert value == pytest.approx(_loss(points[:1], MaskTarget.of(mask, (first <= second).astype(float)), 6.0)[0])
-
-
-@pytest.mark.parametrize(
-    ("place", "attracted"), [((-20.0, 32.0), True), ((-150.0, 32.0), False), ((80.0, -5.0), True), ((32.0, -12.0), False)]
-)
-def test_points_beside_the_window_are_attracted_and_points_beside_the_photo_are_not(place, attracted):
-    # The whole mask is covered; its point has no gradient.
-    target = MaskTarget.of(_square(low=32, high=33), bounds=(-100.0, -10.0, 200.0, 80.0))
-    gradient = _loss([place, [32.0, 32.0]], target, 60.0)[1]
-    assert gradient[0].any() == attracted and not gradient[1].any()
-    assert not attracted or -gradient[0] @ (np.array([32.0, 32.0]) - place) > 0.0
 
 
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 40), (40, 1), (30, 47)])

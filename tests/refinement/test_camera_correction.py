@@ -12,7 +12,7 @@ from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.rotations import angle_between, from_vectors
 from tso_cli.geometry.view import View
 from tso_cli.losses.silhouette import silhouette_of
-from tso_cli.refinement import RefineConfig, refine, refine_batch
+from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.camera_correction import _WithCameras, moved_camera, moved_silhouette
 from tso_cli.refinement.objective import silhouette_loss
 from tso_cli.refinement.resampled_view import ResampledView, resample_view
@@ -127,14 +127,3 @@ def test_without_refine_camera_or_steps_the_camera_is_kept(config):
     points = example("airplane").target
     view, _ = _view(points, 40.0, 8.0)
     assert refine(points, view, config=config).cameras == (view.camera,)
-
-
-@pytest.mark.slow
-def test_clouds_of_a_batch_have_their_cameras_corrected_as_alone():
-    clouds = {name: example(name).target for name in ("airplane", "car")}
-    scenes = [(clouds[name][:count], _view(clouds[name], 40.0, 8.0)[0]) for name, count in (("airplane", 1024), ("car", 700))]
-    config = RefineConfig(steps=3, refine_camera=True)
-    for result, scene in zip(refine_batch(scenes, config), scenes, strict=True):
-        alone = refine(*scene, config=config)
-        np.testing.assert_array_equal(result.cameras[0].R, alone.cameras[0].R)
-        np.testing.assert_array_equal(result.points, alone.points)

@@ -21,6 +21,19 @@ from tso_cli.refinement.smooth_field import SmoothField
 from tso_cli.render import look_at
 
 
+def test_points_outside_every_image_hardly_move():
+    """A long bar extends beyond the left border of an image in which it lies higher."""
+    axes = np.linspace(-2.0, 0.4, 120), np.linspace(-0.1, 0.1, 5), np.linspace(-0.1, 0.1, 4)
+    bar = np.stack(np.meshgrid(*axes), -1).reshape(-1, 3)
+    camera = look_at(0.0, 0.0, 2.2, (64, 64))
+    observed = camera.project(bar)[0][:, 0] > -0.5
+    assert 0.3 < observed.mean() < 0.7
+    mask = (silhouette_of(bar + [0.0, 0.06, 0.0], camera) > 0.5).astype(np.float32)
+    moved = refine(bar, mask, camera, RefineConfig(symmetry="none")).points[:, 1] - bar[:, 1]
+    assert moved[observed].mean() > 0.02
+    assert np.abs(moved[~observed]).mean() < 0.15 * moved[observed].mean()
+
+
 def test_the_result_is_the_weighted_mean_of_the_stages_and_more_masks_raise_the_weight_of_the_last(chair):
     points, mask, camera, _ = chair
     side = look_at(90.0, 10.0, 2.0, (64, 64))

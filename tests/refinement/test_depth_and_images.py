@@ -9,9 +9,7 @@ from tests.painted import CAMERA, MASK, SIZE, photo, sheet
 from tso_cli import Camera, RefineConfig, refine
 from tso_cli.errors import InputError
 from tso_cli.evaluation.metrics import chamfer
-from tso_cli.geometry.points import normalise_longest_side
 from tso_cli.geometry.view import View
-from tso_cli.refinement import refine_batch
 from tso_cli.refinement.objective import MaskChamferObjective, ViewTargets
 from tso_cli.refinement.resampled_view import resample_view
 
@@ -100,36 +98,35 @@ def test_a_flipped_view_has_no_flipped_photo():
     assert result.loss_after < result.loss_before
 
 
-def test_unusable_depth_maps_are_refused():
-    with pytest.raises(InputError, match=r"depth map has shape \[3, 3\], the mask is 64x64"):
-        View(MASK, CAMERA, depth=np.ones((3, 3)))
-    with pytest.raises(InputError, match="smallest depth is -1, expected 0"):
-        View(MASK, CAMERA, depth=-np.ones((SIZE, SIZE)))
-    with pytest.raises(InputError, match="no foreground pixel has a depth"):
-        View(MASK, CAMERA, depth=np.where(MASK > 0.5, 0.0, 2.0))
-    flat = Camera(CAMERA.K, CAMERA.R, CAMERA.t, SIZE, SIZE, "orthographic")
-    with pytest.raises(InputError, match="orthographic, expected perspective"):
-        View(MASK, flat, depth=np.ones((SIZE, SIZE)))
-    with pytest.raises(InputError, match="preset best, found points with paper"):
-        refine(normalise_longest_side(_plain_sheet(0.0)), TILTED, config=RefineConfig(preset="paper"))
+ORTHOGRAPHIC = Camera(CAMERA.K, CAMERA.R, CAMERA.t, SIZE, SIZE, "orthographic")
 
 
-def test_unusable_images_and_colours_are_refused():
+@pytest.mark.parametrize(
+    ("parts", "words"),
+    [
+        (dict(depth=np.ones((3, 3))), r"depth map has shape \[3, 3\], the mask is 64x64"),
+        (dict(depth=-np.ones((SIZE, SIZE))), "smallest depth is -1, expected 0"),
+        (dict(depth=np.where(MASK > 0.5, 0.0, 2.0)), "no foreground pixel has a depth"),
+        (dict(depth=np.ones((SIZE, SIZE)), camera=ORTHOGRAPHIC), "orthographic, expected perspective"),
+        (dict(image=np.ones((3, 3, 3))), r"image has shape \[3, 3, 3\], the mask is 64x64 .*|expected \[64, 64, 3\]"),
+        (dict(image=np.full((SIZE, SIZE, 3), [0.0, 255.0, 0.0])), "image's values span 0 to 255, expected 0 to 1"),
+    ],
+)
+def test_unusable_depth_maps_and_images_are_refused(parts, words):
+    with pytest.raises(InputError, match=words):
+        View(**(dict(mask=MASK, camera=CAMERA) | parts))
+
+
+def test_what_a_refinement_cannot_use_is_refused():
     points, colours = sheet(3.0)
-    view = View(MASK, CAMERA, image=photo())
-    with pytest.raises(InputError, match=r"image has shape \[3, 3, 3\], the mask is 64x64 .*|expected \[64, 64, 3\]"):
-        View(MASK, CAMERA, image=np.ones((3, 3, 3)))
-    with pytest.raises(InputError, match="image's values span 0 to 255, expected 0 to 1"):
-        View(MASK, CAMERA, image=np.array([0.0, 255.0, 0.0]) * np.ones((SIZE, SIZE, 1)))
-    with pytest.raises(InputError, match="expected a cloud with colours, found none"):
-        refine(points, view)
-    assert "expected a cloud with colours" in str(refine_batch([(points, view)])[0])
-    with pytest.raises(InputError, match="preset best, found points with paper"):
-        refine(points, view, config=RefineConfig(preset="paper"), colours=colours)
-    for bad, words in (
-        (colours[:2], r"colours have shape \[2, 3\], expected \[324, 3\]"),
-        (np.linspace(0, 300, 972).reshape(-1, 3), "colours span 0 to 300, expected 0 to 1"),
-        ("red", "colours are no array of numbers"),
+    view, paper = View(MASK, CAMERA, image=photo()), RefineConfig(preset="paper")
+    for scene, colour, config, words in (
+        (TILTED, None, paper, "a depth map, expected mode points with preset best, found points with paper"),
+        (view, colours, paper, "an image, expected mode points with preset best, found points with paper"),
+        (view, None, None, "expected a cloud with colours, found none"),
+        (view, colours[:2], None, r"colours have shape \[2, 3\], expected \[324, 3\]"),
+        (view, np.linspace(0, 300, 972).reshape(-1, 3), None, "colours span 0 to 300, expected 0 to 1"),
+        (view, "red", None, "colours are no array of numbers"),
     ):
         with pytest.raises(InputError, match=words):
-            refine(points, view, colours=bad)
+            refine(points, scene, config=config, colours=colour)

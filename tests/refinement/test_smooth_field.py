@@ -71,33 +71,6 @@ def test_a_field_descends_in_its_values_at_the_nodes(form, count):
     in_form(form, run)
 
 
-def test_a_translation_is_not_smoothed():
-    for count in (5, 200, NODES + 500):
-        field = SmoothField(_cloud(count))
-        translation = np.array([0.1, -0.2, 0.3])
-        moved = _moved(field, 10.0, np.tile(translation, (len(field.nodes), 1)))
-        np.testing.assert_allclose(moved, np.tile(translation, (count, 1)), atol=1e-5)
-
-
-def test_a_larger_lambda_moves_a_larger_neighbourhood():
-    points = _cloud(400)
-    field = SmoothField(points)
-    distance = np.linalg.norm(points - points[0], axis=1)
-    mean_distances = []
-    for weight in (1.0, 100.0):
-        moved = _moved(field, weight, _peak(field))[:, 0]
-        assert moved[0] == moved.max()
-        assert moved[distance < 0.2].mean() > 1.5 * moved[distance > 0.6].mean() > 0.0
-        mean_distances.append((moved * distance).sum() / moved.sum())
-    assert mean_distances[1] > 1.3 * mean_distances[0]
-
-
-def test_unconnected_parts_move_independently():
-    field = SmoothField(np.concatenate([_cloud(60), _cloud(60, 1) + 100.0]))
-    moved = _moved(field, 10.0, (np.arange(120) < 60)[:, None] * np.ones(3))
-    assert not moved[60:].any()
-
-
 @FORMS
 @pytest.mark.parametrize("count", [300, NODES + 500])
 def test_averages_spread_a_peak_to_its_neighbours_and_keep_a_constant(count, form):

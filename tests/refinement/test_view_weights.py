@@ -11,7 +11,7 @@ from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
 from tso_cli.losses.silhouette import silhouette_of
-from tso_cli.refinement import RefineConfig, refine, refine_batch
+from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.view_weights import ViewWeights, inlier_weights, shared_weights
@@ -147,15 +147,3 @@ def test_of_two_views_neither_is_an_outlier(chair):
     points, _, views = _seen_around("chair")
     bad = View(views[1].mask, _turned(views[1].camera, 40.0))
     assert _inlier_weights(points, [views[0], bad]) == [1.0, 1.0]
-
-
-def test_clouds_of_a_batch_have_the_weights_and_ious_of_each_alone():
-    points, target, views = _seen_around("chair")
-    large = _seen(target, views[3].camera.resized(96, 80))
-    bad = View(views[1].mask, _turned(views[1].camera, 40.0))
-    scenes = [(points, [*views[:3], large]), (points[::2], [views[0], bad, views[2], large])]
-    config = RefineConfig(steps=6)
-    for result, scene in zip(refine_batch(scenes, config), scenes, strict=True):
-        alone = refine(*scene, config=config)
-        assert (result.view_weights, result.view_ious) == (alone.view_weights, alone.view_ious)
-        assert result.iou_after == pytest.approx(np.mean(result.view_ious, 0)[1])

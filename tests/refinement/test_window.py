@@ -1,7 +1,5 @@
 """The window: lengths belong to the object, whatever photo it is in."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,26 +9,23 @@ from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.view import object_box
 from tso_cli.geometry.window import window_of
-from tso_cli.io.clouds import read_cloud
 from tso_cli.lab.studies.evidence_cases import framed
 from tso_cli.refinement import PRESETS
 from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.resampled_view import resample_view
-from tso_cli.scene.load import ViewFiles, load_views
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+from .conftest import example
 
 
-def _example(name):
-    folder = EXAMPLES / name
-    initial, target = (read_cloud(folder / f"{file}.ply").points for file in ("initial", "target"))
-    return initial, target, load_views(ViewFiles([folder / "mask.png"]))[0][0]
+def _of(name):
+    shown = example(name)
+    return shown.points, shown.target, shown.view
 
 
 @pytest.mark.parametrize(("name", "preset"), [("car", "paper"), pytest.param("airplane", "best", marks=pytest.mark.slow)])
 def test_an_object_comes_as_near_to_the_truth_in_a_large_photo_as_in_a_small_one(name, preset):
-    initial, target, view = _example(name)
+    initial, target, view = _of(name)
     config = RefineConfig(preset=preset)
     before = chamfer(initial, target).chamfer
     ratios = [
@@ -55,7 +50,7 @@ def test_the_window_is_a_square_around_mask_and_cloud():
 
 
 def test_a_few_outliers_do_not_widen_the_window():
-    initial, _, view = _example("chair")
+    initial, _, view = _of("chair")
     photo = framed(view, 8, 0.5, 0.3)
     stray = np.vstack([initial, initial.mean(0) + [1.5, 0.0, 0.0]])
     np.testing.assert_allclose(window_of(photo, stray), window_of(photo, initial), atol=4.0)
@@ -90,7 +85,7 @@ def test_only_the_borders_of_the_image_truncate_an_object():
 
 
 def test_the_window_follows_a_cloud_that_starts_far_from_its_mask():
-    _, target, view = _example("chair")
+    _, target, view = _of("chair")
     photo = framed(view, 4, 0.5, 0.3)
     start = target + [0.0, 0.3, 0.0] @ view.camera.R
     item = Problem.of(Cloud(start, "points"), (photo,), RefineConfig(symmetry="none").settings())
@@ -101,7 +96,7 @@ def test_the_window_follows_a_cloud_that_starts_far_from_its_mask():
 
 @pytest.mark.slow
 def test_a_refinement_ends_in_the_window_of_its_result_on_the_grid_that_its_mask_bears():
-    _, target, view = _example("chair")
+    _, target, view = _of("chair")
     photo = framed(view, 4, 0.5, 0.3)
     start = target + [0.0, 0.3, 0.0] @ view.camera.R
     result = refine(start, photo, config=RefineConfig(symmetry="none"))
@@ -116,7 +111,7 @@ def test_a_refinement_ends_in_the_window_of_its_result_on_the_grid_that_its_mask
 
 
 def test_stray_foreground_far_from_the_object_is_left_out_with_a_warning():
-    initial, target, view = _example("car")
+    initial, target, view = _of("car")
     photo = framed(view, 4, 0.5, 0.3)
     mask = photo.mask.copy()
     mask[-40:-38, 30:32] = 1.0
