@@ -58,7 +58,7 @@ ABLATION = {
     DEFAULT: POINTS[DEFAULT],
     "no mirror plane": POINTS[NO_SYMMETRY],
     "no smoothing": _made(stages=tuple(replace(stage, smoothness=0.0) for stage in BEST.stages)),
-    "one stage": _made(stages=(Stage(10.0, 3.0, 1.0, fine_grid=True),)),
+    "one stage": _made(stages=(Stage(10.0, 3.0, fine_grid=True),)),
     "64 cells in the last stage too": _made(stages=tuple(replace(stage, fine_grid=False) for stage in BEST.stages)),
     "anchor by the whole cloud alone": _made(local_prior=False),
     "no anchor": _made(prior_weight=0.0, least_prior_weight=0.0),
