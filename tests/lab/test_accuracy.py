@@ -38,7 +38,7 @@ def test_an_ablation_changes_one_ingredient_of_the_preset_at_a_time():
         differing = {key for key, value in vars(recipe).items() if value != getattr(BEST, key)}
         no_prior = {"least_prior_weight", "most_prior_weight", "prior_weight"}
         assert len(differing) == 1 or differing in (no_prior, {"truncated_prior", "unobserved_motion"}), name
-        # A far start is held by the least anchor in any case; a car has no thin parts, is seen whole, and its points lie
+        # A far start has the least prior weight in any case; a car has no thin parts, is seen whole, and its points lie
         # evenly; the other rows show at once.
         if differing & {"stages", "per_cloud_adam"}:
             assert np.abs(moved(variant.config) - plain).max() > 1e-4, name

@@ -24,6 +24,7 @@ from tso_cli.lab.commands.bench import PARTS
 from tso_cli.lab.study import answer
 from tso_cli.silhouette.chamfer import ChamferToInitial
 
+from ..training import make_known
 from .studying import tso
 
 CPU = torch.device("cpu")
@@ -264,6 +265,7 @@ def run(*arguments):
 
 
 def test_the_command_writes_record_and_chart_and_overwrites_nothing(tmp_path, capsys, monkeypatch):
+    make_known(monkeypatch)
     assert set(PARTS) == set(speed.PARTS)
     monkeypatch.setitem(speed.PARTS, "terms", lambda setting: refinement.terms(setting, 64, 16))
     output = tmp_path / "speed.json"

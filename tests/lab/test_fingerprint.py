@@ -56,8 +56,8 @@ def test_another_method_has_another_fingerprint(part, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", ["points, paper", "points, best", "training"])
 @pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("part", ["points, paper", "network modes", "training"])
 def test_the_same_method_has_the_same_fingerprint_in_plain_and_in_compiled_loops(part, compiled, monkeypatch):
     record = of_today(part)
     for module in (splat, nearest, projection, affinity, bce, chamfer, mask_chamfer):

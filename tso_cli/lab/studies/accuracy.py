@@ -101,7 +101,7 @@ def judge_group(cases: list[Case], variants: dict[str, Variant], device: str, ne
     """Refine cases of one kind and category with every variant; the first ``timed`` once more, alone, for the time."""
     records: Cases = []
     for case in cases:
-        names = {key: getattr(case, key) for key in ("kind", "category", "shape", "view", "start")}
+        names = {key: getattr(case, key) for key in ("kind", "category", "shape", "view")}
         before = rounded({**_scores(case.initial, case), "floor": case.floor})
         records.append({**names, "before": before, "variants": {}})
     for name, variant in variants.items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -29,28 +29,27 @@ ALL = "all"
 """In place of a category: all of the study's at once."""
 
 
+@dataclass(eq=False)
 class Material:
     """Training data of each category and of all together, and the same for the shapes of ``part`` of a split, to judge on.
 
     ``limit`` : at most so many training shapes of each category. Raises InputError where the split or ``meshes`` lacks a shape.
     """
 
-    def __init__(
-        self,
-        meshes: Path,
-        split: Path | None,
-        part: str,
-        categories: Sequence[str],
-        limit: int | None = None,
-        seed: int = 0,
-        report: Report | None = None,
-    ) -> None:
-        self.categories, self._part, self._seed, self._report = categories, part, seed, report
+    meshes: Path
+    split: Path | None
+    part: str
+    categories: Sequence[str]
+    limit: int | None = None
+    seed: int = 0
+    report: Report = lambda what, done, total: None
+    _rendered: dict[tuple[str, bool], list[ObjectItem]] = field(init=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
         self._shapes = {
-            True: shapes_of_part(meshes, split, "train", categories, limit),
-            False: shapes_of_part(meshes, split, part, categories),
+            True: shapes_of_part(self.meshes, self.split, "train", self.categories, self.limit),
+            False: shapes_of_part(self.meshes, self.split, self.part, self.categories),
         }
-        self._rendered: dict[tuple[str, bool], list[ObjectItem]] = {}
 
     def counts(self) -> dict[str, dict[str, int]]:
         """{category: {"training", "judged"}}, numbers of shapes."""
@@ -69,17 +68,16 @@ class Material:
         if dense:
             paths = {shape.name: shape.path for shape in self._shapes[training]}
             objects = [replace(item, target=partial(_dense, paths[item.name])) for item in objects]
-        return TrainingData(objects, f"{len(objects)} meshes, {'train' if training else self._part}: {category}")
+        return TrainingData(objects, f"{len(objects)} meshes, {'train' if training else self.part}: {category}")
 
     def _items(self, category: str, training: bool) -> list[ObjectItem]:
         if (category, training) not in self._rendered:
             settings = RenderSettings(views=TRAINING_VIEWS if training else TEST_VIEWS, size=(SIZE, SIZE))
             shapes, items = [shape for shape in self._shapes[training] if shape.category == category], []
             for done, shape in enumerate(shapes, 1):
-                seen = see(shape, settings, self._seed)
+                seen = see(shape, settings, self.seed)
                 items.append(rendered_object(shape.name, category, seen.views, seen.target.astype(np.float32)))
-                if self._report:
-                    self._report(f"rendering {category}", done, len(shapes))
+                self.report(f"rendering {category}", done, len(shapes))
             self._rendered[category, training] = items
         return self._rendered[category, training]
 

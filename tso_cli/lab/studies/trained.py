@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -84,8 +83,8 @@ class Comparison:
     def plan(self, progress: Progress, *, categories: tuple[str, ...], full: bool, **options: Any) -> Plan:
         """Train and judge the network of each setting; the parameters are `OPTIONS`.
 
-        The cases: {"setting", "category", "seconds", "judged": {category: Chamfer distance x1000}, ...}. Raises InputError if a
-        shape is missing.
+        The cases: {"setting", "category", "judged": {category: Chamfer distance x1000}, ...}. Raises InputError if a shape is
+        missing.
         """
         categories = categories or (self.full if full else self.reduced)
         limit = options["limit"] or (None if full else 32)
@@ -120,11 +119,9 @@ class Comparison:
             return [{**case, "judged": judge(constant_answer(data, unseen, budget["frame"]))}]
         common = {**budget, "seed": budget["seed"] + setting.repeat, "balance": setting.category == ALL}
         config = TrainConfig(**{**common, **setting.changes})
-        begun = time.perf_counter()
         result = _train(data, config, setting.projection, progress, doing)
-        seconds = time.perf_counter() - begun
         predicted = predict(result.network, unseen, config.frame)
-        return [{**case, "seconds": seconds, "judged": judge(predicted), **self.measure(predicted, unseen)}]
+        return [{**case, "judged": judge(predicted), **self.measure(predicted, unseen)}]
 
 
 def _train(data: TrainingData, config: TrainConfig, projection: str, progress: Progress, doing: str) -> TrainResult:
