@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tso_cli.datasets.rendered import write_object
 from tso_cli.errors import InputError
 from tso_cli.io.checkpoints import save_network
 from tso_cli.io.logs import read_log
@@ -16,6 +15,7 @@ from tso_cli.train import train
 from tso_cli.train.data import TrainingData
 from tso_cli.train.state import write_history
 
+from ..train.conftest import write
 from ..training import config, make_objects, make_thin
 
 
@@ -94,20 +94,18 @@ def test_the_command_draws_samples_spread_over_the_data_beside_the_curves(monkey
     make_thin(monkeypatch)
     objects = make_objects(3, 2)
     for item in objects:
-        pictures = [(*view.load(), view.camera) for view in item.views]
-        shown = [(image, np.rint(255 * mask).astype(np.uint8), camera) for image, mask, camera in pictures]
-        write_object(tmp_path / "data" / item.name, shown, item.target(), item.target()[:256], {})
+        write(tmp_path / "data", item)
     result = train(TrainingData(objects, "three boxes"), config(steps=1))
     save_network(tmp_path / "net.safetensors", result.network, result.config)
     write_history(tmp_path / "log.jsonl", [tuple(row) for row in result.history], result.config)
-    output = tmp_path / "curves.png"
-    asked = ["--checkpoint", tmp_path / "net.safetensors", "--data", tmp_path / "data", "--samples", 2]
-    assert "2 samples" in tso("curves", tmp_path / "log.jsonl", "-o", output, *asked).out
+    network = ("--checkpoint", tmp_path / "net.safetensors")
+    asked = (tmp_path / "log.jsonl", "-o", tmp_path / "curves.png", *network, "--data", tmp_path / "data", "--samples", 2)
+    assert "2 samples" in tso("curves", *asked).out
     samples = sample_predictions(result.network, TrainingData(objects, "three boxes"), "view", 2)
     assert [sample.name for sample in samples] == ["box0", "box2"]
     assert samples[0].points.shape == (64, 3) and samples[0].chamfer > 0.0
     with Image.open(tmp_path / "curves.samples.png") as picture:
         assert picture.size[0] > 800
-    alone = tso("curves", tmp_path / "log.jsonl", "-o", tmp_path / "other.png", "--checkpoint", tmp_path / "net.safetensors")
+    alone = tso("curves", tmp_path / "log.jsonl", "-o", tmp_path / "other.png", *network)
     assert "expected --checkpoint and --data together" in alone.refusal
     assert not (tmp_path / "other.png").exists()

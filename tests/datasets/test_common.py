@@ -5,7 +5,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-import open3d  # noqa: F401  pictures are made by casting rays
 import pytest
 from PIL import Image
 

@@ -1,7 +1,6 @@
 """Recognising layouts, and the files that say what is for training."""
 
 import numpy as np
-import open3d  # noqa: F401  pictures are made by casting rays
 import pytest
 
 from tests.corruption import assert_refused

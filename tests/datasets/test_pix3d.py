@@ -1,7 +1,6 @@
 """Pix3D: photos with masks, aligned models and cameras."""
 
 import numpy as np
-import open3d  # noqa: F401  pictures are made by casting rays
 import pytest
 from PIL import Image
 

