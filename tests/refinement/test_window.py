@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tso_cli.lab.studies.evidence_cases import framed
 
 from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.view import object_box
 from tso_cli.geometry.window import window_of
-from tso_cli.lab.studies.evidence_cases import framed
 from tso_cli.refinement import PRESETS
 from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.problem import Problem
