@@ -11,7 +11,6 @@ from tso_cli.lab.studies.discretised import (
     PLAIN,
     depth_loss,
     discrete_depth,
-    discrete_mask,
     projected_objective,
     silhouette_sums,
 )
@@ -52,12 +51,6 @@ def test_a_depth_map_shows_the_nearest_point_of_a_pixel_and_the_last_of_a_cell(u
     np.testing.assert_allclose(depth.numpy(), expected, rtol=1e-12)
     np.testing.assert_array_equal(hit.numpy(), expected > 0.0)
     assert hit[0].any() and not hit[2].any()
-
-
-def test_the_discretised_mask_marks_the_pixels_that_points_are_rounded_to():
-    points, depth, valid = scattered(60)
-    expected = [depth_by_loops(points[i].numpy(), depth[i].numpy(), valid[i].numpy(), 1) > 0.0 for i in range(3)]
-    np.testing.assert_array_equal(discrete_mask(points, valid, HEIGHT, WIDTH).numpy(), np.stack(expected))
 
 
 def test_only_the_depth_of_the_nearest_point_has_a_derivative():

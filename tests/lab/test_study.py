@@ -193,7 +193,7 @@ COMMANDS: dict[str, tuple[tuple[Any, ...], int, tuple[str, ...]]] = {
     "accuracy": ((*CARS, "--kind", "other", "--kind", "right", "--views", 1), 1, ("made worse", "floor")),
     "evidence": (("--question", "wrong", "--views", 1), 1, ("four right views; paper", "Wrong views")),
     "tso": ((*CARS, *CHAIRS, "--views", 1, "--steps", 1), 1, ("4.64", "-5.82", "E and D", "occluded", "chair", "hold")),
-    "pose": (("--views", 1), 4, (pose.TRUE,)),
+    "pose": (("--views", 1), 3, (pose.TRUE,)),
     "network": ((*CARS, *CHAIRS), 3, ("validation", "Chamfer x1000")),
     "sigma": (("--views", 1), 1, ("best sigma^2", "the paper's")),
     "supervision": ((*TINY, *CARS, *CHAIRS), 1, ("1 steps of 2", "canonical frame")),
@@ -222,6 +222,7 @@ def test_each_command_writes_record_chart_and_page_and_resumes_to_the_same_cases
         arguments = (*arguments, "--checkpoint", checkpoint)
     monkeypatch.setattr(accuracy, "variants_of", lambda kind, ablation: QUICK)
     monkeypatch.setattr(pose, "CATEGORIES", ("car",))
+    monkeypatch.setattr(pose, "kinds_of", lambda category, kinds: ["other"])
     row = refining.Variant(RefineConfig(steps=3), 4)
     rows = {"four right views; paper": (evidence.unaltered, row), "part": (partial(evidence.without, part="side"), row)}
     monkeypatch.setattr(evidence, "QUESTIONS", {"wrong": evidence.Question("Wrong views", ("other",), rows, ("car", "chair"))})

@@ -82,7 +82,7 @@ def test_networks_are_judged_under_the_papers_protocol_which_ignores_scale_and_p
     half = cloud[cloud[:, 0] < 0.0]
 
     def judged(points: np.ndarray) -> dict[str, float]:
-        return judge([Predicted(0, "a", "box", points[None], cloud[None], "canonical")])
+        return judge([Predicted(0, "box", points[None], cloud[None], "canonical")])
 
     assert judged(cloud * 0.5 + 0.1) == {"box": pytest.approx(0.0, abs=1e-9)}
     assert judged(half * 0.5) == pytest.approx(judged(half))

@@ -15,10 +15,9 @@ from ...evaluation.metrics import chamfer
 from ...geometry.camera import CANONICAL_ROTATION, Camera
 from ...geometry.points import Array, farthest_point_sample, sample_surface
 from ...geometry.view import View
-from ...io.meshes import read_mesh
 from ...io.shipped import CATEGORIES
 from ...network.model import BaseNetwork, NetworkConfig
-from ...render import RayScene, RenderSettings, fitting_distance, look_at, normalise, render_view, sample_cameras
+from ...render import RayScene, RenderSettings, fitting_distance, look_at, render_view, sample_cameras
 from ...scene.network import network_scene
 from .shapes import Shape, shape_type, shapes_of_part
 
@@ -87,7 +86,7 @@ class CaseBuilder:
 
     def cases(self, shape: Shape, kind: str) -> list[Case]:
         """The cases of one shape, one for each of the views."""
-        mesh = normalise(read_mesh(shape.path))
+        mesh = shape.mesh()
         rng = self._rng(shape, "truth")
         dense, resampled = (sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng) for _ in range(2))
         target, initial = _subset(dense, self.points), _subset(resampled, self.points)
@@ -114,7 +113,7 @@ class CaseBuilder:
         if shape.category not in self._starts:
             starts = self._starts[shape.category] = []
             for training in shapes_of_part(self.folder, self.split_file, "train", [shape.category]):
-                mesh = normalise(read_mesh(training.path))
+                mesh = training.mesh()
                 samples = sample_surface(mesh.vertices, mesh.faces, SAMPLES, self._rng(training, "truth"))
                 starts.append((training, samples, _subset(samples, JUDGED)))
         object_type = shape_type(shape.path.stem)

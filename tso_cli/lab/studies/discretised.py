@@ -16,20 +16,9 @@ from ...train.step import Objective
 
 UPSAMPLING = 5
 """U of the paper's comparison."""
-GAUSSIAN, PLAIN, DEPTH = "gaussian", "plain", "depth"
+PLAIN, DEPTH = "plain", "depth"
 # The sum s whose tanh is 0.999: a wrong pixel costs -log 0.001, not infinity.
 FILLED = 3.8002
-
-
-def discrete_mask(points_px: Tensor, valid: Tensor, height: int, width: int) -> Tensor:
-    """The plain discretised projection [M, height, width]: 1 where a point is rounded to; without gradient.
-
-    points_px : [M, N, 2] column and row of each point, in pixels (a pixel reaches half a pixel around whole numbers).
-    valid : [M, N] bool; points that are False leave no mark.
-    """
-    cell, inside = _cells(points_px, valid, height, width, 1)
-    marks = points_px.new_zeros(len(points_px), height * width).scatter_reduce_(1, cell, inside.to(points_px.dtype), "amax")
-    return marks.view(-1, height, width)
 
 
 def discrete_depth(
@@ -39,7 +28,8 @@ def discrete_depth(
 
     A cell of the finer grid keeps the last of its points, whatever their depths: a finer grid makes such collisions rare.
 
-    points_px, valid, height, width : as in `discrete_mask`; ``depth`` : [M, N], above 0 where valid.
+    points_px : [M, N, 2] column and row of each point, in pixels (a pixel reaches half a pixel around whole numbers).
+    valid : [M, N] bool; points that are False leave no mark. depth : [M, N], above 0 where valid.
 
     Returns depths [M, height, width], 0 where no point falls, each differentiable by that of the point it shows; and whether a
     point falls there.
@@ -64,10 +54,10 @@ def _cells(points_px: Tensor, valid: Tensor, height: int, width: int, upsampling
 
 
 def silhouette_sums(projected: Projected, cameras: CameraBatch) -> Tensor:
-    """Sums [B, V, H, W] whose tanh is the plain discretised projection; without gradient."""
-    points_px, valid = projected
-    marks = discrete_mask(points_px.flatten(0, 1), valid.flatten(0, 1), cameras.height, cameras.width)
-    return FILLED * marks.unflatten(0, points_px.shape[:2])
+    """Sums [B, V, H, W] whose tanh is the plain discretised projection, 1 where a point is rounded to; without gradient."""
+    points_px, valid = projected.points_px.detach().flatten(0, 1), projected.valid.flatten(0, 1)
+    hit = discrete_depth(points_px, torch.ones_like(points_px[..., 0]), valid, cameras.height, cameras.width, upsampling=1)[1]
+    return FILLED * hit.to(points_px.dtype).unflatten(0, projected.valid.shape[:2])
 
 
 def depth_loss(points: Tensor, batch: Batch) -> Tensor:

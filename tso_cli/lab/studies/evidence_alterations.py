@@ -14,9 +14,9 @@ from ...geometry.camera import Camera
 from ...geometry.points import Array, farthest_point_sample, sample_surface
 from ...geometry.rotations import from_vectors
 from ...geometry.view import View
-from ...io.meshes import Mesh, read_mesh
+from ...io.meshes import Mesh
 from ...refinement.symmetry import find_mirror_plane
-from ...render import RayScene, fitting_distance, look_at, normalise, render_view
+from ...render import RayScene, fitting_distance, look_at, render_view
 from ...render.rays import AMBIENT, RAYS_ACROSS
 from .cases import SAMPLES, Case
 from .shapes import Shape
@@ -50,7 +50,7 @@ class Truth:
 
     @cached_property
     def mesh(self) -> Mesh:
-        return normalise(read_mesh(self.shape.path))
+        return self.shape.mesh()
 
     @cached_property
     def scene(self) -> RayScene:
@@ -58,7 +58,7 @@ class Truth:
 
     @cached_property
     def other_scene(self) -> RayScene | None:
-        return None if self.other is None else RayScene(normalise(read_mesh(self.other.path)))
+        return None if self.other is None else RayScene(self.other.mesh())
 
 
 Alter = Callable[[Case, Truth, Rng], Case | None]

@@ -65,12 +65,11 @@ def _network_modes() -> Numbers:
 def _camera_fit() -> Numbers:
     """The fitted camera of the true aeroplane, and its own camera turned by 10 degrees and corrected."""
     scene = load_points_scene(PLANE / "target.ply", PLANE / "mask.png")
-    fitted, camera = fit_camera(scene.points, scene.view.mask), scene.view.camera
+    points, view, camera = scene.points, scene.view, scene.view.camera
     tilt = from_vectors(np.radians(10.0) * np.array([0.6, 0.64, 0.48]))
-    turned = View(silhouette_of(scene.points, camera), replace(camera, R=tilt @ camera.R))
-    corrected = refine(scene.points, turned, config=RefineConfig(refine_camera=True)).cameras[0]
-    degrees = float(angle_between(corrected.R, camera.R))
-    return {"IoU": fitted.iou, "distance": float(fitted.camera.t[2]), "corrected: degrees": degrees}
+    turned = View(silhouette_of(points, camera), replace(camera, R=tilt @ camera.R))
+    corrected = refine(points, turned, config=RefineConfig(refine_camera=True)).cameras[0]
+    return {"IoU": fit_camera(points, view.mask).iou, "degrees": float(angle_between(corrected.R, camera.R))}
 
 
 def _training() -> Numbers:

@@ -41,7 +41,6 @@ class Predicted:
     """
 
     index: int
-    name: str
     category: str
     points: Array
     target: Array
@@ -58,7 +57,7 @@ def predict(network: BaseNetwork | None, data: TrainingData, frame: str) -> list
         with torch.no_grad():
             points = network(images) if network else images.new_empty(len(images), 0, 3)
         clouds, targets = points.cpu().numpy().astype(np.float64), np.stack(batch.targets).astype(np.float64)
-        predicted.append(Predicted(index, item.name, item.category, clouds, targets, frame))
+        predicted.append(Predicted(index, item.category, clouds, targets, frame))
     return predicted
 
 

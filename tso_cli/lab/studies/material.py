@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from ...datasets.items import ObjectItem
 from ...geometry.points import sample_surface
-from ...io.meshes import read_mesh
-from ...render import RenderSettings, normalise
+from ...render import RenderSettings
 from ...train.data import TrainingData
 from ...train.sources import rendered_object
 from ..study import Report
-from .shapes import see, shapes_of_part
+from .shapes import Shape, see, shapes_of_part
 
 # Pictures are larger than the network's input, so that cutting it out of them blurs nothing.
 TRAINING_VIEWS, TEST_VIEWS, SIZE = 24, 8, 96
@@ -66,8 +65,8 @@ class Material:
         names = self.categories if category == ALL else (category,)
         objects = [item for name in names for item in self._items(name, training)]
         if dense:
-            paths = {shape.name: shape.path for shape in self._shapes[training]}
-            objects = [replace(item, target=partial(_dense, paths[item.name])) for item in objects]
+            shapes = {shape.name: shape for shape in self._shapes[training]}
+            objects = [replace(item, target=partial(_dense, shapes[item.name])) for item in objects]
         return TrainingData(objects, f"{len(objects)} meshes, {'train' if training else self.part}: {category}")
 
     def _items(self, category: str, training: bool) -> list[ObjectItem]:
@@ -82,6 +81,6 @@ class Material:
         return self._rendered[category, training]
 
 
-def _dense(path: Path) -> NDArray[np.float32]:
-    mesh = normalise(read_mesh(path))
+def _dense(shape: Shape) -> NDArray[np.float32]:
+    mesh = shape.mesh()
     return sample_surface(mesh.vertices, mesh.faces, DENSE, np.random.default_rng(0)).astype(np.float32)

@@ -33,12 +33,15 @@ class Shape:
     def category(self) -> str:
         return self.name.split("/")[0]
 
+    def mesh(self) -> Mesh:
+        """Longest side 1, centred."""
+        return normalise(read_mesh(self.path))
+
 
 @dataclass(frozen=True, eq=False)
-class SeenShape:
-    """A shape (longest side 1, centred), ``target`` [1024, 3] float64 of its surface, and rendered views."""
+class RenderedShape:
+    """A shape, ``target`` [1024, 3] float64 of its surface, and rendered views."""
 
-    mesh: Mesh
     scene: RayScene
     target: Array
     views: list[RenderedView]
@@ -87,14 +90,14 @@ def shape_type(stem: str) -> str:
     return "_".join(parts[:2]) if parts[0] == "fg" and len(parts) > 2 else stem
 
 
-def see(shape: Shape, settings: RenderSettings, seed: int) -> SeenShape:
+def see(shape: Shape, settings: RenderSettings, seed: int) -> RenderedShape:
     """Render a shape; everything random depends on ``seed`` and its name alone, not on what else is studied."""
     rng = np.random.default_rng([seed, zlib.crc32(shape.name.encode())])
-    mesh = normalise(read_mesh(shape.path))
+    mesh = shape.mesh()
     target = ground_truth(mesh, settings, rng)[1].astype(np.float64)
     scene = RayScene(mesh)
     views = [render_view(scene, camera, rng) for camera in sample_cameras(settings, mesh.vertices, rng)]
-    return SeenShape(mesh, scene, target, views)
+    return RenderedShape(scene, target, views)
 
 
 def view_aligned_network(checkpoint: Path) -> tuple[BaseNetwork, NetworkConfig]:

@@ -14,7 +14,7 @@ from ...losses.silhouette import silhouette_of
 from ...plots.style import COLOURS, page
 from ...render import RenderSettings
 from ..study import CATEGORY, COMMON, Cases, Option, Plan, Progress, Record, Study, Table, claim, part
-from .shapes import SeenShape, Shape, see, shapes_of_part
+from .shapes import RenderedShape, Shape, see, shapes_of_part
 from .summary import grouped
 
 # From 0.05 to 3.2 px^2 in steps of the square root of two.
@@ -49,7 +49,7 @@ def plan(
     return Plan(settings, [({"shape": shape.name}, partial(judge, shape)) for shape in shapes], "projecting")
 
 
-def mask_errors(seen: SeenShape, sigmas: Sequence[float] = SIGMAS) -> dict[str, list[float]]:
+def mask_errors(seen: RenderedShape, sigmas: Sequence[float] = SIGMAS) -> dict[str, list[float]]:
     """Mean over pixels and views of what the true silhouette lacks, has too much, and both, for each sigma^2."""
     errors = np.zeros((2, len(sigmas)))
     for view in seen.views:

@@ -19,7 +19,7 @@ from ...train.data import TrainingData
 from ...train.state import TrainingState, load_training, save_training, state_path
 from ..charts.bars import Rows, draw_bars
 from ..study import DEVICE, MESHES, SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table, part
-from .discretised import DEPTH, GAUSSIAN, projected_objective
+from .discretised import DEPTH, projected_objective
 from .judging import CONVENTION, JUDGED_VIEWS, Predicted, constant_answer, judge, predict
 from .material import ALL, Material
 from .shapes import SPLIT as SHIPPED_SPLIT
@@ -53,14 +53,14 @@ class Setting:
     name : in tables; unique among the settings of a category.
     category : to train and judge on; `ALL` for all categories of the study, each equally often.
     changes : fields of `train.TrainConfig` in which it differs from the others.
-    projection : "gaussian" (the paper's), "plain" or "depth" of `discretised`.
+    projection : "plain" or "depth" of `discretised`; empty for the paper's.
     constant : judge the mean training shape instead of a network. repeat : is added to the seed.
     """
 
     name: str
     category: str
     changes: dict[str, Any] = field(default_factory=dict)
-    projection: str = GAUSSIAN
+    projection: str = ""
     constant: bool = False
     repeat: int = 0
 
@@ -141,7 +141,7 @@ def _train(data: TrainingData, config: TrainConfig, projection: str, progress: P
         data,
         config,
         state,
-        objective=None if projection == GAUSSIAN else projected_objective(config, projection),
+        objective=projected_objective(config, projection) if projection else None,
         progress=lambda done, total, note: progress.report(doing, done, total),
         save=save,
         save_every=SAVE_EVERY,

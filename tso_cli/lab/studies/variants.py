@@ -24,7 +24,7 @@ from ...scene.network import network_scene
 from ..charts.ratios import Panel, draw_ratios
 from ..study import CATEGORY, CHECKPOINT, COMMON, DEVICE, Cases, Option, Plan, Progress, Record, Study, Table, claim, part
 from .refining import uninterrupted
-from .shapes import SeenShape, Shape, see, shapes_of_part, view_aligned_network, weights_hash
+from .shapes import RenderedShape, Shape, see, shapes_of_part, view_aligned_network, weights_hash
 from .summary import grouped, interval, ratio_figures
 
 VARIANTS = ("encoder", "encoder-decoder", "points")
@@ -84,7 +84,7 @@ def plan(
 
 
 def judge_view(
-    shape: Shape, seen: SeenShape, number: int, network: BaseNetwork, about: NetworkConfig, config: RefineConfig
+    shape: Shape, seen: RenderedShape, number: int, network: BaseNetwork, about: NetworkConfig, config: RefineConfig
 ) -> Record:
     """Predict from one picture, refine with every variant, and measure all four clouds."""
     picture = seen.views[number]
