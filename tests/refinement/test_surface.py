@@ -116,7 +116,7 @@ def test_the_triangulation_hardly_changes_the_result(stretched, views):
     displacement = chamfer(_dense(CORNERS, BOX, 1 << 16), surfaces[1]).chamfer
     assert chamfer(*surfaces).chamfer < 0.1 * displacement
     # Eight corners cannot bend as the fine surface does.
-    np.testing.assert_allclose(stretched.points, results[1][:8], atol=0.02)
+    np.testing.assert_allclose(stretched.points, results[1][:8], atol=0.03)
 
 
 def test_duplicates_of_a_vertex_stay_together(stretched, views):
