@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.losses.scenes import block
 from tests.painted import CAMERA, MASK, SIZE, photo, sheet
 from tso_cli import Camera, RefineConfig, refine
 from tso_cli.errors import InputError
@@ -30,16 +31,14 @@ def _plain_sheet(slope: float) -> np.ndarray:
 
 def test_a_depth_map_is_resampled_without_averaging_across_edges():
     depth = np.where(np.arange(256) < 130, 2.0, 3.0)[None].repeat(256, 0)
-    mask = np.zeros((256, 256), np.float32)
-    mask[64:192, 64:192] = 1.0
+    mask = block(np.s_[64:192, 64:192], (256, 256))
     resampled = resample_view(View(mask, Camera.canonical(256, 256), depth=depth), 0.4, np.zeros(3), 2.0)
     assert resampled.depth.shape == (64, 64)
     assert set(np.unique(resampled.depth)) == {1.0, 1.5}
 
 
 def test_a_resampled_image_averages_the_known_foreground_alone():
-    mask = np.zeros((256, 256), np.float32)
-    mask[64:192, 66:192] = 1.0
+    mask = block(np.s_[64:192, 66:192], (256, 256))
     image = np.where(mask[..., None] > 0.5, [0.2, 0.4, 0.6], 1.0)
     known = np.ones((256, 256), bool)
     image[100:110, 100:110], known[100:110, 100:110] = 0.0, False

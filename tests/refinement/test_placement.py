@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.losses.scenes import block
 from tso_cli.errors import InputError
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
@@ -12,9 +13,7 @@ from tso_cli.refinement.placement import box_iou, place, require_overlap
 
 
 def _square(left: int, top: int, side: int, size: int = 64) -> np.ndarray:
-    mask = np.zeros((size, size), np.float32)
-    mask[top : top + side, left : left + side] = 1.0
-    return mask
+    return block(np.s_[top : top + side, left : left + side], (size, size))
 
 
 @pytest.fixture
