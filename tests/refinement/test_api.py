@@ -7,6 +7,7 @@ import pytest
 import torch
 
 import tso_cli
+from tests.losses.scenes import block
 from tso_cli.errors import InputError, TsoError
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.camera import Camera
@@ -197,8 +198,7 @@ def test_a_pole_thinner_than_a_cell_of_the_window_moves_onto_its_mask():
     rng = np.random.default_rng(0)
     pole = rng.uniform(-1.0, 1.0, (300, 3)) * [0.005, 0.5, 0.005]
     rows = np.arange(20, 236)
-    mask = np.zeros((256, 256), np.float32)
-    mask[rows, rows // 6 + 106] = 1.0
+    mask = block(np.s_[rows, rows // 6 + 106], (256, 256))
     camera = Camera.canonical(256, 256)
     result = refine(pole, mask, camera)
     errors = []

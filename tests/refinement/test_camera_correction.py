@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.losses.common import FORMS, assert_equal, assert_gradient, in_form
+from tests.losses.scenes import block
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.rotations import angle_between, from_vectors
 from tso_cli.geometry.view import View
@@ -27,8 +28,7 @@ TURNS_AND_SHIFTS = np.array([[0.02, -0.03, 0.01], [0.01, 0.02, -0.01], [0.4, -0.
 
 def _resampled(model: str, centre: np.ndarray, scale: float) -> tuple[View, ResampledView]:
     """A view in the units of a file, and as clouds normalised by ``(X - centre) / scale`` are compared with it."""
-    mask = np.zeros((64, 64), np.float32)
-    mask[20:45, 22:40] = 1.0
+    mask = block(np.s_[20:45, 22:40])
     camera = Camera.canonical(64, 64)
     K = camera.K if model == "perspective" else np.array([[60.0 / scale, 0, 31.5], [0, 60.0 / scale, 31.5], [0, 0, 1.0]])
     view = View(mask, replace(camera, K=K, t=scale * camera.t - camera.R @ centre, model=model))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.losses.common import assert_gradient
+from tests.losses.scenes import block
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
 from tso_cli.losses.silhouette import silhouette_of
@@ -133,8 +134,7 @@ def test_a_part_that_fits_badly_is_held_less_than_the_rest():
     """A sheet whose right third lies beside the mask."""
     x, y = np.meshgrid(np.linspace(-0.3, 0.3, 24), np.linspace(-0.2, 0.2, 16))
     sheet = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
-    mask = np.zeros((64, 64), np.float32)
-    mask[19:45, 13:38] = 1.0
+    mask = block(np.s_[19:45, 13:38])
     weights = _prior(sheet, View(mask, Camera.canonical(64, 64)), least_prior_weight=0.0)[0].weights
     assert weights[sheet[:, 0] > 0.25].max() < 0.5 * weights[sheet[:, 0] < 0.0].min()
     even = _prior(sheet, View(mask, Camera.canonical(64, 64)), least_prior_weight=0.0, local_prior=False)[0].weights
@@ -146,8 +146,7 @@ def test_parts_that_the_pixels_do_not_resolve_have_no_resolvability():
     post = np.random.default_rng(0).uniform([-0.1, -0.3, -0.1], [0.1, 0.1, 0.1], (400, 3))
     aerial = np.stack([np.zeros(60), np.linspace(0.12, 0.5, 60), np.zeros(60)], 1)
     points = np.concatenate([post, aerial])
-    mask = np.zeros((64, 64), np.float32)
-    mask[4:60, 20:44] = 1.0
+    mask = block(np.s_[4:60, 20:44])
     _, targets = _prior(points, View(mask, Camera.canonical(64, 64)))
     initial = Cloud(points, "points").normalised()
     (resolved,) = targets.resolvability(initial, SmoothField(initial))

@@ -5,13 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.losses.scenes import block
 from tests.painted import CAMERA, MASK, SIZE, photo, sheet
 from tso_cli import Camera, RefineConfig, refine
 from tso_cli.errors import InputError
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.view import View
+from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.objective import MaskChamferObjective, ViewTargets
+from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.resampled_view import resample_view
+from tso_cli.refinement.run import _photos
 
 CONFIG = RefineConfig(steps=45, symmetry="none")
 ACROSS = (np.arange(SIZE) - 31.5) / 120.0
@@ -27,16 +31,14 @@ def _plain_sheet(slope: float) -> np.ndarray:
 
 def test_a_depth_map_is_resampled_without_averaging_across_edges():
     depth = np.where(np.arange(256) < 130, 2.0, 3.0)[None].repeat(256, 0)
-    mask = np.zeros((256, 256), np.float32)
-    mask[64:192, 64:192] = 1.0
+    mask = block(np.s_[64:192, 64:192], (256, 256))
     resampled = resample_view(View(mask, Camera.canonical(256, 256), depth=depth), 0.4, np.zeros(3), 2.0)
     assert resampled.depth.shape == (64, 64)
     assert set(np.unique(resampled.depth)) == {1.0, 1.5}
 
 
 def test_a_resampled_image_averages_the_known_foreground_alone():
-    mask = np.zeros((256, 256), np.float32)
-    mask[64:192, 66:192] = 1.0
+    mask = block(np.s_[64:192, 66:192], (256, 256))
     image = np.where(mask[..., None] > 0.5, [0.2, 0.4, 0.6], 1.0)
     known = np.ones((256, 256), bool)
     image[100:110, 100:110], known[100:110, 100:110] = 0.0, False
@@ -89,13 +91,16 @@ def test_colours_without_an_image_change_nothing_and_uint8_stands_for_fractions(
     assert np.abs(np.subtract(*results)).max() < 1e-6
 
 
-def test_a_flipped_view_has_no_flipped_photo():
+def test_a_flipped_view_has_a_flipped_depth_map_and_no_flipped_photo():
     """Letters are not mirrored: with a mirror plane the photo counts once, for the points that it shows."""
     points, colours = sheet(3.0)
-    view = View(MASK, CAMERA, image=photo())
-    result = refine(points + [0.01, 0.0, 0.0], view, config=RefineConfig(steps=6, symmetry="x"), colours=colours)
-    assert result.symmetry is not None
-    assert result.loss_after < result.loss_before
+    depth = np.where(MASK > 0.5, 2.0 + 0.1 * ACROSS, np.nan)
+    cloud, settings = Cloud(points, "points", colours), RefineConfig(symmetry="x").settings()
+    problem = Problem.of(cloud, (View(MASK, CAMERA, image=photo(), depth=depth),), settings)
+    own, flipped = problem.all_views
+    assert own.image is not None and flipped.image is None
+    np.testing.assert_array_equal(flipped.depth, own.depth[:, ::-1])
+    assert [photo.weight for photo in _photos(problem, [0.7])] == [0.7]
 
 
 ORTHOGRAPHIC = Camera(CAMERA.K, CAMERA.R, CAMERA.t, SIZE, SIZE, "orthographic")

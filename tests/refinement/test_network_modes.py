@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.losses.scenes import block
 from tso_cli.errors import TsoError
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
@@ -21,8 +22,7 @@ MODES = pytest.mark.parametrize("mode", ["encoder", "encoder-decoder", "latent"]
 @pytest.fixture
 def photo():
     """A small network, its input image and a mask."""
-    mask = np.zeros((64, 64), np.float32)
-    mask[22:42, 25:40] = 1.0
+    mask = block(np.s_[22:42, 25:40])
     return build_network(points=64), torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0)), mask
 
 

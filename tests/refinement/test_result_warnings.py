@@ -5,29 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.losses.scenes import block, points_at
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
 from tso_cli.refinement import RefineConfig, refine
 from tso_cli.render import look_at
 
 
-def _square_and_covering_cloud() -> tuple[np.ndarray, View]:
-    """24 pixels of 64 across, and points all over it, closer than pixels are wide."""
-    camera = Camera(
-        np.array([[60.0, 0.0, 31.5], [0.0, 60.0, 31.5], [0.0, 0.0, 1.0]]), np.eye(3), np.zeros(3), 64, 64, "orthographic"
-    )
-    mask = np.zeros((64, 64), np.float32)
-    mask[20:44, 20:44] = 1.0
-    across = np.linspace(20.0, 43.0, 64)
-    columns, rows = np.meshgrid(across, across)
-    points = np.stack([(columns - 31.5) / 60.0, (rows - 31.5) / 60.0, np.full_like(rows, 0.5)], -1).reshape(-1, 3)
-    return points, View(mask, camera)
-
-
 def _small_mask(points: np.ndarray, rows: int, columns: int) -> View:
     """A photo of 640x480 in which the object is so large, and a camera that sees ``points`` there."""
-    mask = np.zeros((480, 640), np.float32)
-    mask[200 : 200 + rows, 300 : 300 + columns] = 1.0
+    mask = block(np.s_[200 : 200 + rows, 300 : 300 + columns], (480, 640))
     camera = look_at(30.0, 20.0, 3.0, (640, 480))
     pixels, _ = camera.project(points)
     K = camera.K.copy()
@@ -39,8 +26,11 @@ def _small_mask(points: np.ndarray, rows: int, columns: int) -> View:
 
 
 def test_for_a_cloud_that_covers_its_mask_there_is_nothing_to_do():
-    points, view = _square_and_covering_cloud()
-    result = refine(points, view, config=RefineConfig(steps=3, symmetry="none"))
+    # Points at every third of a pixel.
+    pixels = np.stack(np.meshgrid(np.arange(20.0, 43.1, 1 / 3), np.arange(20.0, 43.1, 1 / 3)), -1).reshape(-1, 2)
+    camera = Camera.canonical(64, 64)
+    points = points_at(pixels, camera, np.full(len(pixels), 2.0))
+    result = refine(points, View(block(np.s_[20:44, 20:44]), camera), config=RefineConfig(steps=3, symmetry="none"))
     assert (result.stop_reason, result.best_step, result.loss_before) == ("nothing_to_do", 0, 0.0)
     assert result.warnings == ("nothing to do: the cloud already agrees with all that the mask shows; the cloud is as it was",)
     assert (result.moved_mean, result.moved_max) == (0.0, 0.0)

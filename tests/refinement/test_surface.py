@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from trimesh.remesh import subdivide
 
 from tso_cli.cli import main
 from tso_cli.errors import InputError
@@ -39,12 +40,7 @@ def _dense(vertices: np.ndarray, faces: np.ndarray, count: int = 16_384) -> np.n
 def _subdivided(vertices: np.ndarray, faces: np.ndarray, times: int) -> tuple[np.ndarray, np.ndarray]:
     """Every triangle in four, so many times; the vertices before stay the first."""
     for _ in range(times):
-        edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-        edges, middle = np.unique(edges, axis=0, return_inverse=True)
-        a, b, c = (middle.reshape(3, -1) + len(vertices)).tolist()
-        i, j, k = faces.T
-        vertices = np.concatenate([vertices, vertices[edges].mean(1)])
-        faces = np.concatenate([np.stack(corners, 1) for corners in ([i, a, c], [a, j, b], [c, b, k], [a, b, c])])
+        vertices, faces = subdivide(vertices, faces)
     return vertices, faces
 
 
@@ -59,16 +55,13 @@ def stretched(views):
     return refine(CORNERS, views, faces=BOX)
 
 
-def test_a_box_is_stretched_toward_a_wider_mask_and_stays_a_box(stretched):
+def test_a_box_is_stretched_toward_a_wider_mask_further_than_its_corners_alone_and_stays_a_box(stretched, views):
     size = np.ptp(stretched.points, axis=0) / np.ptp(CORNERS, axis=0)
     assert 1.08 < size[0] < 1.2
     assert (np.abs(size[1:] - 1.0) < 0.06).all()
     # Each corner lies where three sides of a box meet.
     sides = np.stack([stretched.points[:, k].reshape(2, 2, 2).swapaxes(0, k).reshape(2, 4) for k in range(3)])
     assert sides.std(2).max() < 0.01
-
-
-def test_a_mesh_is_stretched_further_than_its_vertices_as_a_cloud(stretched, views):
     alone = refine(CORNERS, views)
     assert alone.surface_samples is None
     assert np.ptp(alone.points[:, 0]) < np.ptp(stretched.points[:, 0]) - 0.02
@@ -116,7 +109,7 @@ def test_the_triangulation_hardly_changes_the_result(stretched, views):
     displacement = chamfer(_dense(CORNERS, BOX, 1 << 16), surfaces[1]).chamfer
     assert chamfer(*surfaces).chamfer < 0.1 * displacement
     # Eight corners cannot bend as the fine surface does.
-    np.testing.assert_allclose(stretched.points, results[1][:8], atol=0.02)
+    np.testing.assert_allclose(stretched.points, results[1][:8], atol=0.03)
 
 
 def test_duplicates_of_a_vertex_stay_together(stretched, views):
@@ -132,19 +125,19 @@ def test_colours_are_interpolated_linearly_at_the_samples():
     assert len(cloud.initial) == SAMPLES
 
 
-@pytest.mark.parametrize("faces", [np.empty((0, 3), np.int64), [[0, 0, 1], [2, 2, 2]]])
-def test_a_mesh_whose_faces_have_no_area_is_taken_for_a_cloud(faces, views):
+@pytest.mark.parametrize(
+    ("faces", "reason"),
+    [
+        (np.empty((0, 3), np.int64), "the faces have no area, the vertices are taken for a cloud"),
+        ([[0, 0, 1], [2, 2, 2]], "the faces have no area, the vertices are taken for a cloud"),
+        ([[0, 1, 2]], "the faces join 3 of 64 vertices, which are therefore taken for a cloud"),
+    ],
+)
+def test_a_mesh_without_area_or_whose_faces_join_few_vertices_is_taken_for_a_cloud(faces, reason, views):
     points = _dense(CORNERS, BOX)[:64]
-    with pytest.warns(UserWarning, match="points: the faces have no area, the vertices are taken for a cloud"):
+    with pytest.warns(UserWarning, match=f"points: {reason}"):
         result = refine(points, views, config=RefineConfig(steps=3), faces=faces)
     np.testing.assert_array_equal(result.points, refine(points, views, config=RefineConfig(steps=3)).points)
-    assert result.surface is None
-
-
-def test_a_mesh_whose_faces_join_few_vertices_is_taken_for_a_cloud(views):
-    points = _dense(CORNERS, BOX)[:64]
-    with pytest.warns(UserWarning, match="points: the faces join 3 of 64 vertices, which are therefore taken for a cloud"):
-        result = refine(points, views, config=RefineConfig(steps=3), faces=[[0, 1, 2]])
     assert result.surface is None
 
 

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from tests.losses.common import COMPILED, FORMS, in_form
 from tso_cli.errors import InputError
-from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
 from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.refinement import RefineConfig, refine
@@ -65,10 +64,10 @@ def test_too_few_points_have_no_plane(count):
     assert not find_mirror_plane(np.eye(3)[:count]).symmetric
 
 
-def _seen(points: np.ndarray) -> tuple[np.ndarray, Camera]:
-    """The mask of a cloud from half right, and its camera."""
-    camera = look_at(35.0, 20.0, 3.0, (64, 64))
-    return (silhouette_of(points, camera) > 0.5).astype(np.float32), camera
+def _seen(points: np.ndarray) -> list[View]:
+    """Masks of a cloud from half right and from half left."""
+    cameras = look_at(35.0, 20.0, 3.0, (64, 64)), look_at(-70.0, 30.0, 3.0, (64, 64))
+    return [View((silhouette_of(points, camera) > 0.5).astype(np.float32), camera) for camera in cameras]
 
 
 def _boxes(*sides: float) -> np.ndarray:
@@ -84,8 +83,7 @@ def _boxes(*sides: float) -> np.ndarray:
 
 
 def test_the_symmetry_check_passes_for_a_symmetric_object():
-    mask, camera = _seen(_boxes(-0.42, 0.42) * [1.1, 1.1, 1.0])
-    result = refine(_boxes(-0.42, 0.42), mask, camera)
+    result = refine(_boxes(-0.42, 0.42), _seen(_boxes(-0.42, 0.42) * [1.1, 1.1, 1.0]), config=RefineConfig(steps=12))
     assert result.symmetry is not None
     assert result.symmetry_outcome == "used"
     assert "at most 1.1" in result.symmetry_reason
@@ -93,19 +91,22 @@ def test_the_symmetry_check_passes_for_a_symmetric_object():
 
 @FORMS
 def test_the_symmetry_check_fails_for_an_object_that_lost_one_side(form):
-    mask, camera = _seen(_boxes(-0.42))
-    start = _boxes(-0.42, 0.42)
+    start, views = _boxes(-0.42, 0.42), _seen(_boxes(-0.42))
     configs = RefineConfig(steps=12), RefineConfig(steps=12, symmetry="none")
-    result, without = (in_form(form, refine, start, mask, camera, config) for config in configs)
-    assert result.symmetry is None
-    assert result.symmetry_outcome == "contradicted"
+    result, without = (in_form(form, lambda: refine(start, views, config=config)) for config in configs)  # noqa: B023
+    assert (result.symmetry, result.symmetry_outcome) == (None, "contradicted")
     assert "over 1.1" in result.symmetry_reason
     np.testing.assert_array_equal(result.points, without.points)
 
 
+def test_of_a_single_view_the_plane_is_not_checked():
+    result = refine(_boxes(-0.42, 0.42), _seen(_boxes(-0.42))[0], config=RefineConfig(steps=3))
+    assert result.symmetry_outcome == "used" and "picture" not in result.symmetry_reason
+
+
 def test_an_asymmetric_cloud_has_no_plane():
     start = np.random.default_rng(0).uniform(-0.5, 0.5, (400, 3)) ** 2 * [1.0, 0.7, 0.4]
-    result = refine(start, *_seen(start), RefineConfig(steps=0))
+    result = refine(start, _seen(start), config=RefineConfig(steps=0))
     assert (result.symmetry, result.symmetry_outcome) == (None, "none_found")
 
 

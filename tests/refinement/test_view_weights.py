@@ -44,10 +44,6 @@ def _weights(points: np.ndarray, views: list[View]) -> ViewWeights:
     return ViewWeights.of(resampled, cloud.normalised())
 
 
-def _inlier_weights(points: np.ndarray, views: list[View]) -> list[float]:
-    return _weights(points, views).inlier
-
-
 BALL = np.random.default_rng(0).normal(size=(300, 3))
 BALL *= 0.4 / np.linalg.norm(BALL, axis=1, keepdims=True)
 LEVEL = replace(Camera.canonical(64, 64), R=np.diag([1.0, -1.0, -1.0]))
@@ -113,7 +109,7 @@ def test_a_large_loss_with_an_agreeing_gradient_counts_fully():
 
 def test_right_views_are_inliers():
     points, _, views = _seen_around("chair")
-    assert _inlier_weights(points, views) == pytest.approx([1.0] * 4, abs=0.02)
+    assert _weights(points, views).inlier == pytest.approx([1.0] * 4, abs=0.02)
 
 
 def _with_a_wrong_one(views: list[View], target: np.ndarray, what: str) -> list[View]:
@@ -127,7 +123,7 @@ def _with_a_wrong_one(views: list[View], target: np.ndarray, what: str) -> list[
 @pytest.mark.parametrize("what", ["a camera turned by 40 degrees", "a mask of something else"])
 def test_a_wrong_view_among_four_is_the_only_outlier(what):
     points, target, views = _seen_around("car")
-    weights = _inlier_weights(points, _with_a_wrong_one(views, target, what))
+    weights = _weights(points, _with_a_wrong_one(views, target, what)).inlier
     assert weights[1] < 0.3
     assert min(np.delete(weights, 1)) > 0.9
 
@@ -146,4 +142,4 @@ def test_an_outlier_spoils_less_than_if_it_were_trusted(monkeypatch):
 def test_of_two_views_neither_is_an_outlier(chair):
     points, _, views = _seen_around("chair")
     bad = View(views[1].mask, _turned(views[1].camera, 40.0))
-    assert _inlier_weights(points, [views[0], bad]) == [1.0, 1.0]
+    assert _weights(points, [views[0], bad]).inlier == [1.0, 1.0]

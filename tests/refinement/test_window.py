@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tso_cli.lab.studies.evidence_cases import framed
 
+from tests.losses.scenes import block
 from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.view import object_box
@@ -37,8 +38,7 @@ def test_an_object_comes_as_near_to_the_truth_in_a_large_photo_as_in_a_small_one
 
 
 def test_the_window_is_a_square_around_mask_and_cloud():
-    mask = np.zeros((480, 640), np.float32)
-    mask[200:280, 300:400] = 1.0
+    mask = block(np.s_[200:280, 300:400], (480, 640))
     camera = Camera.canonical(640, 480)
     view = View(mask, camera)
     np.testing.assert_allclose(window_of(view), (287.0, 177.0, 412.0, 302.0))
@@ -57,8 +57,7 @@ def test_a_few_outliers_do_not_widen_the_window():
 
 
 def test_the_window_ends_at_the_border_that_truncates_the_object():
-    mask = np.zeros((64, 64), np.float32)
-    mask[14:64, 10:50] = 1.0
+    mask = block(np.s_[14:64, 10:50])
     left, top, right, bottom = window_of(View(mask, Camera.canonical(64, 64)))
     assert bottom == pytest.approx(63.5)
     assert (left + right) / 2.0 == pytest.approx(29.5)
@@ -66,8 +65,7 @@ def test_the_window_ends_at_the_border_that_truncates_the_object():
 
 
 def test_an_image_that_the_object_fills_is_its_own_window():
-    mask = np.zeros((64, 64), np.float32)
-    mask[2:62, 4:60] = 1.0
+    mask = block(np.s_[2:62, 4:60])
     view = View(mask, Camera.canonical(64, 64))
     assert window_of(view) == pytest.approx((-0.5, -0.5, 63.5, 63.5))
     working = resample_view(view, 0.4, np.zeros(3), 1.0, window_of(view))
@@ -77,8 +75,7 @@ def test_an_image_that_the_object_fills_is_its_own_window():
 
 
 def test_only_the_borders_of_the_image_truncate_an_object():
-    mask = np.zeros((200, 200), np.float32)
-    mask[60:100, 0:40] = 1.0
+    mask = block(np.s_[60:100, 0:40], (200, 200))
     for shift, expected in ((0, True), (20, False), (160, True)):
         view = View(np.roll(mask, shift, 1), Camera.canonical(200, 200))
         assert resample_view(view, 0.4, np.zeros(3), 1.0).target.truncated == expected
@@ -149,8 +146,7 @@ def test_the_box_of_an_object_holds_nearly_all_of_it(pixels):
 @settings(max_examples=30, deadline=None)
 @given(st.integers(8, 90), st.integers(8, 90), st.integers(0, 80), st.integers(0, 80), st.integers(1, 60), st.integers(1, 60))
 def test_any_mask_lies_in_its_window(height, width, row, column, tall, wide):
-    mask = np.zeros((height, width), np.float32)
-    mask[min(row, height - 1) : row + tall, min(column, width - 1) : column + wide] = 1.0
+    mask = block(np.s_[min(row, height - 1) : row + tall, min(column, width - 1) : column + wide], (height, width))
     if mask.all():
         return
     view = View(mask, Camera.canonical(width, height))
