@@ -60,9 +60,8 @@ def _on_disk() -> bool:
     from .jit import on_disk
     from .mask_chamfer_numba import _mask_chamfer
     from .points_numba import farthest_points, gather, nearest_few, spread
-    from .static_chamfer_numba import _search
 
-    return on_disk(_mask_chamfer, farthest_points, gather, nearest_few, spread, _search)
+    return on_disk(_mask_chamfer, farthest_points, gather, nearest_few, spread)
 
 
 @functools.cache

@@ -25,11 +25,6 @@ def use_numba(points: Tensor) -> bool:
     return points.shape[0] * points.shape[1] >= POINTS_WORTH_COMPILING and importable("numba")
 
 
-def whole_batches(tensor: Tensor) -> bool:
-    """Whether a batch is worked on as one, with nothing read back: on a GPU. On the CPU, single clouds search faster."""
-    return tensor.device.type != "cpu"
-
-
 def triton_runs(points: Tensor) -> bool:
     """Whether Triton kernels run on ``points``."""
     return points.device.type == "cuda" and points.dtype == torch.float32 and importable("triton")

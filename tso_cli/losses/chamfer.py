@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernels.dispatch import use_compiled
 from .nearest import nearest, nearest_few
 
 Array = NDArray[np.float64]
@@ -18,19 +17,10 @@ class ChamferToStart:
     """
 
     def __init__(self, initial: Array) -> None:
-        self.initial = initial
-        self._tree = None
-        if use_compiled():
-            from ..kernels.static_chamfer_numba import StaticTree
-
-            self._tree = StaticTree(initial)
-        else:
-            self._spacing = spacings(initial)
+        self.initial, self._spacing = initial, spacings(initial)
 
     def __call__(self, points: Array) -> tuple[float, Array]:
         """The distance, and its gradient [N, 3] by ``points`` [N, 3]."""
-        if self._tree is not None:
-            return self._tree.chamfer(points)
         initial, own = self.initial, np.arange(len(points))
         shift = np.sqrt(np.square(points - initial).sum(1))
         to_start, to_moved = own.copy(), own.copy()
