@@ -4,25 +4,21 @@ from __future__ import annotations
 
 import os
 import platform
-from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from ...version import __version__
 
+PROCESSORS = Path("/proc/cpuinfo")
 
-def machine(device: torch.device) -> dict[str, Any]:
-    """Processor, cores, memory, GPU and platform."""
-    return {
-        "cpu": _processor(),
-        "cores": os.cpu_count(),
-        "memory_bytes": _memory(),
-        "gpu": torch.cuda.get_device_name(device) if device.type == "cuda" else None,
-        "platform": platform.platform(terse=True),
-    }
+
+def machine() -> dict[str, Any]:
+    """Processor, cores and platform."""
+    lines = PROCESSORS.read_text().splitlines() if PROCESSORS.exists() else []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    cpu = next(names, platform.processor() or platform.machine())
+    return {"cpu": cpu, "cores": os.cpu_count(), "platform": platform.platform(terse=True)}
 
 
 def versions() -> dict[str, str | None]:
@@ -34,17 +30,3 @@ def versions() -> dict[str, str | None]:
         except PackageNotFoundError:
             result[package] = None
     return result
-
-
-def _processor() -> str:
-    with suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()
-
-
-def _memory() -> int | None:
-    with suppress(AttributeError, ValueError, OSError):
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    return None

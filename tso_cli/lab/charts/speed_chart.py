@@ -6,94 +6,93 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ...plots.style import BETTER, COLOURS, INK, page
+from ...plots.style import COLOURS, INK, PALE, page
 from .speed_table import machine_line
 
-MARKERS = "osD^vP*Xh"
-Records = Sequence[dict[str, Any]]
+Record = dict[str, Any]
+Records = Sequence[Record]
 Panel = Callable[[Any, Records], None]
+MARKERS = "osD^vP*Xh"
 
 
-def draw_speed(path: Path, record: dict[str, Any], overwrite: bool = False) -> None:
-    """A panel for each part that was measured: lines where sizes grow, bars elsewhere.
+def draw_speed(path: Path, record: Record, overwrite: bool = False) -> None:
+    """A panel for each part that was measured: lines where sizes grow, dots elsewhere.
 
     Raises InputError if ``path`` cannot be written to.
     """
     measured = [r for r in record["records"] if r["seconds"]]
-    panels = [(panel, rows) for whats, panel in PANELS.items() if (rows := [r for r in measured if r["what"] in whats])]
+    panels = [(panel, rows) for what, panel in PANELS.items() if (rows := [r for r in measured if r["what"] == what])]
     columns = min(3, len(panels)) or 1
     rows_of_panels = -(-len(panels) // columns) or 1
-    with page(path, overwrite, (max(7.0, 5.4 * columns), 0.4 + 4.6 * rows_of_panels)) as figure:
+    with page(path, overwrite, (max(7.0, 5.6 * columns), 0.4 + 4.6 * rows_of_panels)) as figure:
         axes = figure.subplots(rows_of_panels, columns, squeeze=False).flatten()
         for axis in axes[len(panels) :]:
             axis.remove()
         for axis, (panel, rows) in zip(axes, panels, strict=False):
             panel(axis, rows)
+            axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2, frameon=False, fontsize=8)
         figure.suptitle(machine_line(record).partition(";")[0], fontsize=11, color=INK)
 
 
 def _lines(title: str) -> Panel:
-    """A panel of each contestant's median and quartiles over the number of points."""
+    """Each contestant's median and quartiles over the number of points; `import torch`, if there, as a level."""
 
     def panel(axis: Any, records: Records) -> None:
-        records = [r for r in records if "over_tso" in r]
-        for i, name in enumerate(dict.fromkeys(r["name"] for r in records)):
-            rows = [r for r in records if r["name"] == name]
+        series = [r for r in records if r["points"] and r.get("views", 1) == 1 and r.get("call") != "first"]
+        for i, name in enumerate(dict.fromkeys(r["name"] for r in series)):
+            rows = [r for r in series if r["name"] == name]
             colour, sizes = [*COLOURS, "#8c6d31", "#7f7f7f", "#9467bd"][i % 9], [r["points"] for r in rows]
             low, median, high = ([1e3 * r["seconds"][key] for r in rows] for key in ("low", "median", "high"))
             axis.plot(sizes, median, label=name, color=colour, marker=MARKERS[i % 9], markersize=5, linewidth=1.4 if i else 2.5)
             axis.fill_between(sizes, low, high, color=colour, alpha=0.15, linewidth=0)
+        for r in records:
+            if not r["points"]:
+                axis.axhline(1e3 * r["seconds"]["median"], label=r["name"], color=PALE, linestyle="--")
         axis.set(title=title, xlabel="points", ylabel="ms", xscale="log", yscale="log")
-        ticks = dict.fromkeys((r["points"], r["side"]) for r in records)
+        ticks = dict.fromkeys((r["points"], r["side"]) for r in series)
         axis.set_xticks([n for n, _ in ticks], [_short(n) + (f"\n{side}²" if side else "") for n, side in ticks])
         axis.minorticks_off()
         axis.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2, frameon=False, fontsize=8)
 
     return panel
 
 
-def _bars(title: str, label: str, name: Callable[[dict[str, Any]], str], value: str, scale: float = 1.0) -> Panel:
-    """A panel of one bar a record, from the top down."""
+def _dots(title: str, label: Callable[[Record], str], series: Callable[[Record], str], value: str = "") -> Panel:
+    """A row for each label, from the top down, with a dot for each series: its median in ms, or the field ``value``."""
 
     def panel(axis: Any, records: Records) -> None:
-        rows = [r for r in records if r.get("over_first") != 1.0]
-        values = [scale * (r["seconds"]["median"] if value == "seconds" else r[value]) for r in rows]
-        bars = axis.barh(range(len(rows)), values, color=BETTER, height=0.6)
-        axis.bar_label(bars, [f"{v:.3g}" for v in values], padding=4, fontsize=8)
-        axis.set_yticks(range(len(rows)), [name(r) for r in rows], fontsize=8)
-        axis.set_xlim(0.0, 1.2 * max(values))
-        axis.invert_yaxis()
-        axis.set(title=title, xlabel=label)
+        labels = list(dict.fromkeys(map(label, records)))
+        for i, name in enumerate(dict.fromkeys(map(series, records))):
+            rows = [r for r in records if series(r) == name]
+            values = [r[value] if value else 1e3 * r["seconds"]["median"] for r in rows]
+            places = [labels.index(label(r)) for r in rows]
+            axis.plot(values, places, MARKERS[i % 9], color=COLOURS[i % 6], label=name, markersize=6, alpha=0.8)
+        axis.set_yticks(range(len(labels)), labels, fontsize=8)
+        axis.set_ylim(len(labels) - 0.5, -0.5)
+        axis.grid(axis="both", color=PALE, linewidth=0.5, alpha=0.6)
+        axis.set(title=title, xlabel=value.replace("_", " ") or "ms", xscale="log")
+        axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
 
     return panel
 
 
-PANELS: dict[tuple[str, ...], Panel] = {
-    ("silhouette",): _lines("silhouette and cross-entropy, forward and backward"),
-    ("chamfer",): _lines("Chamfer to the start, a step, value and gradient"),
-    ("batch",): _bars(
-        "many clouds", "clouds a second", lambda r: f"{r['name']} of {r['batch']}, {r['preset']}", "clouds_per_second"
+PANELS: dict[str, Panel] = {
+    "command": _dots(
+        "whole processes", lambda r: r["name"].removesuffix(", first run"), lambda r: f"{r.get('call', 'steady')} run"
     ),
-    ("step", "step, encoder", "step, encoder-decoder"): _bars(
-        "a step and its parts", "ms", lambda r: f"{r['name']}, {_mode(r) or _short(r['points'])}", "seconds", 1e3
+    "object": _lines("one object, in process"),
+    "parts": _dots("parts of the default preset", lambda r: r["name"], lambda r: f"{r['points']:,} points, {r['form']}"),
+    "batch": _dots(
+        "many objects, ms each",
+        lambda r: r["name"],
+        lambda r: f"{r['preset']}, {r['threads']} threads" if "preset" in r else r["name"],
     ),
-    ("terms",): _bars("losses", "times the projector", lambda r: f"{r['name']}, {_short(r['points'])}", "over_projector"),
-    ("threads",): _bars("more threads", "times quicker", lambda r: f"{r['name']}\n{r['threads']} threads", "over_first"),
-    ("training, points", "training, masks"): _bars(
-        "training", "images a second", lambda r: f"{_mode(r)}, {r['precision']}\n{r['name']}", "images_per_second"
-    ),
-    ("start-up",): _bars("whole processes", "seconds", lambda r: str(r["name"]), "seconds"),
+    "silhouette": _lines("silhouette and cross-entropy, value and gradient"),
+    "chamfer": _lines("Chamfer to the start, a step, value and gradient"),
+    "training": _dots("training", lambda r: f"{r['name']}", lambda r: r["precision"], "images_per_second"),
 }
 
 
-def _mode(record: dict[str, Any]) -> str:
-    """The mode or supervision, named in "what" behind the comma."""
-    return str(record["what"].partition(", ")[2])
-
-
 def _short(count: int) -> str:
-    """1024 -> 1,024; 65536 -> 65.5k; 1000000 -> 1M."""
-    if count >= 1_000_000:
-        return f"{count / 1e6:.3g}M"
+    """1024 -> 1,024; 65536 -> 65.5k."""
     return f"{count:,}" if count < 10_000 else f"{count / 1e3:.3g}k"
