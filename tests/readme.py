@@ -238,8 +238,8 @@ def stages() -> str:
     """The stages of the default preset."""
     from tso_cli.refinement.presets import STAGES
 
-    rows = [[str(number), *(f"{value:g}" for value in astuple(stage)[:5])] for number, stage in enumerate(STAGES, 1)]
-    header = ["stage", "smoothness lambda", "robust scale r", "learning-rate scale", "nodes", "averaging weight"]
+    rows = [[str(number), *(f"{value:g}" for value in astuple(stage)[:3])] for number, stage in enumerate(STAGES, 1)]
+    header = ["stage", "smoothness lambda", "robust scale r", "averaging weight"]
     return markdown(header, rows)
 
 

@@ -16,7 +16,7 @@ from contextvars import ContextVar
 
 # Seconds that numpy takes longer for a step of a cloud by one view, and for each point of it; seconds that loading and
 # compiling the loops take.
-PER_VIEW, PER_POINT = 0.5e-3, 0.5e-6
+PER_VIEW, PER_POINT = 0.3e-3, 1.5e-6
 LOADING, COMPILING = 0.5, 10.0
 
 _plan: ContextVar[Callable[[], bool] | None] = ContextVar("plan", default=None)

@@ -36,9 +36,7 @@ def sums(points_px: Array, valid: Marks, height: int, width: int, sigma_sq: floa
     return out
 
 
-def gradient(
-    by_sums: Array, points_px: Array, valid: Marks, sigma_sq: float, radius: int, threads: int = 1
-) -> Array:
+def gradient(by_sums: Array, points_px: Array, valid: Marks, sigma_sq: float, radius: int, threads: int = 1) -> Array:
     """Derivative [M, N, 2] by ``points_px``, from that by the sums [M, H, W]."""
     images, count = valid.shape
     out = np.zeros((images, count, 2), points_px.dtype)

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 class ChamferToStart:
     """Squared distances, mean over points, both directions summed, between a cloud [N, 3] and the same cloud moved.
 
-    A moved point within half the distance from its start to the next one is nearest to its own start: most points need no search.
+    A moved point within half the distance from its start to the next one is nearest to its own start: most need no search.
     """
 
     def __init__(self, initial: Array) -> None:

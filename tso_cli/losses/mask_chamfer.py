@@ -49,7 +49,7 @@ class MaskTarget:
         bounds: tuple[float, float, float, float] | None = None,
         grain: float = 1.0,
     ) -> MaskTarget:
-        """``mask`` [H, W] in [0, 1]; ``known`` [H, W], unknown under 0.5; ``bounds`` None for a mask that is the whole image."""
+        """``mask`` [H, W] in [0, 1]; ``known`` [H, W], unknown under 0.5; ``bounds`` None for a whole image."""
         height, width = mask.shape
         return cls(*sides(mask, known), bounds or (-0.5, -0.5, width - 0.5, height - 0.5), grain)
 
@@ -164,9 +164,7 @@ def mask_chamfer(
     return costs, gradient
 
 
-def _uncovered(
-    points_px: Array, valid: Marks, observed: Marks, target: MaskTarget
-) -> tuple[NDArray[np.int64], Array]:
+def _uncovered(points_px: Array, valid: Marks, observed: Marks, target: MaskTarget) -> tuple[NDArray[np.int64], Array]:
     """For each uncovered foreground pixel the point nearest to it [P], and that point minus the pixel [P, 2].
 
     Pixels whose nearest point is not observed are left out.

@@ -1,4 +1,4 @@
-"""Nearest neighbours and evenly spread subsets: by the matrix of distances, in compiled loops, or of many points with a tree."""
+"""Nearest neighbours and evenly spread subsets: by all distances, in compiled loops, or of many points by a tree."""
 
 from __future__ import annotations
 

@@ -106,7 +106,7 @@ def _visible(points: Array, photo: Photo) -> tuple[Projected, NDArray[np.bool_]]
 
 
 def _sampled(image: Array, points_px: Array) -> tuple[Array, Array, Array]:
-    """``image`` [H, W, C] at ``points_px`` [N, 2], bilinear, beyond its border as at the border; derivatives by x and y. [N, C]"""
+    """``image`` [H, W, C] at ``points_px`` [N, 2], bilinear, beyond its border as there; its derivatives by x and y. [N, C]"""
     last = np.array(image.shape[1::-1]) - 1.0
     place = np.clip(np.nan_to_num(points_px), 0.0, last)
     within = ((points_px > 0.0) & (points_px < last)).astype(float)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, TsoError
 from ..geometry.camera import Camera
 from ..geometry.view import View
+from ..kernels import blas
 from ..kernels.dispatch import planned
 from .cloud import Cloud, as_numpy
 from .config import RefineConfig, Settings
@@ -80,7 +81,7 @@ def refine(
 
             parameters = NetworkParameters(network, image, settings.mode, settings.device, settings.learning_rate)
             cloud = parameters.cloud
-    with planned(*_work(settings, len(views), len(cloud.initial))):
+    with planned(*_work(settings, len(views), len(cloud.initial))), blas.one_thread():
         with stopwatch.phase("prepare"):
             problem = Problem.of(cloud, views, settings)
         return run(problem, settings, stopwatch, parameters, progress)
@@ -91,8 +92,9 @@ def _work(settings: Settings, views: int, points: int) -> tuple[int, int]:
     comparisons = views * settings.steps
     if settings.symmetry == "auto":
         # The flipped views, and the symmetry check.
-        comparisons = 2 * comparisons + 3 * views * SYMMETRY_PROBE_STEPS
-    return comparisons, comparisons * points
+        comparisons = 2 * comparisons + (3 * views * SYMMETRY_PROBE_STEPS if views > 1 else 0)
+    # In numpy a point costs the paper's silhouette several times as much.
+    return comparisons, comparisons * points * (4 if settings.preset == "paper" else 1)
 
 
 def refine_batch(
@@ -125,7 +127,8 @@ def refine_batch(
         raise InputError(f"mode is {config.mode!r}, expected points for a batch")
     batch = _Batch(scenes, config, progress)
     threads = max(1, min(_threads(), len(scenes)))
-    with planned(*batch.work()), ThreadPoolExecutor(threads, thread_name_prefix="tso") as pool:
+    pool = ThreadPoolExecutor(threads, thread_name_prefix="tso")
+    with planned(*batch.work()), blas.one_thread(), pool:
         futures = [pool.submit(copy_context().run, batch.refine, number) for number in range(len(scenes))]
         while True:
             try:

@@ -64,7 +64,6 @@ class ViewTarget:
         depth = None if view.depth is None else DepthTarget.of(view.depth, view.target.inside, view.camera)
         return cls(view.camera, view.target, depth, weight)
 
-
     @cached_property
     def compiled(self) -> CompiledView:
         """The mask and its camera for the compiled loop, contiguous: other arrays would be compiled anew."""
@@ -112,9 +111,7 @@ class ViewTargets:
         """For each view [N] in [0, 1], how well its mask resolves the part around each point: its node's neighbourhood."""
         nodes = points[field.nodes]
         return [
-            field.of_nearest_node(
-                resolvability(project(nodes, view.camera).points_px[field.patches], view.mask.grain)
-            )
+            field.of_nearest_node(resolvability(project(nodes, view.camera).points_px[field.patches], view.mask.grain))
             for view in self.views
         ]
 

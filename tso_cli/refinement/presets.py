@@ -28,7 +28,6 @@ class Stage:
     ----------
     smoothness : lambda of `SmoothField`.
     robust_scale : of the mask Chamfer loss, px of a window of 64.
-    learning_rate_scale : times the learning rate.
     averaging_weight : of this stage's best iterate in the result, which is a mean over the stages.
     blur : standard deviation of the photometric loss's blur, px of a window of 64.
     fine_grid : whether the window is resampled at `fine_cells` in place of 64 cells a side.
@@ -36,7 +35,6 @@ class Stage:
 
     smoothness: float
     robust_scale: float
-    learning_rate_scale: float = 1.0
     averaging_weight: float = 1.0
     blur: float = 0.5
     fine_grid: bool = False
@@ -46,9 +44,9 @@ class Stage:
 # Where stages disagree, the later one is wrong about as often as it is right. Their mean is about as accurate as the last
 # stage, and is less often worse than the start.
 STAGES = (
-    Stage(100.0, 6.0, 1.0, 1.0, blur=2.0),
-    Stage(10.0, 3.0, 0.75, 2.0, blur=1.0),
-    Stage(1.0, 3.0, 0.35, 3.0, fine_grid=True),
+    Stage(100.0, 6.0, 1.0, blur=2.0),
+    Stage(10.0, 3.0, 2.0, blur=1.0),
+    Stage(1.0, 3.0, 3.0, fine_grid=True),
 )
 
 
@@ -85,7 +83,5 @@ NETWORK = CoarseToFineConfig(
     stages=(Stage(0.0, 3.0),), prior_weight=500.0, prior_decay=0.5, least_prior_weight=30.0, local_prior=False
 )
 # The symmetry check: one short, loosely held stage. A strong prior would hide how the two descents it compares differ.
-SYMMETRY_PROBE = CoarseToFineConfig(
-    stages=(Stage(10.0, 6.0),), prior_weight=350.0, least_prior_weight=30.0, local_prior=False
-)
+SYMMETRY_PROBE = CoarseToFineConfig(stages=(Stage(10.0, 6.0),), prior_weight=350.0, least_prior_weight=30.0, local_prior=False)
 SYMMETRY_PROBE_STEPS = 20

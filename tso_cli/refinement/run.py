@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from .cloud import Array, MovedCloud
 from .coarse_to_fine import CoarseToFine, network_objective
 from .config import Settings
 from .objective import SilhouetteObjective, ViewTargets
-from .optimise import Descent, Progress, Term, descend, sum_of
+from .optimise import Descent, Parameters, Progress, Term, descend, sum_of
 from .parameters import PointParameters
 from .presets import Stage
 from .problem import Problem
@@ -29,9 +28,6 @@ from .result import RefineResult, StopReason, result_warnings
 from .smooth_field import SmoothField
 from .symmetry_check import verified_symmetry
 from .view_weights import ViewWeights
-
-if TYPE_CHECKING:
-    from .network_parameters import NetworkParameters
 
 # A start of lower IoU hardly touches its mask, as a pole beside its own: coming nearer need not raise the IoU.
 FEEBLE_IOU = 0.1
@@ -65,7 +61,7 @@ def run(
     problem: Problem,
     settings: Settings,
     stopwatch: Stopwatch,
-    network: NetworkParameters | None = None,
+    network: Parameters | None = None,
     on_progress: Progress | None = None,
     interrupted: bool = False,
 ) -> RefineResult:
@@ -95,7 +91,8 @@ def _prepare(problem: Problem, settings: Settings, stopwatch: Stopwatch, interru
         if settings.preset == "best" and settings.coarse_to_fine.weigh_views:
             weights = ViewWeights.of(problem.resampled[:views], problem.cloud.normalised())
         field = SmoothField(problem.cloud.normalised()) if settings.staged else None
-        checked = settings.symmetry == "auto" and len(problem.resampled) > views
+        # One mask hardly ever contradicts a plane, rightly or wrongly: asking it would cost half a refinement.
+        checked = settings.symmetry == "auto" and views > 1 and len(problem.resampled) > views
         if checked and settings.steps and not interrupted and field:
             problem, interrupted = verified_symmetry(problem, weights.loss, settings, field)
     loss_weights = weights.loss * (2 if len(problem.resampled) > views else 1)
@@ -104,7 +101,7 @@ def _prepare(problem: Problem, settings: Settings, stopwatch: Stopwatch, interru
 
 def _optimise(
     prepared: _Prepared,
-    network: NetworkParameters | None,
+    network: Parameters | None,
     chamfer: ChamferToStart,
     settings: Settings,
     on_progress: Progress | None,

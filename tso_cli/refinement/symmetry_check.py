@@ -12,9 +12,7 @@ from .smooth_field import SmoothField
 from .symmetry import MOST_LOSS_RATIO
 
 
-def verified_symmetry(
-    problem: Problem, weights: list[float], settings: Settings, field: SmoothField
-) -> tuple[Problem, bool]:
+def verified_symmetry(problem: Problem, weights: list[float], settings: Settings, field: SmoothField) -> tuple[Problem, bool]:
     """The problem, without its mirror plane where the views contradict it; and whether Ctrl-C came, which leaves the plane.
 
     Two short descents are compared, with and without the flipped views. A symmetric object fits both views at once. Of

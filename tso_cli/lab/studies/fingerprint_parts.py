@@ -21,12 +21,12 @@ from ...io.clouds import read_cloud
 from ...io.images import read_image
 from ...io.meshes import read_mesh
 from ...io.shipped import CATEGORIES, default_checkpoint, examples_folder
+from ...losses.silhouette import silhouette_of
 from ...pose.fit import fit_camera
 from ...refinement import MODES, PRESETS, RefineConfig, RefineResult, refine
 from ...render import RenderSettings, normalise
 from ...scene.load import load_points_scene
 from ...scene.network import load_network_scene
-from ...silhouette.projection import silhouette_of
 from ...train import TrainConfig, train
 from ...train.data import TrainingData
 from .discretised import GAUSSIAN, PROJECTIONS, projected_objective

@@ -10,9 +10,9 @@ import numpy as np
 
 from ...device import one_thread
 from ...io.shipped import CATEGORIES
+from ...losses.silhouette import silhouette_of
 from ...plots.style import COLOURS, page
 from ...render import RenderSettings
-from ...silhouette.projection import silhouette_of
 from ..study import CATEGORY, COMMON, Cases, Option, Progress, Record, Study, Table, claim, part, record_of
 from .parts import SeenShape, see, shapes_of_part
 from .summary import by_category
