@@ -42,12 +42,9 @@ def measure(setting: Setting, sizes: tuple[int, ...] = (), steps: int | None = N
                     contestants.append(Contestant(name, on_threads(work, count, busy), fields, calls=size))
     records = setting.race("batch", contestants, "over_import_torch")
     alone_seconds = {row["preset"]: row["seconds"]["median"] for row in records if row["name"] == "refine"}
-    return [
-        row | {"points": POINTS, "over_refine": row["seconds"]["median"] / alone_seconds[row["preset"]]}
-        if "preset" in row
-        else row
-        for row in records
-    ]
+    for row in records[1:]:
+        row |= {"points": POINTS, "over_refine": row["seconds"]["median"] / alone_seconds[row["preset"]]}
+    return records
 
 
 def _refine_all(scenes: list, config: RefineConfig) -> None:

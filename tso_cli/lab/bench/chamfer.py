@@ -10,29 +10,29 @@ from scipy.spatial import cKDTree
 
 from ...kernels.dispatch import planned
 from ...losses.chamfer import ChamferToStart
+from ...refinement import RefineConfig, refine
 from ...refinement.optimise import Array, Term
-from ...refinement.presets import PAPER_STEPS
 from . import peers
-from .material import trajectory
+from .material import chair_views, cloud
 from .timing import FORMS, Records, Setting, timed
 
 SIZES, LARGE = (1024, 4096, 16384), (65536,)
-# Every tenth of the 50 steps is measured: points that have hardly moved need no search.
-EVERY = 10
+# Numbers of the paper's steps after which it is measured: points that have hardly moved need no search.
+STEPS = (10, 30, 50)
 # torch.cdist holds all pairs at once; packages that compare all pairs take minutes.
 CDIST_UP_TO, PAIRS_UP_TO = 4096, 16384
 COMPARE_ALL = ("chamferdist", "pykeops", "pytorch3d")
 
 
-def measure(setting: Setting, sizes: Sequence[int] = (), steps: int = PAPER_STEPS) -> Records:
+def measure(setting: Setting, sizes: Sequence[int] = ()) -> Records:
     """Seconds a step of every contestant at every size, on one thread unless its name says otherwise."""
     records = []
     for count in sizes or ((*SIZES, *LARGE) if setting.full else SIZES):
-        iterates = trajectory(count, setting.seed, steps)
-        moved = iterates[EVERY::EVERY] or iterates[-1:]
+        initial, configs = cloud(count, setting.seed), [RefineConfig(preset="paper", steps=steps) for steps in STEPS]
+        moved = [refine(initial, chair_views(), config=config).points for config in configs]
         samples = {
             name: term if isinstance(term, str) else timed(partial(_along, term, moved))
-            for name, term in terms(iterates[0]).items()
+            for name, term in terms(initial).items()
         }
         records += peers.race(setting, "chamfer", samples, len(moved), points=count)
     return records

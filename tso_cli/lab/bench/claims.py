@@ -14,12 +14,12 @@ Judged = Iterator[tuple[str, bool, str]]
 
 def claims(records: Records) -> list[dict[str, Any]]:
     """A claim for every target that the records allow to judge."""
-    measured = [row for row in records if row["seconds"]]
-    return [claim(*judged) for judge in (_command, _object, _batch, _kernels) for judged in judge(measured)]
+    return [claim(*judged) for judge in (_command, _object, _batch, _kernels) for judged in judge(records)]
 
 
 def _chosen(records: Records, what: str, **fields: Any) -> list[Record]:
-    return [row for row in records if row["what"] == what and all(row.get(key) == value for key, value in fields.items())]
+    rows = (row for row in records if row["what"] == what and row["seconds"])
+    return [row for row in rows if all(row.get(key) == value for key, value in fields.items())]
 
 
 def _command(records: Records) -> Judged:
@@ -29,13 +29,13 @@ def _command(records: Records) -> Judged:
         if name in seconds:
             more = seconds[name] - seconds["python"]
             yield f"{name}: at most 0.15 s more than bare Python", more <= 0.15, f"{more:.2f} s"
-    calls = {(row["points"], row["call"]): row for row in rows if row["points"]}
-    if (1024, "steady") in calls:
-        ratio = calls[1024, "steady"]["over_import_torch"]
+    for row in _chosen(rows, "command", call="steady", points=1024):
+        ratio = row["over_import_torch"]
         yield "tso refine of 1,024 points: at most 0.35 of `import torch`", ratio <= 0.35, f"{ratio:.2f}"
-    for points in sorted({points for points, _ in calls}):
-        ratio = calls[points, "first"]["seconds"]["median"] / calls[points, "steady"]["seconds"]["median"]
-        yield f"tso refine of {points:,} points: the first run under twice any other", ratio < 2.0, f"{ratio:.2f}x"
+    for first in _chosen(rows, "command", call="first"):
+        (steady,) = _chosen(rows, "command", call="steady", points=first["points"])
+        ratio = first["seconds"]["median"] / steady["seconds"]["median"]
+        yield f"tso refine of {first['points']:,} points: the first run under twice any other", ratio < 2.0, f"{ratio:.2f}x"
 
 
 def _object(records: Records) -> Judged:
@@ -48,23 +48,20 @@ def _object(records: Records) -> Judged:
 
 def _batch(records: Records) -> Judged:
     rows = [row for row in _chosen(records, "batch") if row.get("batch", 1) > 1]
-    keyed = {(row["preset"], row["batch"], row["threads"], row["busy"]): row for row in rows}
-    cores = max((row["threads"] for row in rows), default=1)
-    if ("best", 64, cores, False) in keyed:
-        ratio = keyed["best", 64, cores, False]["over_import_torch"]
+    most_threads = max((row["threads"] for row in rows), default=1)
+    for row in _chosen(rows, "batch", preset="best", batch=64, threads=most_threads, busy=False):
+        ratio = row["over_import_torch"]
         yield "an object in a batch of 64: at most 0.04 of `import torch`", ratio <= 0.04, f"{ratio:.3f}"
-    for busy, most, text in (
+    for busy, most, target in (
         (False, 1.0, "a batch is never slower on all cores than on one thread"),
-        (True, 1.5, "a batch on all cores beside a busy neighbour takes at most 1.5x one thread beside it"),
+        (True, 1.5, "beside a busy neighbour a batch on all cores takes at most 1.5x one thread"),
     ):
-        pairs = [
-            (keyed[preset, size, 1, busy], row)
-            for (preset, size, threads, b), row in keyed.items()
-            if b == busy and threads > 1
-        ]
-        if pairs:
-            worst = max(row["seconds"]["median"] / one["seconds"]["median"] for one, row in pairs)
-            yield text, worst <= most, f"{worst:.2f}x at worst"
+        seconds = {
+            (row["preset"], row["batch"], row["threads"]): row["seconds"]["median"] for row in _chosen(rows, "batch", busy=busy)
+        }
+        ratios = [taken / seconds[preset, size, 1] for (preset, size, threads), taken in seconds.items() if threads > 1]
+        if ratios:
+            yield target, max(ratios) <= most, f"{max(ratios):.2f}x at worst"
 
 
 def _kernels(records: Records) -> Judged:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...io.shipped import examples_folder
 from .material import cloud
-from .timing import IMPORT_TORCH, PACKAGE, Contestant, Records, Setting, as_installed, process, run_process
+from .timing import IMPORT_TORCH, PACKAGE, Contestant, Records, Setting, as_installed, process
 
 TSO = ("-m", "tso_cli")
 REFINE = "tso refine --mode points"
@@ -22,7 +22,6 @@ def measure(setting: Setting) -> Records:
 
     Raises TsoError if a command fails, InputError if the shipped examples are missing.
     """
-    run_process("tso compile", (*TSO, "compile"))
     with tempfile.TemporaryDirectory() as folder:
         return setting.race("command", contestants(Path(folder), setting.seed), "over_import_torch")
 

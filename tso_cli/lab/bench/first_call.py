@@ -11,11 +11,11 @@ from ...refinement import refine
 from .timing import timed
 
 
-def peak_memory() -> int | None:
-    """The most that this process held so far, in bytes, with Python and all libraries; None where Linux does not say."""
+def peak_memory() -> int:
+    """The most that this process held so far, in bytes, with Python and all libraries; 0 where Linux does not say."""
     status = Path("/proc/self/status")
     lines = status.read_text().splitlines() if status.exists() else []
-    return next((1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM")), None)
+    return next((1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM")), 0)
 
 
 if __name__ == "__main__":

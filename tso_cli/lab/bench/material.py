@@ -7,23 +7,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ...geometry.points import normalise_longest_side, sample_surface, spread_subset
+from ...geometry.points import Array, normalise_longest_side, sample_surface, spread_subset
 from ...geometry.view import View
 from ...io.cameras import read_camera
 from ...io.clouds import read_cloud
 from ...io.images import read_mask
 from ...io.meshes import read_mesh
 from ...io.shipped import examples_folder
-from ...kernels.dispatch import planned
-from ...losses.chamfer import ChamferToStart
 from ...losses.silhouette import silhouette_of
-from ...refinement.adam import Adam
-from ...refinement.objective import SilhouetteObjective
-from ...refinement.optimise import Array, descend
-from ...refinement.parameters import PointParameters
-from ...refinement.presets import PAPER_GAMMA, PAPER_LEARNING_RATE, PAPER_SIGMA_SQ, PAPER_STEPS
-from ...refinement.resampled_view import resample_view
-from .timing import FORMS
 
 # The shipped example of a chair starts from points of this shape.
 START = "q17_ChairHandle.ply"
@@ -50,20 +41,3 @@ def chair_views(count: int = 1) -> list[View]:
         turned = replace(camera, R=camera.R @ turn)
         views.append(View(silhouette_of(read_cloud(folder / "target.ply").points, turned), turned))
     return views
-
-
-def trajectory(count: int, seed: int = 0, steps: int = PAPER_STEPS) -> list[Array]:
-    """The iterates [N, 3] of a refinement with the paper's settings: the initial points, then one for each step."""
-    initial, iterates = cloud(count, seed), []
-    view = resample_view(chair_views()[0], PAPER_SIGMA_SQ, np.zeros(3), 1.0)
-    with planned(FORMS["compiled"], FORMS["compiled"]):
-        silhouette, chamfer = SilhouetteObjective([view], [1.0]), ChamferToStart(initial)
-
-        def objective(points: Array) -> tuple[float, Array]:
-            iterates.append(points)
-            (value, gradient), (distance, by_distance) = silhouette(points), chamfer(points)
-            gamma = PAPER_GAMMA["points"]
-            return value + gamma * distance, gradient + gamma * by_distance
-
-        descend(PointParameters(initial, Adam(PAPER_LEARNING_RATE["points"])), objective, steps)
-    return iterates

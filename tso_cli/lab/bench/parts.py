@@ -40,24 +40,31 @@ def measure(setting: Setting, sizes: tuple[int, ...] = SIZES) -> Records:
 
 
 def samples(count: int, seed: int = 0) -> dict[str, Sample]:
-    """Name -> one call, in the form of the loops that is planned; the whole refinement is the first."""
-    views = tuple(chair_views())
+    """Name -> one call, in the form of the loops that is planned; the whole refinement is the first.
+
+    There are two views, since one is not asked about a mirror plane.
+    """
+    views = tuple(chair_views(2))
     settings = RefineConfig(symmetry="x").settings()
     problem = Problem.of(Cloud(cloud(count, seed), "points"), views, settings)
     points, given = problem.cloud.normalised(), problem.cloud.given
-    (view,) = problem.resampled[:1]
-    field, targets = SmoothField(points), ViewTargets.of([view], [1.0])
+    field, targets = SmoothField(points), ViewTargets.of(problem.resampled, [1.0] * len(problem.resampled))
     values = np.random.default_rng(seed).normal(size=(len(field.nodes), 3))
     mask_chamfer = MaskChamferObjective(targets, STAGES[0].robust_scale, targets.resolvability(points, field))
     works: dict[str, Callable[[], object]] = {
         "mirror plane search": partial(find_mirror_plane, points),
-        "symmetry check": partial(verified_symmetry, problem, [1.0], settings, field),
+        "symmetry check": partial(verified_symmetry, problem, [1.0, 1.0], settings, field),
         "farthest points and field": partial(SmoothField, points),
         "one smoothed product": partial(field.smoothed, values, STAGES[0].smoothness),
         "mask Chamfer loss, value and gradient": partial(mask_chamfer, points),
         "position prior": partial(position_prior, points, targets, field, BEST),
-        "resampling of the window": partial(
-            resample_view, views[0], settings.sigma_sq, problem.cloud.centre, problem.cloud.scale, view.box
+        "resampling of one window": partial(
+            resample_view,
+            views[0],
+            settings.sigma_sq,
+            problem.cloud.centre,
+            problem.cloud.scale,
+            problem.resampled[0].box,
         ),
         "judging": partial(view_ious, given, given, views, views),
     }

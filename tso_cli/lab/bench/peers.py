@@ -14,10 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ...refinement.optimise import Array, Term
-from ...refinement.presets import PAPER_SIGMA_SQ
 from .timing import Contestant, Records, Sample, Setting, record
-
-TensorLoss = Callable[[Tensor], Tensor]
 
 
 def race(setting: Setting, what: str, samples: Mapping[str, Sample | str], calls: int = 1, **fields: Any) -> Records:
@@ -31,7 +28,7 @@ def tensor(values: Array) -> Tensor:
     return torch.as_tensor(values, dtype=torch.float32)
 
 
-def differentiated(loss: TensorLoss) -> Term:
+def differentiated(loss: Callable[[Tensor], Tensor]) -> Term:
     """Value and gradient of a loss in torch, at points [N, D]."""
 
     def term(points: Array) -> tuple[float, Array]:
@@ -80,11 +77,11 @@ def chamfer_terms(initial: Array) -> Mapping[str, Callable[[Any], Term]]:
         return term
 
     def point_cloud_utils(module: Any) -> Term:
-        def nearest(queries: Array, data: Array) -> NDArray[np.int64]:
-            index: NDArray[np.int64] = module.k_nearest_neighbors(queries, data, 1)[1].reshape(-1)
-            return index
+        def term(moved: Array) -> tuple[float, Array]:
+            pairs = ((moved, initial), (initial, moved))
+            return paired(initial, moved, *(module.k_nearest_neighbors(*pair, 1)[1].reshape(-1) for pair in pairs))
 
-        return lambda moved: paired(initial, moved, nearest(moved, initial), nearest(initial, moved))
+        return term
 
     def pytorch3d(module: Any) -> Term:
         distance = import_module("pytorch3d.loss").chamfer_distance
@@ -99,20 +96,3 @@ def paired(initial: Array, moved: Array, to_initial: NDArray[np.int64], to_moved
     gradient = ahead.copy()
     np.add.at(gradient, to_moved, back)
     return float(np.square(ahead).sum() + np.square(back).sum()) / len(moved), (2.0 / len(moved)) * gradient
-
-
-def pytorch3d_discs(module: Any, side: int) -> Term:
-    """A silhouette of discs of the window's radius, the eight nearest of a pixel, weighted by the Gaussian."""
-    rasterize = import_module("pytorch3d.renderer.points").rasterize_points
-    clouds = import_module("pytorch3d.structures").Pointclouds
-    # Its axes point left and up, and the picture spans -1 to 1.
-    unit, radius = 2.0 / side, 4.5
-    shift = 1.0 - unit / 2.0
-
-    def loss(points_px: Tensor) -> Tensor:
-        placed = torch.cat([shift - points_px * unit, torch.ones_like(points_px[:, :1])], -1)
-        index, _, squared = rasterize(clouds(placed[None]), side, radius * unit, 8)
-        weights = torch.exp(squared / unit**2 * (-0.5 / PAPER_SIGMA_SQ)) * (index >= 0)
-        return torch.tanh(weights.sum(-1)).sum()
-
-    return differentiated(loss)

@@ -13,7 +13,7 @@ from ...geometry.resampling import area_resize
 from ...kernels.window import window_radius
 from ...losses.projection import project
 from ...losses.silhouette import silhouette_bce
-from ...refinement.optimise import Array, Term
+from ...refinement.optimise import Array
 from ...refinement.presets import PAPER_SIGMA_SQ
 from . import peers
 from .material import chair_views, cloud
@@ -25,8 +25,6 @@ LARGE: Sizes = ((65536, 512), (262144, 512))
 SCATTER = "scatter 9x9, torch"
 # The matrix product of numpy holds a number for each point and column, the scatter one for each point and pixel of its window.
 MOST_NUMBERS = {"tso, numpy": 5e7, SCATTER: 3e7}
-# Beyond this size other packages would take minutes.
-PEERS_UP_TO = 16384
 
 
 def measure(setting: Setting, sizes: Sizes = ()) -> Records:
@@ -42,14 +40,9 @@ def contestants(points_px: Array, mask: Array) -> dict[str, Sample | str]:
     """Name -> its loss of points [N, 2] and a mask [H, W], or why it is left out; tso's compiled loops are first."""
     count, side = len(points_px), mask.shape[-1]
     ours = partial(silhouette_bce, points_px, np.ones(count, bool), mask, 1.0 - mask, PAPER_SIGMA_SQ)
-    terms: dict[str, Term | str] = {
-        SCATTER: peers.differentiated(partial(scattered_loss, mask=peers.tensor(mask))),
-        "pytorch3d": "minutes at this size",
-    }
-    if count <= PEERS_UP_TO:
-        terms["pytorch3d"] = peers.tried("pytorch3d", partial(peers.pytorch3d_discs, side=side), points_px)
+    scatter = peers.differentiated(partial(scattered_loss, mask=peers.tensor(mask)))
     samples: dict[str, Sample | str] = {f"tso, {form}": timed(ours, form) for form in FORMS}
-    samples |= {name: term if isinstance(term, str) else timed(partial(term, points_px)) for name, term in terms.items()}
+    samples[SCATTER] = timed(partial(scatter, points_px))
     numbers = {"tso, numpy": float(count * side), SCATTER: count * (2.0 * window_radius(PAPER_SIGMA_SQ) + 1.0) ** 2}
     held = {name: number for name, number in numbers.items() if number > MOST_NUMBERS[name]}
     return samples | {name: f"{number:.1e} numbers held at once" for name, number in held.items()}

@@ -8,6 +8,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -95,10 +96,7 @@ def timed(work: Callable[[], object], form: str = "") -> Sample:
 
     def sample() -> float:
         start = time.perf_counter()
-        if form:
-            with planned(FORMS[form], FORMS[form]):
-                work()
-        else:
+        with planned(FORMS[form], FORMS[form]) if form else nullcontext():
             work()
         return time.perf_counter() - start
 

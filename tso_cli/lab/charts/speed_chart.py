@@ -16,7 +16,7 @@ MARKERS = "osD^vP*Xh"
 
 
 def draw_speed(path: Path, record: Record, overwrite: bool = False) -> None:
-    """A panel for each part that was measured: lines where sizes grow, dots elsewhere.
+    """A panel for each part that was measured but training: lines where sizes grow, dots elsewhere.
 
     Raises InputError if ``path`` cannot be written to.
     """
@@ -57,20 +57,20 @@ def _lines(title: str) -> Panel:
     return panel
 
 
-def _dots(title: str, label: Callable[[Record], str], series: Callable[[Record], str], value: str = "") -> Panel:
-    """A row for each label, from the top down, with a dot for each series: its median in ms, or the field ``value``."""
+def _dots(title: str, label: Callable[[Record], str], series: Callable[[Record], str]) -> Panel:
+    """A row for each label, from the top down, with a dot for each series: its median."""
 
     def panel(axis: Any, records: Records) -> None:
         labels = list(dict.fromkeys(map(label, records)))
         for i, name in enumerate(dict.fromkeys(map(series, records))):
             rows = [r for r in records if series(r) == name]
-            values = [r[value] if value else 1e3 * r["seconds"]["median"] for r in rows]
+            values = [1e3 * r["seconds"]["median"] for r in rows]
             places = [labels.index(label(r)) for r in rows]
             axis.plot(values, places, MARKERS[i % 9], color=COLOURS[i % 6], label=name, markersize=6, alpha=0.8)
         axis.set_yticks(range(len(labels)), labels, fontsize=8)
         axis.set_ylim(len(labels) - 0.5, -0.5)
         axis.grid(axis="both", color=PALE, linewidth=0.5, alpha=0.6)
-        axis.set(title=title, xlabel=value.replace("_", " ") or "ms", xscale="log")
+        axis.set(title=title, xlabel="ms", xscale="log")
         axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
 
     return panel
@@ -85,11 +85,10 @@ PANELS: dict[str, Panel] = {
     "batch": _dots(
         "many objects, ms each",
         lambda r: r["name"],
-        lambda r: f"{r['preset']}, {r['threads']} threads" if "preset" in r else r["name"],
+        lambda r: f"{r['preset']}, threads: {r['threads']}" if "preset" in r else r["name"],
     ),
     "silhouette": _lines("silhouette and cross-entropy, value and gradient"),
     "chamfer": _lines("Chamfer to the start, a step, value and gradient"),
-    "training": _dots("training", lambda r: f"{r['name']}", lambda r: r["precision"], "images_per_second"),
 }
 
 

@@ -19,16 +19,6 @@ def machine_line(record: Record) -> str:
     return f"{machine['cpu']}, {machine['cores']} cores; {versions}; seed {record['seed']}, {record['seconds']:.0f} s"
 
 
-def left_out(records: Records) -> list[list[str]]:
-    """Contestants without a measurement, and why."""
-    reasons: dict[tuple[str, str], list[str]] = {}
-    for record in records:
-        if reason := record.get("left_out"):
-            size = "" if reason == "not installed" else f" ({_size(record)})"
-            reasons.setdefault((record["what"], record["name"]), []).append(reason + size)
-    return [[f"{what}, {name}", "; ".join(dict.fromkeys(lines))] for (what, name), lines in reasons.items()]
-
-
 def tables(record: Record) -> list[Table]:
     """Of whatever was measured; the last says what was left out, and where the record was made."""
 
@@ -37,6 +27,10 @@ def tables(record: Record) -> list[Table]:
 
     objects, batches = ([r for r in of(what) if "preset" in r] for what in ("object", "batch"))
     commands = [[r["name"], *_quartiles(r), f"{r['over_import_torch']:.2f}"] for r in of("command")]
+    left_out: dict[str, list[str]] = {}
+    for r in record["records"]:
+        if "left_out" in r:
+            left_out.setdefault(f"{r['what']}, {r['name']}: {r['left_out']}", []).append(_size(r))
     measured = [
         Table(["", "median", "low", "high", "x `import torch`"], commands, "whole processes: s"),
         _pivot("one object: ms (x `import torch`)", objects, _ms_and("over_import_torch")),
@@ -61,12 +55,12 @@ def tables(record: Record) -> list[Table]:
             batches,
             lambda r: f"{_ms(r)} ({r['over_import_torch']:.3f}x, {r['over_refine']:.2f}x)",
             lambda r: f"{r['preset']}, {r['name']}",
-            lambda r: f"{r['threads']} thread{'s' if r['threads'] > 1 else ''}",
+            lambda r: f"threads: {r['threads']}",
         ),
         _pivot("silhouette, value and gradient: ms (x tso's)", of("silhouette"), _ms_and("over_tso")),
         _pivot("Chamfer to the start, value and gradient: ms (x tso's)", of("chamfer"), _ms_and("over_tso")),
         _pivot("training: images a second", of("training"), _images, column=lambda r: str(r["precision"])),
-        Table(["left out", "why"], left_out(record["records"])),
+        Table(["left out", "points"], [[label, ", ".join(sizes)] for label, sizes in left_out.items()]),
         Table(["measured on"], [[machine_line(record)]]),
     ]
     return [table for table in measured if table.rows]
@@ -94,7 +88,7 @@ def _ms_and(ratio: str) -> Label:
 def _images(record: Record) -> str:
     """Images a second; of a whole step also what projector and losses add, and the share of it that waits for data."""
     whole = record["name"].endswith("step")
-    shares = f" (+{100 * record['added']:.0f} %, waits {100 * record['waiting']:.1f} %)" if whole else ""
+    shares = f" ({100 * record['added']:+.0f} %, waits {100 * record['waiting']:.1f} %)" if whole else ""
     return _digits(record["images_per_second"]) + shares
 
 
