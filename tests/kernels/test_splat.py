@@ -35,7 +35,7 @@ def _assert_agree(points: torch.Tensor, height: int, width: int, sigma_sq: float
     assert (exact_grad - fast_grad).abs().max() <= 1e-5 * exact_grad.abs().max()
 
 
-@pytest.mark.parametrize("sigma_sq", [0.1, 0.4, 1.6, 6.4])
+@pytest.mark.parametrize("sigma_sq", [1e-4, 0.05, 0.4, 1.6, 6.4, 100.0])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("kernel", WINDOWED)
 def test_the_windowed_kernels_agree_with_the_exact_product_in_value_and_gradient(kernel, sigma_sq, dtype):
@@ -106,3 +106,19 @@ def test_points_at_huge_coordinates_add_nothing_and_break_nothing(kernel):
     assert points.grad is not None
     assert torch.isfinite(points.grad).all()
     assert sums[0, 2, 2].item() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("images", "count", "height", "width"), [(1, 2000, 200, 90), (7, 300, 40, 50), (3, 1, 5, 4)])
+def test_sums_and_gradients_do_not_depend_on_the_number_of_threads_by_one_bit(
+    assert_same_on_threads, images, count, height, width
+):
+    points = torch.cat([_cloud(seed, count, width, torch.float32)[:1] for seed in range(images)])
+    weight = torch.randn(images, height, width, generator=torch.Generator().manual_seed(1))
+
+    def sums_and_gradient():
+        leaf = points.clone().requires_grad_()
+        sums = splat(leaf, torch.ones(images, count, dtype=torch.bool), height, width, 0.7, "compiled")
+        (sums * weight).sum().backward()
+        return sums.detach(), leaf.grad
+
+    assert_same_on_threads(sums_and_gradient)

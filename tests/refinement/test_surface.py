@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 
 from tso_cli.cli import main
@@ -17,11 +16,12 @@ from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.points import sample_surface
 from tso_cli.geometry.view import View
 from tso_cli.io.clouds import read_cloud
+from tso_cli.losses.chamfer import spacings
+from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.run import view_ious
 from tso_cli.refinement.surface import SAMPLES, Surface
-from tso_cli.silhouette.projection import silhouette_of
 
 CORNERS = np.array([[x, y, z] for x in (-0.25, 0.25) for y in (-0.2, 0.2) for z in (-0.15, 0.15)])
 QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -96,16 +96,16 @@ def test_zero_steps_return_the_vertices_bit_for_bit(views):
 
 
 def test_samples_are_even_however_the_surface_is_triangulated():
-    spacings = []
+    means = []
     # One side has a thousand times as many faces as the others.
     fine, faces = _subdivided(CORNERS, BOX[:1], 5)
     uneven = Surface(fine, np.concatenate([faces, BOX[1:]]))
     for surface in (Surface(CORNERS, BOX), Surface(*_subdivided(CORNERS, BOX, 3)), uneven):
-        distance = torch.cdist(*[torch.tensor(surface.samples)] * 2).fill_diagonal_(torch.inf).amin(1)
-        spacings.append(distance.mean().item())
+        distance = spacings(surface.samples)
+        means.append(distance.mean())
         assert distance.min() > 0.7 * distance.mean()
         assert nearest_squared(_dense(CORNERS, BOX), surface.samples).max() < (1.5 * distance.mean()) ** 2
-    assert max(spacings) < 1.05 * min(spacings)
+    assert max(means) < 1.05 * min(means)
 
 
 @pytest.mark.slow

@@ -7,13 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.losses.common import COMPILED, FORMS, in_form
 from tso_cli.errors import InputError
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
-from tso_cli.refinement import RefineConfig, refine, refine_batch
+from tso_cli.losses.silhouette import silhouette_of
+from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.symmetry import MirrorPlane, find_mirror_plane
 from tso_cli.render import look_at
-from tso_cli.silhouette.projection import silhouette_of
 
 from .conftest import example
 
@@ -54,6 +55,7 @@ def test_the_plane_does_not_depend_on_how_the_last_bits_are_rounded(name):
     points = example(name).points
     noise = [np.random.default_rng(seed).normal(scale=1e-13, size=points.shape) for seed in range(3)]
     first, *others = (find_mirror_plane(points + bits).reflect(points) for bits in noise)
+    others.append(in_form(COMPILED, find_mirror_plane, points).reflect(points))
     for other in others:
         np.testing.assert_allclose(other, first, atol=1e-6)
 
@@ -89,30 +91,22 @@ def test_the_symmetry_check_passes_for_a_symmetric_object():
     assert "at most 1.1" in result.symmetry_reason
 
 
-def test_the_symmetry_check_fails_for_an_object_that_lost_one_side():
+@FORMS
+def test_the_symmetry_check_fails_for_an_object_that_lost_one_side(form):
     mask, camera = _seen(_boxes(-0.42))
     start = _boxes(-0.42, 0.42)
-    result = refine(start, mask, camera)
+    configs = RefineConfig(steps=12), RefineConfig(steps=12, symmetry="none")
+    result, without = (in_form(form, refine, start, mask, camera, config) for config in configs)
     assert result.symmetry is None
     assert result.symmetry_outcome == "contradicted"
     assert "over 1.1" in result.symmetry_reason
-    np.testing.assert_array_equal(result.points, refine(start, mask, camera, RefineConfig(symmetry="none")).points)
+    np.testing.assert_array_equal(result.points, without.points)
 
 
 def test_an_asymmetric_cloud_has_no_plane():
     start = np.random.default_rng(0).uniform(-0.5, 0.5, (400, 3)) ** 2 * [1.0, 0.7, 0.4]
     result = refine(start, *_seen(start), RefineConfig(steps=0))
     assert (result.symmetry, result.symmetry_outcome) == (None, "none_found")
-
-
-def test_clouds_of_a_batch_are_checked_independently():
-    start = _boxes(-0.42, 0.42)
-    scenes = [(start, View(*_seen(truth))) for truth in (_boxes(-0.42), _boxes(-0.42, 0.42) * [1.1, 1.1, 1.0])]
-    config = RefineConfig(steps=6)
-    together = refine_batch(scenes, config)
-    assert [result.symmetry is None for result in together] == [True, False]
-    for result, (points, view) in zip(together, scenes, strict=True):
-        np.testing.assert_allclose(result.points, refine(points, view, config=config).points, atol=1e-4)
 
 
 @settings(max_examples=25, deadline=None)

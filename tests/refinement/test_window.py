@@ -1,38 +1,31 @@
 """The window: lengths belong to the object, whatever photo it is in."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tso_cli import Camera, RefineConfig, View, refine, refine_batch
+from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.view import object_box
 from tso_cli.geometry.window import window_of
-from tso_cli.io.clouds import read_cloud
 from tso_cli.lab.studies.evidence_cases import framed
 from tso_cli.refinement import PRESETS
 from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.resampled_view import resample_view
-from tso_cli.scene.load import ViewFiles, load_views
-from tso_cli.silhouette.mask_chamfer import MaskTarget, mask_chamfer_loss
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+from .conftest import example
 
 
-def _example(name):
-    folder = EXAMPLES / name
-    initial, target = (read_cloud(folder / f"{file}.ply").points for file in ("initial", "target"))
-    return initial, target, load_views(ViewFiles([folder / "mask.png"]))[0][0]
+def _of(name):
+    shown = example(name)
+    return shown.points, shown.target, shown.view
 
 
 @pytest.mark.parametrize(("name", "preset"), [("car", "paper"), pytest.param("airplane", "best", marks=pytest.mark.slow)])
 def test_an_object_comes_as_near_to_the_truth_in_a_large_photo_as_in_a_small_one(name, preset):
-    initial, target, view = _example(name)
+    initial, target, view = _of(name)
     config = RefineConfig(preset=preset)
     before = chamfer(initial, target).chamfer
     ratios = [
@@ -57,7 +50,7 @@ def test_the_window_is_a_square_around_mask_and_cloud():
 
 
 def test_a_few_outliers_do_not_widen_the_window():
-    initial, _, view = _example("chair")
+    initial, _, view = _of("chair")
     photo = framed(view, 8, 0.5, 0.3)
     stray = np.vstack([initial, initial.mean(0) + [1.5, 0.0, 0.0]])
     np.testing.assert_allclose(window_of(photo, stray), window_of(photo, initial), atol=4.0)
@@ -88,29 +81,11 @@ def test_only_the_borders_of_the_image_truncate_an_object():
     mask[60:100, 0:40] = 1.0
     for shift, expected in ((0, True), (20, False), (160, True)):
         view = View(np.roll(mask, shift, 1), Camera.canonical(200, 200))
-        seen = resample_view(view, 0.4, np.zeros(3), 1.0)
-        known = None if seen.known is None else torch.from_numpy(seen.known)[None]
-        target = MaskTarget.of(torch.from_numpy(seen.mask)[None], known, torch.tensor([seen.bounds], dtype=torch.float64))
-        assert (target.truncated is not None) == expected
-
-
-def test_the_mask_loss_moves_a_point_beside_the_window_but_none_beside_the_photo():
-    mask = torch.zeros(1, 64, 64, dtype=torch.float64)
-    mask[0, 24:40, 24:40] = 1.0
-    target = MaskTarget.of(mask, bounds=torch.tensor([[-100.0, -10.0, 200.0, 80.0]], dtype=torch.float64))
-    for place, pulled in (((-20.0, 32.0), True), (-150.0, False), ((80.0, -5.0), True), ((32.0, -12.0), False)):
-        points = torch.tensor([[place if isinstance(place, tuple) else (place, 32.0)]], dtype=torch.float64, requires_grad=True)
-        mask_chamfer_loss(
-            points, torch.ones(1, 1, dtype=torch.bool), target._replace(inside=torch.zeros_like(target.inside)), 6.0
-        ).sum().backward()
-        assert bool(points.grad.any()) == pulled
-        if pulled:
-            toward = torch.tensor([32.0, 32.0], dtype=torch.float64) - points[0, 0].detach()
-            assert (-points.grad[0, 0] * toward).sum() > 0.0
+        assert resample_view(view, 0.4, np.zeros(3), 1.0).target.truncated == expected
 
 
 def test_the_window_follows_a_cloud_that_starts_far_from_its_mask():
-    _, target, view = _example("chair")
+    _, target, view = _of("chair")
     photo = framed(view, 4, 0.5, 0.3)
     start = target + [0.0, 0.3, 0.0] @ view.camera.R
     item = Problem.of(Cloud(start, "points"), (photo,), RefineConfig(symmetry="none").settings())
@@ -121,7 +96,7 @@ def test_the_window_follows_a_cloud_that_starts_far_from_its_mask():
 
 @pytest.mark.slow
 def test_a_refinement_ends_in_the_window_of_its_result_on_the_grid_that_its_mask_bears():
-    _, target, view = _example("chair")
+    _, target, view = _of("chair")
     photo = framed(view, 4, 0.5, 0.3)
     start = target + [0.0, 0.3, 0.0] @ view.camera.R
     result = refine(start, photo, config=RefineConfig(symmetry="none"))
@@ -136,7 +111,7 @@ def test_a_refinement_ends_in_the_window_of_its_result_on_the_grid_that_its_mask
 
 
 def test_stray_foreground_far_from_the_object_is_left_out_with_a_warning():
-    initial, target, view = _example("car")
+    initial, target, view = _of("car")
     photo = framed(view, 4, 0.5, 0.3)
     mask = photo.mask.copy()
     mask[-40:-38, 30:32] = 1.0
@@ -171,25 +146,6 @@ def test_the_box_of_an_object_holds_nearly_all_of_it(pixels):
     assert inside[top].any() and inside[bottom - 1].any() and inside[:, left].any() and inside[:, right - 1].any()
 
 
-def test_objects_of_different_size_give_the_same_results_in_one_batch_and_alone():
-    initial, _, view = _example("chair")
-    initial = initial[::4]
-    scenes = [(initial, view), (initial, View(view.mask[::4, ::4], view.camera.resized(64, 64)))]
-    config = RefineConfig(steps=3)
-    for (points, view), result in zip(scenes, refine_batch(scenes, config), strict=True):
-        np.testing.assert_allclose(result.points, refine(points, view, config=config).points, atol=2e-3)
-
-
-@pytest.mark.slow
-def test_large_clouds_of_different_numbers_of_points_give_the_same_results_in_one_batch_and_alone():
-    _, target, view = _example("chair")
-    rng = np.random.default_rng(0)
-    clouds = [target[rng.integers(0, len(target), count)] + rng.normal(0.0, 0.03, (count, 3)) for count in (1500, 2900)]
-    config = RefineConfig(steps=2, symmetry="none")
-    for points, result in zip(clouds, refine_batch([(points, view) for points in clouds], config), strict=True):
-        np.testing.assert_allclose(result.points, refine(points, view, config=config).points, atol=2e-4)
-
-
 @settings(max_examples=30, deadline=None)
 @given(st.integers(8, 90), st.integers(8, 90), st.integers(0, 80), st.integers(0, 80), st.integers(1, 60), st.integers(1, 60))
 def test_any_mask_lies_in_its_window(height, width, row, column, tall, wide):
@@ -206,5 +162,5 @@ def test_any_mask_lies_in_its_window(height, width, row, column, tall, wide):
     assert bottom >= box[3] - 1e-9
     assert right - left == pytest.approx(bottom - top)
     seen = resample_view(view, 0.4, np.zeros(3), 1.0)
-    assert seen.inside.any()
+    assert seen.target.inside.any()
     assert 0.0 <= seen.mask.min() <= seen.mask.max() <= 1.0 + 1e-9

@@ -51,16 +51,22 @@ def on_disk(*functions: Any) -> bool:
         return False
 
 
-def compiled(function: Callable[..., Any]) -> Any:
+def compiled(function: Callable[..., Any], **changes: Any) -> Any:
     """``function`` compiled at its first call; the machine code is kept on disk where a folder can be written.
 
     Sums are reordered within a statement, and multiply-adds rounded once: the same way at every call.
     """
+    settings = SETTINGS | changes
     try:
-        return njit(cache=True, **SETTINGS)(function)
+        return njit(cache=True, **settings)(function)
     except RuntimeError:
         # neither the package's folder nor the user's cache folder can be written: compile in every process
-        return njit(**SETTINGS)(function)
+        return njit(**settings)(function)
+
+
+def exactly(function: Callable[..., Any]) -> Any:
+    """As `compiled`, rounding as numpy does, where ties decide and must fall the same way in both."""
+    return compiled(function, fastmath=False)
 
 
 def part(function: Callable[..., Any]) -> Any:

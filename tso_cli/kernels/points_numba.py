@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from .jit import compiled
+from .jit import compiled, exactly
 
 
-@compiled
+@exactly
 def farthest_points(points, chosen):  # type: ignore[no-untyped-def]
     """Fill ``chosen`` [count] as `tso_cli.geometry.points.farthest_point_sample` does, of ``points`` [N, 3]."""
     count = len(points)

@@ -35,7 +35,7 @@ def nearest_few(queries: Array, data: Array, count: int) -> Indices:
     pairs = len(queries) * len(data)
     compiled = use_compiled() and data.shape[1] == 3 and count <= len(data)
     if pairs > (MOST_COMPILED_PAIRS if compiled else MOST_PAIRS):
-        return _by_tree(queries, data, count)
+        return _by_tree(queries, data, count).reshape(-1, count)
     if compiled:
         from ..kernels import points_numba
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
 from typing import TYPE_CHECKING, Any
 
@@ -129,9 +129,11 @@ def refine_batch(
     threads = max(1, min(_threads(), len(scenes)))
     pool = ThreadPoolExecutor(threads, thread_name_prefix="tso")
     with planned(*batch.work()), blas.one_thread(), pool:
-        futures = [pool.submit(copy_context().run, batch.refine, number) for number in range(len(scenes))]
+        futures: list[Future[RefineResult | TsoError]] = []
         while True:
             try:
+                for number in range(len(futures), len(scenes)):
+                    futures.append(pool.submit(copy_context().run, batch.refine, number))
                 return [future.result() for future in futures]
             except KeyboardInterrupt:
                 batch.interrupted.set()
@@ -151,6 +153,7 @@ class _Batch:
     def __init__(self, scenes: list[tuple[Any, Any]], config: RefineConfig, on_progress: Progress | None) -> None:
         self._scenes, self._config, self._on_progress = scenes, config, on_progress
         self._lock = threading.Lock()
+        self._done = 0
         self._losses: list[float] = []
         self.interrupted = threading.Event()
 
@@ -161,7 +164,7 @@ class _Batch:
             try:
                 views = 1 if isinstance(scene[1], View) else len(scene[1])
                 more, further = _work(self._config.settings(views), views, len(scene[0]))
-            except TypeError:
+            except (TypeError, LookupError):
                 continue
             comparisons, points = comparisons + more, points + further
         return comparisons, points
@@ -180,8 +183,14 @@ class _Batch:
             result = error
         if self._on_progress is not None:
             with self._lock:
-                self._losses.append(np.nan if isinstance(result, TsoError) else result.loss_after)
-                self._on_progress(len(self._losses), len(self._scenes), float(np.nanmean([*self._losses, np.nan])))
+                self._done += 1
+                self._losses += [] if isinstance(result, TsoError) else [result.loss_after]
+                mean = float(np.mean(self._losses)) if self._losses else np.nan
+                try:
+                    self._on_progress(self._done, len(self._scenes), mean)
+                except KeyboardInterrupt:
+                    # In a thread; raised there, the caller would wait for this result for ever.
+                    self.interrupted.set()
         return result
 
     def _pause(self, step: int, steps: int, loss: float) -> None:

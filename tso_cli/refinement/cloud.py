@@ -28,7 +28,8 @@ class Cloud:
     """
 
     def __init__(self, points: Any, name: str, colours: Any = None, faces: Any = None) -> None:
-        self.given: Array = as_points(as_numpy(points), name)
+        # In rows: columns would have every loop compiled anew for them.
+        self.given: Array = np.ascontiguousarray(as_points(as_numpy(points), name))
         self.surface = None if faces is None else Surface.of(self.given, as_numpy(faces), name)
         self.initial = self.surface.samples if self.surface else self.given
         self.centre, self.scale = bounding_box_normalisation(self.initial, name)

@@ -75,11 +75,10 @@ def descend(parameters: Parameters, objective: Term, steps: int, on_progress: Pr
     try:
         for step in range(steps + 1):
             points = parameters.forward()
-            value, gradient = objective(points)
-            # Non-finite points are invisible to the views, so the loss alone may not show them.
-            finite = bool(np.isfinite(value) and np.isfinite(points).all())
-            losses.append(value if finite else np.nan)
-            if not finite:
+            # Views do not see points that are not finite, and a search for their neighbours would fail.
+            value, gradient = objective(points) if np.isfinite(points).all() else (np.nan, points)
+            losses.append(value if np.isfinite(value) else np.nan)
+            if not np.isfinite(value):
                 break
             if value < lowest:
                 # One assignment, so that Ctrl-C leaves all three of the same step.
@@ -92,4 +91,5 @@ def descend(parameters: Parameters, objective: Term, steps: int, on_progress: Pr
         if not losses:
             raise
         interrupted = True
-    return Descent(best, best_step, losses, interrupted, losses[0], lowest)
+    # Ctrl-C may fall between the loss of the start and its being the lowest.
+    return Descent(best, best_step, losses, interrupted, losses[0], min(lowest, losses[0]))
