@@ -71,11 +71,11 @@ def on_threads(work: Callable[[], object], count: int, busy: bool = False) -> Sa
 
 
 @contextmanager
-def busy_neighbour() -> Iterator[None]:
+def busy_neighbour() -> Iterator[list[subprocess.Popen[bytes]]]:
     """A process that spins on every core inside the block."""
     spinners = [subprocess.Popen([sys.executable, "-c", SPIN]) for _ in range(os.cpu_count() or 1)]
     try:
-        yield
+        yield spinners
     finally:
         for spinner in spinners:
             spinner.kill()
