@@ -25,11 +25,12 @@ from tso_cli.lab.bench import (
     parts,
     peers,
     silhouette,
-    study,
+    speed,
     timing,
     training,
 )
 from tso_cli.lab.bench.claims import claims
+from tso_cli.lab.bench.study import STUDY
 from tso_cli.lab.bench.timing import Contestant, Setting, record, timed
 from tso_cli.lab.charts.speed_chart import draw_speed
 from tso_cli.lab.study import answer
@@ -157,7 +158,7 @@ def test_every_contestant_computes_the_same_chamfer_distance_and_gradient():
     [
         (None, "not installed"),
         (RuntimeError("needs\na GPU"), "does not run here (needs a GPU)"),
-        (ModuleNotFoundError("no torch"), "cannot be imported (no torch)"),
+        (ImportError("no torch"), "cannot be imported (no torch)"),
         (0, None),
     ],
 )
@@ -261,15 +262,15 @@ def test_a_first_run_finds_no_byte_code_and_no_compiled_loops(tmp_path):
 
 
 def test_the_command_writes_record_page_and_chart_and_overwrites_nothing(measured, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(study, "compile_loops", lambda: None)
+    monkeypatch.setattr(speed, "compile_loops", lambda: None)
     for name in PARTS:
         rows = [row for row in measured if row["what"] == name]
         part = sys.modules[f"tso_cli.lab.bench.{name}"]
         monkeypatch.setattr(part, "measure", lambda setting, rows=rows: rows if torch.get_num_threads() == 1 else [])
-    record = study.speed(QUICK)
+    record = speed.speed(QUICK)
     assert record["records"] == measured
     assert set(record["convention"]) == {"seconds", *PARTS}
-    text = answer(study.STUDY, {**record, "claims": [{"claim": "fast", "found": "slow", "holds": False}]})
+    text = answer(STUDY, {**record, "claims": [{"claim": "fast", "found": "slow", "holds": False}]})
     assert all(row["name"] in text for row in measured)
     assert "target missed: fast (slow)" in text
     draw_speed(tmp_path / "all.png", record)

@@ -35,7 +35,7 @@ def measure(setting: Setting, sizes: tuple[int, ...] = (), steps: int | None = N
         for size in sizes:
             scenes = [(clouds[number % CLOUDS], views) for number in range(size)]
             work = partial(_refine_all, scenes, config)
-            for count in sorted({1, most or len(os.sched_getaffinity(0))}):
+            for count in sorted({1, most or os.cpu_count() or 1}):
                 for busy in (False, True) if size == neighboured else (False,):
                     fields = {"preset": preset, "batch": size, "threads": count, "busy": busy}
                     name = f"refine_batch of {size}" + (", busy neighbour" if busy else "")

@@ -46,7 +46,7 @@ def tried(package: str, make: Callable[[Any], Term], points: Array) -> Term | st
         try:
             term = make(import_module(package))
             term(points)
-        except ModuleNotFoundError as error:
+        except ImportError as error:
             return "not installed" if error.name == package else f"cannot be imported ({_line(error)})"
         except Exception as error:
             # Whatever another package raises, the run goes on without it.
