@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 import tempfile
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,26 +19,24 @@ SIZES, LARGE = (1024, 16384), (65536, 262144)
 MORE_VIEWS = (2, 4)
 
 
+@dataclass(frozen=True, eq=False)
 class Call:
     """One call of `refine` with the loops in one form; ``steady`` here, else in a fresh process.
 
     ``details`` are what each call says of itself: the seconds of its phases, or the peak memory of its process.
     """
 
-    def __init__(self, arguments: tuple[Any, Any, RefineConfig], form: str, steady: bool) -> None:
-        self._arguments, self._form, self._steady = arguments, form, steady
-        self.details: list[dict[str, float]] = []
+    arguments: tuple[Any, Any, RefineConfig]
+    form: str
+    steady: bool
+    details: list[dict[str, float]] = field(default_factory=list)
 
     def __call__(self) -> float:
-        return self._here() if self._steady else self._in_fresh_process()
-
-    def _here(self) -> float:
-        points, views, config = self._arguments
-        return timed(lambda: self.details.append(refine(points, views, config=config).seconds), self._form)()
-
-    def _in_fresh_process(self) -> float:
+        points, views, config = self.arguments
+        if self.steady:
+            return timed(lambda: self.details.append(refine(points, views, config=config).seconds), self.form)()
         with tempfile.NamedTemporaryFile(suffix=".pickle") as file:
-            file.write(pickle.dumps((*self._arguments, self._form)))
+            file.write(pickle.dumps((*self.arguments, self.form)))
             file.flush()
             answer = json.loads(run_process("refine", ("-m", "tso_cli.lab.bench.first_call", file.name))[1])
         self.details.append({"peak_memory_bytes": answer["peak_memory_bytes"]})
@@ -47,7 +46,7 @@ class Call:
     def fields(self) -> dict[str, Any]:
         """Medians of the details, as fields of a record."""
         medians = {key: float(np.median([detail[key] for detail in self.details])) for key in self.details[0]}
-        return {"phases": medians} if self._steady else medians
+        return {"phases": medians} if self.steady else medians
 
 
 def measure(setting: Setting, sizes: tuple[int, ...] = (), steps: int | None = None) -> Records:

@@ -14,7 +14,6 @@ from ...refinement.objective import MaskChamferObjective, ViewTargets
 from ...refinement.presets import BEST, STAGES
 from ...refinement.prior import position_prior
 from ...refinement.problem import Problem
-from ...refinement.resampled_view import resample_view
 from ...refinement.run import view_ious
 from ...refinement.smooth_field import SmoothField
 from ...refinement.symmetry import find_mirror_plane
@@ -58,14 +57,7 @@ def samples(count: int, seed: int = 0) -> dict[str, Sample]:
         "one smoothed product": partial(field.smoothed, values, STAGES[0].smoothness),
         "mask Chamfer loss, value and gradient": partial(mask_chamfer, points),
         "position prior": partial(position_prior, points, targets, field, BEST),
-        "resampling of one window": partial(
-            resample_view,
-            views[0],
-            settings.sigma_sq,
-            problem.cloud.centre,
-            problem.cloud.scale,
-            problem.resampled[0].box,
-        ),
+        "resampling of the windows": partial(problem.with_views, views, settings),
         "judging": partial(view_ious, given, given, views, views),
     }
 

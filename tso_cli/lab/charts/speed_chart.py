@@ -50,7 +50,7 @@ def _lines(title: str) -> Panel:
                 axis.axhline(1e3 * r["seconds"]["median"], label=r["name"], color=PALE, linestyle="--")
         axis.set(title=title, xlabel="points", ylabel="ms", xscale="log", yscale="log")
         ticks = dict.fromkeys((r["points"], r["side"]) for r in series)
-        axis.set_xticks([n for n, _ in ticks], [_short(n) + (f"\n{side}²" if side else "") for n, side in ticks])
+        axis.set_xticks([n for n, _ in ticks], [f"{n:,}" + (f"\n{side}²" if side else "") for n, side in ticks], fontsize=8)
         axis.minorticks_off()
         axis.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
 
@@ -90,8 +90,3 @@ PANELS: dict[str, Panel] = {
     "silhouette": _lines("silhouette and cross-entropy, value and gradient"),
     "chamfer": _lines("Chamfer to the start, a step, value and gradient"),
 }
-
-
-def _short(count: int) -> str:
-    """1024 -> 1,024; 65536 -> 65.5k."""
-    return f"{count:,}" if count < 10_000 else f"{count / 1e3:.3g}k"
