@@ -28,7 +28,7 @@ PACKAGE = Path(__file__).resolve().parents[2]
 BLOCK = 2e-3
 MOST_RUNS, LEAST_RUNS = 200, 3
 # Work that takes this many times the budget is done once.
-FAR_OVER = 10.0
+FAR_OVER = 30.0
 # Form of the loops -> the work that `planned` is told of: none, or so much that compiling pays.
 FORMS = {"compiled": 1 << 60, "numpy": 0}
 
@@ -55,7 +55,7 @@ class Setting:
     def race(self, what: str, contestants: Sequence[Contestant], ratio: str) -> Records:
         """A record of each contestant, timed by turns after a warm-up; its field ``ratio`` is its time over the first one's.
 
-        Each is given the budget in 3 to 200 blocks; work that lasts ten times the budget is done once.
+        Each is given the budget in 3 to 200 blocks; work that lasts thirty times the budget is done once.
         """
         for contestant in contestants:
             self.report(f"{what}: {contestant.name}")

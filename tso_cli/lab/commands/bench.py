@@ -39,7 +39,8 @@ def speed(
     """Commands, single objects, batches, kernels and training, beside other ways of doing the same.
 
     command: whole processes; object: `refine` with one to four views; parts: what it consists of; batch: many objects in one
-    call, on one thread and on all cores; silhouette, chamfer: the kernels at growing sizes; training: images a second.
+    call, on one thread and on all cores; silhouette, chamfer: the kernels at growing sizes; training: images a second. All of
+    it takes some ten minutes, half an hour with --full.
 
     Contestants for the same work take turns on the CPU. Other packages (chamferdist, pykeops, point_cloud_utils, pytorch3d)
     are measured where they are installed.
