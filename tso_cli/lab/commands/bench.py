@@ -60,7 +60,7 @@ def speed(
 
     record = measure(Setting(seconds, full, seed, report), only)
     if output is not None:
-        records.write_record(record, output)
+        records.write_record(record, STUDY.parts, output)
         write_page(STUDY, record, output)
     if as_json:
         options.echo_json(record)
