@@ -38,8 +38,15 @@ def _value_and_gradient(loss, points: torch.Tensor) -> tuple[torch.Tensor, torch
     return value.detach(), leaf.grad
 
 
+LOSSES = {
+    "cross-entropy": lambda leaf, masks, valid: mask_loss(leaf, valid, PixelWeights.of(masks), 0.4),
+    "affinity": lambda leaf, masks, valid: affinity(splat(leaf, valid, 30, 33, 0.4, "windowed"), masks, leaf, valid),
+}
+
+
+@pytest.mark.parametrize("loss", LOSSES)
 @pytest.mark.parametrize("count", [3, 400])
-def test_the_affinity_of_points_and_its_gradient_are_those_of_the_plain_form(both_forms, count):
+def test_losses_of_many_images_and_their_gradients_are_those_of_the_plain_forms(both_forms, loss, count):
     points, valid = _clouds(10, 6, count, 30.0)
     points[2] = points[2, 0]  # stacked
     points[3] = points[3] + 100.0  # all uncovered
@@ -47,11 +54,9 @@ def test_the_affinity_of_points_and_its_gradient_are_those_of_the_plain_form(bot
     # Of equally near pixels either may attract; left of this edge one is nearest.
     masks = _masks(11, 6, 30, 33)
     masks[1:, :, :14], masks[1:, :, 14:] = 0.0, masks[1:, :, 14:].clamp(min=0.51)
-
-    def total(leaf):
-        return affinity(splat(leaf, valid, 30, 33, 0.4, "windowed"), masks, leaf, valid)
-
-    (plain, plain_gradient), (fast, fast_gradient) = both_forms(lambda: _value_and_gradient(total, points))
+    (plain, plain_gradient), (fast, fast_gradient) = both_forms(
+        lambda: _value_and_gradient(lambda leaf: LOSSES[loss](leaf, masks, valid), points)
+    )
     # of stacked points any may be the nearest: only their sum counts
     for gradient in (plain_gradient, fast_gradient):
         gradient[2] = gradient[2].sum(0)

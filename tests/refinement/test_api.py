@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -56,9 +58,9 @@ def test_zero_steps_return_the_start_bit_for_bit(chair):
     assert result.chamfer_to_initial == 0.0
 
 
-def _shifted(camera: Camera, by: float, scale: float = 1.0) -> Camera:
-    """The camera that sees scale * X + by where ``camera`` sees X."""
-    return Camera(camera.K, camera.R, scale * camera.t - camera.R @ np.full(3, by), camera.width, camera.height, camera.model)
+def _shifted(camera: Camera, by: float) -> Camera:
+    """The camera that sees X + by where ``camera`` sees X."""
+    return replace(camera, t=camera.t - camera.R @ np.full(3, by))
 
 
 @pytest.mark.parametrize("preset", PRESETS)

@@ -84,6 +84,19 @@ def test_progress_counts_clouds_and_reports_the_mean_loss_of_results(monkeypatch
     assert {"prepare", "optimise", "judge"} <= set(first.seconds)
 
 
+def test_an_error_of_the_callers_progress_ends_the_batch(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    reported = []
+
+    def fail(done, clouds, loss):
+        reported.append(done)
+        raise ValueError("no more")
+
+    with pytest.raises(ValueError, match="no more"):
+        refine_batch([(POINTS, VIEW)] * 30, RefineConfig(steps=30), progress=fail)
+    assert len(reported) < 5
+
+
 @pytest.mark.parametrize("how", ["Ctrl-C", "an exception of the caller's progress"])
 def test_after_an_interrupt_clouds_have_their_best_iterate_or_their_start(monkeypatch, how):
     """One thread: the first cloud is done, the second at work or about to begin, the rest waits."""

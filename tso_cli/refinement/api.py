@@ -137,6 +137,10 @@ def refine_batch(
                 return [future.result() for future in futures]
             except KeyboardInterrupt:
                 batch.interrupted.set()
+            except BaseException:
+                # An error of the caller's progress, say: the clouds that wait need not be refined first.
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
 
 
 def _threads() -> int:
