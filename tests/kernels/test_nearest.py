@@ -7,9 +7,8 @@ import pytest
 import torch
 from scipy.ndimage import distance_transform_edt
 
-from tso_cli.kernels import nearest as nearest_module
 from tso_cli.kernels import tensors
-from tso_cli.kernels.nearest import nearest, nearest_both_ways, nearest_marked, nearest_points
+from tso_cli.kernels.nearest import nearest_both_ways, nearest_in_rows, nearest_marked, nearest_points
 
 
 def _distance(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
@@ -21,33 +20,13 @@ def _assert_nearest(queries: torch.Tensor, data: torch.Tensor, index: torch.Tens
     torch.testing.assert_close(distance, _distance(queries, data), atol=1e-9, rtol=1e-6)
 
 
-@pytest.fixture(params=["all pairs", "tree"])
-def search(request, monkeypatch):
-    """Clouds of any size searched in one way."""
-    monkeypatch.setattr(nearest_module, "MULTIPLY_UP_TO", 1 << 30 if request.param == "all pairs" else 0)
-
-
-@pytest.mark.usefixtures("search")
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("count", [1, 300, 3000])
 def test_nearest_is_that_of_brute_force(dimension, count):
     generator = torch.Generator().manual_seed(0)
     queries = torch.randn(200, dimension, generator=generator)
     data = torch.randn(count, dimension, generator=generator)
-    _assert_nearest(queries, data, nearest(queries, data))
-
-
-@pytest.mark.parametrize("spread", [1.0, 1e-3, 1e-6, 1e-9])
-def test_the_nearest_of_points_close_together_and_far_from_the_rest_is_exact(spread):
-    generator = torch.Generator().manual_seed(2)
-    places = torch.tensor([[3.0, -1.0, 2.0], [-5.0, 4.0, 0.5]], dtype=torch.float64)
-    data, queries = (
-        (places[:, None] + spread * torch.randn(2, n, 3, generator=generator, dtype=torch.float64)).flatten(0, 1)
-        for n in (300, 40)
-    )
-    pairs = (queries[:, None] - data).square().sum(-1)
-    index = nearest(queries, data)
-    torch.testing.assert_close(pairs.gather(1, index[:, None])[:, 0], pairs.amin(1), atol=0.0, rtol=1e-7)
+    _assert_nearest(queries, data, nearest_in_rows(queries[None], data[None])[0])
 
 
 def _squared_distances(marked: torch.Tensor) -> torch.Tensor:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests import oracles
 from tso_cli.kernels.splat import splat
 
-WINDOWED = ("windowed", "compiled")
+WINDOWED = ("compiled",)
 
 
 def _cloud(seed: int, count: int, size: int, dtype: torch.dtype = torch.float64) -> torch.Tensor:
@@ -18,7 +18,7 @@ def _cloud(seed: int, count: int, size: int, dtype: torch.dtype = torch.float64)
     return (torch.rand(2, count, 2, generator=generator, dtype=dtype) * 1.6 - 0.3) * size
 
 
-def _both(points: torch.Tensor, valid: torch.Tensor, height: int, width: int, sigma_sq: float, fast: str = "windowed"):
+def _both(points: torch.Tensor, valid: torch.Tensor, height: int, width: int, sigma_sq: float, fast: str):
     """Silhouette, and gradient of a random weighted sum of it, from the exact kernel and a fast one."""
     weight = torch.randn(len(points), height, width, generator=torch.Generator().manual_seed(1), dtype=points.dtype)
     for kernel in ("exact", fast):
