@@ -40,7 +40,7 @@ def _value_and_gradient(loss, points: torch.Tensor) -> tuple[torch.Tensor, torch
 
 LOSSES = {
     "cross-entropy": lambda leaf, masks, valid: mask_loss(leaf, valid, PixelWeights.of(masks), 0.4),
-    "affinity": lambda leaf, masks, valid: affinity(splat(leaf, valid, 30, 33, 0.4, "windowed"), masks, leaf, valid),
+    "affinity": lambda leaf, masks, valid: affinity(splat(leaf, valid, 30, 33, 0.4, "exact"), masks, leaf, valid),
 }
 
 

@@ -30,11 +30,6 @@ def triton_kernels(monkeypatch):
     """The Triton kernels for tensors on DEVICE, which are interpreted where that is the CPU."""
     for module in (splat_module, nearest_module):
         monkeypatch.setattr(module, "triton_runs", lambda points: points.dtype == torch.float32)
-    _as_on_a_gpu(monkeypatch)
-
-
-def _as_on_a_gpu(monkeypatch) -> None:
-    monkeypatch.setattr(nearest_module, "whole_batches", lambda tensor: True)
 
 
 @pytest.fixture(params=["torch", pytest.param("triton", marks=needs_triton)])
@@ -45,7 +40,6 @@ def in_rows(request, monkeypatch):
     else:
         monkeypatch.setattr(nearest_module, "triton_runs", lambda points: False)
         monkeypatch.setattr(nearest_module, "PAIRS_PER_CHUNK", 4000)
-        _as_on_a_gpu(monkeypatch)
 
 
 def _random(seed: int, *shape: int) -> torch.Tensor:
