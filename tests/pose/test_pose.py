@@ -1,8 +1,6 @@
 """The camera fitted to a mask and a cloud, and cameras refined with the points."""
 
-from __future__ import annotations
-
-from pathlib import Path
+import shutil
 
 import numpy as np
 import pytest
@@ -10,31 +8,20 @@ import pytest
 from tso_cli.errors import InputError
 from tso_cli.geometry.rotations import angle_between, from_vectors, spread
 from tso_cli.io.cameras import read_camera
-from tso_cli.io.clouds import read_cloud
-from tso_cli.io.images import read_mask
 from tso_cli.pose import alignment, fit_camera
 from tso_cli.pose.alignment import Poses, Target
 from tso_cli.pose.fit import _same_by_symmetry, _spacing
 
-from ..cli.run import run
-
-EXAMPLES = Path(__file__).parents[2] / "examples"
-
-
-def example(name, cloud="target"):
-    mask = read_mask(EXAMPLES / name / "mask.png")
-    camera = read_camera(EXAMPLES / name / "camera.json", mask.shape[1], mask.shape[0])
-    return read_cloud(EXAMPLES / name / f"{cloud}.ply").points, mask, camera
+from ..scenes import example
 
 
 @pytest.fixture(scope="module")
-def fitted_chair():
-    points, mask, camera = example("chair")
-    return fit_camera(points, mask), points, mask, camera
+def fitted_chair(chair):
+    return fit_camera(chair.target, chair.mask)
 
 
-def test_the_camera_of_the_true_cloud_is_found_with_confidence(fitted_chair):
-    fitted, _, _, camera = fitted_chair
+def test_the_camera_of_the_true_cloud_is_found_with_confidence(fitted_chair, chair):
+    fitted, camera = fitted_chair, chair.camera
     assert angle_between(fitted.camera.R, camera.R) < 6.0
     assert fitted.sure and fitted.iou > 0.8
     assert fitted.camera.t == pytest.approx(camera.t, abs=0.2 * camera.t[2])
@@ -42,7 +29,7 @@ def test_the_camera_of_the_true_cloud_is_found_with_confidence(fitted_chair):
 
 
 def test_alternatives_are_over_20_degrees_away_and_have_a_lower_iou(fitted_chair):
-    fitted = fitted_chair[0]
+    fitted = fitted_chair
     ious = [alternative.iou for alternative in fitted.alternatives]
     assert ious == sorted(ious, reverse=True)
     assert fitted.confidence == pytest.approx(fitted.iou - ious[0])
@@ -51,11 +38,11 @@ def test_alternatives_are_over_20_degrees_away_and_have_a_lower_iou(fitted_chair
         assert alternative.degrees > 20.0
 
 
-def test_a_rotated_cloud_in_other_units_gets_the_same_picture(fitted_chair):
-    fitted, points, mask, _ = fitted_chair
+def test_a_rotated_cloud_in_other_units_gets_the_same_picture(fitted_chair, chair):
+    points = chair.target
     moved = 1000.0 * points @ from_vectors(np.array([0.0, 0.0, np.pi])).T + 5000.0
-    before, _ = fitted.camera.project(points)
-    after, _ = fit_camera(moved, mask).camera.project(moved)
+    before, _ = fitted_chair.camera.project(points)
+    after, _ = fit_camera(moved, chair.mask).camera.project(moved)
     # Other starting poses: the same basin, not the same bits.
     assert np.abs(after - before).mean() < 4.0
 
@@ -81,7 +68,7 @@ def test_a_symmetry_of_the_cloud_is_no_alternative():
 
 
 def test_gauss_newton_brings_a_turned_pose_back():
-    points, mask, camera = example("airplane")
+    _, mask, camera, points = example("airplane")
     side = 64
     small = camera.resized(side, side)
     target = Target(
@@ -143,57 +130,40 @@ def test_a_mask_one_pixel_wide_gets_a_finite_camera(line):
     assert np.isfinite(fitted.camera.R).all() and 0.0 <= fitted.iou <= 1.0
 
 
-@pytest.fixture
-def tso(capfd):
-    return lambda *arguments: run(capfd, "refine", *arguments)
+def test_the_command_fits_refines_and_writes_a_camera_that_reads_back(refine, folder, chair):
+    written = folder / "fitted.json"
+    run = refine("target.ply", "mask.png", "--camera", "fit", "--steps", "0", "--write-camera", written, "-v")
+    assert "tso: camera: fitted, IoU 0." in run.err and "next best" in run.err
+    assert "used   camera fitted to cloud and mask (sure); " in run.out and f"{written}: camera" in run.out
+    assert angle_between(read_camera(written, 256, 256, "mask.png").R, chair.camera.R) < 8.0
+    assert refine("target.ply", "mask.png", "--camera", written, "--check").code == 0
 
 
-def test_the_command_fits_refines_and_writes_a_camera_that_reads_back(tmp_path, tso):
-    chair, out, written = EXAMPLES / "chair", tmp_path / "out.ply", tmp_path / "found.json"
-    cloud, mask = chair / "target.ply", chair / "mask.png"
-    code, stdout, stderr = tso(cloud, mask, "--camera", "fit", "--steps", "0", "-o", out, "--write-camera", written, "-v")
-    assert code == 0, stderr
-    assert "tso: camera: fitted, IoU 0." in stderr and "next best" in stderr
-    assert "used   camera fitted to cloud and mask (sure); " in stdout and f"{written}: camera" in stdout
-    assert angle_between(read_camera(written, 256, 256, mask).R, example("chair")[2].R) < 8.0
-    assert tso(cloud, mask, "--camera", written, "--check")[0] == 0
+def test_the_cameras_of_several_masks_are_written_with_their_masks(refine, folder):
+    shutil.copy("mask.png", "second.png")
+    shutil.copy("camera.json", "second.camera.json")
+    options = "--refine-camera", "--steps", "2", "-v", "--write-camera", "used.json"
+    assert refine("target.ply", "mask.png", "second.png", *options).out.count("camera kept") == 2
+    assert "view        2 of 2, second.png" in refine("target.ply", "--camera", "used.json", "--check").out
 
 
-def test_the_cameras_of_several_masks_are_written_with_their_masks(tmp_path, tso):
-    first, second = EXAMPLES / "chair" / "mask.png", tmp_path / "mask.png"
-    second.write_bytes(first.read_bytes())
-    (tmp_path / "camera.json").write_bytes((EXAMPLES / "chair" / "camera.json").read_bytes())
-    written, cloud = tmp_path / "used.json", EXAMPLES / "chair" / "target.ply"
-    files = "--refine-camera", "--steps", "2", "-v", "-o", tmp_path / "out.ply", "--write-camera", written
-    code, stdout, stderr = tso(cloud, first, second, *files)
-    assert code == 0, stderr
-    assert stdout.count("camera kept") == 2
-    code, stdout, stderr = tso(cloud, "--camera", written, "--check")
-    assert code == 0 and f"view        2 of 2, {second}" in stdout, stderr
-
-
-def test_a_camera_file_called_fit_is_read_when_written_with_its_folder(tmp_path, monkeypatch, tso):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "fit").write_text("no camera")
-    code, _, stderr = tso(EXAMPLES / "chair" / "target.ply", EXAMPLES / "chair" / "mask.png", "--camera", "./fit")
-    assert code == 2 and "fit: is not JSON" in stderr
+def test_a_camera_file_called_fit_is_read_when_written_with_its_folder(refine, folder):
+    (folder / "fit").write_text("no camera")
+    assert "fit: is not JSON" in refine("target.ply", "mask.png", "--camera", "./fit").refusal
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
-        (("--mode", "encoder", "--camera", "fit"), "--camera fit is for --mode points"),
-        (("--mode", "encoder", "--refine-camera"), "--refine-camera is for --mode points"),
-        ((EXAMPLES / "car" / "mask.png", "--camera", "fit"), "finds the camera of one mask, found 2 masks"),
-        (("--write-camera", "camera.txt"), "expected .json"),
-        (("--write-camera", EXAMPLES / "chair" / "camera.json"), "exists already"),
-        (("--write-camera", EXAMPLES / "chair" / "camera.json", "--overwrite"), "is another file of this command"),
+        ("--mode encoder --camera fit", "--camera fit is for --mode points"),
+        ("--mode encoder --refine-camera", "--refine-camera is for --mode points"),
+        ("image.png --camera fit", "finds the camera of one mask, found 2 masks"),
+        ("--write-camera camera.txt", "expected .json"),
+        ("--write-camera camera.json", "exists already"),
+        ("--write-camera camera.json --overwrite", "is another file of this command"),
     ],
 )
-def test_wrong_use_of_the_camera_options_is_refused_in_one_line(tmp_path, options, said, tso):
-    chair = EXAMPLES / "chair"
-    files = chair / "initial.ply", chair / "mask.png", "--camera", chair / "camera.json"
-    code, stdout, stderr = tso(*files, "-o", tmp_path / "x.ply", *options)
-    assert code == 2 and not stdout
-    assert said in stderr and len(stderr.splitlines()) == 1
-    assert list(tmp_path.iterdir()) == []
+def test_wrong_use_of_the_camera_options_is_refused_in_one_line(options, message, refine, folder):
+    before = set(folder.iterdir())
+    assert message in refine("initial.ply", "mask.png", "--camera", "camera.json", *options.split()).refusal
+    assert set(folder.iterdir()) == before

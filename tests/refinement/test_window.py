@@ -1,10 +1,11 @@
 """The window: lengths belong to the object, whatever photo it is in."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tso_cli.lab.studies.evidence_cases import framed
 
 from tests.losses.scenes import block
 from tso_cli import Camera, RefineConfig, View, refine
@@ -17,6 +18,16 @@ from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.resampled_view import resample_view
 
 from .conftest import example
+
+
+def framed(view, times, across, down):
+    """The view in a photo ``times`` as wide and high; ``across`` and ``down`` are its place, from 0 to 1."""
+    height, width = view.mask.shape
+    top, left = int(height * (times - 1) * down), int(width * (times - 1) * across)
+    mask = np.zeros((times * height, times * width), np.float32)
+    mask[top : top + height, left : left + width] = view.mask
+    K = view.camera.K + [[0, 0, left], [0, 0, top], [0, 0, 0]]
+    return View(mask, replace(view.camera, K=K, width=mask.shape[1], height=mask.shape[0]), name=view.name)
 
 
 def _of(name):
