@@ -275,11 +275,12 @@ def test_the_command_writes_record_page_and_chart_and_overwrites_nothing(measure
     with Image.open(tmp_path / "all.png") as chart:
         assert min(chart.size) > 1000
 
-    monkeypatch.setattr("tso_cli.lab.studies.fingerprint.stamped", lambda record: record)
+    monkeypatch.setattr("tso_cli.lab.studies.fingerprint.today", lambda part: {"IoU": 1.0})
     output = tmp_path / "speed.json"
     arguments = ("bench", "speed", "--only", "chamfer", "-o", output, "--json")
     assert tso(*arguments) == 0
     record = json.loads(output.read_text())
+    assert record.pop("fingerprint").keys() == set(STUDY.parts)
     assert json.loads(capsys.readouterr().out) == record
     assert (record["bench"], {row["what"] for row in record["records"]}) == ("speed", {"chamfer"})
     assert output.with_suffix(".png").exists()

@@ -76,7 +76,8 @@ def test_a_scan_with_coordinates_near_four_million_is_refined_as_at_the_origin(c
 
 def test_another_unit_changes_nothing(chair):
     points, mask, camera, _ = chair
-    expected, scaled = refine(points, mask, camera), refine(points * 1000.0, mask, _shifted(camera, 0.0, 1000.0))
+    in_millimetres = replace(camera, t=1000.0 * camera.t)
+    expected, scaled = refine(points, mask, camera), refine(points * 1000.0, mask, in_millimetres)
     np.testing.assert_allclose(scaled.points / 1000.0, expected.points, atol=1e-4)
     assert scaled.chamfer_to_initial == pytest.approx(expected.chamfer_to_initial, rel=1e-3)
 
