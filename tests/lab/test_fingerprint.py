@@ -34,9 +34,8 @@ def fixed(monkeypatch):
 CHANGES = {
     "points, best": lambda patch: patch.setitem(vars(presets.BEST), "prior_weight", 0.8 * presets.BEST.prior_weight),
     "points, paper": lambda patch: patch.setattr(footprint, "EVEN", 1.5 * footprint.EVEN),
-    "network modes": lambda patch: patch.setitem(
-        presets.PAPER_LEARNING_RATE, "latent", 2.0 * presets.PAPER_LEARNING_RATE["latent"]
-    ),
+    "network modes, paper": lambda patch: patch.setitem(presets.PAPER_LEARNING_RATE, "latent", 2e-3),
+    "network modes, best": lambda patch: patch.setitem(presets.BEST_LEARNING_RATE, "latent", 2e-3),
     "camera fit": lambda patch: patch.setattr(camera_correction, "MISFIT_LEFT", 0.0),
     "training": lambda patch: patch.setattr(losses, "affinity", lambda *of: 1.1 * affinity.affinity(*of)),
     "pictures": lambda patch: patch.setattr(rays, "AMBIENT", 1.1 * rays.AMBIENT),
@@ -58,7 +57,7 @@ def test_another_method_has_another_fingerprint(part, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("compiled", [False, True])
-@pytest.mark.parametrize("part", ["points, paper", "network modes", "training"])
+@pytest.mark.parametrize("part", ["points, paper", "network modes, paper", "training"])
 def test_the_same_method_has_the_same_fingerprint_in_plain_and_in_compiled_loops(part, compiled, monkeypatch):
     record = of_today(part)
     for module in (splat, nearest, affinity, bce):
