@@ -14,16 +14,14 @@ Indices = NDArray[np.int64]
 # Distances computed at once; bounds memory.
 PAIRS_AT_ONCE = 1 << 21
 # With more pairs a k-d tree, whose import takes a quarter of a second, is faster than the matrix and than loops over all.
-MOST_PAIRS, MOST_COMPILED_PAIRS = 1 << 23, 1 << 25
+MOST_PAIRS = 1 << 22
 
 
 def nearest(queries: Array, data: Array) -> Indices:
     """[Q] index of the point of ``data`` [N, D] nearest to each of the ``queries`` [Q, D], finite all; the first of equals."""
-    pairs = len(queries) * len(data)
-    compiled = use_compiled() and data.shape[1] == 3
-    if pairs > (MOST_COMPILED_PAIRS if compiled else MOST_PAIRS):
+    if len(queries) * len(data) > MOST_PAIRS:
         return _by_tree(queries, data, 1)
-    if compiled:
+    if use_compiled() and data.shape[1] == 3:
         from ..kernels.nearest_numba import nearest_in_rows
 
         return nearest_in_rows(queries[None], data[None])[0]
@@ -32,11 +30,9 @@ def nearest(queries: Array, data: Array) -> Indices:
 
 def nearest_few(queries: Array, data: Array, count: int) -> Indices:
     """[Q, count] indices of the nearest points of ``data``, by increasing distance."""
-    pairs = len(queries) * len(data)
-    compiled = use_compiled() and data.shape[1] == 3 and count <= len(data)
-    if pairs > (MOST_COMPILED_PAIRS if compiled else MOST_PAIRS):
+    if len(queries) * len(data) > MOST_PAIRS:
         return _by_tree(queries, data, count).reshape(-1, count)
-    if compiled:
+    if use_compiled() and data.shape[1] == 3 and count <= len(data):
         from ..kernels import points_numba
 
         few = np.empty((len(queries), count), np.int64)

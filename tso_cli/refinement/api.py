@@ -92,7 +92,7 @@ def _work(settings: Settings, views: int, points: int) -> tuple[int, int]:
     comparisons = views * settings.steps
     if settings.symmetry == "auto":
         # The flipped views, and the symmetry check.
-        comparisons = 2 * comparisons + (3 * views * SYMMETRY_PROBE_STEPS if views > 1 else 0)
+        comparisons = 2 * comparisons + 3 * views * SYMMETRY_PROBE_STEPS
     # In numpy a point costs the paper's silhouette several times as much.
     return comparisons, comparisons * points * (4 if settings.preset == "paper" else 1)
 

@@ -60,6 +60,7 @@ class CoarseToFineConfig:
     prior_weight : cost of moving a point, per squared distance (longest side 1), where the start's mean loss per mask pixel
         is e = 1 px^2. A worse start is held less, by prior_weight / e^prior_decay, but by at least ``least_prior_weight`` (for
         one view).
+    truncated_prior : factor of the prior where every image border truncates the object.
     local_prior : whether a part of the cloud that fits badly is held less than the rest.
     uniform_adam : whether Adam's step has one scale for the whole cloud (`UniformAdam`) or one per number.
     use_resolvability : whether parts too thin for the pixels to resolve are left out of the background term.
@@ -70,6 +71,7 @@ class CoarseToFineConfig:
     prior_weight: float = 300.0
     prior_decay: float = 1.0
     least_prior_weight: float = 200.0
+    truncated_prior: float = 3.0
     local_prior: bool = True
     uniform_adam: bool = True
     use_resolvability: bool = True

@@ -49,4 +49,5 @@ def position_prior(
         loss = np.maximum(loss, np.where(local > LOCAL_LOSS, local, 0.0))
     weights = config.prior_weight / np.maximum(loss, LEAST_LOSS) ** config.prior_decay
     weights = np.maximum(weights, config.least_prior_weight / evidence**2)
-    return PositionPrior(initial, weights * (REFERENCE_POINTS / len(initial)))
+    factor = config.truncated_prior if targets.truncated else 1.0
+    return PositionPrior(initial, weights * (factor * REFERENCE_POINTS / len(initial)))

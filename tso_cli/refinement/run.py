@@ -91,8 +91,7 @@ def _prepare(problem: Problem, settings: Settings, stopwatch: Stopwatch, interru
         if settings.preset == "best" and settings.coarse_to_fine.weigh_views:
             weights = ViewWeights.of(problem.resampled[:views], problem.cloud.normalised())
         field = SmoothField(problem.cloud.normalised()) if settings.staged else None
-        # One mask hardly ever contradicts a plane, rightly or wrongly: asking it would cost half a refinement.
-        checked = settings.symmetry == "auto" and views > 1 and len(problem.resampled) > views
+        checked = settings.symmetry == "auto" and len(problem.resampled) > views
         if checked and settings.steps and not interrupted and field:
             problem, interrupted = verified_symmetry(problem, weights.loss, settings, field)
     loss_weights = weights.loss * (2 if len(problem.resampled) > views else 1)

@@ -63,6 +63,7 @@ ABLATION = {
     "64 cells in the last stage too": _best_with(stages=tuple(replace(stage, fine_grid=False) for stage in BEST.stages)),
     "prior by the error of the whole cloud alone": _best_with(local_prior=False),
     "no prior": _best_with(prior_weight=0.0, least_prior_weight=0.0),
+    "truncated objects: no stronger prior": _best_with(truncated_prior=1.0),
     "prior alike for each start": _best_with(prior_decay=0.0),
     "prior down to 30 where the start is far off": _best_with(least_prior_weight=30.0),
     "no robust loss": _best_with(stages=tuple(replace(stage, robust_scale=1000.0) for stage in BEST.stages)),
