@@ -96,6 +96,15 @@ def test_views_that_all_truncate_the_object_are_no_more_evidence_than_one(chair,
     assert evidence == [pytest.approx(expected, rel=0.05)] * len(evidence)
 
 
+def test_an_object_that_every_view_truncates_is_held_three_times_as_much(chair):
+    points, mask, camera, _ = chair
+    view = _truncated(View(mask, camera))
+    held, loose = (_prior(points, view, truncated_prior=factor)[0].weights for factor in (3.0, 1.0))
+    np.testing.assert_allclose(held, 3.0 * loose)
+    whole = (_prior(points, View(mask, camera), truncated_prior=factor)[0].weights for factor in (3.0, 1.0))
+    np.testing.assert_array_equal(*whole)
+
+
 def _prior(points: np.ndarray, view: View, evidence: float = 1.0, **settings: object) -> tuple[PositionPrior, ViewTargets]:
     problem = Problem.of(Cloud(points, "points"), (view,), RefineConfig(symmetry="none").settings())
     initial, targets = problem.cloud.normalised(), ViewTargets.of(problem.resampled, [1.0])
