@@ -36,7 +36,6 @@ def command_of(study: Study) -> click.Command:
         unfinished = output.with_name(f"{output.stem}.unfinished.safetensors") if output else None
         earlier = earlier_record(study.name, output, resume)
         record = study.run(Progress(Reporter(), earlier, keep, unfinished, overwrite or resume), **values)
-        keep(record)
         if output is not None:
             write_page(study, {**record, "command": command_line}, output)
         if as_json:
