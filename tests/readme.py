@@ -206,29 +206,53 @@ def machine() -> str:
     """Where the times were taken."""
     study = record("speed")
     cpu, versions = study["machine"], study["versions"]
-    return f"{cpu['cpu']}, {study['threads']} of {cpu['cores']} cores, torch {versions['torch']}, numba {versions['numba']}."
+    return f"{cpu['cpu']}, {cpu['cores']} cores, torch {versions['torch']}, numba {versions['numba']}."
 
 
 def _timed(what: str) -> list[dict[str, Any]]:
     return [row for row in record("speed")["records"] if row["what"] == what and row.get("seconds")]
 
 
-def batches() -> str:
-    """Clouds a second, one by one and in batches."""
+def objects() -> str:
+    """Seconds of one cloud, beside the import of torch."""
     rows = [
-        [row["preset"], f"`{row['name']}`, {row['batch']}", f"{row['clouds_per_second']:.1f}", f"{row['times_refine']:.1f}x"]
-        for row in _timed("batch")
-        if row["name"] == "refine" or row["batch"] == 16
+        [
+            row["preset"],
+            f"{row['points']:,}",
+            str(row["views"]),
+            row["form"],
+            f"{1e3 * row['seconds']['median']:.0f}",
+            f"{row['over_import_torch']:.2f}x",
+        ]
+        for row in _timed("object")
+        if row.get("call") == "steady" and row["points"] <= 16384
     ]
-    return markdown(["preset", "call, clouds", "clouds a second", "beside `refine`"], rows)
+    return markdown(["preset", "points", "masks", "form", "ms", "beside `import torch`"], rows)
+
+
+def batches() -> str:
+    """Milliseconds an object in batches."""
+    rows = [
+        [
+            row["preset"],
+            str(row["batch"]),
+            str(row["threads"]),
+            "yes" if row["busy"] else "no",
+            f"{1e3 * row['seconds']['median']:.0f}",
+            f"{row['over_import_torch']:.3f}x",
+        ]
+        for row in _timed("batch")
+        if "preset" in row
+    ]
+    return markdown(["preset", "clouds", "threads", "machine busy", "ms a cloud", "beside `import torch`"], rows)
 
 
 def kernels() -> str:
     """Milliseconds of the two kernels and of other ways of doing the same."""
     points = (1024, 16384)
     ways = {
-        "silhouette": ("compiled", "windowed", "scatter 9x9", "exact"),
-        "chamfer": ("tso", "two k-d trees a step, all workers", "point_cloud_utils"),
+        "silhouette": ("tso, compiled", "tso, numpy", "scatter 9x9, torch"),
+        "chamfer": ("tso, compiled", "tso, numpy", "two k-d trees a step, all workers", "point_cloud_utils"),
     }
     rows = []
     for what, names in ways.items():
@@ -241,8 +265,8 @@ def stages() -> str:
     """The stages of the default preset."""
     from tso_cli.refinement.presets import STAGES
 
-    rows = [[str(number), *(f"{value:g}" for value in astuple(stage)[:5])] for number, stage in enumerate(STAGES, 1)]
-    header = ["stage", "smoothness lambda", "robust scale r", "learning-rate scale", "nodes", "averaging weight"]
+    rows = [[str(number), *(f"{value:g}" for value in astuple(stage)[:3])] for number, stage in enumerate(STAGES, 1)]
+    header = ["stage", "smoothness lambda", "robust scale r", "averaging weight"]
     return markdown(header, rows)
 
 
@@ -253,7 +277,7 @@ FILLED: dict[str, Callable[[], str]] = {
         made.__name__: made
         for made in (initial_error, gains, types, starts, choices, variants, depth, cameras, network, photos)
     },
-    **{made.__name__: made for made in (machine, batches, kernels, stages)},
+    **{made.__name__: made for made in (machine, objects, batches, kernels, stages)},
 }
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor
 
 from ..errors import InputError
 from ..geometry.points import as_points, bounding_box_normalisation
@@ -29,11 +28,12 @@ class Cloud:
     """
 
     def __init__(self, points: Any, name: str, colours: Any = None, faces: Any = None) -> None:
-        self.given: Array = as_points(_as_numpy(points), name)
-        self.surface = None if faces is None else Surface.of(self.given, _as_numpy(faces), name)
+        # In rows: columns would have every loop compiled anew for them.
+        self.given: Array = np.ascontiguousarray(as_points(as_numpy(points), name))
+        self.surface = None if faces is None else Surface.of(self.given, as_numpy(faces), name)
         self.initial = self.surface.samples if self.surface else self.given
         self.centre, self.scale = bounding_box_normalisation(self.initial, name)
-        self.colours = None if colours is None else _as_colours(_as_numpy(colours), len(self.given), name)
+        self.colours = None if colours is None else _as_colours(as_numpy(colours), len(self.given), name)
         if self.surface and self.colours is not None:
             self.colours = self.surface.at(self.colours.astype(np.float64)).astype(np.float32)
 
@@ -42,13 +42,12 @@ class Cloud:
         return normalised
 
     def denormalised(self, points: Array) -> Array:
-        """Normalised points [N or more, 3] in the units of the file; rows behind the N-th are padding."""
-        restored: Array = self.centre + self.scale * points[: len(self.initial)]
+        """Normalised points [N, 3] in the units of the file."""
+        restored: Array = self.centre + self.scale * points
         return restored
 
     def moved(self, displacements: Array) -> MovedCloud:
-        """The cloud after ``displacements`` [N or more, 3] of what moves, in longest sides."""
-        displacements = displacements[: len(self.initial)]
+        """The cloud after ``displacements`` [N, 3] of what moves, in longest sides."""
         of_given = displacements
         if self.surface:
             of_given = self.surface.vertex_displacements(displacements)
@@ -75,8 +74,9 @@ class MovedCloud:
     displacements: Array  # [N, 3] of what moved, in longest sides
 
 
-def _as_numpy(values: Any) -> Any:
-    return values.detach().cpu().numpy() if isinstance(values, Tensor) else values
+def as_numpy(values: Any) -> Any:
+    # A tensor, known without importing torch.
+    return values.detach().cpu().numpy() if hasattr(values, "detach") else values
 
 
 def _as_colours(colours: Any, count: int, name: str) -> NDArray[np.float32]:

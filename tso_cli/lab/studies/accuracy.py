@@ -216,7 +216,7 @@ STUDY = Study(
     about="Starts are another shape's cloud as wrong as a trained network's (other), one near the truth (near), the first "
     "with an object that the border truncates (cut), the truth sampled once more (right), and the network's prediction "
     "(network).",
-    parts=("pictures", "points, paper", "points, best", "network modes"),
+    parts=("pictures", "points, paper", "points, best", "network modes, paper", "network modes, best"),
     tables=tables,
     draw=draw,
     reading="The default preset is judged by two questions: how much of the error it removes, and how often it adds some. One "
