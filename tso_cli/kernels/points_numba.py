@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .jit import compiled, exactly
+from .jit import compiled, exactly, part
 
 
 @exactly
@@ -44,6 +44,56 @@ def nearest_few(queries, data, chosen):  # type: ignore[no-untyped-def]
                     best[place], chosen[q, place] = best[place - 1], chosen[q, place - 1]
                     place -= 1
                 best[place], chosen[q, place] = squared, n
+
+
+@part
+def _cell(x, low, edge, side):  # type: ignore[no-untyped-def]
+    """Index of the cell, along one axis, that holds ``x``; the outermost cells hold what lies beyond."""
+    return int(min(max((x - low) / edge, 0.0), side - 1.0))
+
+
+@compiled
+def nearest_in_grid(queries, data, low, edge, sides, chosen):  # type: ignore[no-untyped-def]
+    """Make ``chosen`` [Q] the points of ``data`` [N, 3] nearest to each query [Q, 3].
+
+    Cells of that ``edge``, ``sides`` [3] of them, from ``low`` [3] on, hold the data. A query looks into those which can hold
+    a point nearer than the one in ``chosen`` before: the better that guess, the sooner it is done.
+    """
+    width, rows = sides[0], sides[1] * sides[2]
+    # While points are sorted in, the start of cell c stands at c + 1.
+    begin = np.zeros(rows * width + 2, np.int32)
+    cells, order = np.empty(len(data), np.int32), np.empty(len(data), np.int32)
+    sorted_data = np.empty((len(data), 3))
+    for n in range(len(data)):
+        cells[n] = -1
+        if np.isfinite(data[n, 0] + data[n, 1] + data[n, 2]):
+            row = _cell(data[n, 2], low[2], edge, sides[2]) * sides[1] + _cell(data[n, 1], low[1], edge, sides[1])
+            cells[n] = row * width + _cell(data[n, 0], low[0], edge, width)
+            begin[cells[n] + 2] += 1
+    for cell in range(rows * width):
+        begin[cell + 2] += begin[cell + 1]
+    for n in range(len(data)):
+        if cells[n] >= 0:
+            place = begin[cells[n] + 1]
+            begin[cells[n] + 1] += 1
+            order[place], sorted_data[place] = n, data[n]
+    for q in range(len(queries)):
+        x, y, z = queries[q]
+        nearest = chosen[q]
+        best = (data[nearest, 0] - x) ** 2 + (data[nearest, 1] - y) ** 2 + (data[nearest, 2] - z) ** 2
+        if not best < np.inf:
+            continue
+        radius = np.sqrt(best) * (1.0 + 1e-9)
+        left, right = _cell(x - radius, low[0], edge, width), _cell(x + radius, low[0], edge, width)
+        for k in range(_cell(z - radius, low[2], edge, sides[2]), _cell(z + radius, low[2], edge, sides[2]) + 1):
+            for j in range(_cell(y - radius, low[1], edge, sides[1]), _cell(y + radius, low[1], edge, sides[1]) + 1):
+                row = (k * sides[1] + j) * width
+                for place in range(begin[row + left], begin[row + right + 1]):
+                    dx, dy, dz = sorted_data[place, 0] - x, sorted_data[place, 1] - y, sorted_data[place, 2] - z
+                    squared = dx * dx + dy * dy + dz * dz
+                    if squared < best:
+                        best, nearest = squared, order[place]
+        chosen[q] = nearest
 
 
 @compiled
