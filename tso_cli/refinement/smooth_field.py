@@ -40,7 +40,7 @@ class SmoothField:
         self.nodes = spread_subset(points, nodes)
         positions = points[self.nodes]
         self.patches = _patches(positions)
-        self._laplacian = _laplacian(self.patches)
+        self._rows, self._columns = _neighbours(self.patches)
         self._smoothers: dict[float, Callable[[Array], Array]] = {}
         self._index: Indices = np.arange(len(points))[:, None]
         self._weight: Array = np.ones((len(points), 1))
@@ -64,16 +64,23 @@ class SmoothField:
         return self._smoothers[weight](values)
 
     def _smoother(self, weight: float) -> Callable[[Array], Array]:
-        system = np.eye(len(self.nodes)) + weight * self._laplacian
+        size, diagonal = len(self.nodes), self._rows == self._columns
+        # Lambda is stated for so many nodes: with fewer the edges are longer.
+        weight *= size / FIELD_NODES
+        counts = np.bincount(self._rows, minlength=size)
+        system = np.where(diagonal, 1.0 + weight * (counts[self._rows] - 1), -weight)
         if use_compiled():
             # A sparse factor is ten times as quick as the inverse, but not to import.
             from scipy.sparse import csc_array
             from scipy.sparse.linalg import splu
 
-            factor: Callable[[Array], Array] = splu(csc_array(system), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0).solve
+            sparse = csc_array((system, self._columns, np.concatenate([[0], np.cumsum(counts)])), (size, size))
+            factor: Callable[[Array], Array] = splu(sparse, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0).solve
             return factor
         # Single precision is enough for a preconditioner, and twice as fast.
-        inverse = _inverse(system.astype(np.float32)).astype(np.float64)
+        dense = np.zeros((size, size), np.float32)
+        dense[self._rows, self._columns] = system
+        inverse = _inverse(dense).astype(np.float64)
         # A product with few columns on the right takes twice as long.
         return lambda values: (values.T.copy() @ inverse).T
 
@@ -127,15 +134,12 @@ def _patches(nodes: Array) -> Indices:
     return np.concatenate([near, np.repeat(itself, PATCH - near.shape[1], 1)], 1)
 
 
-def _laplacian(patches: Indices) -> Array:
-    """[M, M], of the graph that joins two nodes where either is among the 8 nearest of the other."""
+def _neighbours(patches: Indices) -> tuple[Indices, Indices]:
+    """Pairs (row, column), by rows: nodes of which either is among the 8 nearest of the other, and each with itself."""
     joined = np.zeros((len(patches), len(patches)), bool)
-    np.put_along_axis(joined, patches[:, 1 : NEIGHBOURS + 1], True, 1)
-    joined |= joined.T
-    np.fill_diagonal(joined, False)
-    # Lambda is stated for so many nodes: with fewer the edges are longer.
-    laplacian: Array = (np.diag(joined.sum(1)) - joined) * (len(patches) / FIELD_NODES)
-    return laplacian
+    np.put_along_axis(joined, patches[:, : NEIGHBOURS + 1], True, 1)
+    rows, columns = np.nonzero(joined | joined.T)
+    return rows, columns
 
 
 def _inverse(matrix: NDArray[np.float32]) -> NDArray[np.float32]:
