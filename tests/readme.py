@@ -236,7 +236,7 @@ def batches() -> str:
         [
             row["preset"],
             str(row["batch"]),
-            str(row["threads"]),
+            str(row["processes"]),
             "yes" if row["busy"] else "no",
             f"{1e3 * row['seconds']['median']:.0f}",
             f"{row['over_import_torch']:.3f}x",
@@ -244,7 +244,7 @@ def batches() -> str:
         for row in _timed("batch")
         if "preset" in row
     ]
-    return markdown(["preset", "clouds", "threads", "machine busy", "ms a cloud", "beside `import torch`"], rows)
+    return markdown(["preset", "clouds", "processes", "machine busy", "ms a cloud", "beside `import torch`"], rows)
 
 
 def kernels() -> str:

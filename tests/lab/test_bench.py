@@ -38,7 +38,7 @@ from tso_cli.losses.chamfer import ChamferToStart
 from tso_cli.losses.silhouette import silhouette_sums
 
 ONE_OBJECT = {"preset": "best", "views": 1, "call": "steady"}
-BATCH = {"preset": "best", "threads": 2, "busy": False, "over_import_torch": 1.0}
+BATCH = {"preset": "best", "processes": 2, "busy": False, "over_import_torch": 1.0}
 QUICK = Setting(budget=1e-9)
 PEERS = ("chamferdist", "pykeops", "point_cloud_utils", "pytorch3d")
 
@@ -90,7 +90,7 @@ def test_every_part_has_records_of_one_form_with_a_ratio_to_its_first_contestant
         if row["what"] == "object" and row["points"]:
             assert set(row) >= {"peak_memory_bytes" if row["call"] == "first" else "phases"}
     batches = [row for row in measured if row["what"] == "batch" and row.get("batch", 1) > 1 and row["preset"] == "paper"]
-    assert {(row["threads"], row["busy"]) for row in batches} == {(1, False), (2, False), (1, True), (2, True)}
+    assert {(row["processes"], row["busy"]) for row in batches} == {(1, False), (2, False), (1, True), (2, True)}
     (alone,) = (row for row in measured if row["name"] == "refine" and row.get("preset") == "paper")
     for row in batches:
         assert row["over_refine"] == pytest.approx(row["seconds"]["median"] / alone["seconds"]["median"])
@@ -116,8 +116,8 @@ def test_claims_tell_met_targets_from_missed_ones(row, fields, met):
     """Beside rows that take a second, python that takes 0.02."""
     steady = {"points": 16384, "call": "steady", "over_import_torch": 0.0}
     rows = [record("command", "python", seconds=took(0.02)), record("command", "tso refine", seconds=took(1.0), **steady)]
-    alone = [BATCH | {"batch": size, "threads": 1, "busy": busy} for size in (16, 64) for busy in (False, True)]
-    rows += [record("batch", "one thread", seconds=took(1.0), **fields) for fields in alone]
+    alone = [BATCH | {"batch": size, "processes": 1, "busy": busy} for size in (16, 64) for busy in (False, True)]
+    rows += [record("batch", "one process", seconds=took(1.0), **fields) for fields in alone]
     rows += [record(what, "tso, numpy", points=n, seconds=took(1.0)) for what, n in (("silhouette", 1024), ("chamfer", 16384))]
     what, name, seconds = row
     judged = claims([*rows, record(what, name, seconds=took(seconds)) | fields])
@@ -221,11 +221,11 @@ def test_quick_work_is_repeated_within_a_block_and_very_slow_work_is_done_once(c
     assert (ran.count("quick"), ran.count("slow")) == (1 + 5 * 2, 2)
 
 
-def test_threads_and_neighbour_of_a_batch_are_gone_after_it(monkeypatch):
+def test_processes_and_neighbour_of_a_batch_are_gone_after_it(monkeypatch):
     for before in ("7", None):
         monkeypatch.setenv("OMP_NUM_THREADS", before) if before else monkeypatch.delenv("OMP_NUM_THREADS")
         seen = []
-        batch.on_threads(lambda seen=seen: seen.append(os.environ["OMP_NUM_THREADS"]), 2)()
+        batch.on_processes(lambda seen=seen: seen.append(os.environ["OMP_NUM_THREADS"]), 2)()
         assert (seen, os.environ.get("OMP_NUM_THREADS")) == (["2"], before)
     with batch.busy_neighbour() as spinners:
         assert all(spinner.poll() is None for spinner in spinners)

@@ -1,7 +1,9 @@
-"""Batches of clouds: the results of each alone on any number of threads, errors, progress and interrupts."""
+"""Batches of clouds: the results of each alone in any number of processes, errors, progress and interrupts."""
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 import signal
 import threading
 from dataclasses import replace
@@ -10,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.losses.common import FORMS, in_form
-from tso_cli.errors import InputError
+from tso_cli.errors import InputError, TsoError
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
 from tso_cli.refinement import PRESETS, RefineConfig, RefineResult, refine, refine_batch
@@ -30,7 +32,7 @@ def _same(result: RefineResult, alone: RefineResult) -> bool:
 
 @FORMS
 @pytest.mark.parametrize("preset", PRESETS)
-def test_on_any_number_of_threads_results_have_the_bits_of_each_alone(chair, monkeypatch, form, preset):
+def test_in_any_number_of_processes_results_have_the_bits_of_each_alone(chair, monkeypatch, form, preset):
     points, mask, camera, _ = chair
     points = points[::3]
     small = View(mask[::4, ::4], camera.resized(64, 64))
@@ -43,8 +45,8 @@ def test_on_any_number_of_threads_results_have_the_bits_of_each_alone(chair, mon
     ]
     config = RefineConfig(steps=3, preset=preset)
     expected = in_form(form, lambda: [refine(cloud, views, config=config) for cloud, views in scenes])
-    for threads in ("1", "2", "4"):
-        monkeypatch.setenv("OMP_NUM_THREADS", threads)
+    for processes in ("1", "2", "3"):
+        monkeypatch.setenv("OMP_NUM_THREADS", processes)
         assert all(map(_same, in_form(form, refine_batch, scenes, config), expected))
 
 
@@ -84,8 +86,9 @@ def test_progress_counts_clouds_and_reports_the_mean_loss_of_results(monkeypatch
     assert {"prepare", "optimise", "judge"} <= set(first.seconds)
 
 
-def test_an_error_of_the_callers_progress_ends_the_batch(monkeypatch):
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+@pytest.mark.parametrize("processes", ["1", "2"])
+def test_an_error_of_the_callers_progress_ends_the_batch(monkeypatch, processes):
+    monkeypatch.setenv("OMP_NUM_THREADS", processes)
     reported = []
 
     def fail(done, clouds, loss):
@@ -99,7 +102,7 @@ def test_an_error_of_the_callers_progress_ends_the_batch(monkeypatch):
 
 @pytest.mark.parametrize("how", ["Ctrl-C", "an exception of the caller's progress"])
 def test_after_an_interrupt_clouds_have_their_best_iterate_or_their_start(monkeypatch, how):
-    """One thread: the first cloud is done, the second at work or about to begin, the rest waits."""
+    """In one process: the first cloud is done, the second is about to begin, the rest waits."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
 
     def interrupt(done, clouds, loss):
@@ -119,28 +122,52 @@ def test_after_an_interrupt_clouds_have_their_best_iterate_or_their_start(monkey
 
 
 def test_a_cloud_at_work_has_its_best_iterate_after_an_interrupt(monkeypatch):
+    """The first cloud is refined before processes begin, the third is done while the second is at its third step."""
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
-    started, interrupted, true_call, calls = threading.Event(), threading.Event(), SilhouetteObjective.__call__, []
+    events = multiprocessing.get_context("fork")
+    started, interrupted, true_call, calls = events.Event(), events.Event(), SilhouetteObjective.__call__, []
 
     def waiting(self, points):
-        # The first cloud is done while the second one is at its third step.
         if len(points) == 20:
             calls.append(points)
             if len(calls) == 3:
                 started.set()
                 assert interrupted.wait(60)
-        else:
+        elif len(points) == 30:
             assert started.wait(60)
         return true_call(self, points)
 
     def interrupt(done, clouds, loss):
-        if done == 1:
-            signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+        if done == 2:
             threading.Timer(0.5, interrupted.set).start()
+            os.kill(os.getpid(), signal.SIGINT)
 
     monkeypatch.setattr(SilhouetteObjective, "__call__", waiting)
     config = RefineConfig(steps=30, preset="paper")
-    done, at_work = refine_batch([(POINTS, VIEW), (POINTS[:20], VIEW)], config, progress=interrupt)
-    assert (done.stop_reason, at_work.stop_reason) == ("max_steps", "interrupted")
+    scenes = [(POINTS, VIEW), (POINTS[:20], VIEW), (POINTS[:30], VIEW)]
+    first, at_work, done = refine_batch(scenes, config, progress=interrupt)
+    assert [result.stop_reason for result in (first, at_work, done)] == ["max_steps", "interrupted", "max_steps"]
     assert 0 < at_work.best_step <= at_work.steps < 30 and at_work.loss_after < at_work.loss_before
     assert at_work.warnings == (f"interrupted at step {at_work.steps} of 30: the result is the best so far",)
+
+
+def test_a_killed_process_ends_the_batch_with_one_line(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    here = os.getpid()
+
+    def killed(self, points):
+        if os.getpid() != here:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return true_call(self, points)
+
+    true_call = SilhouetteObjective.__call__
+    monkeypatch.setattr(SilhouetteObjective, "__call__", killed)
+    with pytest.raises(TsoError, match="a process of the batch was killed, expected enough memory"):
+        refine_batch([(POINTS, VIEW)] * 4, RefineConfig(steps=2, preset="paper"))
+
+
+def test_a_batch_inside_a_process_that_may_have_no_children_is_refined_there():
+    scenes, config = [(POINTS, VIEW)] * 3, RefineConfig(steps=2)
+    with multiprocessing.get_context("fork").Pool(1) as pool:
+        results = pool.apply(refine_batch, (scenes, config))
+    assert all(map(_same, results, refine_batch(scenes, config)))

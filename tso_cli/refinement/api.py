@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import threading
 from collections.abc import Iterable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextvars import copy_context
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +21,7 @@ from .presets import PRESETS, SYMMETRY_PROBE_STEPS
 from .problem import Problem
 from .result import RefineResult
 from .run import Stopwatch, run
+from .workers import processes_for, spread, stop_flag
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork
@@ -107,8 +105,9 @@ def refine_batch(
     scenes : (points [N, 3], views) of each; the views are a `View` or a sequence of them.
     progress : called after every cloud with (clouds done, clouds, mean loss of their results).
 
-    Clouds are spread over all cores, each on one. Ctrl-C ends it: clouds at work get their best so far, those that had not
-    begun their start, and the ``stop_reason`` of all these is "interrupted".
+    Clouds are spread over processes, one for each core (OMP_NUM_THREADS, where set, says how many; one on other systems than
+    Linux). Ctrl-C ends it: clouds at work get their best so far, those that had not begun their start, and the ``stop_reason``
+    of all these is "interrupted".
 
     Returns
     -------
@@ -125,49 +124,36 @@ def refine_batch(
     scenes = list(scenes)
     if config.mode != "points":
         raise InputError(f"mode is {config.mode!r}, expected points for a batch")
-    batch = _Batch(scenes, config, progress)
-    threads = max(1, min(_threads(), len(scenes)))
-    pool = ThreadPoolExecutor(threads, thread_name_prefix="tso")
-    with planned(*batch.work()), blas.one_thread(), pool:
-        futures: list[Future[RefineResult | TsoError]] = []
-        while True:
-            try:
-                for number in range(len(futures), len(scenes)):
-                    futures.append(pool.submit(copy_context().run, batch.refine, number))
-                return [future.result() for future in futures]
-            except KeyboardInterrupt:
-                batch.interrupted.set()
-            except BaseException:
-                # An error of the caller's progress, say: the clouds that wait need not be refined first.
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+    processes = processes_for(len(scenes))
+    batch, losses, done = _Batch(scenes, config, stop_flag(processes)), [], 0
+
+    def report(result: RefineResult | TsoError) -> None:
+        nonlocal done
+        done += 1
+        if isinstance(result, RefineResult):
+            losses.append(result.loss_after)
+        if progress is not None:
+            progress(done, len(scenes), float(np.mean(losses)) if losses else np.nan)
+
+    with planned(*batch.work()), blas.one_thread():
+        return spread(batch.refine, len(scenes), processes, batch.interrupted, report)
 
 
-def _threads() -> int:
-    """Those that this process may use; OMP_NUM_THREADS, where set, says how many."""
-    try:
-        return max(1, int(os.environ["OMP_NUM_THREADS"]))
-    except (KeyError, ValueError):
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
+@dataclass(frozen=True, eq=False)
 class _Batch:
-    """Scenes that are refined independently of one another, on any number of threads."""
+    """Scenes that are refined independently of one another."""
 
-    def __init__(self, scenes: list[tuple[Any, Any]], config: RefineConfig, on_progress: Progress | None) -> None:
-        self._scenes, self._config, self._on_progress = scenes, config, on_progress
-        self._lock = threading.Lock()
-        self._done = 0
-        self._losses: list[float] = []
-        self.interrupted = threading.Event()
+    scenes: list[tuple[Any, Any]]
+    config: RefineConfig
+    interrupted: Any  # an event
 
     def work(self) -> tuple[int, int]:
         """That of all scenes, as `planned` counts it; broken ones count as nothing."""
         comparisons = points = 0
-        for scene in self._scenes:
+        for scene in self.scenes:
             try:
                 views = 1 if isinstance(scene[1], View) else len(scene[1])
-                more, further = _work(self._config.settings(views), views, len(scene[0]))
+                more, further = _work(self.config.settings(views), views, len(scene[0]))
             except (TypeError, LookupError):
                 continue
             comparisons, points = comparisons + more, points + further
@@ -175,27 +161,25 @@ class _Batch:
 
     def refine(self, number: int) -> RefineResult | TsoError:
         """The result of the scene of that number, or the error that `refine` would have raised."""
-        result: RefineResult | TsoError
-        try:
-            points, masks = _points_and_views(self._scenes[number], number)
-            views, stopwatch = _as_views(masks), Stopwatch()
-            settings = self._config.settings(len(views))
-            with stopwatch.phase("prepare"):
-                problem = Problem.of(Cloud(points, f"points of scene {number}"), views, settings)
-            result = run(problem, settings, stopwatch, None, self._pause, self.interrupted.is_set())
-        except TsoError as error:
-            result = error
-        if self._on_progress is not None:
-            with self._lock:
-                self._done += 1
-                self._losses += [] if isinstance(result, TsoError) else [result.loss_after]
-                mean = float(np.mean(self._losses)) if self._losses else np.nan
-                try:
-                    self._on_progress(self._done, len(self._scenes), mean)
-                except KeyboardInterrupt:
-                    # In a thread; raised there, the caller would wait for this result for ever.
-                    self.interrupted.set()
-        return result
+        while True:
+            try:
+                result = self._refined(number)
+            except TsoError as error:
+                return error
+            except KeyboardInterrupt:
+                self.interrupted.set()
+                continue
+            if result.stop_reason == "interrupted":
+                self.interrupted.set()
+            return result
+
+    def _refined(self, number: int) -> RefineResult:
+        points, masks = _points_and_views(self.scenes[number], number)
+        views, stopwatch = _as_views(masks), Stopwatch()
+        settings = self.config.settings(len(views))
+        with stopwatch.phase("prepare"):
+            problem = Problem.of(Cloud(points, f"points of scene {number}"), views, settings)
+        return run(problem, settings, stopwatch, None, self._pause, self.interrupted.is_set())
 
     def _pause(self, step: int, steps: int, loss: float) -> None:
         if self.interrupted.is_set():

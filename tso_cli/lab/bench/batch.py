@@ -1,4 +1,4 @@
-"""Many objects in one call: on one thread, on all cores, and beside a busy neighbour."""
+"""Many objects in one call: in one process, on all cores, and beside a busy neighbour."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SPIN = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
 
 
 def measure(setting: Setting, sizes: tuple[int, ...] = (), steps: int | None = None, most: int | None = None) -> Records:
-    """Seconds an object of `refine` and of `refine_batch`, on one thread and on all cores (or ``most``)."""
+    """Seconds an object of `refine` and of `refine_batch`, in one process and on all cores (or ``most``)."""
     sizes = sizes or ((*SIZES, *LARGE) if setting.full else SIZES)
     neighboured = sizes[min(1, len(sizes) - 1)]
     clouds, views = [cloud(POINTS, setting.seed + number) for number in range(CLOUDS)], chair_views()
@@ -31,15 +31,15 @@ def measure(setting: Setting, sizes: tuple[int, ...] = (), steps: int | None = N
     for preset in PRESETS:
         config = RefineConfig(preset=preset, steps=steps, seed=setting.seed)
         alone = timed(partial(refine, clouds[0], views, config=config))
-        contestants.append(Contestant("refine", alone, {"preset": preset, "batch": 1, "threads": 1, "busy": False}))
+        contestants.append(Contestant("refine", alone, {"preset": preset, "batch": 1, "processes": 1, "busy": False}))
         for size in sizes:
             scenes = [(clouds[number % CLOUDS], views) for number in range(size)]
             work = partial(_refine_all, scenes, config)
             for count in sorted({1, most or os.cpu_count() or 1}):
                 for busy in (False, True) if size == neighboured else (False,):
-                    fields = {"preset": preset, "batch": size, "threads": count, "busy": busy}
+                    fields = {"preset": preset, "batch": size, "processes": count, "busy": busy}
                     name = f"refine_batch of {size}" + (", busy neighbour" if busy else "")
-                    contestants.append(Contestant(name, on_threads(work, count, busy), fields, calls=size))
+                    contestants.append(Contestant(name, on_processes(work, count, busy), fields, calls=size))
     records = setting.race("batch", contestants, "over_import_torch")
     alone_seconds = {row["preset"]: row["seconds"]["median"] for row in records if row["name"] == "refine"}
     for row in records[1:]:
@@ -53,8 +53,8 @@ def _refine_all(scenes: list, config: RefineConfig) -> None:
             raise result
 
 
-def on_threads(work: Callable[[], object], count: int, busy: bool = False) -> Sample:
-    """The work on so many threads; with ``busy`` while a process spins on every core."""
+def on_processes(work: Callable[[], object], count: int, busy: bool = False) -> Sample:
+    """The work in so many processes; with ``busy`` while a process spins on every core."""
 
     def sample() -> float:
         before = os.environ.get("OMP_NUM_THREADS")

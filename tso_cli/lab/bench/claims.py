@@ -48,18 +48,18 @@ def _object(records: Records) -> Judged:
 
 def _batch(records: Records) -> Judged:
     rows = [row for row in _chosen(records, "batch") if row.get("batch", 1) > 1]
-    most_threads = max((row["threads"] for row in rows), default=1)
-    for row in _chosen(rows, "batch", preset="best", batch=64, threads=most_threads, busy=False):
+    most_processes = max((row["processes"] for row in rows), default=1)
+    for row in _chosen(rows, "batch", preset="best", batch=64, processes=most_processes, busy=False):
         ratio = row["over_import_torch"]
         yield "an object in a batch of 64: at most 0.04 of `import torch`", ratio <= 0.04, f"{ratio:.3f}"
     for busy, most, target in (
-        (False, 1.0, "a batch is never slower on all cores than on one thread"),
-        (True, 1.5, "beside a busy neighbour a batch on all cores takes at most 1.5x one thread"),
+        (False, 1.0, "a batch is never slower on all cores than on one"),
+        (True, 1.5, "beside a busy neighbour a batch on all cores takes at most 1.5x one process"),
     ):
         seconds = {
-            (row["preset"], row["batch"], row["threads"]): row["seconds"]["median"] for row in _chosen(rows, "batch", busy=busy)
+            (row["preset"], row["batch"], row["processes"]): row["seconds"]["median"] for row in _chosen(rows, "batch", busy=busy)
         }
-        ratios = [taken / seconds[preset, size, 1] for (preset, size, threads), taken in seconds.items() if threads > 1]
+        ratios = [taken / seconds[preset, size, 1] for (preset, size, count), taken in seconds.items() if count > 1]
         if ratios:
             yield target, max(ratios) <= most, f"{max(ratios):.2f}x at worst"
 

@@ -85,7 +85,7 @@ PANELS: dict[str, Panel] = {
     "batch": _dots(
         "many objects, ms each",
         lambda r: r["name"],
-        lambda r: f"{r['preset']}, threads: {r['threads']}" if "preset" in r else r["name"],
+        lambda r: f"{r['preset']}, processes: {r['processes']}" if "preset" in r else r["name"],
     ),
     "silhouette": _lines("silhouette and cross-entropy, value and gradient"),
     "chamfer": _lines("Chamfer to the start, a step, value and gradient"),

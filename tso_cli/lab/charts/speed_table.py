@@ -55,7 +55,7 @@ def tables(record: Record) -> list[Table]:
             batches,
             lambda r: f"{_ms(r)} ({r['over_import_torch']:.3f}x, {r['over_refine']:.2f}x)",
             lambda r: f"{r['preset']}, {r['name']}",
-            lambda r: f"threads: {r['threads']}",
+            lambda r: f"processes: {r['processes']}",
         ),
         _pivot("silhouette, value and gradient: ms (x tso's)", of("silhouette"), _ms_and("over_tso")),
         _pivot("Chamfer to the start, value and gradient: ms (x tso's)", of("chamfer"), _ms_and("over_tso")),
