@@ -57,7 +57,8 @@ def _batch(records: Records) -> Judged:
         (True, 1.5, "beside a busy neighbour a batch on all cores takes at most 1.5x one process"),
     ):
         seconds = {
-            (row["preset"], row["batch"], row["processes"]): row["seconds"]["median"] for row in _chosen(rows, "batch", busy=busy)
+            (row["preset"], row["batch"], row["processes"]): row["seconds"]["median"]
+            for row in _chosen(rows, "batch", busy=busy)
         }
         ratios = [taken / seconds[preset, size, 1] for (preset, size, count), taken in seconds.items() if count > 1]
         if ratios:
