@@ -45,3 +45,11 @@ def test_the_help_of_a_command_imports_no_torch(tmp_path):
 def test_importing_the_package_imports_no_torch():
     code = "import sys, tso_cli; assert 'torch' not in sys.modules; from tso_cli import refine; assert callable(refine)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_without_torch_a_command_that_needs_it_says_so_in_one_line(tmp_path):
+    for line in (f"refine {CHAIR / 'image.png'} {CHAIR / 'mask.png'} --mode encoder", "train shapes -o net.safetensors"):
+        code = f"import sys; sys.modules['torch'] = None\nfrom tso_cli.cli import main\nmain({line.split()!r})"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+        expected = "tso: error: networks need torch, which is not installed: pip install torch\n"
+        assert (done.returncode, done.stderr) == (1, expected)
