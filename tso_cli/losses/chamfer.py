@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.points import quantile
 from ..kernels.dispatch import use_compiled
 from .nearest import Indices, nearest, nearest_few
 
@@ -59,7 +60,7 @@ class _GridSearch:
     def __init__(self, initial: Array) -> None:
         self._initial = np.ascontiguousarray(initial)
         # Few strays would make the cells too large for the rest. What lies outside belongs to the outermost cells.
-        self._low, high = np.quantile(initial, (0.01, 0.99), axis=0)
+        self._low, high = (quantile(initial, share) for share in (0.01, 0.99))
         extent = np.maximum(high - self._low, np.max(high - self._low) * 1e-2 + 1e-30)
         self._edge = float(np.cbrt(extent.prod() / (CELLS_PER_POINT * len(initial))))
         self._sides = np.ceil(extent / self._edge).astype(np.int64)

@@ -21,7 +21,6 @@ from .presets import PRESETS, SYMMETRY_PROBE_STEPS
 from .problem import Problem
 from .result import RefineResult
 from .run import Stopwatch, run
-from .workers import processes_for, spread, stop_flag
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork
@@ -124,6 +123,9 @@ def refine_batch(
     scenes = list(scenes)
     if config.mode != "points":
         raise InputError(f"mode is {config.mode!r}, expected points for a batch")
+    # Modules for processes take a twentieth of a small refinement to import.
+    from .workers import processes_for, spread, stop_flag
+
     processes = processes_for(len(scenes))
     batch, losses, done = _Batch(scenes, config, stop_flag(processes)), [], 0
 

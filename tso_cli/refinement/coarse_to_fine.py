@@ -54,7 +54,8 @@ class CoarseToFine:
         targets = ViewTargets.of(problem.resampled, self.weights)
         # What is truncated in every view stays unknown, however many there are.
         evidence = 1.0 if targets.truncated else self.evidence
-        prior = position_prior(initial, targets, self.field, config, evidence)
+        finest = self.field.with_nodes(max(stage.nodes for stage in stages))
+        prior = position_prior(initial, targets, finest, config, evidence)
         parts: list[Descent] = []
         points, done = initial, 0
         for number, stage in enumerate(stages, 1):
@@ -62,12 +63,12 @@ class CoarseToFine:
                 before, problem = problem, problem.with_windows_around(problem.cloud.denormalised(points), stage.fine_grid)
                 if problem is not before:
                     targets = ViewTargets.of(problem.resampled, self.weights)
-                    prior = position_prior(initial, targets, self.field, config, evidence)
-            resolvability = targets.resolvability(points, self.field) if config.use_resolvability else None
+                    prior = position_prior(initial, targets, finest, config, evidence)
+            resolvability = targets.resolvability(points, finest) if config.use_resolvability else None
             mask_chamfer = MaskChamferObjective(targets, stage.robust_scale, resolvability)
             objective = sum_of([mask_chamfer, prior, *self.further_terms(points, stage)])
             optimiser = (UniformAdam if config.uniform_adam else Adam)(stage.learning_rate_scale * self.learning_rate)
-            parameters = FieldParameters(points, self.field.with_nodes(stage.nodes), stage.smoothness, optimiser)
+            parameters = FieldParameters(points, finest.with_nodes(stage.nodes), stage.smoothness, optimiser)
             end = round(steps * number / len(stages))
             report = on_progress and offset_progress(on_progress, done, steps)
             part = descend(parameters, objective, end - done, report)

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.points import as_points
+from ..geometry.points import as_points, quantile
 from ..geometry.view import View
 from ..losses.chamfer import spacings
 from ..losses.nearest import nearest, spread_subset
@@ -27,7 +27,7 @@ MOST_UPDATES, CONVERGED = 40, 1e-9
 # sampling of the same surface would lie as far off): their mean, and their 97 % quantile.
 MEAN_MISFIT, FAR_MISFIT, FAR_QUANTILE = 0.6, 1.2, 0.97
 # Largest ratio of losses, with the flipped views over without, per view, at which a found plane is kept.
-MOST_LOSS_RATIO = 1.15
+MOST_LOSS_RATIO = 1.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +132,7 @@ def _judged(plane: MirrorPlane, cloud: Array, queries: Array, spacing: float) ->
         misfit = np.inf if distance.any() else 0.0
         return replace(plane, misfit=misfit, far=misfit)
     distance /= spacing
-    return replace(plane, misfit=float(distance.mean()), far=float(np.quantile(distance, FAR_QUANTILE)))
+    return replace(plane, misfit=float(distance.mean()), far=float(quantile(distance, FAR_QUANTILE)))
 
 
 def _spacing(points: Array) -> float:
