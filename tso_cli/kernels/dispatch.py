@@ -59,9 +59,9 @@ def _pays(seconds: float) -> bool:
 def _on_disk() -> bool:
     from .jit import on_disk
     from .mask_chamfer_numba import _mask_chamfer
-    from .points_numba import farthest_points, gather, nearest_few, nearest_in_grid, spread
+    from .points_numba import chamfer, farthest_points, gather, nearest_few, nearest_in_grid, sort_into_grid, spread
 
-    return on_disk(_mask_chamfer, farthest_points, gather, nearest_few, nearest_in_grid, spread)
+    return on_disk(_mask_chamfer, chamfer, farthest_points, gather, nearest_few, nearest_in_grid, sort_into_grid, spread)
 
 
 @functools.cache

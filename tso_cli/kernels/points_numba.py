@@ -47,53 +47,84 @@ def nearest_few(queries, data, chosen):  # type: ignore[no-untyped-def]
 
 
 @part
-def _cell(x, low, edge, side):  # type: ignore[no-untyped-def]
+def _cell(x, low, per_unit, side):  # type: ignore[no-untyped-def]
     """Index of the cell, along one axis, that holds ``x``; the outermost cells hold what lies beyond."""
-    return int(min(max((x - low) / edge, 0.0), side - 1.0))
+    return int(min(max((x - low) * per_unit, 0.0), side - 1.0))
 
 
 @compiled
-def nearest_in_grid(queries, data, low, edge, sides, chosen):  # type: ignore[no-untyped-def]
-    """Make ``chosen`` [Q] the points of ``data`` [N, 3] nearest to each query [Q, 3].
+def sort_into_grid(points, low, per_unit, sides):  # type: ignore[no-untyped-def]
+    """Sort finite points [N, 3] into cells: ``per_unit`` of them on a unit of length, ``sides`` [3] in all, from ``low`` [3] on.
 
-    Cells of that ``edge``, ``sides`` [3] of them, from ``low`` [3] on, hold the data. A query looks into those which can hold
-    a point nearer than the one in ``chosen`` before: the better that guess, the sooner it is done.
+    Returns ``begin``, the points of cell c being those from begin[c] to begin[c + 1]; and their numbers and coordinates.
     """
-    width, rows = sides[0], sides[1] * sides[2]
+    width, cells = sides[0], np.empty(len(points), np.int32)
     # While points are sorted in, the start of cell c stands at c + 1.
-    begin = np.zeros(rows * width + 2, np.int32)
-    cells, order = np.empty(len(data), np.int32), np.empty(len(data), np.int32)
-    sorted_data = np.empty((len(data), 3))
-    for n in range(len(data)):
+    begin = np.zeros(sides[0] * sides[1] * sides[2] + 2, np.int32)
+    order, coordinates = np.empty(len(points), np.int32), np.empty((len(points), 3))
+    for n in range(len(points)):
         cells[n] = -1
-        if np.isfinite(data[n, 0] + data[n, 1] + data[n, 2]):
-            row = _cell(data[n, 2], low[2], edge, sides[2]) * sides[1] + _cell(data[n, 1], low[1], edge, sides[1])
-            cells[n] = row * width + _cell(data[n, 0], low[0], edge, width)
+        if np.isfinite(points[n, 0] + points[n, 1] + points[n, 2]):
+            row = _cell(points[n, 2], low[2], per_unit, sides[2]) * sides[1] + _cell(points[n, 1], low[1], per_unit, sides[1])
+            cells[n] = row * width + _cell(points[n, 0], low[0], per_unit, width)
             begin[cells[n] + 2] += 1
-    for cell in range(rows * width):
+    for cell in range(len(begin) - 2):
         begin[cell + 2] += begin[cell + 1]
-    for n in range(len(data)):
+    for n in range(len(points)):
         if cells[n] >= 0:
             place = begin[cells[n] + 1]
             begin[cells[n] + 1] += 1
-            order[place], sorted_data[place] = n, data[n]
+            order[place] = n
+            for c in range(3):
+                coordinates[place, c] = points[n, c]
+    return begin, order, coordinates
+
+
+@compiled
+def nearest_in_grid(queries, data, grid, low, per_unit, sides, chosen):  # type: ignore[no-untyped-def]
+    """Make ``chosen`` [Q] the points of ``data`` [N, 3], sorted into ``grid``, that are nearest to each query [Q, 3].
+
+    A query looks into the cells which can hold a point nearer than the one in ``chosen`` before: the better that guess, the
+    sooner it is done.
+    """
+    begin, order, coordinates = grid
+    width = sides[0]
     for q in range(len(queries)):
-        x, y, z = queries[q]
+        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
         nearest = chosen[q]
         best = (data[nearest, 0] - x) ** 2 + (data[nearest, 1] - y) ** 2 + (data[nearest, 2] - z) ** 2
         if not best < np.inf:
             continue
         radius = np.sqrt(best) * (1.0 + 1e-9)
-        left, right = _cell(x - radius, low[0], edge, width), _cell(x + radius, low[0], edge, width)
-        for k in range(_cell(z - radius, low[2], edge, sides[2]), _cell(z + radius, low[2], edge, sides[2]) + 1):
-            for j in range(_cell(y - radius, low[1], edge, sides[1]), _cell(y + radius, low[1], edge, sides[1]) + 1):
+        left, right = _cell(x - radius, low[0], per_unit, width), _cell(x + radius, low[0], per_unit, width)
+        bottom, top = _cell(y - radius, low[1], per_unit, sides[1]), _cell(y + radius, low[1], per_unit, sides[1])
+        front, back = _cell(z - radius, low[2], per_unit, sides[2]), _cell(z + radius, low[2], per_unit, sides[2])
+        for k in range(front, back + 1):
+            for j in range(bottom, top + 1):
                 row = (k * sides[1] + j) * width
                 for place in range(begin[row + left], begin[row + right + 1]):
-                    dx, dy, dz = sorted_data[place, 0] - x, sorted_data[place, 1] - y, sorted_data[place, 2] - z
+                    dx, dy, dz = coordinates[place, 0] - x, coordinates[place, 1] - y, coordinates[place, 2] - z
                     squared = dx * dx + dy * dy + dz * dz
                     if squared < best:
                         best, nearest = squared, order[place]
         chosen[q] = nearest
+
+
+@compiled
+def chamfer(start, moved, to_start, to_moved, gradient):  # type: ignore[no-untyped-def]
+    """The Chamfer distance of two clouds [N, 3] by their nearest neighbours; fills its ``gradient`` [N, 3] by ``moved``."""
+    total, scale = 0.0, 2.0 / len(start)
+    for n in range(len(start)):
+        for c in range(3):
+            ahead = moved[n, c] - start[to_start[n], c]
+            total += ahead * ahead
+            gradient[n, c] = scale * ahead
+    for n in range(len(start)):
+        for c in range(3):
+            back = moved[to_moved[n], c] - start[n, c]
+            total += back * back
+            gradient[to_moved[n], c] += scale * back
+    return total / len(start)
 
 
 @compiled
