@@ -54,7 +54,7 @@ def _cell(x, low, per_unit, side):  # type: ignore[no-untyped-def]
 
 @compiled
 def sort_into_grid(points, low, per_unit, sides):  # type: ignore[no-untyped-def]
-    """Sort finite points [N, 3] into cells: ``per_unit`` of them on a unit of length, ``sides`` [3] in all, from ``low`` [3] on.
+    """Sort finite points [N, 3] into cells: ``per_unit`` on a unit of length, ``sides`` [3] in all, from ``low`` [3] on.
 
     Returns ``begin``, the points of cell c being those from begin[c] to begin[c + 1]; and their numbers and coordinates.
     """
