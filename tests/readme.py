@@ -16,7 +16,6 @@ import sys
 import tempfile
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import astuple
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -257,9 +256,15 @@ def stages() -> str:
     """The stages of the default preset."""
     from tso_cli.refinement.presets import STAGES
 
-    rows = [[str(number), *(f"{value:g}" for value in astuple(stage)[:3])] for number, stage in enumerate(STAGES, 1)]
-    header = ["stage", "smoothness lambda", "robust scale r", "averaging weight"]
-    return markdown(header, rows)
+    columns = {
+        "smoothness lambda": "smoothness",
+        "robust scale r": "robust_scale",
+        "learning-rate scale": "learning_rate_scale",
+        "nodes": "nodes",
+        "averaging weight": "averaging_weight",
+    }
+    rows = [[str(n), *(f"{getattr(stage, name):g}" for name in columns.values())] for n, stage in enumerate(STAGES, 1)]
+    return markdown(["stage", *columns], rows)
 
 
 FILLED: dict[str, Callable[[], str]] = {

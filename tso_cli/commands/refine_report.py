@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 # Entries of the document that are attributes of the result.
 FROM_RESULT = (
-    *("mode", "preset", "surface_samples", "outliers", "steps", "best_step", "stop_reason"),
+    *("mode", "preset", "surface_samples", "steps", "best_step", "stop_reason"),
     *("loss_before", "loss_after", "losses"),
     *("iou_before", "iou_after", "moved_mean", "moved_max", "chamfer_to_initial", "learning_rate", "gamma", "sigma_sq"),
     *("symmetry", "symmetry_outcome", "symmetry_reason", "device", "seed"),
@@ -62,6 +62,7 @@ class RefineReport:
             "views": views,
             "frame": scene.frame,
             "points": len(result.points),
+            "outliers": int(result.outliers.sum()),
             "warnings": warnings,
             "convention": {
                 "moved": "way of a point from its start, as a share of the object's size, the longest side of the start's box",

@@ -58,10 +58,14 @@ def _pays(seconds: float) -> bool:
 
 def _on_disk() -> bool:
     from .jit import on_disk
+    from .losses_numba import _cross_entropy, _pixels_to_points
     from .mask_chamfer_numba import _mask_chamfer
+    from .nearest_numba import _compare_all
     from .points_numba import chamfer, farthest_points, gather, nearest_few, nearest_in_grid, sort_into_grid, spread
+    from .splat_numba import _add, _gather
 
-    return on_disk(_mask_chamfer, chamfer, farthest_points, gather, nearest_few, nearest_in_grid, sort_into_grid, spread)
+    of_points = chamfer, farthest_points, gather, nearest_few, nearest_in_grid, sort_into_grid, spread
+    return on_disk(_mask_chamfer, _compare_all, *of_points, _add, _gather, _cross_entropy, _pixels_to_points)
 
 
 @functools.cache

@@ -1,6 +1,6 @@
 """Cross-entropy and distances between pixels and points as compiled loops on the CPU: value and gradient in one pass.
 
-Their references in plain torch are in `tso_cli.silhouette.bce` and `tso_cli.silhouette.affinity`.
+Their references are `tso_cli.losses.silhouette` in numpy, `tso_cli.silhouette.bce` and `affinity` in torch.
 """
 
 from __future__ import annotations

@@ -120,7 +120,8 @@ def refine_batch(
     config = config or RefineConfig()
     if not isinstance(scenes, Iterable):
         raise InputError(f"scenes is {scenes!r}, expected a sequence of (points, views)")
-    scenes = list(scenes)
+    # A tensor on a GPU cannot be read in a forked process.
+    scenes = [(as_numpy(scene[0]), *scene[1:]) if isinstance(scene, tuple) and scene else scene for scene in scenes]
     if config.mode != "points":
         raise InputError(f"mode is {config.mode!r}, expected points for a batch")
     # Modules for processes take a twentieth of a small refinement to import.
@@ -191,7 +192,8 @@ class _Batch:
 def compile_loops() -> None:
     """Compile all loops that a refinement uses, and keep the machine code on disk; nothing where it is there."""
     mask = np.zeros((64, 64), np.float32)
-    mask[20:44, 20:44] = 1.0
+    # Larger than the cloud, so that pixels look for their nearest points too.
+    mask[4:60, 4:60] = 1.0
     points = np.random.default_rng(0).uniform(-0.3, 0.3, (600, 3))
     much = 1 << 60
     with planned(much, much):

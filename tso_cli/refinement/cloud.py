@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 # than so many times the median of all points.
 NEIGHBOUR = 4
 OUTLIER_SIZE, OUTLIER_SPACINGS = 0.3, 6.0
+# With a larger share the cloud is sampled too unevenly to tell.
+MOST_OUTLIERS = 0.25
 # Without outliers the whole cloud is less than so many times as long as its middle four fifths.
 LONGEST = 1.6
 
@@ -102,10 +104,12 @@ def outliers(points: Array) -> NDArray[np.bool_]:
     size = float((quantile(points, 0.9) - quantile(points, 0.1)).max())
     if len(points) <= NEIGHBOUR or np.ptp(points, axis=0).max() <= LONGEST * size:
         return np.zeros(len(points), bool)
-    fourth = nearest_few(points, points, NEIGHBOUR + 1)[:, NEIGHBOUR]
-    distance = np.linalg.norm(points - points[fourth], axis=1)
-    far: NDArray[np.bool_] = distance > max(OUTLIER_SIZE * size, OUTLIER_SPACINGS * float(np.median(distance)))
-    return far
+    # Invalid points of a scan may all lie in one place.
+    places, place = np.unique(points, axis=0, return_inverse=True)
+    fourth = nearest_few(places, places, min(NEIGHBOUR + 1, len(places)))[:, -1]
+    distance = np.linalg.norm(places - places[fourth], axis=1)
+    far: NDArray[np.bool_] = (distance > max(OUTLIER_SIZE * size, OUTLIER_SPACINGS * float(np.median(distance))))[place.ravel()]
+    return far if far.mean() <= MOST_OUTLIERS else np.zeros(len(points), bool)
 
 
 def outliers_told(count: int) -> list[str]:

@@ -59,22 +59,28 @@ class CoarseToFine:
         parts: list[Descent] = []
         points, done = initial, 0
         for number, stage in enumerate(stages, 1):
-            if self.follow:
-                before, problem = problem, problem.with_windows_around(problem.cloud.denormalised(points), stage.fine_grid)
-                if problem is not before:
-                    targets = ViewTargets.of(problem.resampled, self.weights)
-                    prior = position_prior(initial, targets, finest, config, evidence)
-            resolvability = targets.resolvability(points, finest) if config.use_resolvability else None
-            mask_chamfer = MaskChamferObjective(targets, stage.robust_scale, resolvability)
-            objective = sum_of([mask_chamfer, prior, *self.further_terms(points, stage)])
-            optimiser = (UniformAdam if config.uniform_adam else Adam)(stage.learning_rate_scale * self.learning_rate)
-            parameters = FieldParameters(points, finest.with_nodes(stage.nodes), stage.smoothness, optimiser)
-            end = round(steps * number / len(stages))
-            report = on_progress and offset_progress(on_progress, done, steps)
-            part = descend(parameters, objective, end - done, report)
-            parts.append(part)
-            points, done = part.best, end
-            if part.interrupted:
+            try:
+                if self.follow:
+                    before, problem = problem, problem.with_windows_around(problem.cloud.denormalised(points), stage.fine_grid)
+                    if problem is not before:
+                        targets = ViewTargets.of(problem.resampled, self.weights)
+                        prior = position_prior(initial, targets, finest, config, evidence)
+                resolvability = targets.resolvability(points, finest) if config.use_resolvability else None
+                mask_chamfer = MaskChamferObjective(targets, stage.robust_scale, resolvability)
+                objective = sum_of([mask_chamfer, prior, *self.further_terms(points, stage)])
+                optimiser = (UniformAdam if config.uniform_adam else Adam)(stage.learning_rate_scale * self.learning_rate)
+                parameters = FieldParameters(points, finest.with_nodes(stage.nodes), stage.smoothness, optimiser)
+                end = round(steps * number / len(stages))
+                report = on_progress and offset_progress(on_progress, done, steps)
+                part = descend(parameters, objective, end - done, report)
+                parts.append(part)
+                points, done = part.best, end
+            except KeyboardInterrupt:
+                # Between two descents: what is done counts.
+                if not parts:
+                    raise
+                parts[-1] = replace(parts[-1], interrupted=True)
+            if parts[-1].interrupted:
                 break
         weights = [stage.averaging_weight for stage in stages]
         weights[-1] *= evidence**2

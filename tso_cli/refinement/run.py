@@ -247,7 +247,7 @@ def _result(
         seconds=seconds,
         surface=(cloud.judged, moved.judged) if cloud.surface else None,
         surface_samples=len(moved.displacements) if cloud.surface else None,
-        outliers=int(cloud.outliers.sum()),
+        outliers=cloud.outliers,
     )
     return replace(result, warnings=result_warnings(result, problem.views, settings.steps))
 

@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -67,11 +68,21 @@ def _fork(
 ) -> None:
     context = multiprocessing.get_context("fork")
     with ProcessPoolExecutor(processes, context, initializer=_begin, initargs=(work,)) as pool:
-        waiting = {pool.submit(_call, number): number for number in numbers}
+        # Ctrl-C waits until all processes are there, and told to leave it to this one.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            waiting = {pool.submit(_call, number): number for number in numbers}
+        except BaseException:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+            raise
         while waiting:
             try:
+                signal.pthread_sigmask(signal.SIG_SETMASK, mask)
                 for future in as_completed(list(waiting)):
-                    finish(waiting[future], future.result())
+                    result, caught = future.result()
+                    for warning in caught:
+                        warnings.warn(warning, stacklevel=2)
+                    finish(waiting[future], result)
                     del waiting[future]
             except KeyboardInterrupt:
                 stop.set()
@@ -90,7 +101,12 @@ def _begin(work: Callable[[int], Any]) -> None:
     _work = work
     # Ctrl-C reaches all processes; the first one tells the others.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
-def _call(number: int) -> Any:
-    return _work(number)
+def _call(number: int) -> tuple[Any, list[Warning]]:
+    """The result, and the warnings on the way, which the first process gives."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        result = _work(number)
+    return result, [warning.message for warning in caught if isinstance(warning.message, Warning)]
