@@ -14,9 +14,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import textwrap
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import astuple
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -161,12 +159,10 @@ def depth() -> str:
 
 
 def targets(name: str) -> str:
-    """How many targets of a study are met, and which are missed; of what was reached, the first part."""
+    """How many targets of a study are met."""
     claims = record(name)["claims"]
-    missed = [claim for claim in claims if not claim["holds"]]
-    lines = [f"- {claim['claim']}: {re.split('[;(]', claim['found'])[0].strip()}" for claim in missed]
-    wrapped = [textwrap.fill(line, 120, subsequent_indent="  ") for line in lines]
-    return "\n".join([f"{len(claims) - len(missed)} of {len(claims)} targets are met. Missed:", "", *wrapped])
+    met = sum(claim["holds"] for claim in claims)
+    return f"{met} of {len(claims)} targets are met ([which](records/{name}.md))."
 
 
 def cameras() -> str:
@@ -206,29 +202,45 @@ def machine() -> str:
     """Where the times were taken."""
     study = record("speed")
     cpu, versions = study["machine"], study["versions"]
-    return f"{cpu['cpu']}, {study['threads']} of {cpu['cores']} cores, torch {versions['torch']}, numba {versions['numba']}."
+    return f"{cpu['cpu']}, {cpu['cores']} cores, torch {versions['torch']}, numba {versions['numba']}."
 
 
 def _timed(what: str) -> list[dict[str, Any]]:
     return [row for row in record("speed")["records"] if row["what"] == what and row.get("seconds")]
 
 
+def objects() -> str:
+    """Milliseconds of one cloud in both forms, and the quicker one beside the import of torch."""
+    rows = []
+    steady = [row for row in _timed("object") if row.get("call") == "steady" and row["points"] <= 16384]
+    for preset, points, views in dict.fromkeys((row["preset"], row["points"], row["views"]) for row in steady):
+        forms = {row["form"]: row for row in steady if (row["preset"], row["points"], row["views"]) == (preset, points, views)}
+        taken = [f"{1e3 * forms[form]['seconds']['median']:.0f}" for form in ("numpy", "compiled")]
+        ratio = min(row["over_import_torch"] for row in forms.values())
+        rows.append([preset, f"{points:,}", str(views), *taken, f"{ratio:.2f}x"])
+    return markdown(["preset", "points", "masks", "numpy, ms", "compiled, ms", "quicker / `import torch`"], rows)
+
+
 def batches() -> str:
-    """Clouds a second, one by one and in batches."""
-    rows = [
-        [row["preset"], f"`{row['name']}`, {row['batch']}", f"{row['clouds_per_second']:.1f}", f"{row['times_refine']:.1f}x"]
-        for row in _timed("batch")
-        if row["name"] == "refine" or row["batch"] == 16
-    ]
-    return markdown(["preset", "call, clouds", "clouds a second", "beside `refine`"], rows)
+    """Milliseconds a cloud in batches."""
+    timed = [row for row in _timed("batch") if row.get("batch", 1) > 1]
+    cores = max(row["processes"] for row in timed)
+    columns = [(1, False), (cores, False), (1, True), (cores, True)]
+    rows = []
+    for preset, size in dict.fromkeys((row["preset"], row["batch"]) for row in timed):
+        of_batch = {(row["processes"], row["busy"]): row for row in timed if (row["preset"], row["batch"]) == (preset, size)}
+        cells = [f"{1e3 * of_batch[key]['seconds']['median']:.0f}" if key in of_batch else "" for key in columns]
+        rows.append([preset, str(size), *cells])
+    names = [f"{count} {'process' if count == 1 else 'processes'}{', busy' if busy else ''}" for count, busy in columns]
+    return markdown(["preset", "clouds", *names], rows)
 
 
 def kernels() -> str:
     """Milliseconds of the two kernels and of other ways of doing the same."""
     points = (1024, 16384)
     ways = {
-        "silhouette": ("compiled", "windowed", "scatter 9x9", "exact"),
-        "chamfer": ("tso", "two k-d trees a step, all workers", "point_cloud_utils"),
+        "silhouette": ("tso, compiled", "tso, numpy", "scatter 9x9, torch"),
+        "chamfer": ("tso, compiled", "tso, numpy", "two k-d trees a step, all workers", "point_cloud_utils"),
     }
     rows = []
     for what, names in ways.items():
@@ -241,9 +253,15 @@ def stages() -> str:
     """The stages of the default preset."""
     from tso_cli.refinement.presets import STAGES
 
-    rows = [[str(number), *(f"{value:g}" for value in astuple(stage)[:5])] for number, stage in enumerate(STAGES, 1)]
-    header = ["stage", "smoothness lambda", "robust scale r", "learning-rate scale", "nodes", "averaging weight"]
-    return markdown(header, rows)
+    columns = {
+        "smoothness lambda": "smoothness",
+        "robust scale r": "robust_scale",
+        "learning-rate scale": "learning_rate_scale",
+        "nodes": "nodes",
+        "averaging weight": "averaging_weight",
+    }
+    rows = [[str(n), *(f"{getattr(stage, name):g}" for name in columns.values())] for n, stage in enumerate(STAGES, 1)]
+    return markdown(["stage", *columns], rows)
 
 
 FILLED: dict[str, Callable[[], str]] = {
@@ -253,7 +271,7 @@ FILLED: dict[str, Callable[[], str]] = {
         made.__name__: made
         for made in (initial_error, gains, types, starts, choices, variants, depth, cameras, network, photos)
     },
-    **{made.__name__: made for made in (machine, batches, kernels, stages)},
+    **{made.__name__: made for made in (machine, objects, batches, kernels, stages)},
 }
 
 

@@ -61,6 +61,10 @@ def main(arguments: list[str] | None = None) -> None:
         code = _fail(f"{error.format_message()}{hint}", 2)
     except click.ClickException as error:
         code = _fail(error.format_message(), error.exit_code)
+    except ModuleNotFoundError as error:
+        if error.name != "torch":
+            raise
+        code = _fail("networks need torch, which is not installed: pip install torch", 1)
     except (click.Abort, KeyboardInterrupt):
         code = _fail("interrupted", 130)
     except BrokenPipeError:

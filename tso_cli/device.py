@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from .errors import InputError
@@ -29,22 +27,3 @@ def resolve(name: str) -> torch.device:
         available = f"{torch.cuda.device_count()} CUDA devices" if torch.cuda.is_available() else "no CUDA device"
         raise InputError(f"--device {name}: not available here (found the CPU and {available})") from None
     return device
-
-
-@contextmanager
-def one_thread(when: bool) -> Iterator[None]:
-    """Limit torch to one CPU thread inside the block if ``when``.
-
-    A step on a small cloud is a hundred operations of some microseconds each: more threads gain nothing on an idle machine,
-    and on a busy one they wait for one another (five to ten times slower).
-    """
-    import torch
-
-    before = torch.get_num_threads()
-    if when:
-        torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        if when:
-            torch.set_num_threads(before)

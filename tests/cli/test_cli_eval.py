@@ -21,7 +21,7 @@ from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.io.images import read_mask
 from tso_cli.io.meshes import read_mesh, write_mesh
 from tso_cli.io.shipped import examples_folder
-from tso_cli.silhouette.projection import silhouette_of
+from tso_cli.losses.silhouette import silhouette_of
 
 
 def run(*arguments):

@@ -9,6 +9,7 @@ from tso_cli.geometry.points import (
     bounding_box_normalisation,
     farthest_point_sample,
     normalise_longest_side,
+    quantile,
     sample_surface,
 )
 
@@ -138,3 +139,9 @@ def test_the_last_face_is_not_drawn_from_if_it_has_no_area():
 def test_samples_that_cannot_be_are_refused(call, message):
     with pytest.raises(InputError, match=message):
         call()
+
+
+@given(st.lists(st.tuples(*[st.floats(-1e3, 1e3)] * 2), min_size=1, max_size=20), st.floats(0.0, 1.0))
+def test_a_quantile_is_that_of_numpy(rows, share):
+    values = np.array(rows)
+    np.testing.assert_allclose(quantile(values, share), np.quantile(values, share, axis=0), rtol=1e-12, atol=1e-9)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from tso_cli.kernels import dispatch, jit
+from tso_cli.kernels import jit, tensors
 
 
 @pytest.fixture
@@ -18,7 +18,7 @@ def both_forms(monkeypatch) -> Callable[[Callable[[], Any]], tuple[Any, Any]]:
     def run(function: Callable[[], Any]) -> tuple[Any, Any]:
         results = []
         for least in (1 << 60, 0):
-            monkeypatch.setattr(dispatch, "POINTS_WORTH_COMPILING", least)
+            monkeypatch.setattr(tensors, "POINTS_WORTH_COMPILING", least)
             results.append(function())
         return results[0], results[1]
 

@@ -1,4 +1,4 @@
-"""Which form of a kernel runs."""
+"""Which form of a kernel runs, and what a refinement imports."""
 
 from __future__ import annotations
 
@@ -6,86 +6,87 @@ import os
 import subprocess
 import sys
 import warnings
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 
 import pytest
 import torch
 
 from tso_cli.kernels import dispatch
-from tso_cli.kernels.dispatch import planned, use_numba
-from tso_cli.kernels.splat import cheapest
-
-SMALL, LARGE = torch.zeros(1, 100, 2), torch.zeros(1, 8192, 2)
+from tso_cli.kernels.dispatch import importable, planned, use_compiled
+from tso_cli.kernels.tensors import use_numba
 
 
 @pytest.mark.parametrize("on_disk", [True, False])
-def test_the_whole_plan_decides_and_not_the_size_of_a_batch(monkeypatch, on_disk):
+def test_small_work_is_left_to_numpy_and_large_work_compiled(monkeypatch, on_disk):
     monkeypatch.setattr(dispatch, "_on_disk", lambda: on_disk)
+    assert not use_compiled()
     with planned(1, 1):
-        assert not use_numba(LARGE)
+        assert not use_compiled()
     with planned(1_000_000, 100_000_000):
-        assert use_numba(SMALL)
-        assert not use_numba(SMALL.bfloat16())
-        with planned(1, 1):
-            assert use_numba(SMALL)
-    assert use_numba(LARGE)
-    assert not use_numba(SMALL)
+        assert use_compiled()
+        # The outermost plan decides, in threads too.
+        with planned(1, 1), ThreadPoolExecutor(1) as pool:
+            assert use_compiled() and pool.submit(copy_context().run, use_compiled).result()
+    assert not use_compiled()
 
 
 def test_work_that_repays_loading_but_not_compiling_needs_machine_code_on_disk(monkeypatch):
-    fifty_steps = (50, 50 * 16384)
-    monkeypatch.setattr(dispatch, "_on_disk", lambda: True)
-    with warnings.catch_warnings(), planned(*fifty_steps):
-        warnings.simplefilter("error")
-        assert use_numba(SMALL)
-    monkeypatch.setattr(dispatch, "_on_disk", lambda: False)
-    with planned(*fifty_steps):
-        with pytest.warns(UserWarning, match="`tso compile` makes them once"):
-            assert not use_numba(SMALL)
-        with warnings.catch_warnings():
-            # said once, and the choice stays
-            warnings.simplefilter("error")
-            assert not use_numba(SMALL)
+    for on_disk in (True, False):
+        monkeypatch.setattr(dispatch, "_on_disk", lambda on_disk=on_disk: on_disk)
+        with planned(50, 50 * 65536), warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            assert use_compiled() == use_compiled() == on_disk
+        # Said once, and the choice stays.
+        assert ["`tso compile` makes them once" in str(warning.message) for warning in caught] == [True] * (not on_disk)
+
+
+def test_batches_of_tensors_are_compiled_by_their_size_and_type():
+    assert use_numba(torch.zeros(2, 4096, 2)) and not use_numba(torch.zeros(1, 4096, 2))
+    assert not use_numba(torch.zeros(1, 8192, 2, dtype=torch.bfloat16))
+
+
+@pytest.fixture
+def without_numba(monkeypatch):
+    monkeypatch.setitem(sys.modules, "numba", None)
+    importable.cache_clear()
+    yield
+    importable.cache_clear()
+
+
+@pytest.mark.usefixtures("without_numba")
+def test_without_numba_numpy_and_torch_do_the_work_and_a_warning_says_so():
+    with pytest.warns(UserWarning, match="numba cannot be imported"), planned(1 << 60, 1 << 60):
+        assert not use_compiled()
+
+
+def _python(script: str, **environment: str) -> None:
+    process = subprocess.run([sys.executable, "-c", script], env=os.environ | environment, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
 
 
 @pytest.mark.slow
 def test_tso_compile_keeps_every_loop_that_a_refinement_needs(tmp_path):
     """In a process of its own, with an empty folder for machine code."""
-    script = """
-from tso_cli.kernels import dispatch
-from tso_cli.refinement.api import compile_loops
+    script = "from tso_cli.kernels import dispatch; from tso_cli.refinement.api import compile_loops\n"
+    _python(script + "compile_loops(); assert dispatch._on_disk()", NUMBA_CACHE_DIR=str(tmp_path))
 
-compile_loops()
-print(dispatch._on_disk())
+
+REFINE = """
+import sys, numpy as np
+from tso_cli.refinement import RefineConfig, refine
+mask = np.zeros((64, 64), np.float32); mask[20:44, 20:44] = 1.0
+config = RefineConfig(steps={steps}, preset="{preset}")
+refine(np.random.default_rng(0).uniform(-0.3, 0.3, ({points}, 3)), mask, config=config)
+assert not set(sys.modules) & {absent}, set(sys.modules) & {absent}
 """
-    process = subprocess.run(
-        [sys.executable, "-c", script], env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}, capture_output=True, text=True
-    )
-    assert process.stdout.splitlines()[-1:] == ["True"], process.stderr
 
 
-def test_refining_a_small_cloud_does_not_import_numba():
-    code = (
-        "import sys, numpy as np; from tso_cli.refinement import RefineConfig, refine\n"
-        "mask = np.zeros((64, 64), np.float32); mask[20:44, 20:44] = 1.0\n"
-        "refine(np.random.default_rng(0).uniform(-0.3, 0.3, (1024, 3)), mask, config=RefineConfig(steps=1))\n"
-        "assert 'numba' not in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
+@pytest.mark.parametrize("preset", ["best", "paper"])
+def test_refining_a_small_cloud_imports_neither_torch_nor_scipy_nor_numba(preset):
+    _python(REFINE.format(steps=1, preset=preset, points=1024, absent={"torch", "scipy", "numba"}))
 
 
-def test_without_numba_torch_does_the_work_and_a_warning_says_so(monkeypatch):
-    monkeypatch.setitem(sys.modules, "numba", None)
-    dispatch._importable.cache_clear()
-    try:
-        with pytest.warns(UserWarning, match="numba cannot be imported"):
-            assert cheapest(torch.zeros(8, 1024, 2), 64, 64, 0.4) == "windowed"
-    finally:
-        dispatch._importable.cache_clear()
-
-
-def test_small_work_and_other_precisions_and_devices_are_left_to_torch():
-    assert cheapest(torch.zeros(8, 1024, 2), 64, 64, 0.4) == "compiled"
-    assert cheapest(torch.zeros(1, 8191, 2), 64, 64, 0.4) == "windowed"
-    assert cheapest(torch.zeros(1, 8191, 2), 20, 20, 6.4) == "exact"
-    assert cheapest(torch.zeros(8, 1024, 2, dtype=torch.bfloat16), 64, 64, 0.4) == "windowed"
-    assert cheapest(torch.zeros(8, 1024, 2, device="meta"), 64, 64, 0.4) == "windowed"
+@pytest.mark.slow
+def test_refining_a_large_cloud_imports_no_torch():
+    _python(REFINE.format(steps=200, preset="best", points=16384, absent={"torch"}) + "assert 'numba' in sys.modules")

@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from tso_cli.kernels import jit
-from tso_cli.kernels.jit import PrecomputedGradient, forget_stale, share
-from tso_cli.kernels.projection_numba import project
+from tso_cli.kernels.jit import forget_stale, share
 from tso_cli.kernels.splat import splat
+from tso_cli.kernels.tensors import PrecomputedGradient
 
 
 def test_machine_code_older_than_any_source_is_removed(tmp_path):
@@ -45,16 +45,10 @@ def test_a_full_disk_does_not_stop_the_work():
         if len(calls) == 1:
             raise OSError(28, "No space left on device")
 
-    share(3, 1, fill)
+    share(3, 1, 1, fill)
     assert calls == [(0, 3), (0, 3)]
 
 
-@pytest.fixture
-def two_threads(monkeypatch):
-    monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
-
-
-@pytest.mark.usefixtures("two_threads")
 def test_after_an_interrupt_no_thread_writes():
     caller, begun, running = threading.get_ident(), threading.Event(), []
 
@@ -68,7 +62,7 @@ def test_after_an_interrupt_no_thread_writes():
         running.append(last)
 
     with pytest.raises(KeyboardInterrupt):
-        share(100, 1 << 30, slow)
+        share(100, 1 << 30, 2, slow)
     done = list(running)
     # the range at work was ended, and no further one begun
     assert len(done) == 2
@@ -76,7 +70,6 @@ def test_after_an_interrupt_no_thread_writes():
     assert running == done
 
 
-@pytest.mark.usefixtures("two_threads")
 def test_an_error_in_another_thread_is_raised():
     failed = threading.Event()
 
@@ -88,7 +81,7 @@ def test_an_error_in_another_thread_is_raised():
             raise ValueError("no")
 
     with pytest.raises(ValueError, match="no"):
-        share(16, 1 << 40, fail)
+        share(16, 1 << 40, 2, fail)
 
 
 def _silhouette(kernel):
@@ -99,12 +92,7 @@ def _loss(points):
     return PrecomputedGradient.apply(points, points.detach().sum((1, 2)), torch.ones_like(points)).sum() * points.sum()
 
 
-def _projection(points):
-    eye = torch.eye(3).expand(1, 1, 3, 3)
-    return project(points, eye, eye, torch.ones(1, 1, 3), 0.01)[0].square().sum()
-
-
-@pytest.mark.parametrize("function", [_silhouette("windowed"), _silhouette("compiled"), _loss, _projection])
+@pytest.mark.parametrize("function", [_silhouette("compiled"), _loss])
 def test_second_derivatives_are_refused_and_not_silently_dropped(function):
     points = torch.rand(1, 5, 3, requires_grad=True)
     (gradient,) = torch.autograd.grad(function(points), points, create_graph=True)

@@ -1,17 +1,14 @@
-"""Nearest neighbours are exact, whatever was proved without a search."""
+"""Nearest neighbours of tensors are exact."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
-from tso_cli.kernels import nearest as nearest_module
-from tso_cli.kernels import nearest_numba
-from tso_cli.kernels.nearest import StaticNearest, nearest, nearest_both_ways, nearest_marked, nearest_points
+from tso_cli.kernels import tensors
+from tso_cli.kernels.nearest import nearest_both_ways, nearest_in_rows, nearest_marked, nearest_points
 
 
 def _distance(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
@@ -23,64 +20,13 @@ def _assert_nearest(queries: torch.Tensor, data: torch.Tensor, index: torch.Tens
     torch.testing.assert_close(distance, _distance(queries, data), atol=1e-9, rtol=1e-6)
 
 
-@pytest.fixture(params=["all pairs", "tree"])
-def search(request, monkeypatch):
-    """Clouds of any size searched in one way."""
-    monkeypatch.setattr(nearest_module, "MULTIPLY_UP_TO", 1 << 30 if request.param == "all pairs" else 0)
-
-
-@pytest.mark.usefixtures("search")
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("count", [1, 300, 3000])
 def test_nearest_is_that_of_brute_force(dimension, count):
     generator = torch.Generator().manual_seed(0)
     queries = torch.randn(200, dimension, generator=generator)
     data = torch.randn(count, dimension, generator=generator)
-    _assert_nearest(queries, data, nearest(queries, data))
-
-
-@pytest.mark.parametrize("spread", [1.0, 1e-3, 1e-6, 1e-9])
-def test_the_nearest_of_points_close_together_and_far_from_the_rest_is_exact(spread):
-    generator = torch.Generator().manual_seed(2)
-    places = torch.tensor([[3.0, -1.0, 2.0], [-5.0, 4.0, 0.5]], dtype=torch.float64)
-    data, queries = (
-        (places[:, None] + spread * torch.randn(2, n, 3, generator=generator, dtype=torch.float64)).flatten(0, 1)
-        for n in (300, 40)
-    )
-    pairs = (queries[:, None] - data).square().sum(-1)
-    index = nearest(queries, data)
-    torch.testing.assert_close(pairs.gather(1, index[:, None])[:, 0], pairs.amin(1), atol=0.0, rtol=1e-7)
-
-
-CLOUDS = {
-    "random": lambda g: torch.rand(400, 3, generator=g),
-    "clustered": lambda g: torch.randn(400, 3, generator=g) * 1e-3 + torch.randint(0, 3, (400, 1), generator=g),
-    "duplicated": lambda g: torch.rand(40, 3, generator=g).repeat(10, 1),
-}
-
-
-@pytest.mark.usefixtures("search")
-@pytest.mark.parametrize("cloud", CLOUDS)
-@pytest.mark.parametrize("step", [0.0, 1e-2, 0.3])
-def test_a_moved_copy_finds_its_neighbours_exactly(cloud, step):
-    generator = torch.Generator().manual_seed(1)
-    start = CLOUDS[cloud](generator)
-    moved = start + step * torch.randn(start.shape, generator=generator)
-    to_moved, to_start = StaticNearest(start)(moved)
-    _assert_nearest(start, moved, to_moved)
-    _assert_nearest(moved, start, to_start)
-
-
-@pytest.mark.usefixtures("search")
-@pytest.mark.parametrize("value", [torch.inf, -torch.inf, torch.nan])
-def test_a_point_that_is_not_finite_makes_the_distance_so_and_raises_no_error(value):
-    start = torch.rand(50, 3, generator=torch.Generator().manual_seed(4))
-    nearest = StaticNearest(start)
-    moved = start + 0.3
-    moved[7, 1] = value
-    to_moved, to_start = nearest(moved)
-    assert not torch.isfinite((start - moved[to_moved]).square().sum() + (moved - start[to_start]).square().sum())
-    torch.testing.assert_close(nearest(start), (nearest.identity, nearest.identity))
+    _assert_nearest(queries, data, nearest_in_rows(queries[None], data[None])[0])
 
 
 def _squared_distances(marked: torch.Tensor) -> torch.Tensor:
@@ -118,37 +64,19 @@ def test_the_nearest_point_to_a_pixel_is_that_of_all_pairs(count, height, width)
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize(("first", "second"), [(1, 5), (300, 700), (257, 512)])
-def test_neighbours_between_clouds_are_those_of_all_pairs(dtype, first, second):
+def test_neighbours_between_clouds_are_those_of_all_pairs(both_forms, dtype, first, second):
     generator = torch.Generator().manual_seed(9)
     a, b = (torch.rand(3, n, 3, generator=generator, dtype=dtype) for n in (first, second))
     b[1] = b[1, 0]
-    to_b, to_a = nearest_numba.nearest_both_ways(a, b)
-    plain = nearest_both_ways(a, b)
-    for x, y, *indices in ((a, b, to_b, plain[0]), (b, a, to_a, plain[1])):
-        pairs = (x.double()[:, :, None] - y.double()[:, None]).square().sum(-1)
-        least = pairs.min(-1).values
-        for index in indices:
-            torch.testing.assert_close(pairs.gather(2, index[:, :, None])[:, :, 0], least, atol=1e-12, rtol=1e-5)
+    for to_b, to_a in both_forms(lambda: nearest_both_ways(a, b)):
+        for x, y, index in ((a, b, to_b), (b, a, to_a)):
+            pairs = (x.double()[:, :, None] - y.double()[:, None]).square().sum(-1)
+            chosen = pairs.gather(2, index[:, :, None])[:, :, 0]
+            torch.testing.assert_close(chosen, pairs.min(-1).values, atol=1e-12, rtol=1e-5)
     assert (to_b[1] == 0).all()
 
 
-def test_neighbours_do_not_depend_on_the_number_of_threads(assert_same_on_threads):
+def test_neighbours_do_not_depend_on_the_number_of_threads(assert_same_on_threads, monkeypatch):
+    monkeypatch.setattr(tensors, "POINTS_WORTH_COMPILING", 0)
     clouds = [torch.rand(9, count, 3, generator=torch.Generator().manual_seed(count)) for count in (42, 44)]
-    assert_same_on_threads(lambda: nearest_numba.nearest_both_ways(*clouds))
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.lists(st.tuples(*[st.floats(-1, 1, width=32)] * 6), min_size=2, max_size=30), st.floats(0, 1))
-def test_a_moved_copy_finds_its_neighbours_whatever_moved(rows, step):
-    both = torch.tensor(rows)
-    start, moved = both[:, :3], both[:, :3] + step * both[:, 3:]
-    to_moved, to_start = StaticNearest(start)(moved)
-    _assert_nearest(start, moved, to_moved)
-    _assert_nearest(moved, start, to_start)
-
-
-@pytest.mark.parametrize("pairs", [64, 8])
-def test_queries_in_chunks_of_any_size_are_all_answered(pairs, monkeypatch):
-    monkeypatch.setattr(nearest_module, "PAIRS_PER_PRODUCT", pairs)
-    queries, data = torch.rand(2, 50, 3, generator=torch.Generator().manual_seed(3))
-    _assert_nearest(queries, data, nearest(queries, data))
+    assert_same_on_threads(lambda: nearest_both_ways(*clouds))

@@ -8,15 +8,13 @@ import os
 
 import pytest
 import torch
-from torch.utils._python_dispatch import TorchDispatchMode
 
 from tso_cli.kernels import nearest as nearest_module
 from tso_cli.kernels import splat as splat_module
-from tso_cli.kernels.nearest import nearest_both_ways, nearest_in_rows, nearest_marked, nearest_points
-from tso_cli.kernels.splat import cheapest, splat
-from tso_cli.silhouette import chamfer as chamfer_module
+from tso_cli.kernels.nearest import nearest_both_ways, nearest_in_rows
+from tso_cli.kernels.splat import splat
 from tso_cli.silhouette.bce import silhouette_bce
-from tso_cli.silhouette.chamfer import ChamferToInitial
+from tso_cli.silhouette.chamfer import chamfer
 
 ON_GPU = torch.cuda.is_available()
 DEVICE = "cuda" if ON_GPU else "cpu"
@@ -32,12 +30,6 @@ def triton_kernels(monkeypatch):
     """The Triton kernels for tensors on DEVICE, which are interpreted where that is the CPU."""
     for module in (splat_module, nearest_module):
         monkeypatch.setattr(module, "triton_runs", lambda points: points.dtype == torch.float32)
-    _as_on_a_gpu(monkeypatch)
-
-
-def _as_on_a_gpu(monkeypatch) -> None:
-    for module in (nearest_module, chamfer_module):
-        monkeypatch.setattr(module, "whole_batches", lambda tensor: True)
 
 
 @pytest.fixture(params=["torch", pytest.param("triton", marks=needs_triton)])
@@ -48,7 +40,6 @@ def in_rows(request, monkeypatch):
     else:
         monkeypatch.setattr(nearest_module, "triton_runs", lambda points: False)
         monkeypatch.setattr(nearest_module, "PAIRS_PER_CHUNK", 4000)
-        _as_on_a_gpu(monkeypatch)
 
 
 def _random(seed: int, *shape: int) -> torch.Tensor:
@@ -117,76 +108,22 @@ def test_nan_and_infinite_points_are_no_neighbours_and_have_none(in_rows):
         assert index.min() >= 0
 
 
-def test_neighbours_in_a_batch_are_those_that_the_cpu_finds_cloud_by_cloud(in_rows, monkeypatch):
-    a, b = _random(7, 3, 80, 3), _random(8, 3, 130, 3)
-    pixels, points, valid = _random(9, 3, 20, 17) < 0.5, _random(10, 3, 40, 2) * 20, _random(11, 3, 40) < 0.8
-    valid[1] = False
-    batch = *nearest_both_ways(a, b), nearest_points(pixels, points, valid)
-    monkeypatch.setattr(nearest_module, "whole_batches", lambda tensor: False)
-    single = *nearest_both_ways(a.cpu(), b.cpu()), nearest_points(pixels.cpu(), points.cpu(), valid.cpu())
-    assert all(torch.equal(one.cpu(), other) for one, other in zip(batch, single, strict=True))
-
-
-@pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 40), (40, 1), (30, 47)])
-def test_the_nearest_marked_pixels_of_a_batch_are_as_near_as_those_of_each_image(height, width, monkeypatch):
-    marked = _random(height * width, 3, height, width) < torch.tensor([0.0, 0.05, 0.6], device=DEVICE)[:, None, None]
-    marked[1:, 0, -1] = True
-    grid = torch.meshgrid(torch.arange(height, device=DEVICE), torch.arange(width, device=DEVICE), indexing="ij")
-    single = nearest_marked(marked)
-    _as_on_a_gpu(monkeypatch)
-    monkeypatch.setattr(nearest_module, "PAIRS_PER_CHUNK", 7 * width**2)
-    batch = nearest_marked(marked)
-    assert all((part[0] == -1).all() for part in batch)
-    squared = [sum((part[1:] - at).square() for part, at in zip(parts, grid, strict=True)) for parts in (batch, single)]
-    assert torch.equal(*squared)
-    assert all(image[row, column].all() for image, row, column in zip(marked[1:], batch[0][1:], batch[1][1:], strict=True))
-
-
 def test_losses_of_whole_batches_are_those_of_single_clouds(in_rows, monkeypatch):
-    start, counts = _random(12, 3, 60, 3), torch.tensor([60, 31, 1])
-    moved, points = start + 0.2 * _random(13, 3, 60, 3), _random(14, 3, 50, 2) * 16 + 3
-    others = _random(15, 3, 50) < 0.9, _random(16, 3, 24, 24), torch.tensor([1.0, 2.0, 3.0])
-    whole = _losses_and_gradients(start, counts, moved, points, *(other.to(DEVICE) for other in others))
+    clouds = _random(12, 3, 60, 3), _random(13, 3, 40, 3), _random(14, 3, 50, 2) * 16 + 3
+    others = _random(15, 3, 50) < 0.9, _random(16, 3, 24, 24), torch.tensor([1.0, 2.0, 3.0], device=DEVICE)
+    whole = _losses_and_gradients(*clouds, *others)
     monkeypatch.undo()
-    cpu = (tensor.cpu() for tensor in (start, counts, moved, points, *others))
+    cpu = (tensor.detach().cpu() for tensor in (*clouds, *others))
     for mine, theirs in zip(whole, _losses_and_gradients(*cpu), strict=True):
         torch.testing.assert_close(mine.cpu(), theirs, atol=1e-5 * theirs.abs().max().item(), rtol=1e-5)
 
 
-def _losses_and_gradients(start, counts, moved, points, valid, mask, weight):
-    """Chamfer to the start, the mask's BCE, and the gradients of a weighted sum of them."""
-    moved, points = moved.requires_grad_(), points.requires_grad_()
+def _losses_and_gradients(cloud, target, points, valid, mask, weight):
+    """Chamfer distance to the target, the mask's cross-entropy, and the gradients of a weighted sum of them."""
+    cloud, points = cloud.requires_grad_(), points.requires_grad_()
     sums = splat(points, valid, *mask.shape[1:], 0.4)
-    values = ChamferToInitial(start, counts)(moved), silhouette_bce(sums, mask, points, valid, 0.4)
-    return *(value.detach() for value in values), *torch.autograd.grad((sum(values) * weight).sum(), [moved, points])
-
-
-@needs_triton
-def test_a_gpu_takes_its_own_kernel(triton_kernels):
-    assert cheapest(torch.zeros(1, 4, 2, device=DEVICE), 64, 64, 0.4) == "triton"
-
-
-class _Operations(TorchDispatchMode):
-    """Remembers the names of torch's operations, those of the backward pass too."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.names: set[str] = set()
-
-    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        self.names.add(func.overloadpacket.__name__)
-        return func(*args, **(kwargs or {}))
-
-
-@needs_triton
-def test_a_step_of_many_clouds_never_waits_for_the_gpu(triton_kernels):
-    start, counts = _random(12, 3, 60, 3), torch.tensor([60, 31, 1])
-    valid, mask = _random(15, 3, 50) < 0.9, _random(16, 3, 24, 24)
-    with _Operations() as operations:
-        _losses_and_gradients(start, counts, start + 0.2, _random(14, 3, 50, 2) * 16, valid, mask, torch.ones(3, device=DEVICE))
-    assert "mul" in operations.names
-    # what reads a value, or needs to know how many there are
-    assert not operations.names & {"_local_scalar_dense", "nonzero", "masked_select", "unique"}
+    values = sum(chamfer(cloud, target)), silhouette_bce(sums, mask, points, valid, 0.4)
+    return *(value.detach() for value in values), *torch.autograd.grad((sum(values) * weight).sum(), [cloud, points])
 
 
 def test_the_gpus_kernel_is_refused_where_it_cannot_run():

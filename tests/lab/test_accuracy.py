@@ -32,15 +32,15 @@ def test_an_ablation_changes_one_ingredient_of_the_preset_at_a_time():
     plain = moved(RefineConfig())
     np.testing.assert_array_equal(moved(RefineConfig(coarse_to_fine=BEST)), plain)
     changed = {name: variant for name, variant in ABLATION.items() if variant.config.coarse_to_fine is not BEST}
-    assert len(changed) == 13
+    assert len(changed) == 14
     for name, variant in changed.items():
         recipe = variant.config.coarse_to_fine
         differing = {key for key, value in vars(recipe).items() if value != getattr(BEST, key)}
-        no_prior = {"least_prior_weight", "most_prior_weight", "prior_weight"}
-        assert len(differing) == 1 or differing in (no_prior, {"truncated_prior", "unobserved_motion"}), name
-        # A far start has the least prior weight in any case; a car has no thin parts, is seen whole, and its points lie
-        # evenly; the other rows show at once.
-        if differing & {"stages", "per_cloud_adam"}:
+        no_prior = {"least_prior_weight", "prior_weight"}
+        assert len(differing) == 1 or differing == no_prior, name
+        # A far start has the least prior weight in any case; a car has no thin parts and is seen whole; the
+        # other rows show at once.
+        if differing & {"stages", "uniform_adam"}:
             assert np.abs(moved(variant.config) - plain).max() > 1e-4, name
 
 

@@ -1,301 +1,303 @@
-"""`tso bench speed`: contestants, records, tables, chart and command. No time is asserted."""
+"""`tso bench speed`: contestants, records, claims, tables, chart and command. No time is asserted."""
 
 from __future__ import annotations
 
-import dataclasses
 import json
+import os
 import sys
 import types
 
+import numpy as np
 import pytest
 import torch
 from PIL import Image
 
-from tso_cli.errors import InputError, TsoError
-from tso_cli.kernels.splat import splat
-from tso_cli.lab.bench import chamfer, machine, memory, peers, refinement, silhouette, speed, start_up, timing, training
+from tests.lab.studying import tso
+from tso_cli.errors import TsoError
+from tso_cli.lab.bench import (
+    PARTS,
+    batch,
+    chamfer,
+    command,
+    first_call,
+    material,
+    object,
+    parts,
+    peers,
+    silhouette,
+    speed,
+    timing,
+    training,
+)
 from tso_cli.lab.bench.claims import claims
-from tso_cli.lab.bench.material import SIGMA_SQ, projection, trajectory
 from tso_cli.lab.bench.study import STUDY
-from tso_cli.lab.bench.timing import Setting, Timing
+from tso_cli.lab.bench.timing import Contestant, Setting, record, timed
 from tso_cli.lab.charts.speed_chart import draw_speed
-from tso_cli.lab.charts.speed_table import left_out, tables
-from tso_cli.lab.commands.bench import PARTS
 from tso_cli.lab.study import answer
-from tso_cli.silhouette.chamfer import ChamferToInitial
+from tso_cli.losses.chamfer import ChamferToStart
+from tso_cli.losses.silhouette import silhouette_sums
 
-from ..training import make_known
-from .studying import tso
+ONE_OBJECT = {"preset": "best", "views": 1, "call": "steady"}
+BATCH = {"preset": "best", "processes": 2, "busy": False, "over_import_torch": 1.0}
+QUICK = Setting(budget=1e-9)
+PEERS = ("chamferdist", "pykeops", "point_cloud_utils", "pytorch3d")
 
-CPU = torch.device("cpu")
-QUICK = Setting(budget=1e-4)
-FIELDS = {"what", "name", "points", "side", "batch", "device", "threads", "seconds", "runs", "peak_memory_bytes"}
-CHAMFER_PEERS = ("chamferdist", "pykeops", "point_cloud_utils", "pytorch3d")
+
+def took(seconds):
+    return {"median": seconds, "low": seconds, "high": seconds}
 
 
 @pytest.fixture(scope="module")
 def measured():
-    """Every part at sizes that take no time; the speed of training is a test of its own."""
+    """Every part at sizes that take little time; no process is started, and the speed of training is a test of its own."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(refinement, "HALFWAY", 1)
-        patch.setattr(refinement, "NETWORK_HALFWAY", 0)
+        patch.setattr(timing, "LEAST_RUNS", 1)
+        patch.setattr(object, "MORE_VIEWS", (2,))
+        for name, value in (("CLOUDS", 1), ("POINTS", 64), ("SPIN", "")):
+            patch.setattr(batch, name, value)
+        no_process = Contestant("import torch", lambda: 1.0)
+        for module in (object, batch, command):
+            patch.setattr(module, "IMPORT_TORCH", no_process)
+        patch.setattr(command, "process", lambda name, arguments, environment=None: lambda: 1.0)
+        answered = json.dumps({"seconds": 0.5, "peak_memory_bytes": 1 << 20})
+        patch.setattr(object, "run_process", lambda name, arguments: (1.0, answered))
         speed_of_training = {"bare": 2.0, "step": 1.0, "added": 1.0, "waiting": 0.0}
         patch.setattr(training, "images_per_second", lambda *_: speed_of_training)
         return [
+            *command.measure(QUICK),
+            *object.measure(QUICK, (64,), steps=1),
+            *parts.measure(QUICK, (64,)),
+            *batch.measure(QUICK, (1, 2), steps=1, most=2),
             *silhouette.measure(QUICK, [(64, 16), (128, 32)]),
-            *chamfer.measure(QUICK, [64, 128], steps=1),
-            *refinement.terms(QUICK, 64, 16),
-            *refinement.points_step(QUICK, 64),
-            *refinement.network_step(QUICK, "encoder-decoder"),
-            *refinement.batch(QUICK, [1, 2], count=64, steps=1),
-            *refinement.more_threads(QUICK, (64, 16), clouds=2, most=2, steps=1),
+            *chamfer.measure(QUICK, [64]),
             *training.measure(QUICK, batch=1),
-            QUICK.record("start-up", "python", Timing(0.02, 0.01, 0.03, 3)),
         ]
 
 
-@pytest.fixture
-def record(measured):
-    return {
-        "bench": "speed",
-        "machine": machine.machine(CPU),
-        "versions": machine.versions(),
-        "threads": 1,
-        "device": "cpu",
-        "seed": 0,
-        "seconds": 1.0,
-        "convention": {},
-        "claims": claims(measured),
-        "records": measured,
-    }
+# Records
 
 
-def assert_schema(records):
-    for record in records:
-        assert set(record) >= FIELDS
-        json.dumps(record)
-        if record["seconds"] is None:
-            assert record["left_out"]
-            assert record["runs"] == 0
+def test_every_part_has_records_of_one_form_with_a_ratio_to_its_first_contestant(measured):
+    assert {row["what"] for row in measured} == set(PARTS)
+    for row in json.loads(json.dumps(measured)):
+        assert set(row) >= {"what", "name", "points", "side", "seconds", "runs"}
+        if row["seconds"] is None:
+            assert row["left_out"]
+            assert row["runs"] == 0
         else:
-            assert record["seconds"]["median"] > 0.0
+            assert row["seconds"]["median"] > 0.0
+            assert row["what"] == "training" or {"over_import_torch", "over_tso", "of_refine"} & set(row)
+        if row["what"] == "object" and row["points"]:
+            assert set(row) >= {"peak_memory_bytes" if row["call"] == "first" else "phases"}
+    batches = [row for row in measured if row["what"] == "batch" and row.get("batch", 1) > 1 and row["preset"] == "paper"]
+    assert {(row["processes"], row["busy"]) for row in batches} == {(1, False), (2, False), (1, True), (2, True)}
+    (alone,) = (row for row in measured if row["name"] == "refine" and row.get("preset") == "paper")
+    for row in batches:
+        assert row["over_refine"] == pytest.approx(row["seconds"]["median"] / alone["seconds"]["median"])
 
 
-def test_every_record_has_the_schema(measured):
-    assert_schema(measured)
-    assert {r["name"] for r in measured if r["what"] == "silhouette"} >= {"compiled", "windowed", "exact", *silhouette.RADII}
+@pytest.mark.parametrize(
+    ("row", "fields", "met"),
+    [
+        (("command", "tso --help", 0.16), {}, (True, "0.14 s")),
+        (("command", "tso --version", 0.2), {}, (False, "0.18 s")),
+        (("command", "steady", 1.0), {"points": 1024, "call": "steady", "over_import_torch": 0.36}, (False, "0.36")),
+        (("command", "first", 1.9), {"points": 16384, "call": "first"}, (True, "1.90x")),
+        (("object", "numpy", 1.0), {**ONE_OBJECT, "points": 1024, "over_import_torch": 0.14}, (True, "0.14")),
+        (("object", "numpy", 1.0), {**ONE_OBJECT, "points": 16384, "over_import_torch": 0.26}, (False, "0.26")),
+        (("batch", "64", 1.0), {**BATCH, "batch": 64, "over_import_torch": 0.039}, (True, "0.039")),
+        (("batch", "16", 1.1), {**BATCH, "batch": 16}, (False, "1.10x at worst")),
+        (("batch", "16", 1.4), {**BATCH, "batch": 16, "busy": True}, (True, "1.40x at worst")),
+        (("silhouette", "scatter 9x9, torch", 5.0), {"points": 1024}, (True, "5.0x")),
+        (("chamfer", "two k-d trees a step, 1 worker", 4.0), {"points": 16384}, (False, "4.0x")),
+    ],
+)
+def test_claims_tell_met_targets_from_missed_ones(row, fields, met):
+    """Beside rows that take a second, python that takes 0.02."""
+    steady = {"points": 16384, "call": "steady", "over_import_torch": 0.0}
+    rows = [record("command", "python", seconds=took(0.02)), record("command", "tso refine", seconds=took(1.0), **steady)]
+    alone = [BATCH | {"batch": size, "processes": 1, "busy": busy} for size in (16, 64) for busy in (False, True)]
+    rows += [record("batch", "one process", seconds=took(1.0), **fields) for fields in alone]
+    rows += [record(what, "tso, numpy", points=n, seconds=took(1.0)) for what, n in (("silhouette", 1024), ("chamfer", 16384))]
+    what, name, seconds = row
+    judged = claims([*rows, record(what, name, seconds=took(seconds)) | fields])
+    assert met in [(claim["holds"], claim["found"]) for claim in judged]
 
 
-def test_more_threads_are_compared_with_one(measured):
-    rows = [record for record in measured if record["what"] == "threads"]
-    assert [record["threads"] for record in rows] == [1, 2] * 3
-    for first, second in zip(rows[::2], rows[1::2], strict=True):
-        assert (first["name"], first["over_first"]) == (second["name"], 1.0)
-        assert second["over_first"] == pytest.approx(first["seconds"]["median"] / second["seconds"]["median"])
-
-
-def test_claims_tell_met_targets_from_missed_ones(measured):
-    sizes = ("compiled", 1.0, 16384, 256), ("scatter 9x9", 5.0, 16384, 256), ("scatter 7x7", 3.0, 16384, 256)
-    rows = [
-        QUICK.record("silhouette", name, Timing(seconds, seconds, seconds, 3), points=points, side=side)
-        for name, seconds, points, side in (*sizes, ("compiled", 64.0, 1_000_000, 1024))
-    ]
-    by_claim = {claim["claim"].rpartition(" ")[2]: claim for claim in claims(rows)}
-    assert by_claim["9x9"]["holds"]
-    assert not by_claim["7x7"]["holds"]
-    assert by_claim["7x7"]["found"] == "3.0x"
-    assert not by_claim["GiB"]["holds"]
-    assert by_claim["together"]["found"] == "1.01"  # log 64 over log 61
-    assert {claim["holds"] for claim in claims(measured)} <= {True, False}
-
-
-def test_tables_and_chart_show_every_part(record, tmp_path):
-    titles = [table.title for table in tables(record)]
-    parts = "silhouette, Chamfer, projector, points mode, a step: ms, a cloud, threads, images, processes"
-    for part in parts.split(", "):
-        assert any(part in title for title in titles), part
-    text = answer(STUDY, {**record, "claims": [{"claim": "fast", "found": "slow", "holds": False}]})
-    assert "scatter 7x7" in text
-    assert "target missed: fast (slow)" in text
-    assert all(cell in text for line in left_out(record["records"]) for cell in line)
-    draw_speed(tmp_path / "speed.png", record)
-    with Image.open(tmp_path / "speed.png") as chart:
-        assert min(chart.size) > 1000
+# Contestants
 
 
 def test_the_scatter_computes_the_same_loss_where_points_cover_the_mask():
-    scene = projection(2048, 24, CPU)
-    sums = splat(scene.points_px, scene.valid, 24, 24, SIGMA_SQ)
-    covered = (sums > 0.5) & (sums < 2.0)
-    scene = dataclasses.replace(scene, mask=covered.float())
+    points_px, _ = silhouette.scene(2048, 24)
+    sums = silhouette_sums(points_px, np.ones(2048, bool), 24, 24, 0.4)
     # The clamp hides silhouettes nearer to 0 or 1 than 1e-6.
-    expected = torch.nn.functional.binary_cross_entropy(torch.tanh(sums).clamp(1e-6, 1 - 1e-6), scene.mask, reduction="sum")
-    assert float(silhouette.scattered_loss(scene.points_px, scene.mask, 4)) == pytest.approx(float(expected), rel=1e-4)
-    assert float(silhouette.scattered_loss(scene.points_px, scene.mask, 3)) == pytest.approx(float(expected), rel=1e-2)
+    drawn, mask = np.tanh(sums).clip(1e-6, 1.0 - 1e-6), (sums > 0.5) & (sums < 2.0)
+    expected = -np.log(np.where(mask, drawn, 1.0 - drawn)).sum()
+    scattered = silhouette.scattered_loss(peers.tensor(points_px), peers.tensor(mask))
+    assert float(scattered) == pytest.approx(expected, rel=2e-3)
 
 
 def test_every_contestant_computes_the_same_chamfer_distance_and_gradient():
-    initial = trajectory(200, CPU, steps=1)[0]
+    initial = material.cloud(200)
     # Far enough that many nearest neighbours change.
-    moved = initial + 0.05 * torch.randn(initial.shape, generator=torch.Generator().manual_seed(0))
-    expected = ChamferToInitial(initial.double())(moved.double())
-    gradients = []
-    for name, make in chamfer.makers(initial, QUICK).items():
-        term = make()
-        if isinstance(term, str):
-            assert name in CHAMFER_PEERS
-            continue
-        leaf = moved.clone().requires_grad_()
-        value = term(leaf)
-        assert float(value.detach()) == pytest.approx(float(expected), rel=1e-3), name
-        gradients.append(torch.autograd.grad(value.sum(), leaf)[0])
-    assert len(gradients) >= 5
-    for gradient in gradients[1:]:
-        torch.testing.assert_close(gradient, gradients[0], rtol=1e-3, atol=1e-6)
+    moved = initial + np.random.default_rng(0).normal(scale=0.05, size=initial.shape)
+    expected, by_points = ChamferToStart(initial)(moved)
+    terms = {name: term for name, term in chamfer.terms(initial).items() if not isinstance(term, str)}
+    assert set(chamfer.terms(initial)) - set(terms) <= set(PEERS)
+    assert len(terms) >= 6
+    for name, term in terms.items():
+        value, gradient = term(moved)
+        assert value == pytest.approx(expected, rel=1e-3), name
+        np.testing.assert_allclose(gradient, by_points, rtol=1e-3, atol=1e-6, err_msg=name)
 
 
-def test_a_trajectory_starts_at_the_initial_points_and_keeps_every_step():
-    iterates = trajectory(100, CPU, steps=4)
-    moved = [float((iterate - iterates[0]).norm()) for iterate in iterates]
-    assert len(moved) == 5
-    assert moved[0] == 0.0
-    assert moved == sorted(moved)
+@pytest.mark.parametrize(
+    ("package", "reason"),
+    [
+        (None, "not installed"),
+        (RuntimeError("needs\na GPU"), "does not run here (needs a GPU)"),
+        (ImportError("no torch"), "cannot be imported (no torch)"),
+        (0, None),
+    ],
+)
+def test_another_package_is_measured_or_recorded_with_the_reason(package, reason, monkeypatch):
+    def distance(moved, initial, **_):
+        print("loading")
+        if package:
+            raise package
+        return (moved - initial).square().sum()
+
+    installed = types.SimpleNamespace(ChamferDistance=lambda: distance)
+    monkeypatch.setitem(sys.modules, "chamferdist", None if package is None else installed)
+    (row,) = (row for row in chamfer.measure(QUICK, [32]) if row["name"] == "chamferdist")
+    assert row.get("left_out") == reason
+    assert bool(row["seconds"]) == (reason is None)
 
 
-def test_a_missing_package_is_recorded_and_the_run_goes_on(monkeypatch):
-    for package in (*CHAMFER_PEERS, "gsplat"):
-        monkeypatch.setitem(sys.modules, package, None)
-    records = chamfer.measure(QUICK, [32], steps=1) + silhouette.measure(QUICK, [(32, 16)])
-    missing = {(r["what"], r["name"]) for r in records if r.get("left_out") == peers.NOT_INSTALLED}
-    assert missing == {*(("chamfer", name) for name in CHAMFER_PEERS), ("silhouette", "pytorch3d"), ("silhouette", "gsplat")}
-    assert ["chamfer, chamferdist", "not installed"] in left_out(records)
+def test_contestants_that_would_hold_too_much_at_once_are_left_out(monkeypatch):
+    monkeypatch.setattr(silhouette, "MOST_NUMBERS", {"tso, numpy": 1e3, silhouette.SCATTER: 1e3})
+    samples = silhouette.contestants(*silhouette.scene(64, 32))
+    assert [name for name, sample in samples.items() if isinstance(sample, str)] == ["tso, numpy", silhouette.SCATTER]
+    monkeypatch.setattr(chamfer, "CDIST_UP_TO", 16)
+    monkeypatch.setattr(chamfer, "PAIRS_UP_TO", 16)
+    reasons = {name: term for name, term in chamfer.terms(material.cloud(32)).items() if isinstance(term, str)}
+    assert reasons["cdist, torch"] == "1.0e+03 pairs held at once"
+    assert all(reasons[name] == "compares all 1.0e+03 pairs, minutes" for name in chamfer.COMPARE_ALL)
 
 
-@pytest.mark.parametrize("fails", [True, False])
-def test_an_installed_package_is_measured_or_recorded_with_its_error(fails, monkeypatch):
-    class ChamferDistance:
-        def __call__(self, moved, initial, **_):
-            if fails:
-                raise RuntimeError("needs\na GPU")
-            return (moved - initial).square().sum()
-
-    monkeypatch.setitem(sys.modules, "chamferdist", types.SimpleNamespace(ChamferDistance=ChamferDistance))
-    (record,) = [r for r in chamfer.measure(QUICK, [32], steps=1) if r["name"] == "chamferdist"]
-    if fails:
-        assert record["left_out"] == "does not run here (needs a GPU)"
-    else:
-        assert record["seconds"]["median"] > 0.0
-
-
-def test_sizes_that_take_too_long_are_left_out_with_the_reason():
-    assert silhouette.too_much("exact", 16384, 256) is None
-    assert "multiply-adds" in silhouette.too_much("exact", 1_000_000, 1024)
-    assert "taps" in silhouette.too_much("scatter 9x9", 1_000_000, 1024)
-    assert silhouette.too_much("compiled", 1_000_000, 1024) is None
+# Times and processes
 
 
 @pytest.fixture
 def clock(monkeypatch):
-    """A maker of work that takes exactly so long, and a list of what ran."""
+    """A maker of contestants that take exactly so long, and a list of what ran."""
     ran: list[str] = []
-    now = [0.0]
+    elapsed = [0.0]
 
-    def make(name: str, seconds: float):
+    def make(name: str, seconds: float, calls: int = 1):
         def work() -> None:
             ran.append(name)
-            now[0] += seconds
+            elapsed[0] += seconds
 
-        return work
+        return Contestant(name, timed(work), {"size": 1}, calls)
 
-    monkeypatch.setattr(timing, "time", types.SimpleNamespace(perf_counter=lambda: now[0]))
+    monkeypatch.setattr(timing, "time", types.SimpleNamespace(perf_counter=lambda: elapsed[0]))
     return make, ran
 
 
 def test_contestants_take_turns_after_a_warm_up(clock):
     make, ran = clock
-    timings = Setting(budget=1.0).race({"a": make("a", 0.25), "b": make("b", 0.5)})
-    assert ran[:4] == ["a", "a", "b", "b"]
-    assert ran[4:] == ["a", "b", "a", "b", "a", "b", "a"]
-    assert timings == {"a": Timing(0.25, 0.25, 0.25, 4), "b": Timing(0.5, 0.5, 0.5, 3)}
+    first, second = Setting(budget=1.0).race("test", [make("a", 0.25), make("b", 0.5, calls=2)], "over_a")
+    assert "".join(ran) == "ab" + "abababa"
+    assert (first["seconds"], first["runs"], first["over_a"], first["size"]) == (took(0.25), 4, 1.0, 1)
+    assert (second["seconds"], second["runs"], second["over_a"]) == (took(0.25), 3, 1.0)
 
 
-def test_quick_work_is_repeated_within_a_sample_and_very_slow_work_is_sampled_once(clock):
+def test_quick_work_is_repeated_within_a_block_and_very_slow_work_is_done_once(clock):
     make, ran = clock
-    timings = Setting(budget=0.01).race({"quick": make("quick", 1e-4), "slow": make("slow", 100.0)})
-    assert timings["quick"] == Timing(*[pytest.approx(1e-4)] * 3, 5)
-    assert ran.count("quick") == 2 + 5 * 20
-    assert timings["slow"] == Timing(100.0, 100.0, 100.0, 1)
-    assert ran.count("slow") == 2
+    quick, slow = Setting(budget=0.01).race("test", [make("quick", 1e-3), make("slow", 100.0)], "over")
+    assert quick["seconds"]["median"] == pytest.approx(1e-3)
+    assert (quick["runs"], slow["runs"]) == (5, 1)
+    assert (ran.count("quick"), ran.count("slow")) == (1 + 5 * 2, 2)
 
 
-def test_peak_memory_is_what_one_call_adds_in_a_fresh_process(monkeypatch):
-    exact = QUICK.record("silhouette", "exact", Timing(1.0, 1.0, 1.0, 1), points=4096, side=128)
-    memory.add_peaks([exact, QUICK.record("silhouette", "gsplat", left_out="not installed")], QUICK)
-    # At least the two factors of the product, 4,096 x 128 float32 each.
-    assert exact["peak_memory_bytes"] is None or exact["peak_memory_bytes"] > 2 * 4096 * 128 * 4
-    monkeypatch.setattr(sys, "executable", "false")
-    assert memory.peak(exact, 0) is None
+def test_processes_and_neighbour_of_a_batch_are_gone_after_it(monkeypatch):
+    for before in ("7", None):
+        monkeypatch.setenv("OMP_NUM_THREADS", before) if before else monkeypatch.delenv("OMP_NUM_THREADS")
+        seen = []
+        batch.on_processes(lambda seen=seen: seen.append(os.environ["OMP_NUM_THREADS"]), 2)()
+        assert (seen, os.environ.get("OMP_NUM_THREADS")) == (["2"], before)
+    with batch.busy_neighbour() as spinners:
+        assert all(spinner.poll() is None for spinner in spinners)
+    assert spinners
+    assert all(spinner.poll() is not None for spinner in spinners)
 
 
-def test_each_command_line_gives_one_record(monkeypatch, tmp_path):
-    commands = start_up._commands(tmp_path)
-    assert {"python", "import torch", "tso --version", "tso --help", start_up.REFINE} <= set(commands)
-    chosen = {"python": commands["python"], "version, first": (commands["tso --version"][0], start_up._first)}
-    monkeypatch.setattr(start_up, "_commands", lambda folder: chosen)
-    records = start_up.measure(QUICK, repeats=1)
-    assert [record["name"] for record in records] == list(chosen)
-    assert_schema(records)
+def test_the_first_call_of_a_fresh_process_says_its_seconds_and_memory():
+    arguments = material.cloud(64), material.chair_views(), object.RefineConfig(steps=1)
+    call = object.Call(arguments, "numpy", steady=False)
+    assert 0.0 < call() < 60.0
+    assert call.fields["peak_memory_bytes"] == 0 or 2**24 < call.fields["peak_memory_bytes"] < 2**30
+    assert first_call.peak_memory() >= 0
 
 
-def test_a_first_run_finds_no_byte_code(tmp_path):
-    environment = start_up._first(tmp_path)
-    copied = list((tmp_path / "fresh").rglob("*"))
-    assert environment["PYTHONPATH"] == str(tmp_path / "fresh")
-    assert tmp_path / "fresh" / "tso_cli" / "cli.py" in copied
-    assert not [path for path in copied if path.suffix == ".pyc"]
-
-
-def test_a_command_that_fails_is_not_timed():
+def test_a_process_that_fails_is_not_timed():
     with pytest.raises(TsoError, match=r"wrong: ended with exit code 2, saying .*No such command"):
-        start_up._run("wrong", (*start_up.TSO, "nothing"), start_up._warm)
+        timing.process("wrong", (*command.TSO, "nothing"))()
 
 
-def run(*arguments):
-    return tso("bench", "speed", *arguments)
+def test_a_first_run_finds_no_byte_code_and_no_compiled_loops(tmp_path):
+    environment = command.never_run(tmp_path)
+    copied = list((tmp_path / "fresh").rglob("*"))
+    assert environment == {"PYTHONPATH": str(tmp_path / "fresh"), "NUMBA_CACHE_DIR": str(tmp_path / "compiled")}
+    assert tmp_path / "fresh" / "tso_cli" / "cli.py" in copied
+    assert not [path for path in copied if path.suffix in (".pyc", ".nbi")]
+    _, printed = timing.run_process("tso --version", (*command.TSO, "--version"), command.never_run)
+    assert printed.startswith("tso, version")
 
 
-def test_the_command_writes_record_and_chart_and_overwrites_nothing(tmp_path, capsys, monkeypatch):
-    make_known(monkeypatch)
-    assert set(PARTS) == set(speed.PARTS)
-    monkeypatch.setitem(speed.PARTS, "terms", lambda setting: refinement.terms(setting, 64, 16))
+# The command
+
+
+def test_the_command_writes_record_page_and_chart_and_overwrites_nothing(measured, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(speed, "compile_loops", lambda: None)
+    for name in PARTS:
+        rows = [row for row in measured if row["what"] == name]
+        part = sys.modules[f"tso_cli.lab.bench.{name}"]
+        monkeypatch.setattr(part, "measure", lambda setting, rows=rows: rows if torch.get_num_threads() == 1 else [])
+    record = speed.speed(QUICK)
+    assert record["records"] == measured
+    assert set(record["convention"]) == {"seconds", *PARTS}
+    text = answer(STUDY, {**record, "claims": [{"claim": "fast", "found": "slow", "holds": False}]})
+    assert all(row["name"] in text for row in measured)
+    assert "target missed: fast (slow)" in text
+    draw_speed(tmp_path / "all.png", record)
+    with Image.open(tmp_path / "all.png") as chart:
+        assert min(chart.size) > 1000
+
+    monkeypatch.setattr("tso_cli.lab.studies.fingerprint.today", lambda part: {"IoU": 1.0})
     output = tmp_path / "speed.json"
-    arguments = ["--only", "terms", "--seconds", "0.001", "-o", str(output), "--json"]
-    assert run(*arguments) == 0
+    arguments = ("bench", "speed", "--only", "chamfer", "-o", output, "--json")
+    assert tso(*arguments) == 0
     record = json.loads(output.read_text())
-    assert json.loads(capsys.readouterr().out)["records"] == record["records"]
-    assert set(record) >= {"bench", "machine", "versions", "threads", "device", "seed", "seconds", "convention", "claims"}
-    assert (record["bench"], {r["what"] for r in record["records"]}) == ("speed", {"terms"})
-    assert_schema(record["records"])
+    assert record.pop("fingerprint").keys() == set(STUDY.parts)
+    assert json.loads(capsys.readouterr().out) == record
+    assert (record["bench"], {row["what"] for row in record["records"]}) == ("speed", {"chamfer"})
+    assert output.with_suffix(".png").exists()
+    assert output.with_suffix(".md").exists()
     before = output.read_bytes()
-    assert run(*arguments) == 2
+    assert tso(*arguments) == 2
     assert "exists" in capsys.readouterr().err
     assert output.read_bytes() == before
-    output.unlink()
-    assert run(*arguments) == 2  # the chart is still there
-    assert not output.exists()
 
 
 @pytest.mark.parametrize(
     "arguments",
-    ["--only nothing", "--seconds 0", "--threads 0", "--threads 1000000", "--seconds nan", "--seconds inf", "-o speed.txt"],
+    [("--only", "nothing"), ("--seconds", "0"), ("--seconds", "nan"), ("--seconds", "inf"), ("-o", "speed.txt")],
 )
 def test_bad_options_are_refused_in_one_line(arguments, capsys):
-    assert run(*arguments.split()) == 2
+    assert tso("bench", "speed", *arguments) == 2
     error = capsys.readouterr().err
-    assert error.startswith("tso: error:") and error.count("\n") == 1
-    assert any(word in error for word in arguments.split())
-
-
-def test_a_device_that_is_not_measured_is_refused():
-    with pytest.raises(InputError, match="cpu or cuda"):
-        speed.speed(Setting(torch.device("mps"), budget=1e-3), ["terms"])
+    assert error.startswith("tso: error:")
+    assert error.count("\n") == 1
+    assert arguments[-1] in error or arguments[0] in error

@@ -9,12 +9,13 @@ import pytest
 from tso_cli.errors import InputError
 from tso_cli.evaluation import footprint
 from tso_cli.kernels import nearest, splat
+from tso_cli.kernels.dispatch import planned
 from tso_cli.lab.commands.records import earlier_record, write_record
 from tso_cli.lab.studies import fingerprint
 from tso_cli.lab.studies.fingerprint import PARTS, differences, today
 from tso_cli.refinement import camera_correction, presets
 from tso_cli.render import rays
-from tso_cli.silhouette import affinity, bce, chamfer, mask_chamfer, projection
+from tso_cli.silhouette import affinity, bce
 from tso_cli.train import losses
 
 from .studying import tso
@@ -33,9 +34,8 @@ def fixed(monkeypatch):
 CHANGES = {
     "points, best": lambda patch: patch.setitem(vars(presets.BEST), "prior_weight", 0.8 * presets.BEST.prior_weight),
     "points, paper": lambda patch: patch.setattr(footprint, "EVEN", 1.5 * footprint.EVEN),
-    "network modes": lambda patch: patch.setitem(
-        presets.PAPER_LEARNING_RATE, "latent", 2.0 * presets.PAPER_LEARNING_RATE["latent"]
-    ),
+    "network modes, paper": lambda patch: patch.setitem(presets.PAPER_LEARNING_RATE, "latent", 2e-3),
+    "network modes, best": lambda patch: patch.setitem(presets.BEST_LEARNING_RATE, "latent", 2e-3),
     "camera fit": lambda patch: patch.setattr(camera_correction, "MISFIT_LEFT", 0.0),
     "training": lambda patch: patch.setattr(losses, "affinity", lambda *of: 1.1 * affinity.affinity(*of)),
     "pictures": lambda patch: patch.setattr(rays, "AMBIENT", 1.1 * rays.AMBIENT),
@@ -57,13 +57,14 @@ def test_another_method_has_another_fingerprint(part, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("compiled", [False, True])
-@pytest.mark.parametrize("part", ["points, paper", "network modes", "training"])
+@pytest.mark.parametrize("part", ["points, paper", "network modes, paper", "training"])
 def test_the_same_method_has_the_same_fingerprint_in_plain_and_in_compiled_loops(part, compiled, monkeypatch):
     record = of_today(part)
-    for module in (splat, nearest, projection, affinity, bce, chamfer, mask_chamfer):
+    for module in (splat, nearest, affinity, bce):
         monkeypatch.setattr(module, "use_numba", lambda points: compiled)
     today.cache_clear()
-    assert differences(record) == []
+    with planned(*([1 << 60] * 2 if compiled else [0, 0])):
+        assert differences(record) == []
     today.cache_clear()
 
 

@@ -9,6 +9,7 @@ from PIL import Image
 from tso_cli.evaluation.footprint import Seen
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
+from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.plots.overlay import (
     AGREED,
     GAP,
@@ -24,7 +25,6 @@ from tso_cli.plots.overlay import (
     draw_overlay,
 )
 from tso_cli.refinement import RefineConfig, refine
-from tso_cli.silhouette.projection import silhouette_of
 
 from ..scenes import square_mask
 

@@ -1,11 +1,9 @@
 """The camera fitted to a mask and a cloud, and cameras refined with the points."""
 
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from tso_cli.errors import InputError
 from tso_cli.geometry.rotations import angle_between, from_vectors, spread
@@ -13,8 +11,6 @@ from tso_cli.io.cameras import read_camera
 from tso_cli.pose import alignment, fit_camera
 from tso_cli.pose.alignment import Poses, Target
 from tso_cli.pose.fit import _same_by_symmetry, _spacing
-from tso_cli.refinement.camera_moves import CameraMoves, moved_camera
-from tso_cli.silhouette.projection import CameraBatch, project
 
 from ..scenes import example
 
@@ -132,20 +128,6 @@ def test_a_mask_one_pixel_wide_gets_a_finite_camera(line):
     mask[line] = 1.0
     fitted = fit_camera(np.random.default_rng(0).normal(size=(40, 3)), mask)
     assert np.isfinite(fitted.camera.R).all() and 0.0 <= fitted.iou <= 1.0
-
-
-def test_a_refined_camera_in_file_units_projects_as_in_the_loop():
-    _, _, camera, points = example("car")
-    big = replace(camera, t=10.0 * camera.t - camera.R @ np.array([3.0, 4.0, 5.0]))
-    centre, scale = np.array([3.0, 4.0, 5.0]), 10.0
-    local = big.for_normalised(centre, scale)
-    moves = CameraMoves([[local]], torch.zeros(1, dtype=torch.float64))
-    values = np.array([0.02, -0.03, 0.01, 0.01, 0.02, -0.01])
-    with torch.no_grad():
-        moves.parameter += torch.as_tensor(values.reshape(1, 2, 3))
-    seen = project(torch.as_tensor(points)[None], moves.apply(CameraBatch.of([local], moves.parameter).one_each(), 0))
-    expected, _ = moved_camera(big, values, centre, scale).project(10.0 * points + centre)
-    np.testing.assert_allclose(seen.points_px[0, 0].detach(), expected, atol=1e-8)
 
 
 def test_the_command_fits_refines_and_writes_a_camera_that_reads_back(refine, folder, chair):

@@ -6,18 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
+from tests.losses.common import assert_gradient
+from tests.losses.scenes import block
+from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
+from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.cloud import Cloud
-from tso_cli.refinement.objective import ViewTargets
+from tso_cli.refinement.objective import MaskChamferObjective, ViewTargets
 from tso_cli.refinement.presets import BEST
-from tso_cli.refinement.prior import position_prior
+from tso_cli.refinement.prior import PositionPrior, position_prior
 from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.smooth_field import SmoothField
 from tso_cli.render import look_at
-from tso_cli.silhouette.projection import silhouette_of
 
 
 def test_points_outside_every_image_hardly_move():
@@ -28,8 +30,7 @@ def test_points_outside_every_image_hardly_move():
     observed = camera.project(bar)[0][:, 0] > -0.5
     assert 0.3 < observed.mean() < 0.7
     mask = (silhouette_of(bar + [0.0, 0.06, 0.0], camera) > 0.5).astype(np.float32)
-    config = RefineConfig(symmetry="none", coarse_to_fine=replace(BEST, least_prior_weight=0.0, most_prior_weight=0.0))
-    moved = refine(bar, mask, camera, config).points[:, 1] - bar[:, 1]
+    moved = refine(bar, mask, camera, RefineConfig(symmetry="none")).points[:, 1] - bar[:, 1]
     assert moved[observed].mean() > 0.02
     assert np.abs(moved[~observed]).mean() < 0.15 * moved[observed].mean()
 
@@ -77,18 +78,6 @@ def _truncated(view: View) -> View:
     return View(view.mask[half:], lower)
 
 
-def test_the_position_prior_of_a_truncated_object_has_three_times_the_weight(chair):
-    points, mask, camera, _ = chair
-    cloud = Cloud(points, "points")
-    initial, counts = torch.tensor(cloud.normalised(), dtype=torch.float32)[None], torch.tensor([len(points)])
-    field, config = SmoothField(initial, counts), replace(BEST, prior_weight=1e-6, by_area=False)
-    priors = []
-    for view in (View(mask, camera), _truncated(View(mask, camera))):
-        resampled = [Problem.of(cloud, (view,), RefineConfig(symmetry="none").settings()).resampled]
-        priors.append(position_prior(initial, counts, ViewTargets(resampled, counts, initial), field, config).weights)
-    torch.testing.assert_close(priors[1], 3.0 * priors[0])
-
-
 @pytest.mark.parametrize(("truncated", "expected"), [((True, True), 1.0), ((True, False), 2.0), ((False, False), 2.0)])
 def test_views_that_all_truncate_the_object_are_no_more_evidence_than_one(chair, monkeypatch, truncated, expected):
     points, mask, camera, _ = chair
@@ -97,7 +86,7 @@ def test_views_that_all_truncate_the_object_are_no_more_evidence_than_one(chair,
     evidence = []
 
     def spied(*arguments):
-        evidence.append(float(arguments[-1][0]))
+        evidence.append(arguments[-1])
         return position_prior(*arguments)
 
     monkeypatch.setattr("tso_cli.refinement.coarse_to_fine.position_prior", spied)
@@ -105,3 +94,69 @@ def test_views_that_all_truncate_the_object_are_no_more_evidence_than_one(chair,
     refine(points, views, config=RefineConfig(steps=3, symmetry="none"))
     assert evidence
     assert evidence == [pytest.approx(expected, rel=0.05)] * len(evidence)
+
+
+def test_an_object_that_every_view_truncates_is_held_three_times_as_much(chair):
+    points, mask, camera, _ = chair
+    view = _truncated(View(mask, camera))
+    held, loose = (_prior(points, view, truncated_prior=factor)[0].weights for factor in (3.0, 1.0))
+    np.testing.assert_allclose(held, 3.0 * loose)
+    whole = (_prior(points, View(mask, camera), truncated_prior=factor)[0].weights for factor in (3.0, 1.0))
+    np.testing.assert_array_equal(*whole)
+
+
+def _prior(points: np.ndarray, view: View, evidence: float = 1.0, **settings: object) -> tuple[PositionPrior, ViewTargets]:
+    problem = Problem.of(Cloud(points, "points"), (view,), RefineConfig(symmetry="none").settings())
+    initial, targets = problem.cloud.normalised(), ViewTargets.of(problem.resampled, [1.0])
+    return position_prior(initial, targets, SmoothField(initial), replace(BEST, **settings), evidence), targets
+
+
+def test_the_position_prior_is_a_weighted_square_with_its_gradient(chair):
+    prior, _ = _prior(chair.points[::40], chair.view)
+    moved = prior.initial + np.random.default_rng(0).normal(size=prior.initial.shape)
+    assert prior(moved)[0] == pytest.approx((prior.weights * np.square(moved - prior.initial).sum(1)).sum())
+    assert_gradient(prior, moved)
+    assert prior(prior.initial)[0] == 0.0
+
+
+def test_a_worse_start_is_held_less_and_more_evidence_lowers_the_least_weight(chair):
+    points, mask, camera, _ = chair
+    # As if the cloud had 1,024 points, e being the mean loss per mask pixel at the robust scale 4.
+    prior, targets = _prior(points, chair.view, local_prior=False, least_prior_weight=0.0)
+    e = MaskChamferObjective(targets, 4.0)(prior.initial)[0] / targets.pixels
+    np.testing.assert_allclose(prior.weights, 300.0 / e * 1024.0 / len(points))
+    half = _prior(points, chair.view, local_prior=False, least_prior_weight=0.0, prior_decay=0.5)[0]
+    np.testing.assert_allclose(half.weights, 300.0 / np.sqrt(e) * 1024.0 / len(points))
+    for evidence in (1.0, 2.0):
+        least = _prior(points, chair.view, evidence, local_prior=False, least_prior_weight=1e6)[0]
+        np.testing.assert_allclose(least.weights, 1e6 / evidence**2 * 1024.0 / len(points))
+    # Even a perfect start is held no more than where e = 0.1.
+    square = np.stack(np.meshgrid(np.arange(26, 38, 0.5), np.arange(26, 38, 0.5)), -1).reshape(-1, 2)
+    flat = np.concatenate([(square - 31.5) / 60.0 * [1.0, -1.0], np.zeros((len(square), 1))], 1)
+    inside = np.zeros((64, 64), np.float32)
+    inside[26:38, 26:38] = 1.0
+    exact = _prior(flat, View(inside, Camera.canonical(64, 64)))[0]
+    np.testing.assert_allclose(exact.weights, 300.0 / 0.1 * 1024.0 / len(flat))
+
+
+def test_a_part_that_fits_badly_is_held_less_than_the_rest():
+    """A sheet whose right third lies beside the mask."""
+    x, y = np.meshgrid(np.linspace(-0.3, 0.3, 24), np.linspace(-0.2, 0.2, 16))
+    sheet = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
+    mask = block(np.s_[19:45, 13:38])
+    weights = _prior(sheet, View(mask, Camera.canonical(64, 64)), least_prior_weight=0.0)[0].weights
+    assert weights[sheet[:, 0] > 0.25].max() < 0.5 * weights[sheet[:, 0] < 0.0].min()
+    even = _prior(sheet, View(mask, Camera.canonical(64, 64)), least_prior_weight=0.0, local_prior=False)[0].weights
+    assert np.ptp(even) == 0.0
+
+
+def test_parts_that_the_pixels_do_not_resolve_have_no_resolvability():
+    """A post of two cells, with an aerial much thinner than one on top."""
+    post = np.random.default_rng(0).uniform([-0.1, -0.3, -0.1], [0.1, 0.1, 0.1], (400, 3))
+    aerial = np.stack([np.zeros(60), np.linspace(0.12, 0.5, 60), np.zeros(60)], 1)
+    points = np.concatenate([post, aerial])
+    mask = block(np.s_[4:60, 20:44])
+    _, targets = _prior(points, View(mask, Camera.canonical(64, 64)))
+    initial = Cloud(points, "points").normalised()
+    (resolved,) = targets.resolvability(initial, SmoothField(initial))
+    assert resolved[:400].mean() > 0.9 and resolved[-50:].max() < 0.1

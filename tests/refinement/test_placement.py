@@ -42,6 +42,14 @@ def test_a_cloud_that_misses_the_mask_is_refused_with_advice(cloud, move, words)
     assert "OpenCV" in str(caught.value)
 
 
+def test_a_cloud_on_both_sides_of_the_image_is_refused():
+    """Its box covers the image, on which none of its points falls."""
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (40, 3)) + np.where(np.arange(40) % 2, 3.0, -3.0)[:, None] * [1, 0, 0]
+    view = View(square_mask(20, 20, 24), Camera.canonical(64, 64))
+    with pytest.raises(InputError, match="no point falls inside the 64x64 image"):
+        require_overlap(place(points, view), view)
+
+
 def test_points_behind_the_camera_are_warned_of(cloud):
     view = View(square_mask(20, 20, 24), Camera.canonical(64, 64))
     points = np.vstack([cloud, [[0.0, 0.0, 3.0]]])

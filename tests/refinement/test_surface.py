@@ -7,24 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
+from trimesh.remesh import subdivide
 
 from tso_cli.cli import main
 from tso_cli.errors import InputError
 from tso_cli.evaluation.metrics import chamfer, nearest_squared
 from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.points import normalise_longest_side, sample_surface
+from tso_cli.geometry.points import sample_surface
 from tso_cli.geometry.view import View
 from tso_cli.io.clouds import read_cloud
-from tso_cli.io.meshes import read_mesh
+from tso_cli.losses.chamfer import spacings
+from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.run import view_ious
 from tso_cli.refinement.surface import SAMPLES, Surface
-from tso_cli.silhouette.projection import silhouette_of
-
-from ..scenes import EXAMPLES, example
 
 CORNERS = np.array([[x, y, z] for x in (-0.25, 0.25) for y in (-0.2, 0.2) for z in (-0.15, 0.15)])
 QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -42,12 +40,7 @@ def _dense(vertices: np.ndarray, faces: np.ndarray, count: int = 16_384) -> np.n
 def _subdivided(vertices: np.ndarray, faces: np.ndarray, times: int) -> tuple[np.ndarray, np.ndarray]:
     """Every triangle in four, so many times; the vertices before stay the first."""
     for _ in range(times):
-        edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-        edges, middle = np.unique(edges, axis=0, return_inverse=True)
-        a, b, c = (middle.reshape(3, -1) + len(vertices)).tolist()
-        i, j, k = faces.T
-        vertices = np.concatenate([vertices, vertices[edges].mean(1)])
-        faces = np.concatenate([np.stack(corners, 1) for corners in ([i, a, c], [a, j, b], [c, b, k], [a, b, c])])
+        vertices, faces = subdivide(vertices, faces)
     return vertices, faces
 
 
@@ -62,32 +55,16 @@ def stretched(views):
     return refine(CORNERS, views, faces=BOX)
 
 
-def test_a_box_is_stretched_toward_a_wider_mask_and_stays_a_box(stretched):
+def test_a_box_is_stretched_toward_a_wider_mask_further_than_its_corners_alone_and_stays_a_box(stretched, views):
     size = np.ptp(stretched.points, axis=0) / np.ptp(CORNERS, axis=0)
     assert 1.08 < size[0] < 1.2
     assert (np.abs(size[1:] - 1.0) < 0.06).all()
     # Each corner lies where three sides of a box meet.
     sides = np.stack([stretched.points[:, k].reshape(2, 2, 2).swapaxes(0, k).reshape(2, 4) for k in range(3)])
     assert sides.std(2).max() < 0.01
-
-
-def test_a_mesh_is_stretched_further_than_its_vertices_as_a_cloud(stretched, views):
     alone = refine(CORNERS, views)
     assert alone.surface_samples is None
     assert np.ptp(alone.points[:, 0]) < np.ptp(stretched.points[:, 0]) - 0.02
-
-
-def test_a_mesh_comes_as_near_to_the_truth_as_a_cloud_of_its_samples():
-    _, mask, camera, target = example("airplane")
-    mesh = read_mesh(sorted((EXAMPLES / "meshes" / "airplane").glob("*.ply"))[0])
-    config = RefineConfig(steps=24, symmetry="none")
-    result = refine(normalise_longest_side(mesh.vertices), mask, camera, config, faces=mesh.faces)
-    cloud = refine(result.surface[0], mask, camera, config)
-    ratios = [
-        chamfer(after, target).chamfer / chamfer(before, target).chamfer
-        for before, after in (result.surface, (cloud.initial, cloud.points))
-    ]
-    assert ratios[0] < ratios[1] + 0.03
 
 
 def test_the_measures_of_a_result_are_of_samples_of_the_moved_faces(stretched, views):
@@ -112,16 +89,16 @@ def test_zero_steps_return_the_vertices_bit_for_bit(views):
 
 
 def test_samples_are_even_however_the_surface_is_triangulated():
-    spacings = []
+    means = []
     # One side has a thousand times as many faces as the others.
     fine, faces = _subdivided(CORNERS, BOX[:1], 5)
     uneven = Surface(fine, np.concatenate([faces, BOX[1:]]))
     for surface in (Surface(CORNERS, BOX), Surface(*_subdivided(CORNERS, BOX, 3)), uneven):
-        distance = torch.cdist(*[torch.tensor(surface.samples)] * 2).fill_diagonal_(torch.inf).amin(1)
-        spacings.append(distance.mean().item())
+        distance = spacings(surface.samples)
+        means.append(distance.mean())
         assert distance.min() > 0.7 * distance.mean()
         assert nearest_squared(_dense(CORNERS, BOX), surface.samples).max() < (1.5 * distance.mean()) ** 2
-    assert max(spacings) < 1.05 * min(spacings)
+    assert max(means) < 1.05 * min(means)
 
 
 @pytest.mark.slow
@@ -132,7 +109,7 @@ def test_the_triangulation_hardly_changes_the_result(stretched, views):
     displacement = chamfer(_dense(CORNERS, BOX, 1 << 16), surfaces[1]).chamfer
     assert chamfer(*surfaces).chamfer < 0.1 * displacement
     # Eight corners cannot bend as the fine surface does.
-    np.testing.assert_allclose(stretched.points, results[1][:8], atol=0.02)
+    np.testing.assert_allclose(stretched.points, results[1][:8], atol=0.03)
 
 
 def test_duplicates_of_a_vertex_stay_together(stretched, views):
@@ -148,19 +125,19 @@ def test_colours_are_interpolated_linearly_at_the_samples():
     assert len(cloud.initial) == SAMPLES
 
 
-@pytest.mark.parametrize("faces", [np.empty((0, 3), np.int64), [[0, 0, 1], [2, 2, 2]]])
-def test_a_mesh_whose_faces_have_no_area_is_taken_for_a_cloud(faces, views):
+@pytest.mark.parametrize(
+    ("faces", "reason"),
+    [
+        (np.empty((0, 3), np.int64), "the faces have no area, the vertices are taken for a cloud"),
+        ([[0, 0, 1], [2, 2, 2]], "the faces have no area, the vertices are taken for a cloud"),
+        ([[0, 1, 2]], "the faces join 3 of 64 vertices, which are therefore taken for a cloud"),
+    ],
+)
+def test_a_mesh_without_area_or_whose_faces_join_few_vertices_is_taken_for_a_cloud(faces, reason, views):
     points = _dense(CORNERS, BOX)[:64]
-    with pytest.warns(UserWarning, match="points: the faces have no area, the vertices are taken for a cloud"):
+    with pytest.warns(UserWarning, match=f"points: {reason}"):
         result = refine(points, views, config=RefineConfig(steps=3), faces=faces)
     np.testing.assert_array_equal(result.points, refine(points, views, config=RefineConfig(steps=3)).points)
-    assert result.surface is None
-
-
-def test_a_mesh_whose_faces_join_few_vertices_is_taken_for_a_cloud(views):
-    points = _dense(CORNERS, BOX)[:64]
-    with pytest.warns(UserWarning, match="points: the faces join 3 of 64 vertices, which are therefore taken for a cloud"):
-        result = refine(points, views, config=RefineConfig(steps=3), faces=[[0, 1, 2]])
     assert result.surface is None
 
 

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.losses.common import COMPILED, FORMS, in_form
 from tso_cli.errors import InputError
-from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
-from tso_cli.refinement import RefineConfig, refine, refine_batch
+from tso_cli.losses.silhouette import silhouette_of
+from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.symmetry import MirrorPlane, find_mirror_plane
 from tso_cli.render import look_at
-from tso_cli.silhouette.projection import silhouette_of
 
 from ..scenes import example
 
@@ -54,6 +54,7 @@ def test_the_plane_does_not_depend_on_how_the_last_bits_are_rounded(name):
     points = example(name).points
     noise = [np.random.default_rng(seed).normal(scale=1e-13, size=points.shape) for seed in range(3)]
     first, *others = (find_mirror_plane(points + bits).reflect(points) for bits in noise)
+    others.append(in_form(COMPILED, find_mirror_plane, points).reflect(points))
     for other in others:
         np.testing.assert_allclose(other, first, atol=1e-6)
 
@@ -63,10 +64,10 @@ def test_too_few_points_have_no_plane(count):
     assert not find_mirror_plane(np.eye(3)[:count]).symmetric
 
 
-def _seen(points: np.ndarray) -> tuple[np.ndarray, Camera]:
-    """The mask of a cloud from half right, and its camera."""
-    camera = look_at(35.0, 20.0, 3.0, (64, 64))
-    return (silhouette_of(points, camera) > 0.5).astype(np.float32), camera
+def _seen(points: np.ndarray) -> list[View]:
+    """Masks of a cloud from half right and from half left."""
+    cameras = look_at(35.0, 20.0, 3.0, (64, 64)), look_at(-70.0, 30.0, 3.0, (64, 64))
+    return [View((silhouette_of(points, camera) > 0.5).astype(np.float32), camera) for camera in cameras]
 
 
 def _boxes(*sides: float) -> np.ndarray:
@@ -82,37 +83,27 @@ def _boxes(*sides: float) -> np.ndarray:
 
 
 def test_the_symmetry_check_passes_for_a_symmetric_object():
-    mask, camera = _seen(_boxes(-0.42, 0.42) * [1.1, 1.1, 1.0])
-    result = refine(_boxes(-0.42, 0.42), mask, camera)
+    result = refine(_boxes(-0.42, 0.42), _seen(_boxes(-0.42, 0.42) * [1.1, 1.1, 1.0]), config=RefineConfig(steps=12))
     assert result.symmetry is not None
     assert result.symmetry_outcome == "used"
     assert "at most 1.1" in result.symmetry_reason
 
 
-def test_the_symmetry_check_fails_for_an_object_that_lost_one_side():
-    mask, camera = _seen(_boxes(-0.42))
-    start = _boxes(-0.42, 0.42)
-    result = refine(start, mask, camera)
-    assert result.symmetry is None
-    assert result.symmetry_outcome == "contradicted"
+@FORMS
+@pytest.mark.parametrize("views", [1, 2])
+def test_the_symmetry_check_fails_for_an_object_that_lost_one_side(form, views):
+    start, views = _boxes(-0.42, 0.42), _seen(_boxes(-0.42))[:views]
+    configs = RefineConfig(steps=12), RefineConfig(steps=12, symmetry="none")
+    result, without = (in_form(form, lambda: refine(start, views, config=config)) for config in configs)  # noqa: B023
+    assert (result.symmetry, result.symmetry_outcome) == (None, "contradicted")
     assert "over 1.1" in result.symmetry_reason
-    np.testing.assert_array_equal(result.points, refine(start, mask, camera, RefineConfig(symmetry="none")).points)
+    np.testing.assert_array_equal(result.points, without.points)
 
 
 def test_an_asymmetric_cloud_has_no_plane():
     start = np.random.default_rng(0).uniform(-0.5, 0.5, (400, 3)) ** 2 * [1.0, 0.7, 0.4]
-    result = refine(start, *_seen(start), RefineConfig(steps=0))
+    result = refine(start, _seen(start), config=RefineConfig(steps=0))
     assert (result.symmetry, result.symmetry_outcome) == (None, "none_found")
-
-
-def test_clouds_of_a_batch_are_checked_independently():
-    start = _boxes(-0.42, 0.42)
-    scenes = [(start, View(*_seen(truth))) for truth in (_boxes(-0.42), _boxes(-0.42, 0.42) * [1.1, 1.1, 1.0])]
-    config = RefineConfig(steps=6)
-    together = refine_batch(scenes, config)
-    assert [result.symmetry is None for result in together] == [True, False]
-    for result, (points, view) in zip(together, scenes, strict=True):
-        np.testing.assert_allclose(result.points, refine(points, view, config=config).points, atol=1e-4)
 
 
 @settings(max_examples=25, deadline=None)

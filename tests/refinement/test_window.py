@@ -1,27 +1,23 @@
 """The window: lengths belong to the object, whatever photo it is in."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tso_cli import Camera, RefineConfig, View, refine, refine_batch
+from tests.losses.scenes import block
+from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.view import object_box
-from tso_cli.geometry.window import window_around, window_of
-from tso_cli.io.clouds import read_cloud
+from tso_cli.geometry.window import window_of
 from tso_cli.refinement import PRESETS
 from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.resampled_view import resample_view
-from tso_cli.scene.load import ViewFiles, load_views
-from tso_cli.silhouette.mask_chamfer import MaskTarget, mask_chamfer_loss
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+from .conftest import example
 
 
 def framed(view, times, across, down):
@@ -34,15 +30,14 @@ def framed(view, times, across, down):
     return View(mask, replace(view.camera, K=K, width=mask.shape[1], height=mask.shape[0]), name=view.name)
 
 
-def _example(name):
-    folder = EXAMPLES / name
-    initial, target = (read_cloud(folder / f"{file}.ply").points for file in ("initial", "target"))
-    return initial, target, load_views(ViewFiles([folder / "mask.png"]))[0][0]
+def _of(name):
+    shown = example(name)
+    return shown.points, shown.target, shown.view
 
 
 @pytest.mark.parametrize(("name", "preset"), [("car", "paper"), pytest.param("airplane", "best", marks=pytest.mark.slow)])
 def test_an_object_comes_as_near_to_the_truth_in_a_large_photo_as_in_a_small_one(name, preset):
-    initial, target, view = _example(name)
+    initial, target, view = _of(name)
     config = RefineConfig(preset=preset)
     before = chamfer(initial, target).chamfer
     ratios = [
@@ -54,8 +49,7 @@ def test_an_object_comes_as_near_to_the_truth_in_a_large_photo_as_in_a_small_one
 
 
 def test_the_window_is_a_square_around_mask_and_cloud():
-    mask = np.zeros((480, 640), np.float32)
-    mask[200:280, 300:400] = 1.0
+    mask = block(np.s_[200:280, 300:400], (480, 640))
     camera = Camera.canonical(640, 480)
     view = View(mask, camera)
     np.testing.assert_allclose(window_of(view), (287.0, 177.0, 412.0, 302.0))
@@ -67,19 +61,14 @@ def test_the_window_is_a_square_around_mask_and_cloud():
 
 
 def test_a_few_outliers_do_not_widen_the_window():
-    initial, _, view = _example("chair")
+    initial, _, view = _of("chair")
     photo = framed(view, 8, 0.5, 0.3)
     stray = np.vstack([initial, initial.mean(0) + [1.5, 0.0, 0.0]])
     np.testing.assert_allclose(window_of(photo, stray), window_of(photo, initial), atol=4.0)
 
 
-def test_the_window_around_two_holds_both():
-    assert window_around((0.0, 10.0, 20.0, 30.0), (10.0, 5.0, 40.0, 35.0)) == (0.0, 0.0, 40.0, 40.0)
-
-
 def test_the_window_ends_at_the_border_that_truncates_the_object():
-    mask = np.zeros((64, 64), np.float32)
-    mask[14:64, 10:50] = 1.0
+    mask = block(np.s_[14:64, 10:50])
     left, top, right, bottom = window_of(View(mask, Camera.canonical(64, 64)))
     assert bottom == pytest.approx(63.5)
     assert (left + right) / 2.0 == pytest.approx(29.5)
@@ -87,8 +76,7 @@ def test_the_window_ends_at_the_border_that_truncates_the_object():
 
 
 def test_an_image_that_the_object_fills_is_its_own_window():
-    mask = np.zeros((64, 64), np.float32)
-    mask[2:62, 4:60] = 1.0
+    mask = block(np.s_[2:62, 4:60])
     view = View(mask, Camera.canonical(64, 64))
     assert window_of(view) == pytest.approx((-0.5, -0.5, 63.5, 63.5))
     working = resample_view(view, 0.4, np.zeros(3), 1.0, window_of(view))
@@ -98,33 +86,14 @@ def test_an_image_that_the_object_fills_is_its_own_window():
 
 
 def test_only_the_borders_of_the_image_truncate_an_object():
-    mask = np.zeros((200, 200), np.float32)
-    mask[60:100, 0:40] = 1.0
+    mask = block(np.s_[60:100, 0:40], (200, 200))
     for shift, expected in ((0, True), (20, False), (160, True)):
         view = View(np.roll(mask, shift, 1), Camera.canonical(200, 200))
-        seen = resample_view(view, 0.4, np.zeros(3), 1.0)
-        known = None if seen.known is None else torch.from_numpy(seen.known)[None]
-        target = MaskTarget.of(torch.from_numpy(seen.mask)[None], known, torch.tensor([seen.bounds], dtype=torch.float64))
-        assert (target.truncated is not None) == expected
-
-
-def test_the_mask_loss_moves_a_point_beside_the_window_but_none_beside_the_photo():
-    mask = torch.zeros(1, 64, 64, dtype=torch.float64)
-    mask[0, 24:40, 24:40] = 1.0
-    target = MaskTarget.of(mask, bounds=torch.tensor([[-100.0, -10.0, 200.0, 80.0]], dtype=torch.float64))
-    for place, pulled in (((-20.0, 32.0), True), (-150.0, False), ((80.0, -5.0), True), ((32.0, -12.0), False)):
-        points = torch.tensor([[place if isinstance(place, tuple) else (place, 32.0)]], dtype=torch.float64, requires_grad=True)
-        mask_chamfer_loss(
-            points, torch.ones(1, 1, dtype=torch.bool), target._replace(inside=torch.zeros_like(target.inside)), 6.0
-        ).sum().backward()
-        assert bool(points.grad.any()) == pulled
-        if pulled:
-            toward = torch.tensor([32.0, 32.0], dtype=torch.float64) - points[0, 0].detach()
-            assert (-points.grad[0, 0] * toward).sum() > 0.0
+        assert resample_view(view, 0.4, np.zeros(3), 1.0).target.truncated == expected
 
 
 def test_the_window_follows_a_cloud_that_starts_far_from_its_mask():
-    _, target, view = _example("chair")
+    _, target, view = _of("chair")
     photo = framed(view, 4, 0.5, 0.3)
     start = target + [0.0, 0.3, 0.0] @ view.camera.R
     item = Problem.of(Cloud(start, "points"), (photo,), RefineConfig(symmetry="none").settings())
@@ -135,7 +104,7 @@ def test_the_window_follows_a_cloud_that_starts_far_from_its_mask():
 
 @pytest.mark.slow
 def test_a_refinement_ends_in_the_window_of_its_result_on_the_grid_that_its_mask_bears():
-    _, target, view = _example("chair")
+    _, target, view = _of("chair")
     photo = framed(view, 4, 0.5, 0.3)
     start = target + [0.0, 0.3, 0.0] @ view.camera.R
     result = refine(start, photo, config=RefineConfig(symmetry="none"))
@@ -150,7 +119,7 @@ def test_a_refinement_ends_in_the_window_of_its_result_on_the_grid_that_its_mask
 
 
 def test_stray_foreground_far_from_the_object_is_left_out_with_a_warning():
-    initial, target, view = _example("car")
+    initial, target, view = _of("car")
     photo = framed(view, 4, 0.5, 0.3)
     mask = photo.mask.copy()
     mask[-40:-38, 30:32] = 1.0
@@ -185,30 +154,10 @@ def test_the_box_of_an_object_holds_nearly_all_of_it(pixels):
     assert inside[top].any() and inside[bottom - 1].any() and inside[:, left].any() and inside[:, right - 1].any()
 
 
-def test_objects_of_different_size_give_the_same_results_in_one_batch_and_alone():
-    initial, _, view = _example("chair")
-    initial = initial[::4]
-    scenes = [(initial, view), (initial, View(view.mask[::4, ::4], view.camera.resized(64, 64)))]
-    config = RefineConfig(steps=3)
-    for (points, view), result in zip(scenes, refine_batch(scenes, config), strict=True):
-        np.testing.assert_allclose(result.points, refine(points, view, config=config).points, atol=2e-3)
-
-
-@pytest.mark.slow
-def test_large_clouds_of_different_numbers_of_points_give_the_same_results_in_one_batch_and_alone():
-    _, target, view = _example("chair")
-    rng = np.random.default_rng(0)
-    clouds = [target[rng.integers(0, len(target), count)] + rng.normal(0.0, 0.03, (count, 3)) for count in (1500, 2900)]
-    config = RefineConfig(steps=2, symmetry="none")
-    for points, result in zip(clouds, refine_batch([(points, view) for points in clouds], config), strict=True):
-        np.testing.assert_allclose(result.points, refine(points, view, config=config).points, atol=2e-4)
-
-
 @settings(max_examples=30, deadline=None)
 @given(st.integers(8, 90), st.integers(8, 90), st.integers(0, 80), st.integers(0, 80), st.integers(1, 60), st.integers(1, 60))
 def test_any_mask_lies_in_its_window(height, width, row, column, tall, wide):
-    mask = np.zeros((height, width), np.float32)
-    mask[min(row, height - 1) : row + tall, min(column, width - 1) : column + wide] = 1.0
+    mask = block(np.s_[min(row, height - 1) : row + tall, min(column, width - 1) : column + wide], (height, width))
     if mask.all():
         return
     view = View(mask, Camera.canonical(width, height))
@@ -220,5 +169,5 @@ def test_any_mask_lies_in_its_window(height, width, row, column, tall, wide):
     assert bottom >= box[3] - 1e-9
     assert right - left == pytest.approx(bottom - top)
     seen = resample_view(view, 0.4, np.zeros(3), 1.0)
-    assert seen.inside.any()
+    assert seen.target.inside.any()
     assert 0.0 <= seen.mask.min() <= seen.mask.max() <= 1.0 + 1e-9

@@ -7,9 +7,9 @@ import pytest
 
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
+from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.scene import placing
 from tso_cli.scene.placing import align_silhouette, place_in_front, view_to_world
-from tso_cli.silhouette.projection import silhouette_of
 
 from ..scenes import square_mask
 

@@ -21,12 +21,13 @@ if TYPE_CHECKING:
 
 def check_scene(scene: Scene, as_json: bool, quiet: bool) -> None:
     """Print cameras, scale and overlap; InputError where cloud and mask do not overlap."""
+    from ..refinement.cloud import outliers_told
     from ..refinement.placement import SMALLEST_BOX_IOU, mask_doubts, place, require_overlap
 
     placements = [place(scene.moving, view) for view in scene.views]
-    for view in scene.views:
-        for doubt in mask_doubts(view, len(scene.moving)):
-            warnings.warn(doubt, stacklevel=1)
+    doubts = [] if scene.surface else outliers_told(len(scene.points) - len(scene.moving))
+    for doubt in (*doubts, *(doubt for view in scene.views for doubt in mask_doubts(view, len(scene.moving)))):
+        warnings.warn(doubt, stacklevel=1)
     overlaps = [placement.box_iou > SMALLEST_BOX_IOU for placement in placements]
     if as_json:
         options.echo_json(_document(scene, placements, overlaps))
@@ -51,6 +52,7 @@ def _document(scene: Scene, placements: list[Placement], overlaps: list[bool]) -
         "camera": views[0]["camera"],
         "frame": scene.frame,
         "extent": (scene.moving.max(0) - scene.moving.min(0)).tolist(),
+        "outliers": 0 if scene.surface else len(scene.points) - len(scene.moving),
         "surface_samples": len(scene.moving) if scene.surface else None,
         "placement": views[0]["placement"],
         "meets": all(overlaps),

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 # Entries of the document that are attributes of the result.
 FROM_RESULT = (
-    *("mode", "preset", "surface_samples", "steps", "best_step", "stop_reason", "loss_before", "loss_after", "losses"),
+    *("mode", "preset", "surface_samples", "steps", "best_step", "stop_reason"),
+    *("loss_before", "loss_after", "losses"),
     *("iou_before", "iou_after", "moved_mean", "moved_max", "chamfer_to_initial", "learning_rate", "gamma", "sigma_sq"),
     *("symmetry", "symmetry_outcome", "symmetry_reason", "device", "seed"),
 )
@@ -61,6 +62,7 @@ class RefineReport:
             "views": views,
             "frame": scene.frame,
             "points": len(result.points),
+            "outliers": int(result.outliers.sum()),
             "warnings": warnings,
             "convention": {
                 "moved": "way of a point from its start, as a share of the object's size, the longest side of the start's box",
@@ -68,6 +70,7 @@ class RefineReport:
                 "iou": IOU_MEANS,
                 "trust": "in a view: 1, or less where the other views contradict it",
                 "surface_samples": "points of a mesh's faces, which moved and chamfer_to_initial are of; null for a cloud",
+                "outliers": "points far from all others, which stay where they are",
                 "weight": "of a view in the loss: its trust, divided among the views that show the same",
                 "loss": result.objective + "; the mask's part is a sum over views, each times its weight",
                 "symmetry": "a, b, c, d of the mirror plane ax + by + cz = d in the frame of the input, null for none",

@@ -17,7 +17,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import secrets
 import shutil
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -89,7 +88,7 @@ def write_object(
 
     Raises InputError if it exists (without ``overwrite``) or is not an object (with it), TsoError if writing failed.
     """
-    token = secrets.token_hex(4)
+    token = os.urandom(4).hex()
     staging, old = (folder.with_name(f".{folder.name[:40]}.{token}.{kind}") for kind in ("partial", "old"))
     if stored_record(folder) is not None and not overwrite:
         raise InputError(f"{folder}: exists already, expected a new name or --overwrite")

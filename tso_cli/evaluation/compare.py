@@ -143,7 +143,7 @@ def _measure_iou(points: Array, pair: Pair, sigma_sq: float | None) -> dict[str,
         if sigma_sq is None:
             scores.append(window_iou(points, View(mask, camera, name=str(file))))
             continue
-        from ..silhouette.projection import silhouette_of
+        from ..losses.silhouette import silhouette_of
 
         with _prefixed(f"{pair.prediction} against {file}"):
             scores.append(iou(silhouette_of(points, camera, sigma_sq), mask))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -23,6 +25,14 @@ def as_points(points: ArrayLike, name: str = "cloud") -> Array:
     if not finite.all():
         raise InputError(f"{name}: point {int(np.argmin(finite))} has a NaN or infinite coordinate")
     return array
+
+
+def quantile(values: Array, share: float) -> Array:
+    """As `numpy.quantile` by the first axis of ``values`` [N, ...]; that imports masked arrays, a tenth of a small command."""
+    ordered, place = np.sort(values, axis=0), share * (len(values) - 1)
+    low = int(place)
+    between: Array = ordered[low] + (place - low) * (ordered[min(low + 1, len(values) - 1)] - ordered[low])
+    return between
 
 
 def farthest_point_sample(points: ArrayLike, count: int) -> NDArray[np.int64]:
@@ -56,14 +66,19 @@ def farthest_point_sample(points: ArrayLike, count: int) -> NDArray[np.int64]:
     return chosen
 
 
-def spread_subset(points: ArrayLike, count: int) -> NDArray[np.int64]:
-    """Indices of at most ``count`` evenly spread points [N, 3]; of a large cloud, chosen among some at equal steps."""
+def spread_subset(
+    points: ArrayLike, count: int, sample: Callable[[Array, int], NDArray[np.int64]] = farthest_point_sample
+) -> NDArray[np.int64]:
+    """Indices of at most ``count`` evenly spread points [N, 3]; of a large cloud, chosen among some at equal steps.
+
+    ``sample`` is another form of `farthest_point_sample`.
+    """
     array = as_points(points)
     indices = np.arange(len(array))
     if len(array) <= count:
         return indices
     candidates = indices[:: -(-len(array) // CANDIDATES)]
-    return candidates[farthest_point_sample(array[candidates], min(count, len(candidates)))]
+    return candidates[sample(array[candidates], min(count, len(candidates)))]
 
 
 def bounding_box_normalisation(points: ArrayLike, name: str = "cloud") -> tuple[Array, float]:

@@ -10,15 +10,19 @@ from .camera import Array
 def from_vectors(vectors: Array) -> Array:
     """Rotations about ``vectors`` [..., 3] by their lengths, radians (Rodrigues)."""
     angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    rows = [np.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
-    cross = np.stack(rows, -2)  # cross @ w is vectors x w
+    cross = cross_product_matrix(vectors)
     # sinc keeps small angles exact: numpy's is sin(pi x) / (pi x).
     first = np.sinc(angle / np.pi)
     second = 0.5 * np.square(np.sinc(angle / (2.0 * np.pi)))
     rotation: Array = np.eye(3) + first * cross + second * (cross @ cross)
     return rotation
+
+
+def cross_product_matrix(vectors: Array) -> Array:
+    """[..., 3, 3], which times w is ``vectors`` x w."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([np.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))], -2)
 
 
 def spread(directions: int, turns: int) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .camera import NEAR
+from .points import quantile
 from .resampling import Array, Box
 from .view import View
 
@@ -29,7 +30,7 @@ def window_of(view: View, points: Array | None = None) -> Box:
         if view.camera.model == "perspective":
             front &= depth > NEAR * np.ptp(points, axis=0).max()
         if front.any():
-            first, last = np.quantile(pixels[front], [STRAYS, 1.0 - STRAYS], axis=0)
+            first, last = (quantile(pixels[front], share) for share in (STRAYS, 1.0 - STRAYS))
             low, high = np.minimum(low, first), np.maximum(high, last)
     low, high = np.maximum(low, -0.5), np.minimum(high, border)
     margin = MARGIN * float((high - low).max())

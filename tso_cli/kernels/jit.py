@@ -1,6 +1,6 @@
-"""Compiling with numba, sharing compiled work between threads, and handing its gradients to torch.
+"""Compiling with numba, and sharing compiled work between threads.
 
-Importing numba takes half a second: import this module only where compiled code runs.
+Importing numba takes a fifth of a second: import this module only where compiled code runs.
 """
 
 from __future__ import annotations
@@ -14,10 +14,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
-import torch
 from numba import njit
-from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 # Fewest basic steps of a thread for which waking it pays.
 WORTH_A_THREAD = 1 << 18
@@ -54,16 +51,22 @@ def on_disk(*functions: Any) -> bool:
         return False
 
 
-def compiled(function: Callable[..., Any]) -> Any:
+def compiled(function: Callable[..., Any], **changes: Any) -> Any:
     """``function`` compiled at its first call; the machine code is kept on disk where a folder can be written.
 
     Sums are reordered within a statement, and multiply-adds rounded once: the same way at every call.
     """
+    settings = SETTINGS | changes
     try:
-        return njit(cache=True, **SETTINGS)(function)
+        return njit(cache=True, **settings)(function)
     except RuntimeError:
         # neither the package's folder nor the user's cache folder can be written: compile in every process
-        return njit(**SETTINGS)(function)
+        return njit(**settings)(function)
+
+
+def exactly(function: Callable[..., Any]) -> Any:
+    """As `compiled`, rounding as numpy does, where ties decide and must fall the same way in both."""
+    return compiled(function, fastmath=False)
 
 
 def part(function: Callable[..., Any]) -> Any:
@@ -71,14 +74,13 @@ def part(function: Callable[..., Any]) -> Any:
     return njit(**SETTINGS, **INSIDE)(function)
 
 
-def share(count: int, steps: int, function: Callable[..., None], *arguments: Any) -> None:
-    """Call the compiled ``function(first, last, *arguments)`` on ranges that cover 0 to ``count``, on torch's threads.
+def share(count: int, steps: int, threads: int, function: Callable[..., None], *arguments: Any) -> None:
+    """Call the compiled ``function(first, last, *arguments)`` on ranges that cover 0 to ``count``, on at most ``threads``.
 
     It must write the same values however 0 to ``count`` is cut into ranges. ``steps`` is the work in all, roughly, in basic
-    steps. Tensors are passed as arrays; those written to must be contiguous.
+    steps.
     """
-    arguments = tuple(a.detach().contiguous().numpy() if isinstance(a, Tensor) else a for a in arguments)
-    threads = min(torch.get_num_threads(), count, max(1, steps // WORTH_A_THREAD))
+    threads = min(threads, count, max(1, steps // WORTH_A_THREAD))
     if threads <= 1:
         _call(function, 0, count, *arguments)
         return
@@ -110,24 +112,9 @@ def _call(function: Callable[..., None], *arguments: Any) -> None:
 
 @functools.cache
 def _threads() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(max(os.cpu_count() or 1, torch.get_num_threads()), thread_name_prefix="tso-kernel")
+    return ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix="tso-kernel")
 
 
 if hasattr(os, "register_at_fork"):
     # A forked process has none of its parent's threads.
     os.register_at_fork(after_in_child=_threads.cache_clear)
-
-
-class PrecomputedGradient(torch.autograd.Function):
-    """``value`` [M] as a function of ``variable`` [M, ., .] whose derivative is ``gradient`` [M, ., .]."""
-
-    @staticmethod
-    def forward(ctx: Any, variable: Tensor, value: Tensor, gradient: Tensor) -> Tensor:
-        ctx.save_for_backward(gradient)
-        return value
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor | None, ...]:
-        (gradient,) = ctx.saved_tensors
-        return grad_outputs[0].view(-1, 1, 1) * gradient, None, None

@@ -1,54 +1,64 @@
 """Cross-entropy and distances between pixels and points as compiled loops on the CPU: value and gradient in one pass.
 
-Their references in plain torch are in `tso_cli.silhouette.bce` and `tso_cli.silhouette.affinity`.
+Their references are `tso_cli.losses.silhouette` in numpy, `tso_cli.silhouette.bce` and `affinity` in torch.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
+from numpy.typing import NDArray
 
-from .jit import PrecomputedGradient, compiled, part, share
+from .jit import compiled, part, share
 from .nearest_numba import cell_edge, nearest_in_cells, nearest_in_column, sort_into_cells
 from .simd import LOWEST, exp, log
 
 LOG_TWO = math.log(2.0)
 
 
-def cross_entropy(sums: Tensor, foreground: Tensor, background: Tensor, uncovered: float) -> tuple[Tensor, Tensor]:
-    """Binary cross-entropy of mask and silhouette without uncovered mask pixels, and which pixels these are.
+Array = NDArray[np.floating[Any]]
+Marks = NDArray[np.bool_]
+
+
+def cross_entropy(
+    sums: Array, foreground: Array, background: Array, uncovered: float, threads: int = 1
+) -> tuple[Array, Array, Marks]:
+    """Binary cross-entropy [M] of mask and silhouette without uncovered mask pixels; its derivative by the sums; these pixels.
 
     Uncovered are mask pixels whose sum [M, H, W] is at most ``uncovered``; ``foreground`` and ``background`` [M, H, W] are
-    `PixelWeights`. The loss [M] is differentiable in ``sums``.
+    the weights of the two terms of Eq. 4.
     """
     images, height, width = sums.shape
-    gradient = sums.detach().clone(memory_format=torch.contiguous_format)
-    waiting = torch.empty(sums.shape, dtype=torch.bool)
+    gradient, waiting = sums.copy(), np.empty(sums.shape, bool)
     loss = np.empty((images, height))
-    rows = (tensor.reshape(-1, width) for tensor in (foreground, background, gradient, waiting))
-    share(images * height, 8 * sums.numel(), _cross_entropy, *rows, uncovered, loss.reshape(-1))
+    rows = (array.reshape(-1, width) for array in (foreground, background, gradient, waiting))
+    share(images * height, 8 * sums.size, threads, _cross_entropy, *rows, uncovered, loss.reshape(-1))
     # Added one row after another: the same on any number of threads.
-    total = torch.from_numpy(loss.cumsum(1)[:, -1]).to(sums)
-    return PrecomputedGradient.apply(sums, total, gradient), waiting
+    return loss.cumsum(1)[:, -1], gradient, waiting
 
 
-def pixels_to_points(pixels: Tensor, weight: Tensor, points_px: Tensor, valid: Tensor, factor: float) -> Tensor:
-    """Sum [M] over ``pixels`` [M, H, W] of weight * factor * squared distance to the nearest projected point."""
-    total, gradient = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
+def pixels_to_points(
+    pixels: Marks, weight: Array, points_px: Array, valid: Marks, factor: float, threads: int = 1
+) -> tuple[Array, Array]:
+    """Sum [M] over ``pixels`` [M, H, W] of weight * factor * squared distance to the nearest projected point [M, N, 2].
+
+    And its derivative [M, N, 2].
+    """
+    total, gradient = np.empty(len(points_px)), np.zeros_like(points_px)
     edge = cell_edge(pixels.shape[1], pixels.shape[2], points_px.shape[1])
-    steps = 4 * pixels.numel() + 8 * valid.numel()
-    share(len(pixels), steps, _pixels_to_points, pixels, weight, points_px, valid, factor, edge, total, gradient)
-    return PrecomputedGradient.apply(points_px, total, gradient)
+    steps = 4 * pixels.size + 8 * valid.size
+    share(len(pixels), steps, threads, _pixels_to_points, pixels, weight, points_px, valid, factor, edge, total, gradient)
+    return total, gradient
 
 
-def points_to_mask(points_px: Tensor, valid: Tensor, inside: Tensor) -> Tensor:
-    """Sum [M] over points on background of the squared distance to the nearest pixel ``inside`` [M, H, W]."""
-    total, gradient = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
-    share(len(inside), 8 * inside.numel() + 32 * valid.numel(), _points_to_mask, points_px, valid, inside, total, gradient)
-    return PrecomputedGradient.apply(points_px, total, gradient)
+def points_to_mask(points_px: Array, valid: Marks, inside: Marks, threads: int = 1) -> tuple[Array, Array]:
+    """Sum [M] over points on background of the squared distance to the nearest pixel ``inside`` [M, H, W]; derivative."""
+    total, gradient = np.empty(len(points_px)), np.zeros_like(points_px)
+    steps = 8 * inside.size + 32 * valid.size
+    share(len(inside), steps, threads, _points_to_mask, points_px, valid, inside, total, gradient)
+    return total, gradient
 
 
 @part

@@ -1,74 +1,114 @@
-"""The mask Chamfer loss as one compiled loop on the CPU; its reference is in `tso_cli.silhouette.mask_chamfer`."""
+"""The mask Chamfer loss of a cloud by one view as a compiled loop; its reference is in `tso_cli.losses.mask_chamfer`."""
 
 from __future__ import annotations
 
-import numpy as np
-import torch
-from torch import Tensor
+from typing import NamedTuple
 
-from .jit import PrecomputedGradient, compiled, share
+import numpy as np
+from numpy.typing import NDArray
+
+from .jit import compiled
 from .nearest_numba import cell_edge, nearest_in_cells, sort_into_cells
 
 
-def mask_chamfer_loss(
-    points_px: Tensor,
-    valid: Tensor,
-    observed: Tensor,
-    weights: Tensor,
-    masks: tuple[Tensor, ...],
-    within: Tensor,
-    scale: float,
-    robust_scale: float,
-) -> Tensor:
-    """As `tso_cli.silhouette.mask_chamfer.mask_chamfer_loss`.
+class CompiledView(NamedTuple):
+    """A view as the loop takes it; names as in `MaskTarget` and `Camera`, ``near`` minus infinity for orthographic cameras."""
 
-    ``observed`` [M, N] points may be attracted by pixels; ``weights`` [M, N] are of points on background; ``masks`` are
-    `MaskTarget`'s inside, outside, nearest_rows, nearest_columns and bounds; points cover pixels ``within`` [M] px.
-    """
-    total, gradient = points_px.new_empty(len(points_px)), torch.zeros_like(points_px, memory_format=torch.contiguous_format)
-    height, width = masks[0].shape[1:]
-    steps = 16 * masks[0].numel() + 16 * valid.numel()
-    share(len(valid), steps, _mask_chamfer, points_px, valid, observed, weights, *masks, within,
-          cell_edge(height, width, points_px.shape[1]), scale, robust_scale**2, total, gradient)  # fmt: skip
-    return PrecomputedGradient.apply(points_px, total, gradient)
+    K: NDArray[np.float64]
+    R: NDArray[np.float64]
+    t: NDArray[np.float64]
+    near: float
+    inside: NDArray[np.bool_]
+    outside: NDArray[np.bool_]
+    nearest_foreground: NDArray[np.int64]
+    bounds: NDArray[np.float64]
+    truncated: bool
+    within: float
+    scale: float
+    reference_points: float
+
+
+def mask_chamfer(
+    points: NDArray[np.float64],
+    view: CompiledView,
+    robust_scale: float,
+    resolvability: NDArray[np.float64] | None,
+    weight: float,
+    costs: NDArray[np.float64],
+    gradient: NDArray[np.float64],
+) -> bool:
+    """Add ``weight`` times what each of ``points`` [N, 3] adds to the loss to ``costs`` [N], as many times the loss's gradient
+    to ``gradient`` [N, 3]; returns whether the view shows any point."""
+    if resolvability is None:
+        resolvability = np.ones(len(points))
+    height, width = view.inside.shape
+    edge = cell_edge(height, width, len(points))
+    shown: bool = _mask_chamfer(points, *view, robust_scale, resolvability, edge, weight, costs, gradient)
+    return shown
 
 
 @compiled
 def _mask_chamfer(  # type: ignore[no-untyped-def]
-    first, last, points, valid, observed, weights, inside, outside, rows, columns, bounds, within,
-    edge, scale, robust, total, gradient,
+    points, K, R, t, near, inside, outside, nearest_foreground, bounds, truncated, within, scale, reference,
+    robust_scale, resolvability, edge, weight, costs, gradient,
 ):  # fmt: skip
-    height, width = inside.shape[1:]
-    area = scale * scale
-    for image in range(first, last):
-        loss, covered = 0.0, within[image] * within[image] * area
-        cells = sort_into_cells(points[image], valid[image], height, width, edge)
-        for i in range(height):
-            for j in range(width):
-                n = nearest_in_cells(float(j), float(i), edge, cells) if inside[image, i, j] else -1
-                if n < 0 or not observed[image, n]:
-                    continue
-                by_x, by_y = points[image, n, 0] - j, points[image, n, 1] - i
+    count, (height, width) = len(points), inside.shape
+    left, top, right, bottom = bounds[0], bounds[1], bounds[2], bounds[3]
+    pixels, by_pixels, plane = np.empty((count, 2)), np.zeros((count, 2)), np.zeros((count, 3))
+    valid, observed = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+    shown = False
+    for n in range(count):
+        x = R[0, 0] * points[n, 0] + R[0, 1] * points[n, 1] + R[0, 2] * points[n, 2] + t[0]
+        y = R[1, 0] * points[n, 0] + R[1, 1] * points[n, 1] + R[1, 2] * points[n, 2] + t[1]
+        z = R[2, 0] * points[n, 0] + R[2, 1] * points[n, 1] + R[2, 2] * points[n, 2] + t[2]
+        valid[n] = z > near
+        inverse = 1.0 if near == -np.inf else (1.0 / z if valid[n] else 0.0)
+        plane[n, 0], plane[n, 1], plane[n, 2] = x * inverse, y * inverse, inverse
+        pixels[n, 0] = K[0, 0] * plane[n, 0] + K[0, 1] * plane[n, 1] + K[0, 2]
+        pixels[n, 1] = K[1, 1] * plane[n, 1] + K[1, 2]
+        in_image = pixels[n, 0] >= left and pixels[n, 0] <= right and pixels[n, 1] >= top and pixels[n, 1] <= bottom
+        observed[n] = valid[n] and (in_image or not truncated)
+        shown |= observed[n]
+    if not shown:
+        return False
+    area, robust = scale * scale, robust_scale * robust_scale
+    open_pixels = inside.copy()
+    for n in range(count):
+        # Pixels with a point this near need not search for their nearest; far outside, the numbers would not fit.
+        x, y = pixels[n, 0], pixels[n, 1]
+        if valid[n] and x > -within and x < width + within and y > -within and y < height + within:
+            for i in range(max(int(np.ceil(y - within)), 0), min(int(np.floor(y + within)), height - 1) + 1):
+                for j in range(max(int(np.ceil(x - within)), 0), min(int(np.floor(x + within)), width - 1) + 1):
+                    if (x - j) * (x - j) + (y - i) * (y - i) <= within * within:
+                        open_pixels[i, j] = False
+    cells = sort_into_cells(pixels, valid, height, width, edge)
+    for i in range(height):
+        for j in range(width):
+            n = nearest_in_cells(float(j), float(i), edge, cells) if open_pixels[i, j] else -1
+            if n >= 0 and observed[n]:
+                by_x, by_y = pixels[n, 0] - j, pixels[n, 1] - i
                 squared = (by_x * by_x + by_y * by_y) * area
-                if squared > covered:
-                    inlier = robust / (robust + squared)
-                    loss += squared * inlier * area
-                    gradient[image, n, 0] += 2.0 * area * area * inlier * inlier * by_x
-                    gradient[image, n, 1] += 2.0 * area * area * inlier * inlier * by_y
-        left, top, right, bottom = bounds[image, 0], bounds[image, 1], bounds[image, 2], bounds[image, 3]
-        for n in range(points.shape[1]):
-            x, y, weight = points[image, n, 0], points[image, n, 1], weights[image, n]
-            # What lies outside the image is unknown, not background.
-            if not (weight > 0.0 and x >= left and x <= right and y >= top and y <= bottom):
-                continue
+                inlier = robust / (robust + squared)
+                costs[n] += weight * squared * inlier * area
+                by_pixels[n, 0] += 2.0 * area * area * inlier * inlier * by_x
+                by_pixels[n, 1] += 2.0 * area * area * inlier * inlier * by_y
+    for n in range(count):
+        x, y, share = pixels[n, 0], pixels[n, 1], resolvability[n] * reference / count
+        # What lies outside the image is unknown, not background.
+        if observed[n] and share > 0.0 and x >= left and x <= right and y >= top and y <= bottom:
             # Beside the mask's part of the image it is background like that part's rim.
             i, j = int(np.rint(min(max(y, 0.0), height - 1.0))), int(np.rint(min(max(x, 0.0), width - 1.0)))
-            if not outside[image, i, j] or rows[image, i, j] < 0:
-                continue
-            by_x, by_y = x - columns[image, i, j], y - rows[image, i, j]
-            squared = (by_x * by_x + by_y * by_y) * area
-            inlier = robust / (robust + squared)
-            loss += weight * squared * inlier
-            gradient[image, n, 0] += 2.0 * weight * area * inlier * inlier * by_x
-            gradient[image, n, 1] += 2.0 * weight * area * inlier * inlier * by_y
-        total[image] = loss
+            if outside[i, j]:
+                by_x, by_y = x - nearest_foreground[i, j, 1], y - nearest_foreground[i, j, 0]
+                squared = (by_x * by_x + by_y * by_y) * area
+                inlier = robust / (robust + squared)
+                costs[n] += weight * share * squared * inlier
+                by_pixels[n, 0] += 2.0 * share * area * inlier * inlier * by_x
+                by_pixels[n, 1] += 2.0 * share * area * inlier * inlier * by_y
+        u, v = by_pixels[n, 0], by_pixels[n, 1]
+        if u != 0.0 or v != 0.0:
+            by_x, by_y = K[0, 0] * u * plane[n, 2], (K[0, 1] * u + K[1, 1] * v) * plane[n, 2]
+            by_z = 0.0 if near == -np.inf else -(by_x * plane[n, 0] + by_y * plane[n, 1])
+            for axis in range(3):
+                gradient[n, axis] += weight * (R[0, axis] * by_x + R[1, axis] * by_y + R[2, axis] * by_z)
+    return True

@@ -1,33 +1,14 @@
-"""Exact nearest neighbours: all pairs of small clouds, else a k-d tree or compiled loops on the CPU; all pairs on a GPU."""
+"""Exact nearest neighbours in batches, by all pairs: plain torch, compiled loops on the CPU, Triton on a GPU."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-from .dispatch import triton_runs, use_numba, whole_batches
+from .tensors import called, triton_runs, use_numba
 
-# Largest clouds whose pairs are all compared in compiled code; in larger ones a k-d tree is faster.
-COMPARE_ALL_UP_TO = 8192
-# Largest clouds whose pairs are all compared by a matrix product: at 1,024 points as fast as k-d trees, whose import takes a
-# quarter of a second.
-MULTIPLY_UP_TO = 1500
-PAIRS_PER_PRODUCT = 1 << 17
 # Pairs compared at once in plain torch; bounds memory at about 400 MB.
 PAIRS_PER_CHUNK = 1 << 24
-
-
-def nearest(queries: Tensor, data: Tensor) -> Tensor:
-    """Index [Q] into ``data`` [N, D], N >= 1, of the point nearest to each of ``queries`` [Q, D]; not differentiable."""
-    queries, data = queries.detach(), data.detach()
-    if queries.device.type == "cpu":
-        if len(data) <= MULTIPLY_UP_TO:
-            return _multiplied(queries, data)
-        from scipy.spatial import cKDTree
-
-        tree = cKDTree(data.numpy(), balanced_tree=False, compact_nodes=False)
-        return torch.from_numpy(_query(tree, queries)[1])
-    return nearest_in_rows(queries.unsqueeze(0), data.unsqueeze(0))[0].clamp_min(0)
 
 
 def nearest_in_rows(queries: Tensor, data: Tensor, valid: Tensor | None = None, active: Tensor | None = None) -> Tensor:
@@ -64,16 +45,12 @@ def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     Index [B, N] into ``b`` [B, M, 3] of the point nearest to each of ``a`` [B, N, 3], and [B, M] into ``a`` of that nearest to
     each of ``b``.
     """
-    smaller, larger = (a, b) if a.shape[1] <= b.shape[1] else (b, a)
-    if use_numba(smaller) and larger.shape[1] <= COMPARE_ALL_UP_TO:
-        from .nearest_numba import nearest_both_ways as compiled
+    if use_numba(a if a.shape[1] <= b.shape[1] else b):
+        from . import nearest_numba
 
-        return compiled(a, b)
-    if whole_batches(a):
-        # NaN has no neighbours, but its rows must hold indices: what these lead to is NaN either way.
-        return nearest_in_rows(a, b).clamp_min_(0), nearest_in_rows(b, a).clamp_min_(0)
-    pairs = list(zip(a, b, strict=True))
-    return torch.stack([nearest(x, y) for x, y in pairs]), torch.stack([nearest(y, x) for x, y in pairs])
+        return called(nearest_numba.nearest_in_rows, a, b), called(nearest_numba.nearest_in_rows, b, a)
+    # NaN has no neighbours, but its rows must hold indices: what these lead to is NaN either way.
+    return nearest_in_rows(a, b).clamp_min_(0), nearest_in_rows(b, a).clamp_min_(0)
 
 
 def nearest_points(pixels: Tensor, points_px: Tensor, valid: Tensor) -> Tensor:
@@ -82,18 +59,9 @@ def nearest_points(pixels: Tensor, points_px: Tensor, valid: Tensor) -> Tensor:
     For ``pixels`` [M, H, W], ``points_px`` [M, N, 2] and ``valid`` [M, N] an index [M, H, W] into the image's points, -1 at
     other pixels and in images without a valid point.
     """
-    if whole_batches(pixels):
-        rows, columns = (torch.arange(size, dtype=points_px.dtype, device=pixels.device) for size in pixels.shape[1:])
-        centres = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), -1).view(1, -1, 2).expand(len(pixels), -1, -1)
-        return nearest_in_rows(centres, points_px, valid, pixels.flatten(1)).view(pixels.shape)
-    index = torch.full(pixels.shape, -1, dtype=torch.int64, device=pixels.device)
-    for i in range(len(pixels)):
-        candidates = torch.nonzero(valid[i]).squeeze(1)
-        rows, columns = torch.nonzero(pixels[i], as_tuple=True)
-        if len(candidates) and len(rows):
-            centres = torch.stack([columns, rows], 1).to(points_px.dtype)
-            index[i, rows, columns] = candidates[nearest(centres, points_px[i, candidates])]
-    return index
+    rows, columns = (torch.arange(size, dtype=points_px.dtype, device=pixels.device) for size in pixels.shape[1:])
+    centres = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), -1).view(1, -1, 2).expand(len(pixels), -1, -1)
+    return nearest_in_rows(centres, points_px, valid, pixels.flatten(1)).view(pixels.shape)
 
 
 def nearest_marked(marked: Tensor) -> tuple[Tensor, Tensor]:
@@ -113,77 +81,3 @@ def nearest_marked(marked: Tensor) -> tuple[Tensor, Tensor]:
     columns = torch.cat([(line.unsqueeze(1) + horizontal).argmin(2) for line in lines]).view(marked.shape)
     exists = marked.flatten(1).any(1).view(-1, 1, 1)
     return torch.where(exists, near.gather(2, columns), -1), torch.where(exists, columns, -1)
-
-
-def _multiplied(queries: Tensor, data: Tensor) -> Tensor:
-    """As `nearest`, by |q - d|^2 = |q|^2 - 2 q d + |d|^2 in float64."""
-    # about the centre, where the numbers are small and little cancels
-    data = data.double()
-    centre = data.mean(0)
-    data = data - centre
-    # A product with ones adds a few columns many times as fast as `sum`.
-    ones = data.new_ones(data.shape[1])
-    half = data.square() @ ones / 2.0
-    indices = []
-    for part in (queries.double() - centre).split(max(1, PAIRS_PER_PRODUCT // len(data))):
-        # numpy's argmin is three times as fast as torch's
-        index = torch.from_numpy(torch.addmm(half, part, data.T, alpha=-1.0).numpy().argmin(1))
-        # Rounding moves a squared distance by 2e-8 of it at most, less than float32 resolves, unless it is this small.
-        squared = (part - data[index]).square() @ ones
-        close = torch.nonzero((squared > 0.0) & (squared < 1e-7 * (part.square() @ ones))).squeeze(1)
-        if len(close):
-            index[close] = torch.cdist(part[close], data, compute_mode="donot_use_mm_for_euclid_dist").argmin(1)
-        indices.append(index)
-    return torch.cat(indices)
-
-
-def _query(tree, queries: Tensor, k: int = 1):  # type: ignore[no-untyped-def]
-    # Threads cost more than they bring for small clouds.
-    return tree.query(queries.numpy(), k=k, workers=-1 if len(queries) > 4096 else 1)
-
-
-class StaticNearest:
-    """Exact nearest neighbours between an initial cloud ``start`` [N, D] and its own moved copy.
-
-    Early in an optimisation a moved point is still nearest to its own start; where the triangle inequality proves that, no
-    search is made. If a moved point is not finite, every point is paired with itself: the distance is not finite either.
-    """
-
-    def __init__(self, start: Tensor) -> None:
-        self.start = start.detach()
-        self.identity = torch.arange(len(start), device=start.device)
-        self._tree = None
-        self.spacing: Tensor | None = None
-        if len(start) > 1:
-            if len(start) <= MULTIPLY_UP_TO:
-                pairs = torch.cdist(self.start, self.start, compute_mode="donot_use_mm_for_euclid_dist")
-                spacing = pairs.fill_diagonal_(torch.inf).amin(1)
-            else:
-                from scipy.spatial import cKDTree
-
-                self._tree = cKDTree(self.start.numpy())
-                spacing = torch.from_numpy(_query(self._tree, self.start, k=2)[0][:, 1])
-            # Just under the true spacing, so that rounding cannot prove what is false.
-            self.spacing = spacing.to(start.dtype) * (1.0 - 1e-5)
-
-    def __call__(self, moved: Tensor) -> tuple[Tensor, Tensor]:
-        """Index of the nearest moved point for each start [N], and of the nearest start for each moved point [N]."""
-        moved = moved.detach()
-        if self.spacing is None:
-            return nearest(self.start, moved), nearest(moved, self.start)
-        distance = (moved - self.start).norm(dim=1)
-        to_start, to_moved = self.identity, self.identity
-        # a k-d tree takes no such points
-        if not torch.isfinite(distance.max()):
-            return to_moved, to_start
-        # |m_i - s_j| >= |s_i - s_j| - |m_i - s_i|, so s_i is nearest to m_i while m_i moved under half the spacing at s_i.
-        doubtful = torch.nonzero(2.0 * distance >= self.spacing).squeeze(1)
-        if len(doubtful):
-            queries = moved[doubtful]
-            index = nearest(queries, self.start) if self._tree is None else torch.from_numpy(_query(self._tree, queries)[1])
-            to_start = to_start.index_copy(0, doubtful, index)
-        # |s_i - m_j| >= |s_i - s_j| - |m_j - s_j|, and no point moved further than the furthest.
-        doubtful = torch.nonzero(distance + distance.max() >= self.spacing).squeeze(1)
-        if len(doubtful):
-            to_moved = to_moved.index_copy(0, doubtful, nearest(self.start[doubtful], moved))
-        return to_moved, to_start

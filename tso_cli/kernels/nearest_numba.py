@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
+from numpy.typing import NDArray
 
 from .jit import compiled, part, share
+
+Array = NDArray[np.floating[Any]]
 
 # Points per cell of the grid, on average over the image. Fastest from 1,000 to 100,000 points.
 POINTS_PER_CELL = 1.0
@@ -21,13 +23,11 @@ def cell_edge(height: int, width: int, count: int) -> float:
     return max(1.0, math.sqrt(POINTS_PER_CELL * height * width / max(1, count)))
 
 
-def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
-    """As `tso_cli.kernels.nearest.nearest_both_ways`, by all pairs."""
-    to_b, to_a = torch.empty(a.shape[:2], dtype=torch.int64), torch.empty(b.shape[:2], dtype=torch.int64)
-    steps = len(a) * a.shape[1] * b.shape[1] // 8
-    share(len(a), steps, _compare_all, a, b, to_b)
-    share(len(a), steps, _compare_all, b, a, to_a)
-    return to_b, to_a
+def nearest_in_rows(queries: Array, data: Array, threads: int = 1) -> NDArray[np.int64]:
+    """[B, Q] which of the points [B, N, 3] is nearest to each query [B, Q, 3], by all pairs."""
+    index = np.empty(queries.shape[:2], np.int64)
+    share(len(queries), index.size * data.shape[1] // 8, threads, _compare_all, queries, data, index)
+    return index
 
 
 @part

@@ -75,60 +75,18 @@ def project_rows(context, source, at, stride, rows, down, left, start, across, r
     return result(source, number, number, number, down, left, number, across, right, number), build
 
 
-@intrinsic
-def keep_nearest(context, queries, at, data, place, best, chosen):  # type: ignore[no-untyped-def]
-    """Compare eight points ``data`` [3, D] from ``place`` on with eight ``queries`` [3, Q] from ``at`` on.
-
-    Where a point is nearer than ``best`` [8], squared, that becomes its distance and ``chosen`` [8] its place. Bounds are not
-    checked.
-    """
-
-    def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        lanes = _Vectors(context, builder, queries.dtype, signature.args, arguments, 8)
-        arrays = dict(zip("qdbc", (0, 2, 4, 5), strict=True))
-
-        def pointer(name: str, index: Any, axis: int = 0, one: bool = False) -> Any:
-            array = make_array(signature.args[arrays[name]])(context, builder, arguments[arrays[name]])
-            if axis:
-                row = cgutils.unpack_tuple(builder, array.shape)[-1]
-                index = builder.add(index, builder.mul(row, ir.Constant(row.type, axis)))
-            data = builder.gep(array.data, [index])
-            return data if one else builder.bitcast(data, ir.VectorType(data.type.pointee, 8).as_pointer())
-
-        zero = ir.Constant(ir.IntType(64), 0)
-        coordinates = [lanes.load(pointer("q", arguments[1], axis)) for axis in range(3)]
-        least, number = lanes.load(pointer("b", zero)), builder.load(pointer("c", zero), align=8)
-        for k in range(8):
-            index = builder.add(arguments[3], ir.Constant(ir.IntType(64), k))
-            total = lanes.zeros
-            for axis in range(3):
-                coordinate = lanes.spread(builder.load(pointer("d", index, axis, one=True)))
-                difference = builder.fsub(coordinates[axis], coordinate)
-                total = lanes.multiply_add(difference, difference, total) if axis else builder.fmul(difference, difference)
-            nearer = builder.fcmp_ordered("<", total, least)
-            least = builder.select(nearer, total, least)
-            number = builder.select(nearer, lanes.spread(index, number.type), number)
-        builder.store(least, pointer("b", zero), align=8)
-        builder.store(number, pointer("c", zero), align=8)
-        return context.get_dummy_value()
-
-    number = types.intp
-    return types.void(queries, number, data, number, best, chosen), build
-
-
 class _Vectors:
     """LLVM code for vectors of numbers of one type."""
 
-    def __init__(self, context: Any, builder: Any, number: Any, kinds: Any, arguments: Any, lanes: int = LANES) -> None:
+    def __init__(self, context: Any, builder: Any, number: Any, kinds: Any, arguments: Any) -> None:
         self._kinds, self._arguments = kinds, arguments
         self._builder = builder
         self._context = context
         self._number = context.get_value_type(number)
-        self._lanes = lanes
-        self._vector = ir.VectorType(self._number, lanes)
-        self._suffix = f"v{lanes}f{number.bitwidth}"
+        self._vector = ir.VectorType(self._number, LANES)
+        self._suffix = f"v{LANES}f{number.bitwidth}"
         self.alignment = number.bitwidth // 8
-        self.zeros = ir.Constant(self._vector, [0.0] * lanes)
+        self.zeros = ir.Constant(self._vector, [0.0] * LANES)
 
     def place(self, argument: int, index: Any, one: bool = False) -> Any:
         """Pointer to the numbers, or to one number, of an array argument from ``index`` on."""
@@ -139,11 +97,10 @@ class _Vectors:
     def load(self, pointer: Any) -> Any:
         return self._builder.load(pointer, align=self.alignment)
 
-    def spread(self, value: Any, vector: Any = None) -> Any:
-        integer, vector = ir.IntType(32), vector or self._vector
-        unknown = ir.Constant(vector, ir.Undefined)
+    def spread(self, value: Any) -> Any:
+        integer, unknown = ir.IntType(32), ir.Constant(self._vector, ir.Undefined)
         first = self._builder.insert_element(unknown, value, ir.Constant(integer, 0))
-        places = ir.Constant(ir.VectorType(integer, self._lanes), [0] * self._lanes)
+        places = ir.Constant(ir.VectorType(integer, LANES), [0] * LANES)
         return self._builder.shuffle_vector(first, unknown, places)
 
     def multiply_add(self, weight: Any, value: Any, total: Any) -> Any:

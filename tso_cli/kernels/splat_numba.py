@@ -5,9 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from .jit import RANGES_PER_THREAD, compiled, part, share
 from .simd import LANES, LOWEST, add_rows, exp, project_rows
@@ -22,25 +20,31 @@ PADDING = 1e9
 PER_POINT = 64
 
 
-def sums(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float, radius: int) -> Tensor:
-    """As `tso_cli.kernels.splat.splat`, for float32 or float64 on the CPU.
+Array = NDArray[np.floating[Any]]
+Marks = NDArray[np.bool_]
+
+
+def sums(points_px: Array, valid: Marks, height: int, width: int, sigma_sq: float, radius: int, threads: int = 1) -> Array:
+    """The windowed sums [M, H, W] of the Gaussians of points [M, N, 2], float32 or float64.
 
     Each pixel adds its points in the cloud's order, so that bands of rows can be filled in parallel.
     """
     images, count = valid.shape
-    out = torch.empty(images, height, width, dtype=points_px.dtype)
-    bands = _bands(images, height, radius)
-    share(images * bands, _steps(images, count, radius), _add, points_px, valid, _window(sigma_sq, radius, out), bands, out)
+    out = np.empty((images, height, width), points_px.dtype)
+    bands, steps = _bands(images, height, radius, threads), _steps(images, count, radius)
+    share(images * bands, steps, threads, _add, points_px, valid, _window(sigma_sq, radius, out.dtype), bands, out)
     return out
 
 
-def gradient(grad_sums: Tensor, points_px: Tensor, valid: Tensor, sigma_sq: float, radius: int) -> Tensor:
+def gradient(by_sums: Array, points_px: Array, valid: Marks, sigma_sq: float, radius: int, threads: int = 1) -> Array:
     """Derivative [M, N, 2] by ``points_px``, from that by the sums [M, H, W]."""
     images, count = valid.shape
-    out = torch.zeros(images, count, 2, dtype=points_px.dtype)
-    window = _window(sigma_sq, radius, out)
-    padded = torch.nn.functional.pad(grad_sums, (2 * radius, len(window.steps)))
-    share(images * count, _steps(images, count, radius), _gather, points_px, valid, window, padded, out)
+    out = np.zeros((images, count, 2), points_px.dtype)
+    window = _window(sigma_sq, radius, out.dtype)
+    height, width = by_sums.shape[1:]
+    padded = np.zeros((images, height, width + 2 * radius + len(window.steps)), points_px.dtype)
+    padded[:, :, 2 * radius : 2 * radius + width] = by_sums
+    share(images * count, _steps(images, count, radius), threads, _gather, points_px, valid, window, padded, out)
     return out
 
 
@@ -52,18 +56,18 @@ class Window(NamedTuple):
     factor: float  # of a squared distance (px^2) in the exponent
 
 
-def _window(sigma_sq: float, radius: int, like: Tensor) -> Window:
-    steps = np.full(-(-(2 * radius + 1) // LANES) * LANES, PADDING, torch.empty(0, dtype=like.dtype).numpy().dtype)
+def _window(sigma_sq: float, radius: int, kind: np.dtype[Any]) -> Window:
+    steps = np.full(-(-(2 * radius + 1) // LANES) * LANES, PADDING, kind)
     steps[: 2 * radius + 1] = np.arange(-radius, radius + 1)
     return Window(steps, radius, -0.5 / sigma_sq)
 
 
-def _bands(images: int, height: int, radius: int) -> int:
+def _bands(images: int, height: int, radius: int, threads: int) -> int:
     """Bands of rows that each image is cut into, so that every thread has some."""
-    if torch.get_num_threads() == 1 or not images:
+    if threads == 1 or not images:
         return 1
     # A point whose window crosses into another band is computed twice: bands are kept high against the window.
-    bands = -(-RANGES_PER_THREAD * torch.get_num_threads() // images)
+    bands = -(-RANGES_PER_THREAD * threads // images)
     return max(1, min(bands, height // (4 * radius + 2)))
 
 

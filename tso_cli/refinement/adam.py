@@ -1,71 +1,48 @@
-"""Adam without the start-up cost of ``torch.optim.Adam``, and a variant with one scale per cloud."""
+"""Adam, and a variant with one scale for the whole cloud."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+import numpy as np
+from numpy.typing import NDArray
 
-import torch
-from torch import Tensor
-from torch.optim.adam import adam
+Array = NDArray[np.float64]
+
+FIRST, SECOND = 0.9, 0.999
 
 
 class Adam:
-    """The optimiser of the paper, with torch's defaults: betas (0.9, 0.999), eps 1e-8.
+    """The optimiser of the paper: betas (0.9, 0.999), eps 1e-8."""
 
-    The first ``torch.optim.Optimizer`` imports torch's compiler, which takes 0.9 s; the function underneath does not. Its
-    fused form is two to five times faster, and equal but for rounding.
-    """
-
-    def __init__(self, parameters: list[Tensor], learning_rate: float) -> None:
-        self._parameters = parameters
+    def __init__(self, learning_rate: float) -> None:
         self._learning_rate = learning_rate
-        self._means = [torch.zeros_like(p) for p in parameters]
-        self._squares = [torch.zeros_like(p) for p in parameters]
-        # Other devices lack the fused form in some supported releases of torch.
-        self._fused = all(p.device.type in ("cpu", "cuda") for p in parameters)
-        self._steps = [torch.zeros((), device=p.device if self._fused else "cpu") for p in parameters]
-
-    def step(self, loss: Tensor) -> None:
-        """One step down the gradient of ``loss``."""
-        self.apply(torch.autograd.grad(loss, self._parameters))
-
-    @torch.no_grad()
-    def apply(self, grads: Sequence[Tensor]) -> None:
-        """One step, given the gradient by each parameter."""
-        grads = [_laid_out_as(p, grad) for p, grad in zip(self._parameters, grads, strict=True)]
-        settings: dict[str, Any] = dict(amsgrad=False, beta1=0.9, beta2=0.999, weight_decay=0.0, eps=1e-8, maximize=False)
-        moments = self._means, self._squares
-        adam(self._parameters, grads, *moments, [], self._steps, fused=self._fused, lr=self._learning_rate, **settings)
-
-
-def _laid_out_as(parameter: Tensor, grad: Tensor) -> Tensor:
-    """``grad`` with the strides of the parameter: the fused form would misread one that autograd expanded or transposed."""
-    return grad if grad.stride() == parameter.stride() else torch.empty_like(parameter).copy_(grad)
-
-
-class UniformAdam:
-    """Adam with one scale per cloud, not one per number, so that steps keep the proportions of the gradient.
-
-    Adam moves points of tiny gradient as far as all others. Here a running mean of the largest vector in the
-    cloud divides the gradient, as in Nicolet et al. 2021. ``parameters`` is one tensor [B, N, D], ``learning_rate`` about
-    how far the vector with the largest gradient moves in a step.
-    """
-
-    def __init__(self, parameters: list[Tensor], learning_rate: float) -> None:
-        (self._parameter,) = parameters
-        self._learning_rate = learning_rate
-        self._mean = torch.zeros_like(self._parameter)
-        self._square = self._parameter.new_zeros(len(self._parameter), 1, 1)
+        self._mean: Array | float = 0.0
+        self._square: Array | float = 0.0
         self._steps = 0
 
-    def step(self, loss: Tensor) -> None:
-        """One step down the gradient of ``loss``."""
-        (grad,) = torch.autograd.grad(loss, [self._parameter])
-        with torch.no_grad():
-            self._steps += 1
-            first, second = 0.9, 0.999
-            self._mean.lerp_(grad, 1.0 - first)
-            self._square.lerp_(grad.square().sum(-1).amax(1).view(-1, 1, 1), 1.0 - second)
-            scale = (self._square / (1.0 - second**self._steps)).sqrt_() + 1e-12
-            self._parameter -= self._learning_rate / (1.0 - first**self._steps) * self._mean / scale
+    def step(self, gradient: Array) -> Array:
+        """What to add to the parameters, by the gradient [...] of the loss."""
+        self._steps += 1
+        self._mean = FIRST * self._mean + (1.0 - FIRST) * gradient
+        self._square = SECOND * self._square + (1.0 - SECOND) * self._squared(gradient)
+        scale = np.sqrt(self._square / (1.0 - SECOND**self._steps)) + self.EPSILON
+        step: Array = (-self._learning_rate / (1.0 - FIRST**self._steps)) * self._mean / scale
+        return step
+
+    EPSILON = 1e-8
+
+    def _squared(self, gradient: Array) -> Array | float:
+        squared: Array = np.square(gradient)
+        return squared
+
+
+class UniformAdam(Adam):
+    """Adam with one scale for all numbers, so that steps keep the proportions of the gradient.
+
+    Adam moves points of tiny gradient as far as all others. Here a running mean of the largest of the vectors [N, D]
+    divides the gradient, as in Nicolet et al. 2021. ``learning_rate`` is about how far that vector's point moves in a step.
+    """
+
+    EPSILON = 1e-12
+
+    def _squared(self, gradient: Array) -> Array | float:
+        return float(np.square(gradient).sum(1).max())

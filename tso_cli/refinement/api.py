@@ -3,33 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor
 
-from .. import device as devices
 from ..errors import InputError, TsoError
 from ..geometry.camera import Camera
 from ..geometry.view import View
+from ..kernels import blas
 from ..kernels.dispatch import planned
-from ..network.model import BaseNetwork
-from .cloud import Cloud
+from .cloud import Cloud, as_numpy
 from .config import RefineConfig, Settings
-from .optimise import Progress, offset_progress
-from .parameters import NetworkParameters, PointParameters
-from .presets import PRESETS
+from .optimise import Progress
+from .presets import PRESETS, SYMMETRY_PROBE_STEPS
 from .problem import Problem
 from .result import RefineResult
-from .run import Stopwatch, run_batch
+from .run import Stopwatch, run
 
-# Most points of a batch; and no cloud of a batch has less than half the points of its largest.
-BATCH_POINTS = 1 << 20
-# Most cells of a batch's resampled views: bounds memory at 1 GiB in plain torch.
-BATCH_CELLS = 1 << 24
-# Most clouds of a staged batch: the inverse matrices of a cloud's smooth fields take 12 MiB, so these 0.8 GiB.
-BATCH_FIELDS = 64
+if TYPE_CHECKING:
+    from ..network.model import BaseNetwork
 
 
 def refine(
@@ -73,24 +67,31 @@ def refine(
     """
     views = _as_views(masks, cameras)
     settings = (config or RefineConfig()).settings(len(views))
-    stopwatch = Stopwatch()
-    device = devices.resolve(settings.device)
+    stopwatch, parameters = Stopwatch(), None
     with stopwatch.phase("prepare"):
-        parameters: PointParameters | NetworkParameters
         if settings.mode == "points":
             if points is None:
                 raise InputError("mode points needs points, found none")
             cloud = Cloud(points, "points", colours, faces)
-            parameters = PointParameters([cloud], device)
         else:
-            parameters = NetworkParameters(network, image, settings.mode, device)
+            from .network_parameters import NetworkParameters
+
+            parameters = NetworkParameters(network, image, settings.mode, settings.device, settings.learning_rate)
             cloud = parameters.cloud
-        problem = Problem.of(cloud, views, settings)
-    with planned(*_work([problem], settings)):
-        (result,) = run_batch([problem], parameters, settings, stopwatch, progress)
-    if isinstance(result, TsoError):
-        raise result
-    return result
+    with planned(*_work(settings, len(views), len(cloud.initial))), blas.one_thread():
+        with stopwatch.phase("prepare"):
+            problem = Problem.of(cloud, views, settings)
+        return run(problem, settings, stopwatch, parameters, progress)
+
+
+def _work(settings: Settings, views: int, points: int) -> tuple[int, int]:
+    """How often a cloud is compared with a view, and the points in all these, as `planned` counts them."""
+    comparisons = views * settings.steps
+    if settings.symmetry == "auto":
+        # The flipped views, and the symmetry check.
+        comparisons = 2 * comparisons + 3 * views * SYMMETRY_PROBE_STEPS
+    # In numpy a point costs the paper's silhouette several times as much.
+    return comparisons, comparisons * points * (4 if settings.preset == "paper" else 1)
 
 
 def refine_batch(
@@ -101,15 +102,15 @@ def refine_batch(
     Parameters
     ----------
     scenes : (points [N, 3], views) of each; the views are a `View` or a sequence of them.
-    progress : called with (steps done, steps in all, mean loss), counted over the batches that the clouds are put into.
+    progress : called after every cloud with (clouds done, clouds, mean loss of their results).
 
-    Ctrl-C ends it: each cloud of the batch at work gets its best so far, those that had not begun their start, and the
-    ``stop_reason`` of all these is "interrupted".
+    Clouds are spread over processes, one for each core (OMP_NUM_THREADS, where set, says how many; one on other systems than
+    Linux). Ctrl-C ends it: clouds at work get their best so far, those that had not begun their start, and the ``stop_reason``
+    of all these is "interrupted".
 
     Returns
     -------
     For each scene its result, or the error that `refine` would have raised: one that cannot be refined stops no other.
-    ``seconds`` are those of the batch, divided by its size.
 
     Raises
     ------
@@ -117,57 +118,87 @@ def refine_batch(
         The mode is not "points", the device is not there, or ``scenes`` are none.
     """
     config = config or RefineConfig()
-    settings = config.settings()
     if not isinstance(scenes, Iterable):
         raise InputError(f"scenes is {scenes!r}, expected a sequence of (points, views)")
-    scenes = list(scenes)
-    if settings.mode != "points":
-        raise InputError(f"mode is {settings.mode!r}, expected points for a batch")
-    device = devices.resolve(settings.device)
-    results: dict[int, RefineResult | TsoError] = {}
-    problems: dict[int, Problem] = {}
-    for number, scene in enumerate(scenes):
-        try:
-            points, masks = _points_and_views(scene, number)
-            problems[number] = Problem.of(Cloud(points, f"points of scene {number}"), _as_views(masks), settings)
-        except TsoError as error:
-            results[number] = error
-    batches = batches_of(problems, settings.staged)
-    settings_of = [config.settings(len(problems[batch[0]].views)) for batch in batches]
-    done, total, interrupted = 0, sum(settings.steps for settings in settings_of), False
-    for batch, settings in zip(batches, settings_of, strict=True):
-        stopwatch = Stopwatch()
-        batch_problems = [problems[number] for number in batch]
+    # A tensor on a GPU cannot be read in a forked process.
+    scenes = [(as_numpy(scene[0]), *scene[1:]) if isinstance(scene, tuple) and scene else scene for scene in scenes]
+    if config.mode != "points":
+        raise InputError(f"mode is {config.mode!r}, expected points for a batch")
+    # Modules for processes take a twentieth of a small refinement to import.
+    from .workers import processes_for, spread, stop_flag
+
+    processes = processes_for(len(scenes))
+    batch, losses, done = _Batch(scenes, config, stop_flag(processes)), [], 0
+
+    def report(result: RefineResult | TsoError) -> None:
+        nonlocal done
+        done += 1
+        if isinstance(result, RefineResult):
+            losses.append(result.loss_after)
+        if progress is not None:
+            progress(done, len(scenes), float(np.mean(losses)) if losses else np.nan)
+
+    with planned(*batch.work()), blas.one_thread():
+        return spread(batch.refine, len(scenes), processes, batch.interrupted, report)
+
+
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    """Scenes that are refined independently of one another."""
+
+    scenes: list[tuple[Any, Any]]
+    config: RefineConfig
+    interrupted: Any  # an event
+
+    def work(self) -> tuple[int, int]:
+        """That of all scenes, as `planned` counts it; broken ones count as nothing."""
+        comparisons = points = 0
+        for scene in self.scenes:
+            try:
+                views = 1 if isinstance(scene[1], View) else len(scene[1])
+                more, further = _work(self.config.settings(views), views, len(scene[0]))
+            except (TypeError, LookupError):
+                continue
+            comparisons, points = comparisons + more, points + further
+        return comparisons, points
+
+    def refine(self, number: int) -> RefineResult | TsoError:
+        """The result of the scene of that number, or the error that `refine` would have raised."""
+        while True:
+            try:
+                result = self._refined(number)
+            except TsoError as error:
+                return error
+            except KeyboardInterrupt:
+                self.interrupted.set()
+                continue
+            if result.stop_reason == "interrupted":
+                self.interrupted.set()
+            return result
+
+    def _refined(self, number: int) -> RefineResult:
+        points, masks = _points_and_views(self.scenes[number], number)
+        views, stopwatch = _as_views(masks), Stopwatch()
+        settings = self.config.settings(len(views))
         with stopwatch.phase("prepare"):
-            parameters = PointParameters([problem.cloud for problem in batch_problems], device)
-        report = progress and offset_progress(progress, done, total)
-        with planned(*_work(list(problems.values()), settings)):
-            batch_results = run_batch(batch_problems, parameters, settings, stopwatch, report, interrupted)
-        for number, result in zip(batch, batch_results, strict=True):
-            results[number] = result
-            interrupted |= isinstance(result, RefineResult) and result.stop_reason == "interrupted"
-        done += settings.steps
-    return [results[number] for number in range(len(scenes))]
+            problem = Problem.of(Cloud(points, f"points of scene {number}"), views, settings)
+        return run(problem, settings, stopwatch, None, self._pause, self.interrupted.is_set())
 
-
-def _work(problems: list[Problem], settings: Settings) -> tuple[int, int]:
-    """Images and points drawn in all steps, as `planned` counts them."""
-    # In plain torch the mask Chamfer loss is half the work of the silhouette.
-    steps = settings.steps // 2 if settings.staged else settings.steps
-    images = sum(len(problem.resampled) for problem in problems)
-    points = sum(len(problem.resampled) * len(problem.cloud.initial) for problem in problems)
-    return steps * images, steps * points
+    def _pause(self, step: int, steps: int, loss: float) -> None:
+        if self.interrupted.is_set():
+            raise KeyboardInterrupt
 
 
 def compile_loops() -> None:
-    """Compile all loops that a refinement on the CPU uses, and keep the machine code on disk; nothing where it is there."""
+    """Compile all loops that a refinement uses, and keep the machine code on disk; nothing where it is there."""
     mask = np.zeros((64, 64), np.float32)
-    mask[20:44, 20:44] = 1.0
-    points = np.random.default_rng(0).uniform(-0.3, 0.3, (64, 3))
+    # Larger than the cloud, so that pixels look for their nearest points too.
+    mask[4:60, 4:60] = 1.0
+    points = np.random.default_rng(0).uniform(-0.3, 0.3, (600, 3))
     much = 1 << 60
     with planned(much, much):
         for preset in PRESETS:
-            refine(points, mask, config=RefineConfig(steps=1, preset=preset))
+            refine(points, mask, config=RefineConfig(steps=3, preset=preset))
 
 
 def _as_views(masks: Any, cameras: Camera | Sequence[Camera] | None = None) -> tuple[View, ...]:
@@ -178,7 +209,7 @@ def _as_views(masks: Any, cameras: Camera | Sequence[Camera] | None = None) -> t
         if cameras is not None:
             raise InputError("views bring their own cameras, expected none beside them")
         return tuple(masks)
-    if isinstance(masks, (Tensor, np.ndarray)) and masks.ndim == 2:
+    if getattr(masks, "ndim", None) == 2:
         masks = [masks]
     try:
         arrays = [_as_array(mask) for mask in masks]
@@ -196,9 +227,7 @@ def _as_views(masks: Any, cameras: Camera | Sequence[Camera] | None = None) -> t
 
 
 def _as_array(mask: Any) -> NDArray[np.float32]:
-    if isinstance(mask, Tensor):
-        mask = mask.detach().cpu().numpy()
-    return np.asarray(mask, dtype=np.float32)
+    return np.asarray(as_numpy(mask), dtype=np.float32)
 
 
 def _points_and_views(scene: Any, number: int) -> tuple[Any, Any]:
@@ -208,28 +237,3 @@ def _points_and_views(scene: Any, number: int) -> tuple[Any, Any]:
         shown = f"{type(scene).__name__} of {len(scene)}" if hasattr(scene, "__len__") else repr(scene)
         raise InputError(f"scene {number} is {shown}, expected (points, views)") from None
     return points, views
-
-
-def batches_of(problems: dict[int, Problem], staged: bool = False) -> list[list[int]]:
-    """Keys of the problems of each batch: views of one kind, cloud sizes within a factor of two, bounded memory.
-
-    ``staged`` : the clouds move by smooth fields, as the preset "best" does in points mode.
-    """
-    groups: dict[Any, list[int]] = {}
-    for number, problem in problems.items():
-        kind = (len(problem.views), problem.fine_grids, *(view.kind for view in problem.resampled))
-        groups.setdefault(kind, []).append(number)
-    batches: list[list[int]] = []
-    for group in groups.values():
-        most = BATCH_CELLS // problems[group[0]].cells
-        if staged:
-            most = min(most, BATCH_FIELDS)
-        largest = 0
-        for number in sorted(group, key=lambda number: -len(problems[number].cloud.initial)):
-            size = len(problems[number].cloud.initial)
-            full = largest and (len(batches[-1]) >= most or (len(batches[-1]) + 1) * largest > BATCH_POINTS)
-            if not largest or 2 * size < largest or full:
-                batches.append([])
-                largest = size
-            batches[-1].append(number)
-    return batches

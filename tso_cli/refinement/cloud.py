@@ -7,13 +7,22 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor
 
 from ..errors import InputError
-from ..geometry.points import as_points, bounding_box_normalisation
+from ..geometry.points import as_points, bounding_box_normalisation, quantile
+from ..losses.nearest import nearest_few
 from .surface import Surface
 
 Array = NDArray[np.float64]
+
+# A point is an outlier whose fourth neighbour is farther than this part of the size of the middle four fifths of the cloud, and
+# than so many times the median of all points.
+NEIGHBOUR = 4
+OUTLIER_SIZE, OUTLIER_SPACINGS = 0.3, 6.0
+# With a larger share the cloud is sampled too unevenly to tell.
+MOST_OUTLIERS = 0.25
+# Without outliers the whole cloud is less than so many times as long as its middle four fifths.
+LONGEST = 1.6
 
 
 class Cloud:
@@ -23,47 +32,59 @@ class Cloud:
     ----------
     given : [V, 3] float64, the points of the cloud, or the vertices of the mesh.
     surface : of a mesh, or None.
-    initial : [N, 3] float64, what moves: the points, or the samples of the surface.
+    outliers : [V] bool, points of a cloud far from all others: they stay where they are, and nothing depends on them.
+    initial : [N, 3] float64, what moves: the points but outliers, or the samples of the surface.
     centre [3], scale : (X - centre) / scale has longest side 1.
     colours : [N, 3] float32 in [0, 1], or None.
     """
 
-    def __init__(self, points: Any, name: str, colours: Any = None, faces: Any = None) -> None:
-        self.given: Array = as_points(_as_numpy(points), name)
-        self.surface = None if faces is None else Surface.of(self.given, _as_numpy(faces), name)
-        self.initial = self.surface.samples if self.surface else self.given
+    def __init__(self, points: Any, name: str, colours: Any = None, faces: Any = None, hold_outliers: bool = True) -> None:
+        # In rows: columns would have every loop compiled anew for them.
+        self.given: Array = np.ascontiguousarray(as_points(as_numpy(points), name))
+        self.surface = None if faces is None else Surface.of(self.given, as_numpy(faces), name)
+        self.outliers = np.zeros(len(self.given), bool)
+        if hold_outliers and not self.surface:
+            self.outliers = outliers(self.given)
+        self.initial = self.surface.samples if self.surface else self._inliers(self.given)
         self.centre, self.scale = bounding_box_normalisation(self.initial, name)
-        self.colours = None if colours is None else _as_colours(_as_numpy(colours), len(self.given), name)
-        if self.surface and self.colours is not None:
-            self.colours = self.surface.at(self.colours.astype(np.float64)).astype(np.float32)
+        self.colours = None if colours is None else _as_colours(as_numpy(colours), len(self.given), name)
+        if self.colours is not None:
+            of_vertices = self.colours
+            self.colours = self._inliers(of_vertices)
+            if self.surface:
+                self.colours = self.surface.at(of_vertices.astype(np.float64)).astype(np.float32)
 
     def normalised(self) -> Array:
         normalised: Array = (self.initial - self.centre) / self.scale
         return normalised
 
     def denormalised(self, points: Array) -> Array:
-        """Normalised points [N or more, 3] in the units of the file; rows behind the N-th are padding."""
-        restored: Array = self.centre + self.scale * points[: len(self.initial)]
+        """Normalised points [N, 3] in the units of the file."""
+        restored: Array = self.centre + self.scale * points
         return restored
 
     def moved(self, displacements: Array) -> MovedCloud:
-        """The cloud after ``displacements`` [N or more, 3] of what moves, in longest sides."""
-        displacements = displacements[: len(self.initial)]
-        of_given = displacements
+        """The cloud after ``displacements`` [N, 3] of what moves, in longest sides."""
         if self.surface:
             of_given = self.surface.vertex_displacements(displacements)
             displacements = self.surface.at(of_given)
+        else:
+            of_given = np.zeros_like(self.given)
+            of_given[~self.outliers] = displacements
         # Added to the input, so that unmoved points stay bit-identical.
         points = self.given + self.scale * of_given
         return MovedCloud(points, self._judged(points), displacements)
 
     @property
     def judged(self) -> Array:
-        """[S, 3], the points that measures are of: those of the cloud, or many samples of the surface."""
+        """[S, 3], the points that measures are of: those of the cloud but outliers, or many samples of the surface."""
         return self._judged(self.given)
 
     def _judged(self, points: Array) -> Array:
-        return self.surface.all_samples(points) if self.surface else points
+        return self.surface.all_samples(points) if self.surface else self._inliers(points)
+
+    def _inliers(self, values: Any) -> Any:
+        return values[~self.outliers] if self.outliers.any() else values
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +96,31 @@ class MovedCloud:
     displacements: Array  # [N, 3] of what moved, in longest sides
 
 
-def _as_numpy(values: Any) -> Any:
-    return values.detach().cpu().numpy() if isinstance(values, Tensor) else values
+def outliers(points: Array) -> NDArray[np.bool_]:
+    """[N], which of ``points`` [N, 3] lie far from all others, as strays of a scan do.
+
+    One of them at ten times the object's size would leave the object a tenth of the window and of every scale.
+    """
+    size = float((quantile(points, 0.9) - quantile(points, 0.1)).max())
+    if len(points) <= NEIGHBOUR or np.ptp(points, axis=0).max() <= LONGEST * size:
+        return np.zeros(len(points), bool)
+    # Invalid points of a scan may all lie in one place.
+    places, place = np.unique(points, axis=0, return_inverse=True)
+    fourth = nearest_few(places, places, min(NEIGHBOUR + 1, len(places)))[:, -1]
+    distance = np.linalg.norm(places - places[fourth], axis=1)
+    far: NDArray[np.bool_] = (distance > max(OUTLIER_SIZE * size, OUTLIER_SPACINGS * float(np.median(distance))))[place.ravel()]
+    return far if far.mean() <= MOST_OUTLIERS else np.zeros(len(points), bool)
+
+
+def outliers_told(count: int) -> list[str]:
+    """The warning of so many outliers, none of none."""
+    points = "1 point lies" if count == 1 else f"{count:,} points lie"
+    return [f"{points} far from all others: left where found, and out of all measures"] if count else []
+
+
+def as_numpy(values: Any) -> Any:
+    # A tensor, known without importing torch.
+    return values.detach().cpu().numpy() if hasattr(values, "detach") else values
 
 
 def _as_colours(colours: Any, count: int, name: str) -> NDArray[np.float32]:

@@ -37,7 +37,7 @@ class RefineConfig:
     gamma : weight of the Chamfer distance to the start (longest side 1). Best 0; paper 1e6, in encoder mode 0.
     sigma_sq : variance of the projection's Gaussian in squared cells of the window, which has 64 a side; 0.4, the paper's.
         Used by the preset "paper" and by ``refine_camera``; the mask Chamfer loss of "best" has no Gaussian.
-    device : "cpu", "cuda", "auto" or any name torch knows.
+    device : where the network is: "cpu", "cuda", "auto" or any name torch knows. Points mode needs none, and is on the CPU.
     seed : recorded in the result; no mode draws random numbers.
     preset : "best", or "paper": Eq. 7 with the paper's settings.
     symmetry : "auto" (best, points mode) searches a mirror plane of the start and uses it if the views agree; "none" (paper);
@@ -78,6 +78,8 @@ class RefineConfig:
             value = getattr(self, name)
             if value is not None and not (isinstance(value, (int, float)) and low < value <= high and value >= 0.0):
                 raise InputError(f"{name} is {value!r}, expected a number {'>= 0' if low else '> 0'}, at most {high:g}")
+        if self.mode == "points" and self.device not in ("cpu", "auto"):
+            raise InputError(f"device is {self.device!r}, expected cpu or auto: mode points has no network to put there")
         if self.symmetry is not None:
             parse_symmetry(self.symmetry)
         if self.coarse_to_fine is not BEST and (self.preset, self.mode) != ("best", "points"):

@@ -1,216 +1,161 @@
-"""Losses of clouds by their views: functions of points [B, N, 3] that return [B]."""
+"""Losses of a cloud by its views: functions of points [N, 3] that return value and gradient."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from torch import Tensor
+from numpy.typing import NDArray
 
-from ..geometry.window import Array
-from ..silhouette.bce import PixelWeights, mask_loss
-from ..silhouette.depth import DepthTarget, depth_loss
-from ..silhouette.mask_chamfer import MaskTarget, mask_chamfer_loss, mask_chamfer_of_points, resolvability
-from ..silhouette.projection import CameraBatch, Projected, project
-from .camera_moves import CameraMoves
+from ..geometry.camera import NEAR, Camera
+from ..kernels.dispatch import use_compiled
+from ..losses.depth import DepthTarget, depth_loss
+from ..losses.mask_chamfer import COVERED_WITHIN, REFERENCE_POINTS, MaskTarget, mask_chamfer, resolvability
+from ..losses.projection import project
+from ..losses.silhouette import silhouette_bce
 from .resampled_view import ResampledView
 from .smooth_field import SmoothField
 
-Views = Sequence[Sequence[ResampledView]]
-Resolvability = tuple[Tensor, ...]
-"""For each `ViewGroup` [M, N] in [0, 1], how well its masks resolve the part of the cloud around each point."""
+if TYPE_CHECKING:
+    from ..kernels.mask_chamfer_numba import CompiledView
+
+Array = NDArray[np.float64]
 
 
+@dataclass(frozen=True, eq=False)
 class SilhouetteObjective:
-    """Weighted sum over views of the silhouette's cross-entropy (Eq. 4).
+    """Weighted sum over views of the silhouette's cross-entropy (Eq. 4); infinite where a view shows no point at all."""
 
-    Parameters
-    ----------
-    views : [B][V]; view v is of one kind (`ResampledView.kind`) for all clouds.
-    counts : [B] points of each cloud, the rest is padding. like : [B, N, 3], gives precision and device.
-    weights : [B, V] of the views' losses; None for 1.
-    """
+    views: Sequence[ResampledView]
+    weights: Sequence[float]
 
-    def __init__(
-        self,
-        views: Views,
-        counts: Tensor,
-        like: Tensor,
-        weights: Tensor | None = None,
-        camera_moves: CameraMoves | None = None,
-    ) -> None:
-        self.views = [ViewBatch.of(column, like) for column in zip(*views, strict=True)]
-        self._weights = None if weights is None else weights.to(like)
-        self._camera_moves = camera_moves
-        self._padded = bool((counts != like.shape[1]).any())
-        self._is_point = _is_point(counts, like)
-        self._targets = [PixelWeights.of(view.mask, view.known) for view in self.views]
-
-    def projected(self, points: Tensor, view: int) -> Projected:
-        """Where ``points`` [B, N, 3] fall in the view of that number, [B, N, 2] and [B, N]."""
-        cameras = self.views[view].cameras
-        if self._camera_moves is not None:
-            cameras = self._camera_moves.apply(cameras, view)
-        points_px, valid = (of_view[:, 0] for of_view in project(points, cameras))
-        return Projected(points_px, valid & self._is_point if self._padded else valid)
-
-    def __call__(self, points: Tensor) -> Tensor:
-        """The loss [B] of the clouds ``points`` [B, N, 3]; infinite where a view shows no point at all."""
-        losses = torch.stack(self.losses(points), 1)
-        return (losses if self._weights is None else self._weights * losses).sum(1)
-
-    def losses(self, points: Tensor) -> list[Tensor]:
-        """The loss [B] by each view, without its weight."""
-        losses = []
-        for number, (view, target) in enumerate(zip(self.views, self._targets, strict=True)):
-            points_px, valid = self.projected(points, number)
-            # Without a visible point the loss would have no gradient: a cloud behind the camera would be perfect.
-            losses.append(torch.where(valid.any(1), mask_loss(points_px, valid, target, view.sigma_sq), torch.inf))
-        return losses
+    def __call__(self, points: Array) -> tuple[float, Array]:
+        total, gradient = 0.0, np.zeros_like(points)
+        for weight, view in zip(self.weights, self.views, strict=True):
+            value, by_points = silhouette_loss(points, view, view.camera)
+            total, gradient = total + weight * value, gradient + weight * by_points
+        return total, gradient
 
 
-class ViewGroup(NamedTuple):
-    """Views of one kind, G of each of B clouds, as one batch of M = B G masks: small clouds cost mostly by the operation."""
+def silhouette_loss(points: Array, view: ResampledView, camera: Camera) -> tuple[float, Array]:
+    """The cross-entropy by one view, and its gradient [N, 3]."""
+    projected = project(points, camera)
+    # Without a visible point the loss would have no gradient: a cloud behind the camera would be perfect.
+    if not projected.valid.any():
+        return np.inf, np.zeros_like(points)
+    value, gradient_px = silhouette_bce(projected.points_px, projected.valid, *view.pixel_weights, view.sigma_sq)
+    return value, projected.pull_back(gradient_px)
 
-    target: MaskTarget  # M masks
-    cameras: CameraBatch  # [B, G]
-    weights: Tensor  # [B, G]
-    counts: Tensor  # [M]
+
+@dataclass(frozen=True, eq=False)
+class ViewTarget:
+    """A view's mask and depth map, prepared for the losses; ``weight`` is that of its loss."""
+
+    camera: Camera
+    mask: MaskTarget
     depth: DepthTarget | None
+    weight: float
+
+    @classmethod
+    def of(cls, view: ResampledView, weight: float) -> ViewTarget:
+        depth = None if view.depth is None else DepthTarget.of(view.depth, view.target.inside, view.camera)
+        return cls(view.camera, view.target, depth, weight)
+
+    @cached_property
+    def compiled(self) -> CompiledView:
+        """The mask and its camera for the compiled loop, contiguous: other arrays would be compiled anew."""
+        from ..kernels.mask_chamfer_numba import CompiledView
+
+        camera, mask = self.camera, self.mask
+        near = -np.inf if camera.model == "orthographic" else NEAR
+        return CompiledView(
+            K=np.ascontiguousarray(camera.K),
+            R=np.ascontiguousarray(camera.R),
+            t=np.ascontiguousarray(camera.t),
+            near=near,
+            inside=np.ascontiguousarray(mask.inside),
+            outside=np.ascontiguousarray(mask.outside),
+            nearest_foreground=np.ascontiguousarray(mask.nearest_foreground),
+            bounds=np.array(mask.bounds),
+            truncated=mask.truncated,
+            within=COVERED_WITHIN * mask.grain,
+            scale=mask.scale,
+            reference_points=REFERENCE_POINTS,
+        )
 
 
+@dataclass(frozen=True, eq=False)
 class ViewTargets:
-    """The masks and depth maps of all views of B clouds, prepared for the losses; parameters as `SilhouetteObjective`.
+    """The targets of all views of a cloud."""
 
-    Attributes
-    ----------
-    pixels : [B] foreground pixels and known depths of all views, of masks of 64, weighted like their losses.
-    truncated : [B] whether an image border truncates the object in every view.
-    """
+    views: tuple[ViewTarget, ...]
 
-    def __init__(self, views: Views, counts: Tensor, like: Tensor, weights: Tensor | None = None) -> None:
-        kinds = [view.kind for view in views[0]]
-        members = {kind: [v for v, other in enumerate(kinds) if other == kind] for kind in kinds}
-        self.groups: list[ViewGroup] = []
-        for group in members.values():
-            batch = ViewBatch.of([of_cloud[v] for of_cloud in views for v in group], like)
-            target = MaskTarget.of(batch.mask, batch.known, batch.bounds, batch.grain)
-            of_group = torch.ones(len(views), len(group)) if weights is None else weights[:, group]
-            depth = None if batch.depth is None else DepthTarget.of(batch.depth, target.inside, batch.cameras)
-            cameras = batch.cameras.grouped(len(group))
-            self.groups.append(ViewGroup(target, cameras, of_group.to(like), counts.repeat_interleave(len(group)), depth))
-        self.is_point = _is_point(counts, like).unsqueeze(1)  # [B, 1, N]
-        pixels, truncated = [], []
-        for target, _, of_group, _, depth in self.groups:
-            total = target.pixels() if depth is None else target.pixels() + depth.pixels()
-            pixels.append((of_group * total.view_as(of_group)).sum(1))
-            none = torch.zeros_like(of_group, dtype=torch.bool)
-            truncated.append(none if target.truncated is None else target.truncated.view_as(of_group))
-        self.pixels = torch.stack(pixels).sum(0)
-        self.truncated = torch.cat(truncated, 1).all(1)
+    @classmethod
+    def of(cls, views: Sequence[ResampledView], weights: Sequence[float]) -> ViewTargets:
+        return cls(tuple(ViewTarget.of(view, weight) for view, weight in zip(views, weights, strict=True)))
 
-    def resolvability(self, points: Tensor, field: SmoothField) -> Resolvability:
-        """Which parts of the clouds ``points`` the masks resolve; parts are the neighbourhoods of the field's nodes."""
-        nodes = torch.take_along_dim(points.detach(), field.nodes.unsqueeze(-1), 1)
-        of_groups = []
-        for target, cameras, weights, _, _ in self.groups:
-            points_px, _ = project(nodes, cameras)  # [B, G, M, 2]
-            patches = field.patches.unsqueeze(1).expand(-1, weights.shape[1], -1, -1)
-            patches_px = torch.take_along_dim(points_px.unsqueeze(2), patches.flatten(2).unsqueeze(2).unsqueeze(-1), 3)
-            grain = target.grain.view(*weights.shape, 1)
-            of_nodes = resolvability(patches_px.squeeze(2).unflatten(2, patches.shape[2:]), grain)
-            of_groups.append(torch.stack([field.of_nearest_node(of_view) for of_view in of_nodes.unbind(1)], 1).flatten(0, 1))
-        return tuple(of_groups)
+    @cached_property
+    def pixels(self) -> float:
+        """Foreground pixels and known depths of all views, of masks of 64, weighted like their losses."""
+        return sum(view.weight * (view.mask.pixels + (view.depth.pixels if view.depth else 0.0)) for view in self.views)
 
-    def observed(self, points: Tensor) -> Tensor:
-        """[B, N] which of the points [B, N, 3] lie where some view says something: within its image, or before the camera."""
-        seen = torch.zeros_like(points[..., 0], dtype=torch.bool)
-        for target, cameras, weights, _, _ in self.groups:
-            points_px, valid = project(points.detach(), cameras)
-            by_view = target.observed(points_px.flatten(0, 1), valid.flatten(0, 1)).view_as(valid)
-            seen = seen | (by_view & (weights > 0.0).unsqueeze(-1)).any(1)
-        return seen
+    @property
+    def truncated(self) -> bool:
+        """Whether an image border truncates the object in every view."""
+        return all(view.mask.truncated for view in self.views)
+
+    def resolvability(self, points: Array, field: SmoothField) -> list[Array]:
+        """For each view [N] in [0, 1], how well its mask resolves the part around each point: its node's neighbourhood."""
+        nodes = points[field.nodes]
+        return [
+            field.of_nearest_node(resolvability(project(nodes, view.camera).points_px[field.patches], view.mask.grain))
+            for view in self.views
+        ]
 
 
 @dataclass(frozen=True, eq=False)
 class MaskChamferObjective:
-    """Weighted sum over views of `mask_chamfer_loss`, and of `depth_loss` where views have depth maps.
+    """Weighted sum over views of `mask_chamfer`, and of `depth_loss` where views have depth maps.
 
-    ``robust_scale`` is in pixels of a mask of 64; without ``resolvability`` all parts count.
+    ``robust_scale`` is in pixels of a mask of 64; without ``resolvability`` all parts count. Infinite where a view of some
+    weight shows no point at all.
     """
 
     targets: ViewTargets
     robust_scale: float
-    resolvability: Resolvability | None = None
+    resolvability: list[Array] | None = None
 
-    def __call__(self, points: Tensor) -> Tensor:
-        """The loss [B] of the clouds ``points`` [B, N, 3]; infinite where a view shows no point at all."""
-        total = points.new_zeros(len(points))
-        for group, resolved in self._groups():
-            target, cameras, weights, counts, depth = group
-            points_px, valid = project(points, cameras)
-            points_px, valid = points_px.flatten(0, 1), (valid & self.targets.is_point).flatten(0, 1)
-            losses = mask_chamfer_loss(points_px, valid, target, self.robust_scale, counts, resolved)
-            if depth is not None:
-                each = points.repeat_interleave(weights.shape[1], 0)
-                losses = losses + depth_loss(each, Projected(points_px, valid), depth, self.robust_scale, counts)
-            # A view without weight may show no point.
-            shown = target.observed(points_px.detach(), valid).any(1).view_as(weights) | (weights == 0.0)
-            total = total + torch.where(shown, weights * losses.view_as(weights), torch.inf).sum(1)
-        return total
+    def __call__(self, points: Array) -> tuple[float, Array]:
+        costs, gradient, shown = self._of_masks(points)
+        total = float(costs.sum()) if shown else np.inf
+        for view in self.targets.views:
+            if view.depth is not None and view.weight > 0.0:
+                value, by_points = depth_loss(points, project(points, view.camera), view.depth, self.robust_scale)
+                total, gradient = total + view.weight * value, gradient + view.weight * by_points
+        return total, gradient
 
-    def per_point(self, points: Tensor) -> Tensor:
-        """[B, N] what each point adds to the masks' part of the loss."""
-        total = torch.zeros_like(points[..., 0])
-        for (target, cameras, weights, counts, _), resolved in self._groups():
-            points_px, valid = project(points.detach(), cameras)
-            valid = (valid & self.targets.is_point).flatten(0, 1)
-            each = mask_chamfer_of_points(points_px.flatten(0, 1), valid, target, self.robust_scale, counts, resolved)
-            total += (weights.unsqueeze(-1) * each.view(*weights.shape, -1)).sum(1)
-        return total
+    def per_point(self, points: Array) -> Array:
+        """[N] what each point adds to the masks' part of the loss."""
+        return self._of_masks(points)[0]
 
-    def _groups(self) -> list[tuple[ViewGroup, Tensor | None]]:
-        groups = self.targets.groups
-        return list(zip(groups, self.resolvability or [None] * len(groups), strict=True))
+    def _of_masks(self, points: Array) -> tuple[Array, Array, bool]:
+        """What each point adds, [N], the gradient [N, 3], and whether all views show points."""
+        costs, gradient, shown = np.zeros(len(points)), np.zeros_like(points), True
+        for number, view in enumerate(self.targets.views):
+            if view.weight == 0.0:
+                continue
+            resolved = self.resolvability[number] if self.resolvability else None
+            if use_compiled():
+                from ..kernels.mask_chamfer_numba import mask_chamfer as compiled
 
-
-@dataclass(frozen=True, eq=False)
-class ViewBatch:
-    """One view of each of B clouds, as tensors."""
-
-    mask: Tensor  # [B, h, w]
-    known: Tensor | None  # [B, h, w]
-    cameras: CameraBatch  # [B, 1]
-    sigma_sq: float
-    bounds: Tensor  # [B, 4]
-    grain: Tensor  # [B]
-    depth: Tensor | None = None  # [B, h, w]
-
-    @classmethod
-    def of(cls, views: Sequence[ResampledView], like: Tensor) -> ViewBatch:
-        """Raises ValueError where the views are not of one kind."""
-
-        def stacked(arrays: list[Array]) -> Tensor:
-            return torch.as_tensor(np.stack(arrays), dtype=like.dtype, device=like.device)
-
-        first = views[0]
-        if any(view.kind != first.kind for view in views):
-            raise ValueError("views of one batch share size, camera model and sigma^2")
-        known = None
-        if any(view.known is not None for view in views):
-            known = stacked([np.ones_like(view.mask) if view.known is None else view.known for view in views])
-        depth = None
-        if any(view.depth is not None for view in views):
-            depth = stacked([np.full_like(view.mask, np.nan) if view.depth is None else view.depth for view in views])
-        cameras = CameraBatch.of([view.camera for view in views], like).one_each()
-        bounds = stacked([np.array(view.bounds) for view in views])
-        grain = stacked([np.array(view.grain) for view in views])
-        return cls(stacked([view.mask for view in views]), known, cameras, first.sigma_sq, bounds, grain, depth)
-
-
-def _is_point(counts: Tensor, like: Tensor) -> Tensor:
-    """[B, N] which rows are points, not padding."""
-    return (torch.arange(like.shape[1]) < counts.unsqueeze(1)).to(like.device)
+                shown &= compiled(points, view.compiled, self.robust_scale, resolved, view.weight, costs, gradient)
+                continue
+            projected = project(points, view.camera)
+            of_points, gradient_px = mask_chamfer(projected.points_px, projected.valid, view.mask, self.robust_scale, resolved)
+            costs += view.weight * of_points
+            gradient += view.weight * projected.pull_back(gradient_px)
+            shown &= bool(view.mask.observed(projected.points_px, projected.valid).any())
+        return costs, gradient, shown

@@ -95,8 +95,8 @@ def box_iou(a: Box, b: Box) -> float:
     return common / union if union > 0.0 else 0.0
 
 
-def require_overlap(placement: Placement, view: View) -> None:
-    """Raise InputError for a cloud and a mask that do not meet; warn of points behind the camera."""
+def require_overlap(placement: Placement, view: View, warn: bool = True) -> None:
+    """Raise InputError for a cloud and a mask that do not meet; warn of points behind the camera where ``warn``."""
     advice = (
         "check the camera's axes (OpenCV: x right, y down, z forward; X_camera = R X_world + t) and units, "
         "or look at the numbers with --check"
@@ -111,7 +111,7 @@ def require_overlap(placement: Placement, view: View) -> None:
             f"({describe_box(placement.mask_box)}) hardly meet: IoU of the boxes {placement.box_iou:.3f}, expected over "
             f"{SMALLEST_BOX_IOU}; {advice}"
         )
-    if placement.behind:
+    if placement.behind and warn:
         warnings.warn(
             f"{view.name}: {placement.behind} of {placement.points} points lie behind the camera and take no part", stacklevel=2
         )

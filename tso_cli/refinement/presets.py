@@ -40,7 +40,7 @@ class Stage:
 
     smoothness: float
     robust_scale: float
-    learning_rate_scale: float
+    learning_rate_scale: float = 1.0
     nodes: int = FIELD_NODES
     averaging_weight: float = 1.0
     blur: float = 0.5
@@ -51,8 +51,8 @@ class Stage:
 # Where stages disagree, the later one is wrong about as often as it is right. Their mean is about as accurate as the last
 # stage, and is less often worse than the start.
 STAGES = (
-    Stage(100.0, 6.0, 1.0, 256, 1.0, 2.0),
-    Stage(10.0, 3.0, 0.75, 512, 2.0, 1.0),
+    Stage(100.0, 6.0, 1.0, 256, 1.0, blur=2.0),
+    Stage(10.0, 3.0, 0.75, 512, 2.0, blur=1.0),
     Stage(1.0, 3.0, 0.35, FIELD_NODES, 3.0, fine_grid=True),
 )
 
@@ -65,13 +65,11 @@ class CoarseToFineConfig:
     ----------
     stages : in this order.
     prior_weight : cost of moving a point, per squared distance (longest side 1), where the start's mean loss per mask pixel
-        is e = 1 px^2. A worse start is held less, by prior_weight / e^prior_decay, within ``least_prior_weight`` (for one
-        view) and ``most_prior_weight``.
-    local_prior : whether a part of the cloud that fits badly is held less than the rest.
-    by_area : whether points are held in proportion to the surface area they represent, or all alike.
+        is e = 1 px^2. A worse start is held less, by prior_weight / e^prior_decay, but by at least ``least_prior_weight`` (for
+        one view).
     truncated_prior : factor of the prior where every image border truncates the object.
-    unobserved_motion : factor of the displacement of points outside every image.
-    per_cloud_adam : whether Adam's step has one scale per cloud (`UniformAdam`) or one per number.
+    local_prior : whether a part of the cloud that fits badly is held less than the rest.
+    uniform_adam : whether Adam's step has one scale for the whole cloud (`UniformAdam`) or one per number.
     use_resolvability : whether parts too thin for the pixels to resolve are left out of the background term.
     weigh_views : whether views that others contradict, or repeat, count less.
     """
@@ -80,12 +78,9 @@ class CoarseToFineConfig:
     prior_weight: float = 300.0
     prior_decay: float = 1.0
     least_prior_weight: float = 200.0
-    most_prior_weight: float = 3000.0
-    local_prior: bool = True
-    by_area: bool = True
     truncated_prior: float = 3.0
-    unobserved_motion: float = 0.1
-    per_cloud_adam: bool = True
+    local_prior: bool = True
+    uniform_adam: bool = True
     use_resolvability: bool = True
     weigh_views: bool = True
 
@@ -94,10 +89,10 @@ BEST = CoarseToFineConfig()
 # The network modes: weights move many points together, so no field is needed; and a prediction that is far off is the wrong
 # shape, which small changes of weights do not mend, so the prior falls more slowly.
 NETWORK = CoarseToFineConfig(
-    stages=(Stage(0.0, 3.0, 1.0),), prior_weight=500.0, prior_decay=0.5, least_prior_weight=30.0, local_prior=False
+    stages=(Stage(0.0, 3.0),), prior_weight=500.0, prior_decay=0.5, least_prior_weight=30.0, local_prior=False
 )
 # The symmetry check: one short, loosely held stage. A strong prior would hide how the two descents it compares differ.
 SYMMETRY_PROBE = CoarseToFineConfig(
-    stages=(Stage(10.0, 6.0, 1.0, 512),), prior_weight=350.0, least_prior_weight=30.0, local_prior=False
+    stages=(Stage(10.0, 6.0, nodes=512),), prior_weight=350.0, least_prior_weight=30.0, local_prior=False
 )
 SYMMETRY_PROBE_STEPS = 20

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -62,7 +61,7 @@ class Problem:
         return replace(self, views=views, all_views=all_views, resampled=resampled, fine_grids=fine_grids)
 
     def with_windows_around(self, points: Array, fine_grid: bool) -> Problem:
-        """The same with windows around ``points`` [N, 3] (units of the file), resampled where they change much.
+        """The same with windows around ``points`` [N, 3] (units of the file), resampled where they change much; else itself.
 
         A cloud that starts far from its mask needs a large window at first, which would resolve little detail later.
         """
@@ -72,6 +71,8 @@ class Problem:
             box = window_of(view, points)
             same = current.camera.width == cells and abs(np.log(_side(box) / _side(current.box))) <= WINDOW_CHANGE
             resampled.append(current if same else resample_view(view, current.sigma_sq, cloud.centre, cloud.scale, box, cells))
+        if all(new is old for new, old in zip(resampled, self.resampled, strict=True)):
+            return self
         return replace(self, resampled=tuple(resampled))
 
     def evidence(self, weights: list[float]) -> float:
@@ -80,11 +81,6 @@ class Problem:
         return sum(
             weight * (1.0 + flipped + (view.depth is not None)) for weight, view in zip(weights, self.views, strict=True)
         )
-
-    @property
-    def cells(self) -> int:
-        """Of all resampled views."""
-        return sum(view.mask.size for view in self.resampled)
 
 
 def _side(box: Box) -> float:
@@ -109,12 +105,10 @@ def _require_plane_through(cloud: Cloud, views: tuple[View, ...], decision: Symm
     assert decision.plane is not None
     for view in views:
         flipped = decision.plane.view(view)
-        with warnings.catch_warnings():
+        try:
             # The view itself has warned of points behind the camera.
-            warnings.simplefilter("ignore")
-            try:
-                require_overlap(place(cloud.initial, flipped), flipped)
-            except InputError as error:
-                raise InputError(
-                    f"symmetry is {symmetry!r}, expected a plane ax + by + cz = d through the cloud; as it is, {error}"
-                ) from None
+            require_overlap(place(cloud.initial, flipped), flipped, warn=False)
+        except InputError as error:
+            raise InputError(
+                f"symmetry is {symmetry!r}, expected a plane ax + by + cz = d through the cloud; as it is, {error}"
+            ) from None

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-import torch
-from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.camera import NEAR, Camera
 from ..geometry.resampling import area_resize
 from ..geometry.view import View
 from ..geometry.window import Array, Box, window_of
-from ..silhouette.bce import REFERENCE_PIXELS
-from ..silhouette.mask_chamfer import sides
+from ..losses.mask_chamfer import REFERENCE_SIDE, MaskTarget
 
 # Cells along the side of a resampled view; `fine_cells` says where there are more.
 CELLS = 64
@@ -47,24 +45,23 @@ class ResampledView:
         """Cells to a pixel of an enlarged mask, else 1: the mask resolves nothing finer."""
         return max(1.0, self.camera.width / (self.box[2] - self.box[0]))
 
-    @property
-    def inside(self) -> NDArray[np.bool_]:
-        """[h, h], cells known to be foreground."""
-        known = None if self.known is None else torch.from_numpy(self.known)[None]
-        foreground: NDArray[np.bool_] = sides(torch.from_numpy(self.mask)[None], known)[0][0].numpy()
-        return foreground
+    @cached_property
+    def target(self) -> MaskTarget:
+        """The mask, prepared for the mask Chamfer loss."""
+        return MaskTarget.of(self.mask, self.known, self.bounds, self.grain)
 
-    @property
-    def kind(self) -> tuple[int, int, str, float]:
-        """What views must have in common to form a `ViewBatch`."""
-        return self.camera.width, self.camera.height, self.camera.model, self.sigma_sq
+    @cached_property
+    def pixel_weights(self) -> tuple[Array, Array]:
+        """[h, h] weights of the two terms of Eq. 4: of covering a cell, and of leaving it free."""
+        known = 1.0 if self.known is None else self.known
+        return self.mask * known, (1.0 - self.mask) * known
 
     @property
     def magnification(self) -> float:
         """Pixels of a 64x64 mask per unit length at the cloud's centre; the silhouette loss is proportional to it."""
         camera = self.camera
         depth = 1.0 if camera.model == "orthographic" else max(float(camera.t[2]), NEAR)
-        return float(np.sqrt(camera.K[0, 0] * camera.K[1, 1] * REFERENCE_PIXELS / (camera.width * camera.height)) / depth)
+        return float(np.sqrt(camera.K[0, 0] * camera.K[1, 1] / (camera.width * camera.height)) * REFERENCE_SIDE / depth)
 
 
 def resample_view(
@@ -93,7 +90,7 @@ def resample_view(
     known = None if view.known is None and weight.min() >= 1.0 - 1e-9 else weight
     bounds = _image_bounds(box, view.camera, cells)
     resampled = ResampledView(mask, known, camera.for_normalised(centre, scale), sigma_sq, box, bounds, depth, image)
-    if not resampled.inside.any():
+    if not resampled.target.inside.any():
         raise InputError(
             f"{view.name}: no pixel is known to be foreground when it is worked on at {cells}x{cells}, expected "
             "some; its ignore map leaves less than half of each"

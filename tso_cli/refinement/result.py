@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..geometry.camera import Camera
 from ..geometry.view import View
 from ..geometry.window import Box
+from .cloud import outliers_told
 from .placement import mask_doubts
 from .symmetry import SymmetryOutcome
 
@@ -47,6 +48,7 @@ class RefineResult:
     chamfer_to_initial : squared distances, mean over points, both directions summed, for a cloud of longest side 1.
     surface : of a mesh the points [S, 3] sampled from its surface before and after, which IoU is of; None of a cloud.
     surface_samples : how many samples moved, which moved_mean and chamfer_to_initial are of; None of a cloud.
+    outliers : [N] bool, points far from all others: they stay where they are, and no measure is of them.
     symmetry : a, b, c, d of the mirror plane ax + by + cz = d that was used, in the frame of the input, or None.
     symmetry_outcome : "used" (a plane that was found), "given", or without a plane "not_asked", "none_found" (the cloud has
         none) or "contradicted" (the cloud has one, the views contradict it). symmetry_reason : the measurement, in words.
@@ -89,11 +91,14 @@ class RefineResult:
     warnings: tuple[str, ...] = ()
     surface: tuple[Array, Array] | None = None
     surface_samples: int | None = None
+    outliers: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
 
     @property
     def judged(self) -> tuple[Array, Array]:
-        """The points that measures are of, before and after: those of a cloud, or samples [S, 3] of a surface."""
-        return self.surface or (self.initial, self.points)
+        """The points that measures are of, before and after: those of a cloud but outliers, or samples [S, 3] of a surface."""
+        if self.surface or not self.outliers.any():
+            return self.surface or (self.initial, self.points)
+        return self.initial[~self.outliers], self.points[~self.outliers]
 
     @property
     def averaged(self) -> bool:
@@ -134,8 +139,9 @@ def result_warnings(result: RefineResult, views: Sequence[View], steps: int) -> 
         messages.append(f"the loss was no number after step {result.steps}: the result is the best before that")
     elif result.moved_max < SMALL_DISPLACEMENT:
         messages.append(f"hardly anything moved: no point by more than {100.0 * SMALL_DISPLACEMENT:g} % of the object's size")
+    messages += outliers_told(int(result.outliers.sum()))
     for view in views:
-        messages += mask_doubts(view, result.surface_samples or len(result.points))
+        messages += mask_doubts(view, result.surface_samples or len(result.judged[0]))
     messages += [
         f"{view.name}: the other views contradict it, so it counts for little (trust {weight:.2f} of 1); is its mask or camera "
         "wrong?"

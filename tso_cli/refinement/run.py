@@ -1,4 +1,4 @@
-"""One batch, from prepared problems to results."""
+"""One cloud, from its prepared problem to the result."""
 
 from __future__ import annotations
 
@@ -6,34 +6,29 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
-import torch
-from torch import Tensor
 
-from ..device import one_thread
 from ..errors import TsoError
 from ..evaluation.footprint import common_window, window_iou
 from ..geometry.view import View
-from ..silhouette.chamfer import ChamferToInitial
+from ..losses.chamfer import ChamferToStart
+from ..losses.photometric import Photo, PhotometricTerm
 from .adam import Adam
 from .camera_correction import corrected_cameras
 from .cloud import Array, MovedCloud
-from .coarse_to_fine import CoarseToFine, SmoothFields, WindowedTargets, network_objective, total_loss
+from .coarse_to_fine import CoarseToFine, network_objective
 from .config import Settings
 from .objective import SilhouetteObjective, ViewTargets
-from .optimise import Descent, Objective, Progress, descend
-from .parameters import NetworkParameters, PointParameters
-from .photometric import PhotometricLoss
+from .optimise import Descent, Parameters, Progress, Term, descend, sum_of
+from .parameters import PointParameters
+from .presets import Stage
 from .problem import Problem
 from .result import RefineResult, StopReason, result_warnings
+from .smooth_field import SmoothField
 from .symmetry_check import verified_symmetry
 from .view_weights import ViewWeights
 
-# Clouds up to this size run on one CPU thread, alone or in a batch: threads would wait for one another.
-SMALL_CLOUD = 8192
-ONE_THREAD_MODES = ("points", "latent")
 # A start of lower IoU hardly touches its mask, as a pole beside its own: coming nearer need not raise the IoU.
 FEEBLE_IOU = 0.1
 
@@ -53,121 +48,112 @@ class Stopwatch:
 
 @dataclass(frozen=True, eq=False)
 class _Prepared:
-    """A batch whose cameras, view weights and mirror planes are decided."""
+    """A problem whose cameras, view weights and mirror plane are decided."""
 
-    problems: Sequence[Problem]
-    initial: Tensor  # [B, N, 3], normalised
+    problem: Problem
     view_weights: ViewWeights  # of the views that were given
-    loss_weights: Tensor  # [B, V or 2 V], of all views
-    fields: SmoothFields  # of ``initial``
+    loss_weights: list[float]  # of all views
     interrupted: bool  # Ctrl-C came, and nothing moves
+    field: SmoothField | None = None  # of the start
 
 
-def run_batch(
-    problems: Sequence[Problem],
-    parameters: PointParameters | NetworkParameters,
+def run(
+    problem: Problem,
     settings: Settings,
     stopwatch: Stopwatch,
+    network: Parameters | None = None,
     on_progress: Progress | None = None,
     interrupted: bool = False,
-) -> list[RefineResult | TsoError]:
-    """The results of B problems of one batch; ``interrupted`` : Ctrl-C came before, and nothing moves."""
-    given_views = [problem.views for problem in problems]
-    small = int(parameters.counts.max()) <= SMALL_CLOUD
-    with one_thread(small and settings.mode in ONE_THREAD_MODES):
-        prepared = _prepare(problems, parameters, settings, stopwatch, interrupted)
-        chamfer = ChamferToInitial(prepared.initial, parameters.counts)
-        with stopwatch.phase("optimise"):
-            descent, problems = _optimise(prepared, parameters, chamfer, settings, on_progress)
-    with stopwatch.phase("judge"), one_thread(small):
-        displacements = descent.best.double() - prepared.initial.double()
-        outcomes = _judge(problems, given_views, displacements, prepared.view_weights, settings)
-        for row, outcome in zip(displacements, outcomes, strict=True):
-            row[: len(outcome.moved.displacements)] = torch.from_numpy(outcome.moved.displacements)
-        chamfer_to_initial = chamfer((prepared.initial.double() + displacements).to(prepared.initial)).tolist()
-    seconds = {phase: value / len(problems) for phase, value in stopwatch.seconds.items()}
-    return [
-        _result(number, problem, outcome, descent, prepared, chamfer_to_initial[number], settings, seconds)
-        for number, (problem, outcome) in enumerate(zip(problems, outcomes, strict=True))
-    ]
+) -> RefineResult:
+    """The result of a problem; ``interrupted`` : Ctrl-C came before, and nothing moves.
+
+    Raises TsoError where the loss of the start, or after the first step, is not a finite number.
+    """
+    given_views = problem.views
+    prepared = _prepare(problem, settings, stopwatch, interrupted)
+    chamfer = ChamferToStart(problem.cloud.normalised())
+    with stopwatch.phase("optimise"):
+        descent, problem = _optimise(prepared, network, chamfer, settings, on_progress)
+    with stopwatch.phase("judge"):
+        displacements = descent.best - chamfer.initial
+        outcome = _judge(problem, given_views, displacements, prepared.view_weights, settings)
+        chamfer_to_initial = chamfer(chamfer.initial + outcome.moved.displacements)[0]
+    return _result(problem, outcome, descent, prepared, chamfer_to_initial, settings, stopwatch.seconds)
 
 
-def _prepare(
-    problems: Sequence[Problem],
-    parameters: PointParameters | NetworkParameters,
-    settings: Settings,
-    stopwatch: Stopwatch,
-    interrupted: bool,
-) -> _Prepared:
-    counts = parameters.counts
-    initial = parameters.forward().detach().clone()
+def _prepare(problem: Problem, settings: Settings, stopwatch: Stopwatch, interrupted: bool) -> _Prepared:
     if settings.refine_camera and settings.steps and not interrupted:
         with stopwatch.phase("cameras"):
-            problems, interrupted = corrected_cameras(problems, initial, counts, settings)
+            problem, interrupted = corrected_cameras(problem, settings)
     with stopwatch.phase("prepare"):
-        views = len(problems[0].views)
-        weights = ViewWeights.even(len(problems), views)
+        views = len(problem.views)
+        weights = ViewWeights.even(views)
         if settings.preset == "best" and settings.coarse_to_fine.weigh_views:
-            weights = ViewWeights.of([problem.resampled[:views] for problem in problems], counts, initial)
-        loss_weights, fields = weights.loss, SmoothFields(initial, counts)
-        if len(problems[0].resampled) > views:  # flipped views
-            if settings.symmetry == "auto" and settings.steps and not interrupted:
-                problems, loss_weights, interrupted = verified_symmetry(
-                    problems, counts, initial, weights.loss, settings, fields
-                )
-            else:
-                loss_weights = weights.loss.repeat(1, 2)
-    return _Prepared(problems, initial, weights, loss_weights, fields, interrupted)
+            weights = ViewWeights.of(problem.resampled[:views], problem.cloud.normalised())
+        field = SmoothField(problem.cloud.normalised()) if settings.staged else None
+        checked = settings.symmetry == "auto" and len(problem.resampled) > views
+        if checked and settings.steps and not interrupted and field:
+            problem, interrupted = verified_symmetry(problem, weights.loss, settings, field)
+    loss_weights = weights.loss * (2 if len(problem.resampled) > views else 1)
+    return _Prepared(problem, weights, loss_weights, interrupted, field)
 
 
 def _optimise(
     prepared: _Prepared,
-    parameters: PointParameters | NetworkParameters,
-    chamfer: ChamferToInitial,
+    network: Parameters | None,
+    chamfer: ChamferToStart,
     settings: Settings,
     on_progress: Progress | None,
-) -> tuple[Descent, Sequence[Problem]]:
-    """The descent, and the problems with their last windows."""
-    problems, initial, counts, weights = prepared.problems, prepared.initial, parameters.counts, prepared.loss_weights
+) -> tuple[Descent, Problem]:
+    """The descent, and the problem with its last windows."""
+    problem, initial, weights = prepared.problem, chamfer.initial, prepared.loss_weights
     steps = 0 if prepared.interrupted else settings.steps
     on_progress = None if prepared.interrupted else on_progress
-    regulariser = partial(_weighted, settings.gamma, chamfer) if settings.gamma else None
-    if settings.staged:
-        per_cloud = prepared.view_weights.loss.tolist()
-        evidence = torch.tensor([problem.evidence(row) for problem, row in zip(problems, per_cloud, strict=True)])
+    regulariser: list[Term] = [_Weighted(settings.gamma, chamfer)] if settings.gamma else []
+    if prepared.field:
+        photos, colours = _photos(problem, prepared.view_weights.loss), np.asarray(problem.cloud.colours, dtype=np.float64)
+
+        def further_terms(points: Array, stage: Stage) -> list[Term]:
+            return [*regulariser, *(PhotometricTerm.at(photo, colours, points, stage.blur) for photo in photos)]
+
         coarse_to_fine = CoarseToFine(
-            WindowedTargets.of(problems, initial, counts, weights),
-            prepared.fields,
+            problem,
+            weights,
+            prepared.field,
             settings.coarse_to_fine,
             settings.learning_rate,
-            evidence=evidence,
-            photometric=_photometric(problems[0], per_cloud[0], initial),
-            regulariser=regulariser,
+            evidence=problem.evidence(prepared.view_weights.loss),
+            further_terms=further_terms,
         )
-        descent, problems = coarse_to_fine.run(steps, on_progress)
+        descent, problem = coarse_to_fine.run(steps, on_progress)
     else:
-        views = [problem.resampled for problem in problems]
-        term: Objective
+        term: Term = SilhouetteObjective(problem.resampled, weights)
         if settings.preset == "best":
-            term = network_objective(initial, counts, ViewTargets(views, counts, initial, weights))
-        else:
-            term = SilhouetteObjective(views, counts, initial, weights)
-        objective = partial(total_loss, [term, regulariser]) if regulariser else term
-        optimiser = Adam(parameters.parameters, settings.learning_rate)
-        descent = descend(parameters.forward, objective, optimiser, steps, on_progress)
-    return replace(descent, interrupted=descent.interrupted or prepared.interrupted), problems
+            term = network_objective(initial, ViewTargets.of(problem.resampled, weights))
+        parameters = network or PointParameters(initial, Adam(settings.learning_rate))
+        descent = descend(parameters, sum_of([term, *regulariser]), steps, on_progress)
+    return replace(descent, interrupted=descent.interrupted or prepared.interrupted), problem
 
 
-def _weighted(weight: float, term: Objective, points: Tensor) -> Tensor:
-    return weight * term(points)
+@dataclass(frozen=True, eq=False)
+class _Weighted:
+    weight: float
+    term: Term
+
+    def __call__(self, points: Array) -> tuple[float, Array]:
+        value, gradient = self.term(points)
+        return self.weight * value, self.weight * gradient
 
 
-def _photometric(problem: Problem, weights: list[float], initial: Tensor) -> PhotometricLoss | None:
-    """Of a single cloud with colours, by its own views: paint, lettering above all, is not symmetric where the shape is."""
+def _photos(problem: Problem, weights: list[float]) -> list[Photo]:
+    """Of a cloud with colours, by its own views: paint, lettering above all, is not symmetric where the shape is."""
     if problem.cloud.colours is None:
-        return None
-    own_views = problem.resampled[: len(problem.views)]
-    return PhotometricLoss.of(own_views, weights, torch.from_numpy(problem.cloud.colours), initial)
+        return []
+    return [
+        Photo(view.image, view.target.inside, view.camera, weight)
+        for view, weight in zip(problem.resampled, weights, strict=False)
+        if view.image is not None
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,24 +164,15 @@ class _Outcome:
 
 
 def _judge(
-    problems: Sequence[Problem],
-    given_views: Sequence[tuple[View, ...]],
-    displacements: Tensor,
-    view_weights: ViewWeights,
-    settings: Settings,
-) -> list[_Outcome]:
-    outcomes = []
-    for problem, views, displacement, weights in zip(
-        problems, given_views, displacements.cpu().numpy(), view_weights.loss.tolist(), strict=True
-    ):
-        moved = problem.cloud.moved(displacement)
-        outcome = _Outcome(moved, view_ious(problem.cloud.judged, moved.judged, views, problem.views))
-        # Corrected cameras may lower the IoU rightly.
-        if settings.staged and problem.views == views and _agrees_less(problem, outcome.ious, weights):
-            unmoved = problem.cloud.moved(np.zeros_like(moved.displacements))
-            outcome = _Outcome(unmoved, [(before, before) for before, _ in outcome.ious], reverted=True)
-        outcomes.append(outcome)
-    return outcomes
+    problem: Problem, given_views: Sequence[View], displacements: Array, weights: ViewWeights, settings: Settings
+) -> _Outcome:
+    moved = problem.cloud.moved(displacements)
+    outcome = _Outcome(moved, view_ious(problem.cloud.judged, moved.judged, given_views, problem.views))
+    # Corrected cameras may lower the IoU rightly.
+    if settings.staged and problem.views == given_views and _agrees_less(problem, outcome.ious, weights.loss):
+        unmoved = problem.cloud.moved(np.zeros_like(moved.displacements))
+        outcome = _Outcome(unmoved, [(before, before) for before, _ in outcome.ious], reverted=True)
+    return outcome
 
 
 def view_ious(initial: Array, refined: Array, given: Sequence[View], corrected: Sequence[View]) -> list[tuple[float, float]]:
@@ -220,7 +197,6 @@ def _agrees_less(problem: Problem, ious: list[tuple[float, float]], weights: lis
 
 
 def _result(
-    number: int,
     problem: Problem,
     outcome: _Outcome,
     descent: Descent,
@@ -228,34 +204,32 @@ def _result(
     chamfer_to_initial: float,
     settings: Settings,
     seconds: dict[str, float],
-) -> RefineResult | TsoError:
-    losses = descent.losses[:, number]
-    finite = np.isfinite(losses)
-    steps = int(finite.sum()) - 1
-    if steps < 0:
-        return TsoError("the loss of the start is no finite number")
-    if steps == 0 and not finite.all():
-        return TsoError("the loss is no finite number after the first step (a smaller learning rate?)")
+) -> RefineResult:
+    losses = [loss for loss in descent.losses if np.isfinite(loss)]
+    finite = len(losses) == len(descent.losses)
+    if not losses:
+        raise TsoError("the loss of the start is no finite number")
+    if len(losses) == 1 and not finite:
+        raise TsoError("the loss is no finite number after the first step (a smaller learning rate?)")
     cloud, moved, plane = problem.cloud, outcome.moved, problem.symmetry.plane
-    best_step = 0 if outcome.reverted else int(descent.best_step[number])
-    first_loss = float(descent.first_loss[number])
+    best_step = 0 if outcome.reverted else descent.best_step
     iou_before, iou_after = np.mean(outcome.ious, 0).tolist()
     lengths = np.linalg.norm(moved.displacements, axis=1)
     result = RefineResult(
         points=moved.points,
         initial=cloud.given,
         mode=settings.mode,
-        steps=steps,
+        steps=len(losses) - 1,
         best_step=best_step,
-        stop_reason=_stop_reason(bool(finite.all()), descent.interrupted, best_step, first_loss, settings.steps),
-        losses=losses[finite].tolist(),
-        loss_before=first_loss,
-        loss_after=first_loss if outcome.reverted else float(descent.best_loss[number]),
+        stop_reason=_stop_reason(finite, descent.interrupted, best_step, descent.first_loss, settings.steps),
+        losses=losses,
+        loss_before=descent.first_loss,
+        loss_after=descent.first_loss if outcome.reverted else descent.best_loss,
         iou_before=iou_before,
         iou_after=iou_after,
         view_ious=outcome.ious,
-        view_trust=prepared.view_weights.inlier[number].tolist(),
-        view_weights=prepared.view_weights.loss[number].tolist(),
+        view_trust=prepared.view_weights.inlier,
+        view_weights=prepared.view_weights.loss,
         view_windows=[(view.box, view.camera.width) for view in problem.resampled[: len(problem.views)]],
         moved_mean=float(lengths.mean()),
         moved_max=float(lengths.max()),
@@ -267,12 +241,13 @@ def _result(
         learning_rate=settings.learning_rate,
         gamma=settings.gamma,
         sigma_sq=settings.sigma_sq,
-        device=str(prepared.initial.device),
+        device=settings.device,
         seed=settings.seed,
         cameras=tuple(view.camera for view in problem.views),
         seconds=seconds,
         surface=(cloud.judged, moved.judged) if cloud.surface else None,
         surface_samples=len(moved.displacements) if cloud.surface else None,
+        outliers=cloud.outliers,
     )
     return replace(result, warnings=result_warnings(result, problem.views, settings.steps))
 

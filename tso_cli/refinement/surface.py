@@ -6,7 +6,6 @@ import warnings
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from ..errors import InputError
@@ -79,7 +78,7 @@ class Surface:
         from scipy.spatial import cKDTree
 
         distance, nearest = cKDTree(self.samples).query(self.vertices, INTERPOLATED_FROM)
-        weights = falling_weights(torch.from_numpy(distance)).numpy()
+        weights = falling_weights(distance)
         count = len(displacements)
         # [S, S]: how far the faces carry each sample, per displacement of every sample.
         carried = np.zeros((count, count))

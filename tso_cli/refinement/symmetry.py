@@ -6,13 +6,12 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from ..device import one_thread
-from ..geometry.points import as_points, farthest_point_sample, spread_subset
+from ..geometry.points import as_points, quantile
 from ..geometry.view import View
-from ..kernels.nearest import nearest
+from ..losses.chamfer import spacings
+from ..losses.nearest import nearest, spread_subset
 from .cloud import Cloud
 from .config import parse_symmetry
 
@@ -86,7 +85,7 @@ def find_mirror_plane(points: Array) -> MirrorPlane:
     judged = points[spread_subset(points, JUDGED_POINTS)]
     if len(judged) < 4:
         return MirrorPlane(np.array([1.0, 0.0, 0.0]), float(points[:, 0].mean()), np.inf, np.inf)
-    subset = judged[farthest_point_sample(judged, min(SEARCH_POINTS, len(judged)))]
+    subset = judged[spread_subset(judged, SEARCH_POINTS)]
     centre = subset.mean(0)
     axes = np.concatenate([np.eye(3), np.linalg.svd(subset - centre, full_matrices=False)[2]])
     spacing = _spacing(judged)
@@ -113,10 +112,11 @@ def find_mirror_plane(points: Array) -> MirrorPlane:
 def _improved(plane: MirrorPlane, points: Array) -> tuple[MirrorPlane, float]:
     """The plane fitted to pairs of mirrored points and their nearest neighbours, and the given plane's mean squared misfit."""
     image = plane.reflect(points)
-    pairs = points[_nearest(image, points)]
+    pairs = points[nearest(image, points)]
     distance = np.linalg.norm(image - pairs, axis=1)
     # The furthest fifth has no counterpart, and would turn the plane.
-    kept = distance <= np.quantile(distance, 0.8)
+    last = int(0.8 * (len(distance) - 1))
+    kept = distance <= np.partition(distance, last)[last]
     x, y = points[kept], pairs[kept]
     mean_x, mean_y = x.mean(0), y.mean(0)
     product = (x - mean_x).T @ (y - mean_y)
@@ -126,25 +126,18 @@ def _improved(plane: MirrorPlane, points: Array) -> tuple[MirrorPlane, float]:
 
 def _judged(plane: MirrorPlane, cloud: Array, queries: Array, spacing: float) -> MirrorPlane:
     image = plane.reflect(queries)
-    distance = np.linalg.norm(image - cloud[_nearest(image, cloud)], axis=1)
+    distance = np.linalg.norm(image - cloud[nearest(image, cloud)], axis=1)
     if spacing == 0.0:
         # Coinciding points: any distance is infinitely many spacings.
         misfit = np.inf if distance.any() else 0.0
         return replace(plane, misfit=misfit, far=misfit)
     distance /= spacing
-    return replace(plane, misfit=float(distance.mean()), far=float(np.quantile(distance, FAR_QUANTILE)))
+    return replace(plane, misfit=float(distance.mean()), far=float(quantile(distance, FAR_QUANTILE)))
 
 
 def _spacing(points: Array) -> float:
     """Mean distance from a point to its nearest neighbour."""
-    matrix = torch.from_numpy(points)
-    distance = torch.cdist(matrix, matrix, compute_mode="donot_use_mm_for_euclid_dist").fill_diagonal_(torch.inf)
-    return float(distance.amin(1).mean())
-
-
-def _nearest(queries: Array, data: Array) -> NDArray[np.int64]:
-    index: NDArray[np.int64] = nearest(torch.from_numpy(queries), torch.from_numpy(data)).numpy()
-    return index
+    return float(spacings(points).mean())
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,8 +182,7 @@ def decide_symmetry(cloud: Cloud, symmetry: str) -> SymmetryDecision:
         return SymmetryDecision("not_asked")
     if parsed == "auto":
         # Searched in normalised coordinates and rounded, so that neither unit nor origin of the input changes the result.
-        with one_thread(True):
-            plane = find_mirror_plane(cloud.normalised())
+        plane = find_mirror_plane(cloud.normalised())
         normal = plane.normal.round(6) / np.linalg.norm(plane.normal.round(6))
         offset = cloud.scale * round(plane.offset, 6) + float(normal @ cloud.centre)
         plane = replace(plane, normal=normal, offset=offset)

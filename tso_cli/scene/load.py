@@ -66,10 +66,16 @@ class Scene:
 
         return Surface.of(self.points, self.faces, str(self.cloud.path))
 
-    @property
+    @cached_property
     def moving(self) -> Array:
-        """What a refinement moves, [N, 3]: the points, or the samples of a surface."""
-        return self.surface.samples if self.surface else self.points
+        """What a refinement moves, [N, 3]: the points but outliers, or the samples of a surface."""
+        if self.surface:
+            return self.surface.samples
+        if self.cloud is None:
+            return self.points
+        from ..refinement.cloud import outliers
+
+        return self.points[~outliers(self.points)]
 
 
 @dataclass(frozen=True)
@@ -184,9 +190,9 @@ def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = Fal
         return _with_fitted_camera(scene, files)
     views, sources = load_views(files)
     for view in views:
-        _warn_of_scale(cloud.points, view, cloud_file)
+        _warn_of_scale(scene.moving, view, cloud_file)
     for view, depth_file in zip(views, files.depth, strict=False):
-        _warn_of_depth(cloud.points, view, depth_file)
+        _warn_of_depth(scene.moving, view, depth_file)
     names = list(dict.fromkeys(map(camera_source, sources)))
     summary = f"cameras of {', '.join(names) if len(names) < 3 else f'{len(names)} files'}"
     if len(sources) == 1:

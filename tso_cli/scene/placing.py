@@ -44,27 +44,27 @@ def align_silhouette(points: Array, view: View, sigma_sq: float | None = None, s
     A box depends on the outermost points of a prediction, which are often wrong; the silhouette depends on all of them. The
     camera must be about right already, as from `place_in_front`; ``sigma_sq`` is in px^2, None for the view's default.
     """
-    import torch
-
+    from ..losses.projection import project
+    from ..losses.silhouette import default_sigma_sq, silhouette_bce
     from ..refinement.adam import Adam
     from ..refinement.optimise import descend
-    from ..silhouette.bce import PixelWeights, mask_loss
-    from ..silhouette.projection import CameraBatch, default_sigma_sq, project
+    from ..refinement.parameters import PointParameters
 
-    cloud = torch.as_tensor(points, dtype=torch.float32)[None]
     sigma_sq = default_sigma_sq(view.camera.width, view.camera.height) if sigma_sq is None else sigma_sq
-    known = None if view.known is None else torch.as_tensor(view.known, dtype=torch.float32)[None]
-    target = PixelWeights.of(torch.as_tensor(view.mask, dtype=torch.float32)[None], known)
-    cameras = CameraBatch.of([view.camera], cloud)
-    shift = torch.zeros(1, 1, 3, requires_grad=True)
+    known = 1.0 if view.known is None else view.known
+    mask = view.mask.astype(np.float64)
+    weights = mask * known, (1.0 - mask) * known
 
-    def silhouette_loss(shift: torch.Tensor) -> torch.Tensor:
-        projected = project(cloud, replace(cameras, t=cameras.t + shift[0, 0]))
-        return mask_loss(projected.points_px[:, 0], projected.valid[:, 0], target, sigma_sq)
+    def silhouette_loss(shift: Array) -> tuple[float, Array]:
+        projected = project(points, replace(view.camera, t=view.camera.t + shift[0]))
+        if not projected.valid.any():
+            return np.inf, shift
+        value, gradient_px = silhouette_bce(projected.points_px, projected.valid, *weights, sigma_sq)
+        return value, projected.in_camera(gradient_px).sum(0, keepdims=True)
 
-    optimiser = Adam([shift], ALIGNMENT_STEP * float(np.ptp(points, axis=0).max()))
-    best = descend(lambda: shift, silhouette_loss, optimiser, steps).best[0, 0]
-    return replace(view.camera, t=view.camera.t + best.double().numpy())
+    optimiser = Adam(ALIGNMENT_STEP * float(np.ptp(points, axis=0).max()))
+    best = descend(PointParameters(np.zeros((1, 3)), optimiser), silhouette_loss, steps).best[0]
+    return replace(view.camera, t=view.camera.t + best)
 
 
 def view_to_world(points: Array, placed: Camera, camera: Camera) -> Array:

@@ -7,8 +7,8 @@ import math
 import torch
 from torch import Tensor
 
-from ..kernels.dispatch import use_numba
 from ..kernels.nearest import PAIRS_PER_CHUNK, nearest_marked
+from ..kernels.tensors import PrecomputedGradient, called, use_numba
 from .bce import pixel_weight, pixels_to_points
 from .projection import pixels_under
 
@@ -77,7 +77,8 @@ def _points_to_mask(points_px: Tensor, valid: Tensor, inside: Tensor) -> Tensor:
     if use_numba(points_px):
         from ..kernels.losses_numba import points_to_mask
 
-        return points_to_mask(points_px, valid, inside)
+        attraction: Tensor = PrecomputedGradient.apply(points_px, *called(points_to_mask, points_px, valid, inside))
+        return attraction
     rows, columns = nearest_marked(inside)
     pixel, in_image = pixels_under(points_px, valid, *inside.shape[-2:])
     nearest_px = torch.stack([index.flatten(1).gather(1, pixel) for index in (columns, rows)], -1)

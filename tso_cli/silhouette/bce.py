@@ -8,12 +8,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ..kernels.dispatch import use_numba
 from ..kernels.nearest import nearest_points
-from ..kernels.splat import NEGLIGIBLE, splat
+from ..kernels.splat import splat
+from ..kernels.tensors import PrecomputedGradient, called, use_numba
+from ..kernels.window import NEGLIGIBLE
 
-# Windows are square: a sum below this may come from the corner of one while a nearer point lies beyond its side.
-UNCOVERED = NEGLIGIBLE
 # Losses are stated for a 64x64 mask.
 REFERENCE_PIXELS = 64.0 * 64.0
 
@@ -63,7 +62,8 @@ def _bce(sums: Tensor, target: PixelWeights, points_px: Tensor, valid: Tensor, s
     if use_numba(points_px):
         from ..kernels.losses_numba import cross_entropy
 
-        covered, waiting = cross_entropy(sums, *target, UNCOVERED)
+        value, by_sums, waiting = called(cross_entropy, sums, *target, NEGLIGIBLE)
+        covered = PrecomputedGradient.apply(sums, value, by_sums)
     else:
         covered, waiting = _cross_entropy(sums, target)
     return (covered + pixels_to_points(waiting, target.foreground, points_px, valid, 0.5 / sigma_sq)) * pixel_weight(sums)
@@ -76,13 +76,13 @@ def pixel_weight(image: Tensor) -> float:
 
 def _cross_entropy(sums: Tensor, target: PixelWeights) -> tuple[Tensor, Tensor]:
     """Sum [M] of the cross-entropy without uncovered mask pixels, and which pixels [M, H, W] these are."""
-    covered = sums > UNCOVERED
+    covered = sums > NEGLIGIBLE
     s = torch.where(covered, sums, 1.0)
     log_tanh = torch.log(-torch.expm1(-2.0 * s)) - torch.log1p(torch.exp(-2.0 * s))
     missed = torch.where(covered, -log_tanh, 0.0)
     stray = torch.nn.functional.softplus(2.0 * sums) - math.log(2.0)
     total = (missed * target.foreground + stray * target.background).sum((-1, -2))
-    return total, (sums <= UNCOVERED) & (target.foreground > 0.0)
+    return total, (sums <= NEGLIGIBLE) & (target.foreground > 0.0)
 
 
 def pixels_to_points(pixels: Tensor, weight: Tensor, points_px: Tensor, valid: Tensor, factor: float) -> Tensor:
@@ -90,7 +90,8 @@ def pixels_to_points(pixels: Tensor, weight: Tensor, points_px: Tensor, valid: T
     if use_numba(points_px):
         from ..kernels.losses_numba import pixels_to_points as compiled
 
-        return compiled(pixels, weight, points_px, valid, factor)
+        attraction: Tensor = PrecomputedGradient.apply(points_px, *called(compiled, pixels, weight, points_px, valid, factor))
+        return attraction
     index = nearest_points(pixels, points_px, valid).flatten(1)
     width, count = pixels.shape[2], points_px.shape[1]
     number = torch.arange(index.shape[1], device=index.device)

@@ -9,22 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from ..geometry.camera import NEAR, Camera
-from ..kernels.dispatch import use_numba
 from ..kernels.splat import splat
-
-# A silhouette blurred by this variance (px^2) changes little from one pixel to the next.
-SMOOTH_SIGMA_SQ = 6.4
-# Points that `silhouette_of` projects at once; bounds its memory.
-POINTS_AT_ONCE = 1 << 16
-
-
-def default_sigma_sq(width: int, height: int) -> float:
-    """The paper's 0.4 px^2 of a 64x64 grid, for an image of another size."""
-    return 0.4 * (max(width, height) / 64.0) ** 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +62,6 @@ def project(points: Tensor, cameras: CameraBatch, near: float = NEAR) -> Project
     perspective model points with depth <= ``near`` are invalid; their pixel coordinates are finite and get no gradient.
     """
     near = -math.inf if cameras.model == "orthographic" else near
-    if use_numba(points) and not any(tensor.requires_grad for tensor in (cameras.K, cameras.R, cameras.t)):
-        from ..kernels.projection_numba import project as compiled
-
-        batch = (len(points), cameras.K.shape[-3])
-        K, R, t = cameras.K.expand(*batch, 3, 3), cameras.R.expand(*batch, 3, 3), cameras.t.expand(*batch, 3)
-        return Projected(*compiled(points, K, R, t, near))
     camera = points.unsqueeze(-3) @ cameras.R.transpose(-1, -2) + cameras.t.unsqueeze(-2)  # [B, V, N, 3]
     plane, depth = camera[..., :2], camera[..., 2]
     if near == -math.inf:
@@ -104,40 +86,3 @@ def silhouette_sums(projected: Projected, cameras: CameraBatch, sigma_sq: float,
     points_px, valid = projected
     sums = splat(points_px.flatten(0, 1), valid.flatten(0, 1), cameras.height, cameras.width, sigma_sq, kernel)
     return sums.view(*points_px.shape[:2], cameras.height, cameras.width)
-
-
-def silhouette_of(points: NDArray[np.floating], camera: Camera, sigma_sq: float | None = None) -> NDArray[np.float32]:
-    """The silhouette [H, W] in [0, 1] of a cloud [N, 3] in world units as the paper's projector draws it (Eq. 2).
-
-    Where the Gaussian spans many pixels, the sums are computed on a coarser grid (variance 6.4 cells^2) and interpolated:
-    within 0.04 of the value at each pixel, at a cost that does not grow with the photo. ``sigma_sq`` is in px^2 of the
-    camera's image, by default 0.4 (max(W, H) / 64)^2.
-    """
-    height, width = camera.height, camera.width
-    if sigma_sq is None:
-        sigma_sq = default_sigma_sq(width, height)
-    cloud = np.asarray(points, dtype=np.float64)
-    centre = (cloud.min(0) + cloud.max(0)) / 2.0
-    scale = float((cloud.max(0) - cloud.min(0)).max()) or 1.0
-    coarse, sigma_sq = _coarsened(camera, sigma_sq)
-    local = torch.as_tensor(((cloud - centre) / scale)[None], dtype=torch.float32)
-    batch = CameraBatch.of([coarse.for_normalised(centre, scale)], local)
-    with torch.no_grad():
-        sums = local.new_zeros(1, 1, batch.height, batch.width)
-        for part in local.split(POINTS_AT_ONCE, 1):
-            sums += silhouette_sums(project(part, batch), batch, sigma_sq)
-        if (batch.height, batch.width) != (height, width):
-            sums = torch.nn.functional.interpolate(sums, (height, width), mode="bilinear", align_corners=False)
-        silhouette: NDArray[np.float32] = torch.tanh(sums)[0, 0].numpy()
-    return silhouette
-
-
-def _coarsened(camera: Camera, sigma_sq: float) -> tuple[Camera, float]:
-    """The camera on a grid so coarse that ``sigma_sq`` (px^2) is at most about 6.4 there, and its value there."""
-    if sigma_sq <= SMOOTH_SIGMA_SQ:
-        return camera, sigma_sq
-    shrink = math.sqrt(SMOOTH_SIGMA_SQ / sigma_sq)
-    coarse = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
-    if (coarse.width, coarse.height) == (camera.width, camera.height):
-        return camera, sigma_sq
-    return coarse, sigma_sq * (max(coarse.width, coarse.height) / max(camera.width, camera.height)) ** 2

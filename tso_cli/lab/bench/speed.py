@@ -2,74 +2,79 @@
 
 from __future__ import annotations
 
+import os
+import platform
 import time
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from contextlib import suppress
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 
-from ...errors import InputError
-from . import chamfer, memory, refinement, silhouette, start_up, training
+from threadpoolctl import threadpool_limits
+
+from ...refinement.api import compile_loops
+from ...version import __version__
+from . import PARTS
 from .claims import claims
-from .machine import machine, versions
-from .timing import Setting, threads
+from .timing import Record, Setting
 
 CONVENTION = {
-    "seconds": "wall clock; median and quartiles (low, high) of the runs, contestants of one size by turns in one process",
-    "silhouette": "from projected points to the gradient by them of sums and cross-entropy, one picture, float32, "
-    "sigma^2 0.4 px^2; the scatters without the term for mask pixels that no window reaches",
-    "chamfer": "one step, value and gradient, mean over every tenth of the 50 steps of a refinement; what is built once apart",
-    "terms": "value and gradient of each term; the projector is points to sums of the silhouette and back",
-    "step": "one step of points mode and of the network modes, and its parts",
-    "batch": "one cloud, all of `refine`: all steps, preparation and judgement; seconds of a call over the clouds in it",
-    "start-up": "a whole process; low and high are the quickest and the slowest",
-    "threads": "the same work on one thread and on all cores, by turns; over_first: how many times quicker than on the first",
+    "seconds": "wall clock; median and quartiles (low, high) of the runs, contestants of a part by turns in one process; one "
+    "thread where nothing else is said",
+    "command": "whole processes; a first run finds no byte code of tso and no compiled loops",
+    "object": "`refine` in process, one chair, masks of 256x256; a first call is that of a fresh process, without its imports; "
+    "peak memory is that of this process, with Python and all libraries",
+    "parts": "one call of each part of the default preset, with two masks and a mirror plane; the factors are those of all "
+    "stages, and a product with each",
+    "batch": "seconds of a call over the objects in it, 1,024 points each; a busy neighbour spins on every core",
+    "silhouette": "from projected points to the gradient by them of sums and cross-entropy, one picture, sigma^2 0.4 px^2; tso "
+    "in numpy float64, else float32; the scatter lacks the term for mask pixels that no window reaches",
+    "chamfer": "one step, value and gradient, mean of those after 10, 30 and 50 steps of the preset paper",
     "training": "a step of 16 images without the optimiser; the bare network's forward and backward beside it; waiting: share "
     "of such steps in which the network waits for a batch that threads prepare ahead",
-    "peak_memory_bytes": "growth of the most that was resident, one call in a fresh process (CUDA: of what was allocated)",
 }
-PARTS: dict[str, Callable[[Setting], list[dict[str, Any]]]] = {
-    "silhouette": silhouette.measure,
-    "chamfer": chamfer.measure,
-    "terms": lambda setting: [*refinement.terms(setting, 1024, 64), *refinement.terms(setting, 16384, 256)],
-    "step": lambda setting: [
-        *refinement.points_step(setting, 1024),
-        *refinement.points_step(setting, 16384),
-        *refinement.network_step(setting, "encoder"),
-        *refinement.network_step(setting, "encoder-decoder"),
-    ],
-    "batch": refinement.batch,
-    "threads": refinement.more_threads,
-    "training": training.measure,
-    "start-up": start_up.measure,
-}
+PROCESSORS = Path("/proc/cpuinfo")
 
 
-def speed(setting: Setting, only: Sequence[str] = ()) -> dict[str, Any]:
+def speed(setting: Setting, only: Sequence[str] = ()) -> Record:
     """Measure the parts named in ``only``; all of them where it is empty.
 
     Returns
     -------
-    {"bench": "speed", "machine", "versions", "threads", "device", "seed", "seconds" in all, "convention", "claims", "records"};
-    every record is flat and holds "what", "name", "points", "side", "batch", "device", "threads", "seconds" ("median", "low",
-    "high"; None where it was left out, which "left_out" explains), "runs" and "peak_memory_bytes".
-
-    Raises InputError for a device other than the CPU or CUDA.
+    {"bench": "speed", "command", "machine", "versions", "seed", "seconds" in all, "convention", "claims", "records"}; every
+    record holds "what", "name", "points", "side", "runs", and "seconds" ("median", "low", "high"; None where it was left out,
+    which "left_out" explains), with a ratio to the first contestant: "over_import_torch", "over_tso" or "of_refine".
     """
-    if setting.device.type not in ("cpu", "cuda"):
-        raise InputError(f"--device {setting.device}: expected cpu or cuda, speed is measured on no other")
     begun = time.perf_counter()
-    with threads(setting.threads):
-        records = [record for name, part in PARTS.items() if name in (only or PARTS) for record in part(setting)]
-    memory.add_peaks(records, setting)
+    compile_loops()
+    chosen = [name for name in PARTS if name in (only or PARTS)]
+    records = []
+    for name in chosen:
+        measure = import_module(f".{name}", __package__).measure
+        with threadpool_limits(1):
+            records += measure(setting)
     return {
         "bench": "speed",
         "command": "tso bench speed" + (" --full" if setting.full else ""),
-        "machine": machine(setting.device),
-        "versions": versions(),
-        "threads": setting.threads,
-        "device": str(setting.device),
+        "machine": {"cpu": _processor(), "cores": os.cpu_count(), "platform": platform.platform(terse=True)},
+        "versions": {"tso": __version__, "python": platform.python_version()}
+        | {package: _version(package) for package in ("torch", "numpy", "numba", "scipy")},
         "seed": setting.seed,
         "seconds": time.perf_counter() - begun,
-        "convention": CONVENTION,
+        "convention": {name: text for name, text in CONVENTION.items() if name in ("seconds", *chosen)},
         "claims": claims(records),
         "records": records,
     }
+
+
+def _processor() -> str:
+    lines = PROCESSORS.read_text().splitlines() if PROCESSORS.exists() else []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.processor() or platform.machine())
+
+
+def _version(package: str) -> str | None:
+    with suppress(PackageNotFoundError):
+        return version(package)
+    return None

@@ -9,7 +9,7 @@ from ..study import Shown
 STUDY = Shown(
     name="speed",
     about="How fast is it, beside other ways and other packages?",
-    parts=("points, paper", "points, best", "network modes", "training"),
+    parts=("points, paper", "points, best", "training"),
     tables=tables,
     draw=draw_speed,
     reading="Contestants for the same work take turns in one process. Trust ratios before times: two runs on a shared machine "

@@ -2,131 +2,136 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
-# Seconds that a sample lasts at least: quick work is repeated, or the clock and the loop would count.
-SAMPLE = 2e-3
+from ...errors import TsoError
+from ...kernels.dispatch import planned
+
+Sample = Callable[[], float]
+"""Does the work once, and returns the seconds that it took."""
+Record = dict[str, Any]
+Records = list[Record]
+
+PACKAGE = Path(__file__).resolve().parents[2]
+# Quick work is repeated for so many seconds at a time: with cold caches each turn would measure these.
+BLOCK = 2e-3
 MOST_RUNS, LEAST_RUNS = 200, 3
-# Work that takes this many times the budget is sampled once.
-FAR_OVER = 10.0
+# Work that takes this many times the budget is done once.
+FAR_OVER = 30.0
+# Form of the loops -> the work that `planned` is told of: none, or so much that compiling pays.
+FORMS = {"compiled": 1 << 60, "numpy": 0}
 
-Work = Callable[[], object]
 
+@dataclass(frozen=True, eq=False)
+class Contestant:
+    """``calls`` is how many calls or objects one sample is; ``fields`` are added to the record."""
 
-@dataclass(frozen=True)
-class Timing:
-    """Median and quartiles of the seconds that a piece of work takes, from ``runs`` samples."""
-
-    median: float
-    low: float
-    high: float
-    runs: int
-
-    def scaled(self, factor: float) -> Timing:
-        return Timing(self.median * factor, self.low * factor, self.high * factor, self.runs)
+    name: str
+    sample: Sample
+    fields: dict[str, Any] = field(default_factory=dict)
+    calls: int = 1
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Settings of a whole run.
+    """Settings of a whole run: ``budget`` is in seconds for each contestant, ``full`` adds the large sizes."""
 
-    Attributes
-    ----------
-    threads : of torch and of the compiled loops.
-    budget : seconds to spend on each contestant.
-    full : whether the large sizes are measured too.
-    report : called with the name of the next measurement.
-    """
-
-    device: torch.device = field(default_factory=lambda: torch.device("cpu"))
-    threads: int = 1
     budget: float = 0.5
     full: bool = False
     seed: int = 0
     report: Callable[[str], None] = lambda _: None
 
-    def race(self, contestants: Mapping[str, Work]) -> dict[str, Timing]:
-        """Seconds of one call of each contestant, timed by turns after a warm-up.
+    def race(self, what: str, contestants: Sequence[Contestant], ratio: str) -> Records:
+        """A record of each contestant, timed by turns after a warm-up; its field ``ratio`` is its time over the first one's.
 
-        Each is given the budget in 3 to 200 samples; work that lasts ten times the budget is sampled once.
+        Each is given the budget in 3 to 200 blocks; work that lasts thirty times the budget is done once.
         """
-        repeats: dict[str, int] = {}
-        samples: dict[str, list[float]] = {}
+        for contestant in contestants:
+            self.report(f"{what}: {contestant.name}")
+            contestant.sample()
+        blocks: list[list[float]] = [[] for _ in contestants]
+        while waiting := [i for i, taken in enumerate(blocks) if not self._enough(taken)]:
+            for i in waiting:
+                blocks[i].append(_block(contestants[i].sample))
+        records = []
+        for contestant, taken in zip(contestants, blocks, strict=True):
+            low, median, high = np.percentile(taken, [25, 50, 75]) / contestant.calls
+            seconds = {"median": float(median), "low": float(low), "high": float(high)}
+            records.append(record(what, contestant.name, seconds=seconds, runs=len(taken)) | contestant.fields)
+        first = records[0]["seconds"]["median"]
+        return [row | {ratio: row["seconds"]["median"] / first} for row in records]
 
-        def enough(name: str) -> bool:
-            taken = samples[name]
-            if len(taken) < LEAST_RUNS:
-                return bool(taken) and taken[0] > FAR_OVER * self.budget
-            return len(taken) >= MOST_RUNS or sum(taken) * repeats[name] >= self.budget
+    def _enough(self, taken: list[float]) -> bool:
+        if len(taken) < LEAST_RUNS:
+            return bool(taken) and taken[0] > FAR_OVER * self.budget
+        return len(taken) >= MOST_RUNS or sum(max(block, BLOCK) for block in taken) >= self.budget
 
-        for name, work in contestants.items():
-            self._sample(work, 1)
-            once = self._sample(work, 1)
-            repeats[name] = max(1, round(SAMPLE / max(once, 1e-7)))
-            # Work over the budget is too long for its place in the order to matter.
-            samples[name] = [once] if once > self.budget else []
-        while waiting := [name for name in contestants if not enough(name)]:
-            for name in waiting:
-                samples[name].append(self._sample(contestants[name], repeats[name]))
-        timings = {}
-        for name, taken in samples.items():
-            low, median, high = (float(value) for value in np.percentile(taken, [25, 50, 75]))
-            timings[name] = Timing(median, low, high, len(taken))
-        return timings
 
-    def _sample(self, work: Work, repeats: int) -> float:
-        self._synchronise()
+def _block(sample: Sample) -> float:
+    """Mean seconds of a call, over at least `BLOCK`."""
+    taken = [sample()]
+    while sum(taken) < BLOCK:
+        taken.append(sample())
+    return sum(taken) / len(taken)
+
+
+def record(what: str, name: str, **fields: Any) -> Record:
+    """A flat record of one contestant; without ``seconds`` the field "left_out" says why."""
+    return {"what": what, "name": name, "points": None, "side": None, "seconds": None, "runs": 0} | fields
+
+
+def timed(work: Callable[[], object], form: str = "") -> Sample:
+    """The work in a form of the loops: "numpy", "compiled", or that which it would choose itself."""
+
+    def sample() -> float:
         start = time.perf_counter()
-        for _ in range(repeats):
+        with planned(FORMS[form], FORMS[form]) if form else nullcontext():
             work()
-        self._synchronise()
-        return (time.perf_counter() - start) / repeats
+        return time.perf_counter() - start
 
-    def _synchronise(self) -> None:
-        if self.device.type == "cuda":
-            torch.cuda.synchronize(self.device)
-
-    def record(self, what: str, name: str, timing: Timing | None = None, **fields: Any) -> dict[str, Any]:
-        """A flat record of one contestant; ``fields`` override and add."""
-        return {
-            "what": what,
-            "name": name,
-            "points": None,
-            "side": None,
-            "batch": 1,
-            "device": str(self.device),
-            "threads": self.threads,
-            "seconds": timing and {"median": timing.median, "low": timing.low, "high": timing.high},
-            "runs": timing.runs if timing else 0,
-            "peak_memory_bytes": None,
-        } | fields
-
-    def records(self, what: str, timings: Mapping[str, Timing], ratio: str, **fields: Any) -> list[dict[str, Any]]:
-        """A record of each contestant; its field ``ratio`` is its time over the first contestant's."""
-        first = next(iter(timings.values())).median
-        return [self.record(what, name, timing, **fields, **{ratio: timing.median / first}) for name, timing in timings.items()]
+    return sample
 
 
-def gradient(function: Callable[[Tensor], Tensor], variable: Tensor) -> Work:
-    """Work: the summed value of ``function`` and its derivative by ``variable``."""
-    leaf = variable.detach().clone().requires_grad_()
-    return lambda: torch.autograd.grad(function(leaf).sum(), leaf)
+Environment = Callable[[Path], dict[str, str]]
+"""Given an empty folder, the environment variables of a process."""
 
 
-@contextmanager
-def threads(count: int) -> Iterator[None]:
-    """Let torch and the compiled loops use ``count`` CPU threads inside the block."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
+def as_installed(folder: Path) -> dict[str, str]:
+    return {"PYTHONPATH": os.pathsep.join(filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH"))))}
+
+
+def process(name: str, arguments: Sequence[str], environment: Environment = as_installed) -> Sample:
+    """A whole process of Python; TsoError if it fails."""
+    return lambda: run_process(name, arguments, environment)[0]
+
+
+def run_process(name: str, arguments: Sequence[str], environment: Environment = as_installed) -> tuple[float, str]:
+    """Seconds of a process, and what it prints."""
+    with tempfile.TemporaryDirectory() as folder:
+        # With PYTHONDONTWRITEBYTECODE no byte code would be kept, and every run would be a first one.
+        variables = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
+        variables |= environment(Path(folder))
+        start = time.perf_counter()
+        done = subprocess.run(
+            [sys.executable, *arguments], cwd=folder, env=variables, stdin=subprocess.DEVNULL, capture_output=True
+        )
+        elapsed = time.perf_counter() - start
+    if done.returncode:
+        last = (done.stderr.decode(errors="replace").strip().splitlines() or ["nothing"])[-1]
+        raise TsoError(f"{name}: ended with exit code {done.returncode}, saying {last!r}")
+    return elapsed, done.stdout.decode(errors="replace")
+
+
+IMPORT_TORCH = Contestant("import torch", process("import torch", ("-c", "import torch")))
+"""What times are compared with: the first thing that a program with torch does."""

@@ -8,10 +8,10 @@ from ...train.config import PRECISIONS, TrainConfig
 from ...train.loop import start
 from ...train.sources import shipped_examples
 from ...train.speed import ROUNDS, images_per_second
-from .timing import Setting
+from .timing import Records, Setting, record
 
 
-def measure(setting: Setting, batch: int = 16) -> list[dict[str, Any]]:
+def measure(setting: Setting, batch: int = 16) -> Records:
     """A record for each supervision and precision, on the images of the shipped examples; see `images_per_second`.
 
     "waiting" is the share of a step in which the network waits for its batch.
@@ -21,13 +21,11 @@ def measure(setting: Setting, batch: int = 16) -> list[dict[str, Any]]:
     for supervision in ("points", "masks"):
         for precision in PRECISIONS:
             setting.report(f"training on {supervision}, {precision}")
-            config = TrainConfig(
-                supervision=supervision, batch_size=batch, precision=precision, seed=setting.seed, device=str(setting.device)
-            )
+            config = TrainConfig(supervision=supervision, batch_size=batch, precision=precision, seed=setting.seed)
             speed = images_per_second(start(data, config), config, data)
             for name, key in (("bare network", "bare"), ("step", "step")):
                 fields: dict[str, Any] = {"points": config.points, "side": 64, "batch": batch, "precision": precision}
                 fields |= {"images_per_second": speed[key], "added": speed["added"], "waiting": speed["waiting"]}
                 seconds = {"median": batch / speed[key], "low": None, "high": None}
-                records.append(setting.record(f"training, {supervision}", name, **fields, seconds=seconds, runs=ROUNDS))
+                records.append(record("training", f"{supervision}, {name}", **fields, seconds=seconds, runs=ROUNDS))
     return records

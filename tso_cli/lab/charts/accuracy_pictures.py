@@ -15,7 +15,7 @@ from ...plots.style import WORSE, page
 if TYPE_CHECKING:
     from ..studies.cases import Case
 
-CELL = 1.75
+CELL = 1.6
 """Inches."""
 DOTS = 1500
 """Points of a cloud that are drawn, at most."""

@@ -9,78 +9,86 @@ from ..study import Table
 
 Record = dict[str, Any]
 Records = Sequence[Record]
+Label = Callable[[Record], str]
 
 
 def machine_line(record: Record) -> str:
     """Where and with what the record was made."""
     machine = record["machine"]
-    on = f"{machine['gpu']}, {machine['cpu']}" if machine["gpu"] else machine["cpu"]
     versions = ", ".join(f"{name} {version}" for name, version in record["versions"].items() if version)
-    threads = f"{record['threads']} thread{'s' if record['threads'] > 1 else ''}"
-    run = f"seed {record['seed']}, {record['seconds']:.0f} s"
-    return f"{on}, {machine['cores']} cores, {threads}, {record['device']}; {versions}; {run}"
-
-
-def left_out(records: Records) -> list[list[str]]:
-    """Contestants without a measurement, and why."""
-    reasons: dict[tuple[str, str], list[str]] = {}
-    for record in records:
-        if reason := record.get("left_out"):
-            size = "" if reason == "not installed" else f" ({_size(record)})"
-            reasons.setdefault((record["what"], record["name"]), []).append(reason + size)
-    return [[f"{what}, {name}", "; ".join(dict.fromkeys(lines))] for (what, name), lines in reasons.items()]
+    return f"{machine['cpu']}, {machine['cores']} cores; {versions}; seed {record['seed']}, {record['seconds']:.0f} s"
 
 
 def tables(record: Record) -> list[Table]:
     """Of whatever was measured; the last says what was left out, and where the record was made."""
-    records = [r for r in record["records"] if r["seconds"]]
 
-    def of(*whats: str) -> Records:
-        return [r for r in records if r["what"] in whats]
+    def of(what: str) -> Records:
+        return [r for r in record["records"] if r["what"] == what and r["seconds"]]
 
-    peaks = [r for r in records if r["peak_memory_bytes"] is not None]
-    work = "{name}, {points:,} points"
-    training = of("training, points", "training, masks")
+    objects, batches = ([r for r in of(what) if "preset" in r] for what in ("object", "batch"))
+    commands = [[r["name"], *_quartiles(r), f"{r['over_import_torch']:.2f}"] for r in of("command")]
+    left_out: dict[str, list[str]] = {}
+    for r in record["records"]:
+        if "left_out" in r:
+            left_out.setdefault(f"{r['what']}, {r['name']}: {r['left_out']}", []).append(_size(r))
     measured = [
-        _pivot("silhouette, forward and backward: ms (x tso's)", of("silhouette"), _ms_and("over_tso")),
-        _pivot("Chamfer to the start, a step: ms (x tso's)", of("chamfer"), _ms_and("over_tso")),
-        _pivot("peak memory of a call: MiB", peaks, _mib, "{what}: {name}", "{points:,}"),
-        _pivot("value and gradient: ms (x the projector)", of("terms"), _ms_and("over_projector")),
-        _pivot("a step in points mode: ms (share of the whole)", of("step"), _ms_and_share),
-        _pivot("a step: ms", of("step, encoder", "step, encoder-decoder"), _ms, "{what}", "{name}"),
-        _pivot("1,024 points: ms a cloud (x `refine`'s rate)", of("batch"), _batch, "{preset}, {name}", "batch {batch}"),
-        _pivot("more threads: ms (x quicker)", of("threads"), _ms_and("over_first"), work, "threads: {threads}"),
-        _pivot("images a second", training, _images, "{what}, {precision}", "{name}"),
-        Table(
-            ["", "median", "low", "high"],
-            [[r["name"], *(f"{r['seconds'][key]:.2f}" for key in ("median", "low", "high"))] for r in of("start-up")],
-            "whole processes: s",
+        Table(["", "median", "low", "high", "x `import torch`"], commands, "whole processes: s"),
+        _pivot("one object: ms (x `import torch`)", objects, _ms_and("over_import_torch")),
+        _pivot(
+            "phases of one object, prepare + optimise + judge: ms",
+            [r for r in objects if "phases" in r],
+            lambda r: " + ".join(_digits(1e3 * r["phases"][phase]) for phase in ("prepare", "optimise", "judge")),
         ),
-        Table(["left out", "why"], left_out(record["records"])),
+        _pivot(
+            "peak memory of a process with one call: MiB",
+            [r for r in objects if r.get("peak_memory_bytes")],
+            lambda r: f"{r['peak_memory_bytes'] / 2**20:,.0f}",
+        ),
+        _pivot(
+            "parts of the default preset: ms (share of a refinement)",
+            of("parts"),
+            lambda r: f"{_ms(r)} ({100.0 * r['of_refine']:.0f} %)",
+            column=lambda r: f"{r['points']:,}, {r['form']}",
+        ),
+        _pivot(
+            "many objects: ms each (x `import torch`, x one `refine`)",
+            batches,
+            lambda r: f"{_ms(r)} ({r['over_import_torch']:.3f}x, {r['over_refine']:.2f}x)",
+            lambda r: f"{r['preset']}, {r['name']}",
+            lambda r: f"processes: {r['processes']}",
+        ),
+        _pivot("silhouette, value and gradient: ms (x tso's)", of("silhouette"), _ms_and("over_tso")),
+        _pivot("Chamfer to the start, value and gradient: ms (x tso's)", of("chamfer"), _ms_and("over_tso")),
+        _pivot("training: images a second", of("training"), _images, column=lambda r: str(r["precision"])),
+        Table(["left out", "points"], [[label, ", ".join(sizes)] for label, sizes in left_out.items()]),
         Table(["measured on"], [[machine_line(record)]]),
     ]
     return [table for table in measured if table.rows]
 
 
 def _size(record: Record) -> str:
-    return f"{record['points']:,}" + (f"@{record['side']}" if record["side"] else "")
+    views = record.get("views", 1)
+    return (
+        f"{record['points']:,}" + (f"@{record['side']}" if record["side"] else "") + (f", {views} views" if views > 1 else "")
+    )
 
 
-def _mib(record: Record) -> str:
-    return f"{record['peak_memory_bytes'] / 2**20:,.1f}"
+def _quartiles(record: Record) -> list[str]:
+    return [f"{record['seconds'][key]:.2f}" for key in ("median", "low", "high")]
 
 
 def _ms(record: Record) -> str:
     return _digits(1e3 * record["seconds"]["median"])
 
 
-def _batch(record: Record) -> str:
-    return f"{_ms(record)} ({record['times_refine']:.1f}x)"
+def _ms_and(ratio: str) -> Label:
+    return lambda record: f"{_ms(record)} ({_digits(record[ratio])}x)"
 
 
 def _images(record: Record) -> str:
     """Images a second; of a whole step also what projector and losses add, and the share of it that waits for data."""
-    shares = f" (+{100 * record['added']:.0f} %, waits {100 * record['waiting']:.1f} %)" if record["name"] == "step" else ""
+    whole = record["name"].endswith("step")
+    shares = f" ({100 * record['added']:+.0f} %, waits {100 * record['waiting']:.1f} %)" if whole else ""
     return _digits(record["images_per_second"]) + shares
 
 
@@ -89,21 +97,10 @@ def _digits(value: float) -> str:
     return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
 
 
-def _ms_and(ratio: str) -> Callable[[Record], str]:
-    return lambda record: _ms(record) + (f" ({_digits(record[ratio])}x)" if ratio in record else "")
-
-
-def _ms_and_share(record: Record) -> str:
-    return f"{_ms(record)} ({100.0 * record['share']:.0f} %)"
-
-
-def _pivot(
-    title: str, records: Records, cell: Callable[[Record], str], row: str = "{name}", column: str | None = None
-) -> Table:
-    """A table of cells; ``row`` and ``column`` are templates of their labels, by default a column is a size."""
+def _pivot(title: str, records: Records, cell: Label, row: Label = lambda r: str(r["name"]), column: Label = _size) -> Table:
+    """A table of cells; ``row`` and ``column`` are their labels, by default a name and a size."""
     cells: dict[str, dict[str, str]] = {}
     for record in records:
-        label = column.format(**record) if column else _size(record)
-        cells.setdefault(row.format(**record), {})[label] = cell(record)
+        cells.setdefault(row(record), {})[column(record)] = cell(record)
     columns = list(dict.fromkeys(label for values in cells.values() for label in values))
     return Table(["", *columns], [[label, *map(values.get, columns)] for label, values in cells.items()], title)

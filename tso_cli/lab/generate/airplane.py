@@ -14,7 +14,6 @@ from .parts import (
     Array,
     Range,
     both,
-    box,
     chance,
     draw,
     ellipsoid,
@@ -46,7 +45,6 @@ class Kind(NamedTuple):
     canopy: tuple[Range, Range, Range] | None = None
 
 
-COCKPIT = ((-0.28, -0.15), (0.14, 0.24), (0.01, 0.04))
 CABIN = ((-0.18, -0.05), (0.25, 0.45), (0.02, 0.07))
 KINDS = {
     "airliner": Kind(20, {"low": 1}, {"under": 1}),
@@ -57,8 +55,6 @@ KINDS = {
     "high wing": Kind(11, {"low": 6, "t": 1}, {"nose": 3, "wing": 1}, 0.5, 0.7, CABIN),
     "warbird": Kind(8, {"low": 1}, {"nose": 1}, 1.0, 0.5, ((-0.08, 0.06), (0.14, 0.3), (0.02, 0.05))),
     "glider": Kind(3, {"t": 3, "low": 1}, {"none": 1}, 1.0, 0.0, ((-0.26, -0.2), (0.2, 0.26), (0.01, 0.02))),
-    "fighter": Kind(10, {"low": 2, "double": 1}, {"jet": 1}, gear=0.2, canopy=COCKPIT),
-    "delta": Kind(6, {"fin": 2, "double": 1, "low": 1}, {"jet": 1}, gear=0.2, canopy=COCKPIT),
 }
 WEIGHTS = {name: kind.weight for name, kind in KINDS.items()}
 # Ranges of the fields of `Body`; the second column is the height over the width.
@@ -71,8 +67,6 @@ BODIES: dict[str, tuple[Range, ...]] = {
     "high wing": ((0.11, 0.18), (1, 1.4), (0.18, 0.35), (0.5, 0.65), (0.35, 0.7), (0.05, 0.2), (0, 0.7), (0, 0.5), (2.2, 5)),
     "warbird": ((0.085, 0.15), (1.1, 1.5), (0.1, 0.3), (0.5, 0.65), (0.3, 0.6), (0.08, 0.08), (0.1, 0.5), (0, 0.2), (2, 2)),
     "glider": ((0.07, 0.11), (1.1, 1.4), (0.25, 0.35), (0.5, 0.62), (0.6, 0.6), (0.15, 0.3), (0.2, 0.7), (0.3, 0.3), (2, 2)),
-    "fighter": ((0.06, 0.13), (0.9, 1.3), (0.25, 0.45), (0.15, 0.4), (0.7, 1.1), (0.5, 0.85), (-0.1, 0.3), (0, 0.4), (2, 4)),
-    "delta": ((0.06, 0.13), (0.9, 1.3), (0.25, 0.45), (0.15, 0.4), (0.7, 1.1), (0.5, 0.85), (-0.1, 0.3), (0, 0.4), (2, 4)),
 }
 # Ranges of the wing: x of the root's leading edge, its height in body heights, half span, root chord, tip over root chord,
 # tangents of the leading edge's sweep and of the dihedral, and thickness in chords.
@@ -85,8 +79,6 @@ WINGS: dict[str, tuple[Range, ...]] = {
     "high wing": ((-0.28, -0.14), (0.45, 0.6), (0.52, 0.78), (0.17, 0.25), (0.45, 1), (-0.02, 0.1), (0, 0.1), (0.11, 0.16)),
     "warbird": ((-0.26, -0.16), (-0.35, -0.35), (0.5, 0.66), (0.22, 0.32), (0.45, 0.75), (0, 0.12), (0.05, 0.14), (0.12, 0.12)),
     "glider": ((-0.2, -0.1), (0, 0.4), (0.9, 1.35), (0.11, 0.15), (0.3, 0.6), (-0.02, 0.03), (0, 0.08), (0.13, 0.13)),
-    "fighter": ((-0.15, 0.04), (-0.35, 0.4), (0.25, 0.43), (0.18, 0.32), (0.3, 0.45), (0.25, 1.1), (-0.1, 0.06), (0.04, 0.07)),
-    "delta": ((-0.15, -0.02), (-0.35, 0.3), (0.24, 0.36), (0.4, 0.58), (0.02, 0.14), (1.05, 1.7), (-0.05, 0.05), (0.04, 0.07)),
 }
 
 
@@ -183,23 +175,15 @@ def build(rng: np.random.Generator, name: str) -> list[Mesh]:
 
 
 def _tail(rng: np.random.Generator, body: Body, kind: str) -> list[Mesh]:
-    """Fin and tailplane: low, t, cross; double (two fins and a low tailplane) or fin (no tailplane)."""
+    """Fin and tailplane: low, t or cross."""
     high, chord, sweep = rng.uniform(0.11, 0.19), rng.uniform(0.11, 0.2), rng.uniform(0.1, 0.9)
-    if kind in ("double", "fin"):
-        chord, sweep = rng.uniform(0.16, 0.3), rng.uniform(0.6, 1.3)
     rounding = 5.0 if sweep < 0.4 and chance(rng, 0.5) else 0.0
     x = 0.5 - chord - rng.uniform(0.0, 0.05)
     root, span = body.at(x + 0.6 * chord, 1.0) - [0.6 * chord, 0.015, 0.0], np.array([sweep, 1.0, 0.0]) * high
     tip = chord * rng.uniform(0.3, 0.6)
-    if kind == "double":
-        span[2] = rng.uniform(-0.1, 0.4) * high
-        parts = both(surface(root + [0.0, -0.01, 0.4 * body.width], span, chord, tip, 0.05), 2)
-    else:
-        parts = [surface(root, span, chord, tip, 0.09, rounding)]
-    if kind == "fin":
-        return parts
+    parts = [surface(root, span, chord, tip, 0.09, rounding)]
     flat, semi = chord * rng.uniform(0.6, 0.85), rng.uniform(0.14, 0.22)
-    if kind in ("low", "double"):
+    if kind == "low":
         start = body.at(0.5 - flat - rng.uniform(0.0, 0.08), rng.uniform(0.0, 0.3), 0.3)
     else:
         start = root + span * (0.97 if kind == "t" else rng.uniform(0.3, 0.6))
@@ -207,14 +191,13 @@ def _tail(rng: np.random.Generator, body: Body, kind: str) -> list[Mesh]:
     return parts + both(surface(start, plane, flat, flat * rng.uniform(0.4, 0.8), 0.09, rounding), 2)
 
 
-# Radii over the largest at shares of the length: open jets, propeller engines, nozzles of fighters.
+# Radii over the largest at shares of the length: jet engines, propeller engines.
 JET = ([0.18, 0.03, 0.0, 0.06, 0.35, 0.72, 1.0, 0.92], [0.05, 0.82, 0.9, 1.0, 1.03, 0.82, 0.5, 0.08])
 PISTON = ([0.0, 0.04, 0.2, 0.5, 0.8, 1.0], [0.3, 0.65, 1.0, 0.95, 0.55, 0.1])
-NOZZLE = ([0.0, 0.65, 1.0, 0.9], [1.0, 0.97, 0.78, 0.2])
 
 
 def _engines(rng: np.random.Generator, kind: str, body: Body, root: Array, span: Array) -> list[Mesh]:
-    """Engines under or on the wing, beside the rear fuselage, in the nose, or inside a fighter."""
+    """Engines under or on the wing, beside the rear fuselage or in the nose."""
     radius, length = rng.uniform(0.022, 0.042), rng.uniform(0.1, 0.2) * (1.4 if kind == "wing" else 1.0)
     blade, disc = rng.uniform(0.06, 0.12), chance(rng, 0.5)
     parts: list[Mesh] = []
@@ -235,13 +218,6 @@ def _engines(rng: np.random.Generator, kind: str, body: Body, root: Array, span:
         middle = front + [0.4 * length, 0.0, 0.0]
         parts = [_body_of(JET, front, length, radius)]
         parts.append(sweep([middle * [1, 1, 0], middle], rectangle(0.5 * length, 0.014), side=X_AXIS))
-    elif kind == "jet":
-        wide, high, x, long = draw(rng, ((0.3, 0.6), (0.5, 0.85), (0.05, 0.15), (0.3, 0.6)))
-        intake = (x, rng.uniform(-0.2, 0.1) * body.height, (0.45 + 0.25 * wide) * body.width)
-        parts = [box((long, high * body.height, wide * body.width), intake, (0.9, 0.8))] if chance(rng, 0.7) else []
-        out = 0.5 * body.width if chance(rng, 0.4) else 0.25 * body.width
-        nozzle = body.at(0.4) * [1, 1, 0] + [0.0, 0.0, out]
-        parts.append(_body_of(NOZZLE, nozzle, 0.12, 0.42 * min(body.width, body.height)))
     return both(parts, 2)
 
 

@@ -122,7 +122,7 @@ def _scores(points: Array, case: Case) -> dict[str, float]:
 
 
 def _extremes(record: Record, builder: CaseBuilder, shapes: list[Shape]) -> list[tuple[str, Case, Array]]:
-    """Worst, median and best case of each category under the default preset, refined once more: (title, case, points).
+    """Worst and median case of each category under the default preset, refined once more: (title, case, points).
 
     They are of the first kind in ``record``.
     """
@@ -133,8 +133,8 @@ def _extremes(record: Record, builder: CaseBuilder, shapes: list[Shape]) -> list
     for category, cases in grouped(cases_of_kind, "category").items():
         ratios = ratios_of(cases, DEFAULT)
         order = np.argsort(ratios)[::-1]
-        # One or two cases have fewer than three places.
-        for place, name in {order[0]: "worst", order[len(order) // 2]: "median", order[-1]: "best"}.items():
+        # A single case has one place.
+        for place, name in {order[len(order) // 2]: "median", order[0]: "worst"}.items():
             shape = by_name[cases[place]["shape"]]
             case = builder.cases(shape, kind)[cases[place]["view"]]
             result = alone(case, variant, record["settings"]["device"], builder.network)
@@ -216,7 +216,7 @@ STUDY = Study(
     about="Starts are another shape's cloud as wrong as a trained network's (other), one near the truth (near), the first "
     "with an object that the border truncates (cut), the truth sampled once more (right), and the network's prediction "
     "(network).",
-    parts=("pictures", "points, paper", "points, best", "network modes"),
+    parts=("pictures", "points, paper", "points, best", "network modes, paper", "network modes, best"),
     tables=tables,
     draw=draw,
     reading="The default preset is judged by two questions: how much of the error it removes, and how often it adds some. One "

@@ -14,12 +14,12 @@ from ...geometry.rotations import angle_between, from_vectors
 from ...geometry.view import View
 from ...io.clouds import read_cloud
 from ...io.shipped import default_checkpoint, examples_folder
+from ...losses.silhouette import silhouette_of
 from ...pose.fit import fit_camera
 from ...refinement import PRESETS, RefineConfig, RefineResult, refine
 from ...render import RenderSettings
 from ...scene.load import load_points_scene
 from ...scene.network import load_network_scene
-from ...silhouette.projection import silhouette_of
 from ...train import TrainConfig, train
 from ...train.sources import shipped_examples
 from .shapes import Shape, see
@@ -51,14 +51,13 @@ def _points(preset: str) -> Numbers:
     return numbers
 
 
-def _network_modes() -> Numbers:
-    """The shipped network's prediction of the chair after 12 steps of each mode and preset."""
+def _network_modes(preset: str) -> Numbers:
+    """The shipped network's prediction of the chair after 12 steps of each mode."""
     scene, numbers = load_network_scene(CHAIR / "image.png", CHAIR / "mask.png", default_checkpoint(), world=True), Numbers()
     for mode in ("encoder", "encoder-decoder", "latent"):
-        for preset in PRESETS:
-            config = RefineConfig(mode, preset=preset, steps=12)
-            result = refine(None, scene.view, config=config, network=scene.network, image=scene.image)
-            numbers |= _judged(f"{mode}, {preset}", result, scene.to_output(result.points))
+        config = RefineConfig(mode, preset=preset, steps=12)
+        result = refine(None, scene.view, config=config, network=scene.network, image=scene.image)
+        numbers |= _judged(mode, result, scene.to_output(result.points))
     return numbers
 
 
@@ -93,7 +92,8 @@ def _pictures() -> Numbers:
 
 PARTS: dict[str, Callable[[], Numbers]] = {
     **{f"points, {preset}": partial(_points, preset) for preset in PRESETS},
-    **{"network modes": _network_modes, "camera fit": _camera_fit, "training": _training, "pictures": _pictures},
+    **{f"network modes, {preset}": partial(_network_modes, preset) for preset in PRESETS},
+    **{"camera fit": _camera_fit, "training": _training, "pictures": _pictures},
 }
 
 

@@ -58,18 +58,19 @@ ABLATION = {
     DEFAULT: POINTS[DEFAULT],
     "no mirror plane": POINTS[NO_SYMMETRY],
     "no smoothing": _best_with(stages=tuple(replace(stage, smoothness=0.0, nodes=FIELD_NODES) for stage in BEST.stages)),
-    "one stage": _best_with(stages=(Stage(10.0, 3.0, 1.0, fine_grid=True),)),
+    "one stage": _best_with(stages=(Stage(10.0, 3.0, fine_grid=True),)),
+    "stages averaged alike": _best_with(stages=tuple(replace(stage, averaging_weight=1.0) for stage in BEST.stages)),
+    "one learning rate": _best_with(stages=tuple(replace(stage, learning_rate_scale=1.0) for stage in BEST.stages)),
+    "at most 512 nodes": _best_with(stages=tuple(replace(stage, nodes=min(stage.nodes, 512)) for stage in BEST.stages)),
     "64 cells in the last stage too": _best_with(stages=tuple(replace(stage, fine_grid=False) for stage in BEST.stages)),
     "prior by the error of the whole cloud alone": _best_with(local_prior=False),
-    "no prior": _best_with(prior_weight=0.0, least_prior_weight=0.0, most_prior_weight=0.0),
-    "prior alike for each point": _best_with(by_area=False),
-    "truncated objects: no stronger prior": _best_with(truncated_prior=1.0, unobserved_motion=1.0),
-    "unobserved points move freely": _best_with(unobserved_motion=1.0),
+    "no prior": _best_with(prior_weight=0.0, least_prior_weight=0.0),
+    "truncated objects: no stronger prior": _best_with(truncated_prior=1.0),
     "prior alike for each start": _best_with(prior_decay=0.0),
     "prior down to 30 where the start is far off": _best_with(least_prior_weight=30.0),
     "no robust loss": _best_with(stages=tuple(replace(stage, robust_scale=1000.0) for stage in BEST.stages)),
     "no resolvability": _best_with(use_resolvability=False),
-    "Adam per coordinate": Variant(RefineConfig(learning_rate=ADAM_RATE, coarse_to_fine=replace(BEST, per_cloud_adam=False))),
+    "Adam per coordinate": Variant(RefineConfig(learning_rate=ADAM_RATE, coarse_to_fine=replace(BEST, uniform_adam=False))),
     "Chamfer to the start added": Variant(RefineConfig(gamma=1e6)),
 }
 """The default preset with one ingredient changed in each row, between the paper's and itself."""
@@ -88,7 +89,7 @@ def refined(cases: list[Case], variant: Variant, device: str, network: BaseNetwo
         return [alone(case, variant, device, network) for case in cases]
     problems = [(case.initial, case.views[: variant.masks]) for case in cases]
     results = []
-    for result in refine_batch(problems, replace(variant.config, device=device)):
+    for result in refine_batch(problems, variant.config):
         if isinstance(result, TsoError):
             raise result
         results.append(uninterrupted(result))
@@ -97,13 +98,14 @@ def refined(cases: list[Case], variant: Variant, device: str, network: BaseNetwo
 
 def alone(case: Case, variant: Variant, device: str, network: BaseNetwork | None) -> RefineResult:
     """The result of one case, refined by itself."""
-    config, views = replace(variant.config, device=device), case.views[: variant.masks]
+    config, views = variant.config, case.views[: variant.masks]
     if config.mode == "points":
         return uninterrupted(refine(case.initial, views, config=config, colours=case.colours))
+    config = replace(config, device=device)
     result = uninterrupted(refine(None, views, config=config, network=network, image=case.image))
     if variant.then is None:
         return result
-    then = uninterrupted(refine(result.points, views, config=replace(variant.then, device=device)))
+    then = uninterrupted(refine(result.points, views, config=variant.then))
     return replace(then, iou_before=result.iou_before)
 
 

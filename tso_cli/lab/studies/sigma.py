@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ...device import one_thread
 from ...io.shipped import CATEGORIES
+from ...losses.silhouette import silhouette_of
 from ...plots.style import COLOURS, page
 from ...render import RenderSettings
-from ...silhouette.projection import silhouette_of
 from ..study import CATEGORY, COMMON, Cases, Option, Plan, Progress, Record, Study, Table, claim, part
 from .shapes import RenderedShape, Shape, see, shapes_of_part
 from .summary import grouped
@@ -39,8 +38,7 @@ def plan(
 
     def judge(shape: Shape) -> Cases:
         seen = see(shape, render, settings["seed"])
-        with one_thread(True):  # small images: threads would wait for each other longer than they work
-            return [{"category": shape.category, "shape": shape.name, **mask_errors(seen)}]
+        return [{"category": shape.category, "shape": shape.name, **mask_errors(seen)}]
 
     settings |= {
         "shapes": [shape.name for shape in shapes],

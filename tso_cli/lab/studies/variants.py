@@ -278,7 +278,7 @@ STUDY = Study(
     name="tso",
     about="The paper's table. The network predicts each view of each shape; the prediction is judged before and after moving "
     "the encoder (E), the whole network (E and D) and the points (p), with the paper's settings.",
-    parts=("pictures", "points, paper", "network modes"),
+    parts=("pictures", "points, paper", "network modes, paper"),
     tables=tables,
     draw=draw,
     reading="The paper reports gains of 3 to 6 %. What a variant moves decides what it changes: through the weights the whole "

@@ -1,0 +1,38 @@
+"""Masks, a camera with skew in general position, and points that it sees at chosen pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tso_cli.geometry.camera import Camera
+from tso_cli.geometry.rotations import from_vectors
+
+WIDTH, HEIGHT = 32, 24
+
+
+def camera_of(model: str = "perspective") -> Camera:
+    focal = 40.0 if model == "perspective" else 20.0
+    K = np.array([[focal, 1.5, 15.0], [0.0, 1.1 * focal, 12.5], [0.0, 0.0, 1.0]])
+    return Camera(K, from_vectors(np.array([0.4, -0.8, 0.3])), np.array([0.1, -0.05, 2.0]), WIDTH, HEIGHT, model)
+
+
+def points_at(pixels: np.ndarray, camera: Camera, depth: np.ndarray) -> np.ndarray:
+    """The points [N, 3] that project to ``pixels`` [N, 2] at ``depth`` [N]."""
+    plane = np.linalg.solve(camera.K, np.concatenate([pixels, np.ones((len(pixels), 1))], 1).T).T
+    plane[:, :2] *= 1.0 if camera.model == "orthographic" else depth[:, None]
+    return (np.concatenate([plane[:, :2], depth[:, None]], 1) - camera.t) @ camera.R
+
+
+def block(region: tuple[slice, slice], shape: tuple[int, int] = (64, 64)) -> np.ndarray:
+    """A mask that is foreground in ``region``."""
+    mask = np.zeros(shape, np.float32)
+    mask[region] = 1.0
+    return mask
+
+
+def scattered(count: int = 60, seed: int = 1) -> np.ndarray:
+    """Pixels in and beside the image, the last ones next to borders of pixels and of the image."""
+    pixels = np.random.default_rng(seed).uniform([-3, -3], [WIDTH + 3, HEIGHT + 3], (count, 2))
+    borders = [[4.5, 3.2], [20.7, 11.5], [WIDTH - 0.5, 8.3], [12.2, HEIGHT - 0.5], [-0.5, 6.1], [7.3, -0.5], [9.5, 9.5]]
+    sides = np.where(np.arange(len(borders)) % 2, 1e-4, -1e-4)[:, None]
+    return np.concatenate([pixels, borders + sides])

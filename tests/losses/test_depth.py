@@ -1,0 +1,121 @@
+"""The depth loss and its gradient."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tso_cli.geometry.camera import Camera
+from tso_cli.losses.depth import TOLERANCE, DepthTarget, depth_loss
+from tso_cli.losses.projection import project
+
+from .common import COMPILED, FORMS, NUMPY, assert_equal, assert_gradient, by_autograd, in_form
+from .scenes import HEIGHT, WIDTH, camera_of, points_at, scattered
+
+SIZE = 64
+CANONICAL = Camera.canonical(SIZE, SIZE)
+
+
+def wall(depth: float = 2.0) -> np.ndarray:
+    """A depth map of a wall, square to the camera, known in its middle."""
+    wall = np.full((SIZE, SIZE), np.nan)
+    wall[24:40, 24:40] = depth
+    return wall
+
+
+def on(column: float, row: float, depth: float) -> list[float]:
+    """The world point that the canonical camera sees at that pixel and depth."""
+    return points_at(np.array([[column, row]]), CANONICAL, np.array([depth]))[0].tolist()
+
+
+def loss(points, depth: np.ndarray, robust_scale: float = 3.0, camera: Camera = CANONICAL) -> tuple[float, np.ndarray]:
+    target = DepthTarget.of(depth, np.ones(depth.shape, bool), camera)
+    points = np.asarray(points, float)
+    return depth_loss(points, project(points, camera), target, robust_scale)
+
+
+def grid(depth: float, step: float = 1.0) -> np.ndarray:
+    return np.array([on(c, r, depth) for c in np.arange(24, 40, step) for r in np.arange(24, 40, step)])
+
+
+def _uneven() -> np.ndarray:
+    """A rough surface with an edge and unknown pixels."""
+    rng = np.random.default_rng(3)
+    depth = 2.0 + 0.05 * rng.normal(size=(HEIGHT, WIDTH)) + 0.4 * (np.arange(WIDTH) > 20)
+    return np.where(rng.random(depth.shape) < 0.7, depth, np.nan)
+
+
+def _scene(count: int) -> np.ndarray:
+    """Points before, on and behind the surface, at the borders of pixels and of the image, and behind the camera."""
+    pixels = scattered()[-count:]
+    depth = np.random.default_rng(4).uniform(1.5, 2.6, count)
+    depth[::9] = -1.0
+    return points_at(pixels, camera_of(), depth)
+
+
+def _oracle(points: torch.Tensor, depth: np.ndarray, robust_scale: float) -> torch.Tensor:
+    """By all pairs of pixels and points, and point by point."""
+    camera = camera_of()
+    R, t, K = (torch.tensor(part) for part in (camera.R, camera.t, camera.K))
+    in_camera = points @ R.T + t
+    valid = in_camera[:, 2] > 1e-3
+    rows, columns = np.nonzero(np.isfinite(depth))
+    known = torch.tensor(depth[rows, columns])
+    surface = torch.tensor(points_at(np.stack([columns, rows], 1), camera, depth[rows, columns]))
+    focal, area = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])) * 64.0 / WIDTH, (64.0 / WIDTH) ** 2
+
+    def robust(squared: torch.Tensor) -> torch.Tensor:
+        cost = squared * robust_scale**2 / (robust_scale**2 + squared)
+        return torch.where(squared > TOLERANCE**2, cost, 0.0).sum()
+
+    squared = (surface[:, None] - points).square().sum(2).masked_fill(~valid, torch.inf)
+    total = robust(squared.min(1).values * (focal / known) ** 2) * area
+    for point, (column, row), exists in zip(in_camera, (in_camera / in_camera[:, 2:]) @ K.T[:, :2], valid, strict=True):
+        i, j = round(row.item()), round(column.item())
+        if exists and 0 <= i < HEIGHT and 0 <= j < WIDTH and np.isfinite(depth[i, j]):
+            least = np.nanmin(depth[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2])
+            total = total + robust(((least - point[2]).clamp_min(0.0) * focal / depth[i, j]).square()) * 1024.0 / len(points)
+    return total
+
+
+@FORMS
+def test_value_and_gradient_are_those_of_all_pairs(form):
+    points = _scene(60)
+    expected = by_autograd(lambda leaf: _oracle(leaf, _uneven(), 3.0), points)
+    assert expected[0] > 1.0
+    assert_equal(in_form(form, loss, points, _uneven(), 3.0, camera_of()), expected)
+
+
+@FORMS
+def test_the_gradient_is_that_of_finite_differences(form):
+    in_form(form, assert_gradient, lambda at: loss(at, _uneven(), 3.0, camera_of()), _scene(20), 1e-7, 1e-4)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.tuples(st.floats(-9, 40), st.floats(-9, 40), st.floats(-1, 3)), min_size=1, max_size=9))
+def test_any_points_cost_the_same_in_both_forms(places):
+    column, row, depth = (np.round(places, 3) + np.random.default_rng(4).uniform(1e-4, 9e-4, (len(places), 3))).T
+    points = points_at(np.stack([column, row], 1), camera_of(), depth)
+    assert_equal(*(in_form(form, loss, points, _uneven(), 3.0, camera_of()) for form in (COMPILED, NUMPY)))
+
+
+def test_points_on_a_surface_or_hidden_behind_it_cost_nothing_and_a_point_in_front_is_pushed_back():
+    points = np.concatenate([grid(2.0), [on(32, 32, 2.0 - 3.0 / 60.0)]])
+    assert loss(np.concatenate([grid(2.0), grid(2.3)]), wall())[0] == 0.0
+    value, gradient = loss(points, wall(), 2.0)
+    assert value == pytest.approx(9.0 * 4.0 / (4.0 + 9.0) * 1024.0 / len(points), rel=1e-9)
+    # The camera looks along -z of the world: downhill is away from it.
+    assert gradient[-1, 2] > 0.0 and not gradient[:-1].any()
+
+
+def test_a_point_on_the_nearer_side_of_an_edge_is_not_taken_to_be_in_front_of_the_farther():
+    depth = wall()
+    depth[:, 32:] += 0.5
+    edge = np.full_like(depth, np.nan)
+    edge[30, 30:36] = depth[30, 30:36]
+    reached = [on(c, 30, edge[30, c]) for c in range(30, 36)]
+    assert loss([*reached, on(31.6, 30, 2.0)], edge)[0] == 0.0
+    assert loss([*reached, on(34.0, 30, 2.0)], edge)[0] > 0.0

@@ -1,0 +1,196 @@
+"""The mask Chamfer loss, in numpy and compiled, against all pairs in torch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import distance_transform_edt
+
+from tso_cli.geometry.camera import NEAR
+from tso_cli.losses.mask_chamfer import COVERED_WITHIN, MaskTarget, mask_chamfer, resolvability
+from tso_cli.refinement.objective import MaskChamferObjective, ViewTarget, ViewTargets
+
+from .common import COMPILED, FORMS, NUMPY, assert_equal, assert_gradient, by_autograd, in_form
+from .scenes import HEIGHT, WIDTH, camera_of, points_at, scattered
+
+RANDOM = np.random.default_rng(0)
+ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH]
+DISC = ((ROWS - 12) ** 2 / 40 + (COLUMNS - 15) ** 2 / 90 < 1).astype(float)
+LINE = np.where(ROWS == COLUMNS // 2 + 3, 0.3, 0.0)
+KNOWN = (RANDOM.random(DISC.shape) < 0.9).astype(float)
+PARTS = RANDOM.random(67)
+LARGER_IMAGE = (-0.5, -2.3, 40.5, 30.0)
+
+# Targets, the camera's model, and resolvability.
+SCENES = {
+    "one object": (MaskTarget.of(DISC), "perspective", None),
+    "orthographic": (MaskTarget.of(DISC), "orthographic", None),
+    "a mask with holes and unknown pixels": (MaskTarget.of(DISC * KNOWN[::-1], KNOWN), "perspective", None),
+    "a truncated object": (MaskTarget.of(np.where(COLUMNS > 18, DISC.max(), DISC)), "perspective", None),
+    "a mask thinner than a pixel": (MaskTarget.of(LINE), "perspective", None),
+    "an enlarged mask": (MaskTarget.of(DISC, grain=3.3), "perspective", None),
+    "a part of a larger image": (MaskTarget.of(DISC, bounds=LARGER_IMAGE), "perspective", None),
+    "parts that are not resolved": (MaskTarget.of(DISC), "orthographic", [PARTS]),
+}
+
+
+def _objective(name: str, robust_scale: float = 3.0) -> tuple[MaskChamferObjective, np.ndarray]:
+    """The loss by one view, and points of which some lie behind the camera."""
+    target, model, parts = SCENES[name]
+    camera, pixels = camera_of(model), scattered()
+    depth = np.random.default_rng(3).uniform(1.0, 3.0, len(pixels))
+    depth[3:60:8] *= -1.0
+    views = ViewTargets((ViewTarget(camera, target, None, 0.7),))
+    return MaskChamferObjective(views, robust_scale, parts), points_at(pixels, camera, depth)
+
+
+def _oracle(points: torch.Tensor, objective: MaskChamferObjective) -> torch.Tensor:
+    """The loss by one view from all pairs of points and pixels."""
+    (view,) = objective.targets.views
+    camera, target = view.camera, view.mask
+    K, R, t = (torch.tensor(part) for part in (camera.K, camera.R, camera.t))
+    in_camera = points @ R.T + t
+    valid = torch.ones(len(points), dtype=torch.bool)
+    if camera.model == "perspective":
+        valid = in_camera[:, 2] > NEAR
+        in_camera = in_camera / in_camera[:, 2:]
+    pixels = in_camera[:, :2] @ K[:2, :2].T + K[:2, 2]
+    left, top, right, bottom = target.bounds
+    x, y = pixels.detach().T
+    in_image = valid & (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
+    observed = in_image if target.truncated else valid
+    area, resolved = target.scale**2, torch.tensor(objective.resolvability[0] if objective.resolvability else np.ones(len(x)))
+
+    def robust(squared: torch.Tensor) -> torch.Tensor:
+        return squared * area * objective.robust_scale**2 / (objective.robust_scale**2 + squared * area)
+
+    # Column by column: of foreground pixels equally near, the leftmost and then the upper one counts.
+    foreground = torch.tensor(np.argwhere(target.inside.T), dtype=torch.float64)
+    squared = (foreground[:, None] - pixels).square().sum(2)
+    nearest = squared.masked_fill(~valid, torch.inf).argmin(1)
+    squared = squared.gather(1, nearest[:, None])[:, 0]
+    paired = observed[nearest] & (squared > (COVERED_WITHIN * target.grain) ** 2)
+    uncovered = (robust(squared[paired]) * area).sum()
+    own_pixel = torch.stack([x.clamp(0, WIDTH - 1), y.clamp(0, HEIGHT - 1)], 1).round()
+    on_background = observed & in_image
+    on_background[on_background.clone()] = torch.tensor(target.outside)[tuple(own_pixel[on_background].long().T.flip(0))]
+    nearest = (own_pixel[:, None] - foreground).square().sum(2).argmin(1)
+    stray = robust((pixels - foreground[nearest]).square().sum(1)) * resolved * (1024.0 / len(points))
+    return view.weight * (uncovered + stray[on_background].sum())
+
+
+@FORMS
+@pytest.mark.parametrize("name", SCENES)
+def test_value_and_gradient_are_those_of_all_pairs(name, form):
+    objective, points = _objective(name)
+    expected = by_autograd(lambda leaf: _oracle(leaf, objective), points)
+    assert expected[0] > 1.0
+    assert_equal(in_form(form, objective, points), expected)
+    assert in_form(form, objective.per_point, points).sum() == pytest.approx(expected[0], rel=1e-9)
+
+
+@FORMS
+@pytest.mark.parametrize("name", SCENES)
+def test_the_gradient_is_that_of_finite_differences(name, form):
+    objective, points = _objective(name)
+    with_behind = np.concatenate([points[:12], points[-8:]])
+    parts = objective.resolvability and [np.concatenate([PARTS[:12], PARTS[-8:]])]
+    in_form(form, assert_gradient, replace(objective, resolvability=parts), with_behind, 1e-7, 1e-4)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.tuples(st.floats(-9, 40), st.floats(-9, 40), st.floats(-1, 3)), min_size=1, max_size=12),
+    st.sampled_from(sorted(SCENES)),
+    st.floats(0.5, 20.0),
+)
+def test_any_points_cost_the_same_in_both_forms(places, name, robust_scale):
+    objective, _ = _objective(name, robust_scale)
+    objective = replace(objective, resolvability=None)
+    # Off the borders of pixels and none as near as another, where both forms may round differently.
+    column, row, depth = (np.round(places, 3) + np.random.default_rng(4).uniform(1e-4, 9e-4, (len(places), 3))).T
+    points = points_at(np.stack([column, row], 1), objective.targets.views[0].camera, depth)
+    assert_equal(*(in_form(form, objective, points) for form in (COMPILED, NUMPY)), tolerance=1e-8)
+
+
+@FORMS
+@pytest.mark.parametrize("name", ["one object", "a truncated object"])
+def test_a_view_that_observes_no_point_has_an_infinite_loss(name, form):
+    objective, points = _objective(name)
+    camera = objective.targets.views[0].camera
+    behind, beside = (
+        points_at(np.full((4, 2), place), camera, np.full(4, depth)) for place, depth in ((9.0, -2.0), (-50.0, 2.0))
+    )
+    value, gradient = in_form(form, objective, behind)
+    assert value == np.inf and not gradient.any()
+    # Beyond the border that truncates the object, nobody can judge them.
+    assert np.isinf(in_form(form, objective, beside)[0]) == (name == "a truncated object")
+    unweighted = replace(objective.targets.views[0], weight=0.0)
+    assert in_form(form, replace(objective, targets=ViewTargets((unweighted,))), behind)[0] == 0.0
+
+
+def _loss(pixels, target: MaskTarget, robust_scale: float = 3.0, parts=None) -> tuple[float, np.ndarray]:
+    """By pixels in place of points."""
+    costs, gradient = mask_chamfer(np.asarray(pixels, float), np.ones(len(pixels), bool), target, robust_scale, parts)
+    return float(costs.sum()), gradient
+
+
+def _square(size: int = 64, low: int = 20, high: int = 30) -> np.ndarray:
+    mask = np.zeros((size, size))
+    mask[low:high, low:high] = 1.0
+    return mask
+
+
+def test_a_covered_mask_costs_nothing():
+    rows, columns = np.nonzero(_square())
+    points = np.stack([columns, rows], 1) + 0.5 * COVERED_WITHIN
+    value, gradient = _loss(points, MaskTarget.of(_square()))
+    assert value == 0.0 and not gradient.any()
+
+
+def test_pixels_many_times_the_robust_scale_away_have_next_to_no_gradient():
+    mask = np.zeros((64, 64))
+    mask[4, 60] = 1.0
+    far, near = (np.abs(_loss([[10.0, 4.0]], MaskTarget.of(mask), scale)[1]).max() for scale in (2.0, 200.0))
+    assert far < 1e-3 * near
+
+
+def test_an_image_of_twice_the_size_costs_the_same():
+    mask = np.zeros((64, 64))
+    mask[10:40, 20:50] = 1.0
+    points = np.random.default_rng(2).uniform(5, 55, (40, 2))
+    finer = _loss((points + 0.5) * 2 - 0.5, MaskTarget.of(mask.repeat(2, 0).repeat(2, 1)))[0]
+    assert finer == pytest.approx(_loss(points, MaskTarget.of(mask))[0], rel=0.05)
+
+
+def test_a_strip_thinner_than_a_pixel_is_not_resolved_and_a_wider_one_is():
+    along, across = np.linspace(0, 6, 12), np.tile([-0.5, 0.5], 6)
+    strips = np.stack([np.stack([along, width * across], -1) for width in (0.2, 1.0, 2.0)])
+    # Half as far from the middle as it is wide, which is its standard deviation.
+    for result in (resolvability(strips), resolvability(2.0 * strips, 2.0)):
+        np.testing.assert_allclose(result, [0.0, (0.5 - 0.2) / 0.6, 1.0], atol=0.02)
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 40), (40, 1), (30, 47)])
+@pytest.mark.parametrize("share", [0.003, 0.05, 0.6])
+def test_the_nearest_foreground_pixel_is_as_near_as_scipys(height, width, share):
+    inside = np.random.default_rng(height * width).random((height, width)) < share
+    inside[0, -1] = True
+    nearest = MaskTarget.of(inside.astype(float)).nearest_foreground
+    assert inside[tuple(np.moveaxis(nearest, 2, 0))].all()
+    distance = np.linalg.norm(nearest - np.moveaxis(np.mgrid[:height, :width], 0, 2), axis=2)
+    np.testing.assert_allclose(distance, distance_transform_edt(~inside), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "expected"), [(None, True), ((-5.5, -0.5, 63.5, 63.5), False), ((-0.2, -0.5, 90.0, 63.5), True)]
+)
+def test_an_object_that_touches_a_border_of_its_image_is_truncated(bounds, expected):
+    mask = np.zeros((64, 64))
+    mask[20:40, :30] = 1.0
+    assert MaskTarget.of(mask, bounds=bounds).truncated == expected

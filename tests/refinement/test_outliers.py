@@ -1,0 +1,93 @@
+"""Points far from all others: held, reported, and of no influence on the rest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tso_cli.io.clouds import read_cloud
+from tso_cli.io.shipped import examples_folder
+from tso_cli.refinement import RefineConfig, refine
+from tso_cli.refinement.cloud import Cloud, outliers
+from tso_cli.scene.load import load_points_scene
+
+EXAMPLES = ("airplane", "car", "chair")
+CONFIG = RefineConfig(steps=6)
+
+
+def _scene(name):
+    folder = examples_folder() / name
+    return load_points_scene(folder / "initial.ply", folder / "mask.png")
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("sizes", [2.0, 10.0, 1000.0])
+def test_a_stray_point_at_any_distance_changes_no_bit_of_the_others(name, sizes):
+    scene = _scene(name)
+    stray = scene.points.mean(0) + sizes * np.ptp(scene.points, axis=0).max() * np.array([0.6, 0.64, 0.48])
+    place = len(scene.points) // 2
+    alone = refine(scene.points, scene.view, config=CONFIG)
+    beside = refine(np.insert(scene.points, place, stray, axis=0), scene.view, config=CONFIG)
+    np.testing.assert_array_equal(np.delete(beside.points, place, axis=0), alone.points)
+    np.testing.assert_array_equal(beside.points[place], stray)
+    assert (beside.iou_before, beside.iou_after, beside.moved_mean) == (alone.iou_before, alone.iou_after, alone.moved_mean)
+    assert (beside.outliers.sum(), alone.outliers.sum()) == (1, 0)
+    assert "1 point lies far from all others: left where found, and out of all measures" in beside.warnings
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_a_fifth_of_outliers_far_and_wide_changes_the_others_by_under_two_percent(name):
+    scene, rng = _scene(name), np.random.default_rng(0)
+    size = np.ptp(scene.points, axis=0).max()
+    noise = scene.points.mean(0) + size * rng.uniform(-2.5, 2.5, (len(scene.points) // 5, 3))
+    alone = refine(scene.points, scene.view)
+    beside = refine(np.vstack([scene.points, noise]), scene.view)
+    count = len(scene.points)
+    assert beside.outliers.sum() > 0.95 * len(noise)
+    held = np.linalg.norm(beside.points[count:] - noise, axis=1) == 0.0
+    np.testing.assert_array_equal(held, beside.outliers[count:])
+    off = np.linalg.norm(beside.points[:count] - alone.points, axis=1).mean()
+    assert off < 0.02 * size
+
+
+def test_no_point_of_the_examples_is_an_outlier():
+    for path in Path(examples_folder()).glob("*/*.ply"):
+        assert not outliers(np.asarray(read_cloud(path).points, dtype=np.float64)).any()
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(*[st.floats(-1.0, 1.0, width=32)] * 3), min_size=1, max_size=60), st.floats(0.01, 100.0))
+def test_outliers_depend_on_neither_unit_nor_origin_and_are_a_minority(rows, scale):
+    points = np.array(rows)
+    found = outliers(points)
+    np.testing.assert_array_equal(outliers(np.exp2(np.round(np.log2(scale))) * points), found)
+    assert 4 * found.sum() <= len(points)
+
+
+def test_colours_follow_the_points_that_move():
+    points = np.vstack([np.random.default_rng(0).random((100, 3)), [[50.0, 0.0, 0.0]]])
+    colours = np.linspace(0.0, 1.0, 303).reshape(101, 3)
+    cloud = Cloud(points, "points", colours)
+    assert cloud.outliers.tolist() == [False] * 100 + [True]
+    np.testing.assert_allclose(cloud.colours, colours[:100], atol=1e-6)
+
+
+def test_measures_and_overlay_are_of_the_rest():
+    scene = _scene("chair")
+    beside = refine(np.vstack([scene.points, [[3000.0, 0.0, 0.0]]]), scene.view, config=CONFIG)
+    initial, refined = beside.judged
+    assert initial.shape == refined.shape == scene.points.shape
+
+
+def test_points_in_one_place_far_away_are_outliers():
+    invalid = np.tile([[3.0, 0.0, 0.0]], (40, 1))
+    assert outliers(np.vstack([_scene("chair").points, invalid])).sum() == 40
+
+
+def test_more_than_a_quarter_of_a_cloud_are_no_outliers():
+    core, rest = (np.random.default_rng(0).normal(size=(count, 3)) for count in (600, 240))
+    assert not outliers(np.vstack([1e-3 * core, rest])).any()

@@ -1,0 +1,83 @@
+"""Chamfer distance from a cloud to its own start: the regulariser d(y, y^) of Eq. 7."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.points import quantile
+from ..kernels.dispatch import use_compiled
+from .nearest import nearest, nearest_few
+
+Array = NDArray[np.float64]
+# A surface leaves most cells of the grid empty.
+CELLS_PER_POINT = 4.0
+
+
+class ChamferToStart:
+    """Squared distances, mean over points, both directions summed, between a cloud [N, 3] and the same cloud moved.
+
+    A moved point within half the distance from its start to the next one is nearest to its own start: most need no search.
+    In compiled loops each point looks around itself, no further than to its neighbour of the last call.
+    """
+
+    def __init__(self, initial: Array) -> None:
+        self.initial = initial
+        self._grid = _Grid(initial) if use_compiled() else None
+        self._spacing = spacings(initial) if self._grid is None else None
+
+    def __call__(self, points: Array) -> tuple[float, Array]:
+        """The distance, and its gradient [N, 3] by ``points`` [N, 3]."""
+        if self._grid is not None:
+            return self._grid.chamfer(points)
+        initial, spacing, own = self.initial, self._spacing, np.arange(len(points))
+        shift = np.sqrt(np.square(points - initial).sum(1))
+        to_start, to_moved = own.copy(), own.copy()
+        # |m_i - s_j| >= |s_i - s_j| - |m_i - s_i|
+        far = ~(2.0 * shift <= spacing)
+        if far.any():
+            to_start[far] = nearest(points[far], initial)
+        # |s_i - m_j| >= |s_i - s_j| - |m_j - s_j|
+        far = ~(shift + shift.max() <= spacing)
+        if far.any():
+            to_moved[far] = nearest(initial[far], points)
+        ahead, back = points - initial[to_start], points[to_moved] - initial
+        gradient = ahead + np.stack([np.bincount(to_moved, column, len(points)) for column in back.T], 1)
+        value = (np.square(ahead).sum() + np.square(back).sum()) / len(points)
+        return float(value), (2.0 / len(points)) * gradient
+
+
+class _Grid:
+    """The cells that the points are sorted into, and their neighbours of the last call."""
+
+    def __init__(self, initial: Array) -> None:
+        from ..kernels.points_numba import sort_into_grid
+
+        # Few strays would make the cells too large for the rest. What lies outside belongs to the outermost cells.
+        low, high = (quantile(initial, share) for share in (0.01, 0.99))
+        extent = np.maximum(high - low, np.max(high - low) * 1e-2 + 1e-30)
+        edge = float(np.cbrt(extent.prod() / (CELLS_PER_POINT * len(initial))))
+        sides = np.ceil(extent / edge).astype(np.int64)
+        self._cells, self._start = (low, 1.0 / edge, sides), np.ascontiguousarray(initial)
+        self._sorted = sort_into_grid(self._start, *self._cells)
+        self._to_start, self._to_moved = np.arange(len(initial)), np.arange(len(initial))
+
+    def chamfer(self, points: Array) -> tuple[float, Array]:
+        from ..kernels.points_numba import chamfer, nearest_in_grid, sort_into_grid
+
+        points, gradient = np.ascontiguousarray(points), np.empty_like(points)
+        nearest_in_grid(points, self._start, self._sorted, *self._cells, self._to_start)
+        nearest_in_grid(self._start, points, sort_into_grid(points, *self._cells), *self._cells, self._to_moved)
+        value: float = chamfer(self._start, points, self._to_start, self._to_moved, gradient)
+        return value, gradient
+
+
+def spacings(points: Array) -> Array:
+    """[N] distance from each point to the nearest other one; infinite for a single point."""
+    if len(points) == 1:
+        return np.full(1, np.inf)
+    two = nearest_few(points, points, 2)
+    # Of coinciding points either may come first.
+    other = np.where(two[:, 0] == np.arange(len(points)), two[:, 1], two[:, 0])
+    spacing: Array = np.sqrt(np.square(points - points[other]).sum(1))
+    return spacing

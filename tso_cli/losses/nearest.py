@@ -1,0 +1,80 @@
+"""Nearest neighbours and evenly spread subsets: by all distances, in compiled loops, or of many points by a tree."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry import points as plain
+from ..kernels.dispatch import use_compiled
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# Distances computed at once; bounds memory.
+PAIRS_AT_ONCE = 1 << 21
+# With more pairs a k-d tree, whose import takes a quarter of a second, is faster than the matrix and than loops over all.
+MOST_PAIRS = 1 << 22
+
+
+def nearest(queries: Array, data: Array) -> Indices:
+    """[Q] index of the point of ``data`` [N, D] nearest to each of the ``queries`` [Q, D], finite all; the first of equals."""
+    if len(queries) * len(data) > MOST_PAIRS:
+        return _by_tree(queries, data, 1)
+    if use_compiled() and data.shape[1] == 3:
+        from ..kernels.nearest_numba import nearest_in_rows
+
+        return nearest_in_rows(queries[None], data[None])[0]
+    return np.concatenate([squared.argmin(1) for squared in _shifted_distances(queries, data)])
+
+
+def nearest_few(queries: Array, data: Array, count: int) -> Indices:
+    """[Q, count] indices of the nearest points of ``data``, by increasing distance."""
+    if len(queries) * len(data) > MOST_PAIRS:
+        return _by_tree(queries, data, count).reshape(-1, count)
+    if use_compiled() and data.shape[1] == 3 and count <= len(data):
+        from ..kernels import points_numba
+
+        few = np.empty((len(queries), count), np.int64)
+        points_numba.nearest_few(queries, data, few)
+        return few
+    chosen = []
+    for squared in _shifted_distances(queries, data):
+        few = np.arange(len(data))[None].repeat(len(squared), 0)
+        if count < len(data):
+            few = np.argpartition(squared, count - 1, 1)[:, :count]
+        order = np.argsort(np.take_along_axis(squared, few, 1), 1, kind="stable")
+        chosen.append(np.take_along_axis(few, order, 1))
+    return np.concatenate(chosen)
+
+
+def _by_tree(queries: Array, data: Array, count: int) -> Indices:
+    from scipy.spatial import cKDTree
+
+    indices: Indices = cKDTree(data, balanced_tree=False, compact_nodes=False).query(queries, count)[1]
+    return indices
+
+
+def spread_subset(points: Array, count: int) -> Indices:
+    """As `tso_cli.geometry.points.spread_subset`."""
+    return plain.spread_subset(points, count, _farthest_points if use_compiled() else plain.farthest_point_sample)
+
+
+def _farthest_points(points: Array, count: int) -> Indices:
+    from ..kernels.points_numba import farthest_points
+
+    chosen = np.empty(count, np.int64)
+    farthest_points(points, chosen)
+    return chosen
+
+
+def _shifted_distances(queries: Array, data: Array):  # type: ignore[no-untyped-def]
+    """Chunks [q, N] of the squared distances minus ``|query|^2``: one matrix product, of the same order."""
+    # About the middle of the data, where the difference of two large numbers loses fewest digits.
+    middle = data.mean(0)
+    data = data - middle
+    right = np.concatenate([-2.0 * data.T, np.square(data).sum(1)[None]])
+    step = max(1, PAIRS_AT_ONCE // len(data))
+    for start in range(0, max(len(queries), 1), step):
+        part = queries[start : start + step] - middle
+        yield np.concatenate([part, np.ones((len(part), 1), part.dtype)], 1) @ right
