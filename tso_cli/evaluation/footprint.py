@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.camera import NEAR, Camera
+from ..geometry.points import quantile
 from ..geometry.view import View
 from ..geometry.window import Array, Box, window_of
 from .metrics import iou
@@ -108,7 +109,7 @@ def spacing(points: Array) -> tuple[float, float]:
     # The smallest distance is that of the point to itself.
     squared.partition([1, count], axis=1)
     squared = squared[:, [1, count]] + np.square(queries).sum(1)[:, None]
-    nearest, farthest = np.sqrt(np.maximum(np.median(squared, axis=0), 0.0)).tolist()
+    nearest, farthest = np.sqrt(np.maximum(quantile(squared, 0.5), 0.0)).tolist()
     # A disc of radius ``farthest`` holds ``count`` points.
     spaced = farthest * float(np.sqrt(np.pi / count))
     # The nearest neighbour is at 0.9 spacings among evenly spaced points, at 0.5 among random ones.

@@ -108,7 +108,8 @@ def outliers(points: Array) -> NDArray[np.bool_]:
     places, place = np.unique(points, axis=0, return_inverse=True)
     fourth = nearest_few(places, places, min(NEIGHBOUR + 1, len(places)))[:, -1]
     distance = np.linalg.norm(places - places[fourth], axis=1)
-    far: NDArray[np.bool_] = (distance > max(OUTLIER_SIZE * size, OUTLIER_SPACINGS * float(np.median(distance))))[place.ravel()]
+    least = max(OUTLIER_SIZE * size, OUTLIER_SPACINGS * float(quantile(distance, 0.5)))
+    far: NDArray[np.bool_] = (distance > least)[place.ravel()]
     return far if far.mean() <= MOST_OUTLIERS else np.zeros(len(points), bool)
 
 
