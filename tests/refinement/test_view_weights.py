@@ -16,7 +16,7 @@ from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.view_weights import ViewWeights, inlier_weights, shared_weights
 
-from .conftest import example
+from ..scenes import example
 
 ORTHOGONAL = np.eye(5)[:4]  # gradients of four views
 LOSSES = np.array([1.0, 1.1, 0.9, 6.0])

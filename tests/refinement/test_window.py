@@ -17,7 +17,7 @@ from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.resampled_view import resample_view
 
-from .conftest import example
+from ..scenes import example
 
 
 def framed(view, times, across, down):

@@ -47,12 +47,9 @@ class Cloud:
             self.outliers = outliers(self.given)
         self.initial = self.surface.samples if self.surface else self._inliers(self.given)
         self.centre, self.scale = bounding_box_normalisation(self.initial, name)
-        self.colours = None if colours is None else _as_colours(as_numpy(colours), len(self.given), name)
-        if self.colours is not None:
-            of_vertices = self.colours
-            self.colours = self._inliers(of_vertices)
-            if self.surface:
-                self.colours = self.surface.at(of_vertices.astype(np.float64)).astype(np.float32)
+        self.colours = None if colours is None else self._inliers(_as_colours(as_numpy(colours), len(self.given), name))
+        if self.surface and self.colours is not None:
+            self.colours = self.surface.at(self.colours.astype(np.float64)).astype(np.float32)
 
     def normalised(self) -> Array:
         normalised: Array = (self.initial - self.centre) / self.scale
