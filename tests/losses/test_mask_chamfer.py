@@ -34,6 +34,7 @@ SCENES = {
     "a truncated object": (MaskTarget.of(np.where(COLUMNS > 18, DISC.max(), DISC)), "perspective", None),
     "a mask thinner than a pixel": (MaskTarget.of(LINE), "perspective", None),
     "an enlarged mask": (MaskTarget.of(DISC, grain=3.3), "perspective", None),
+    "a mask enlarged beyond the pixels that are tried first": (MaskTarget.of(DISC, grain=4.5), "perspective", None),
     "a part of a larger image": (MaskTarget.of(DISC, bounds=LARGER_IMAGE), "perspective", None),
     "parts that are not resolved": (MaskTarget.of(DISC), "orthographic", [PARTS]),
 }

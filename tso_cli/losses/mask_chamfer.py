@@ -19,6 +19,8 @@ Marks = NDArray[np.bool_]
 REFERENCE_SIDE = 64.0
 # A point covers a pixel whose centre is this near, px: as far as a point may be from the nearest pixel's centre.
 COVERED_WITHIN = 0.7
+# Pixels at most so far from a point's own, along rows and columns, are tried first as those that it is nearest to.
+REACH = 2
 # Standard deviations across a part, px, that pixels just fail to resolve, and that they surely resolve.
 THIN, THICK = 0.2, 0.8
 # Stray points are weighted as if a cloud had so many: sampling density says nothing of how wrong a cloud is.
@@ -170,33 +172,52 @@ def _uncovered(points_px: Array, valid: Marks, observed: Marks, target: MaskTarg
     Pixels whose nearest point is not observed are left out.
     """
     (candidates,) = np.nonzero(valid)
-    rows, columns = target.foreground
     if not len(candidates):
         return np.empty(0, np.int64), np.empty((0, 2))
+    rows, columns = target.foreground
     within = COVERED_WITHIN * target.grain
-    open_pixels = ~_covered(points_px[candidates], target, within)[rows, columns]
-    pixels = np.stack([columns[open_pixels], rows[open_pixels]], 1).astype(float)
-    owner = candidates[nearest(pixels, points_px[candidates])]
+    near, squared = (values[rows, columns] for values in _nearest_within(REACH, points_px[candidates], target.inside.shape))
+    # Covered pixels need no point.
+    uncovered = (near < 0) | (squared > within**2)
+    near, pixels = near[uncovered], np.stack([columns[uncovered], rows[uncovered]], 1).astype(float)
+    far = near < 0
+    near[far] = nearest(pixels[far], points_px[candidates])
+    owner = candidates[near]
     offsets = points_px[owner] - pixels
     kept = observed[owner] & (np.square(offsets).sum(1) > within**2)
     return owner[kept], offsets[kept]
 
 
-def _covered(points_px: Array, target: MaskTarget, within: float) -> Marks:
-    """[H, W] pixels with a point ``within`` px of their centre, or some of these: they need not search for their nearest."""
-    height, width = target.inside.shape
-    reach = min(math.ceil(within + 0.5) - 1, 3)
-    near = ((points_px > -4.0) & (points_px < (width + 3.0, height + 3.0))).all(1)
-    points_px = points_px[near]
-    centre = np.rint(points_px)
+def _nearest_within(reach: int, points_px: Array, shape: tuple[int, int]) -> tuple[NDArray[np.int64], Array]:
+    """[H, W] index of the nearest point of each pixel that has one within ``reach`` + 0.5 px, else -1; its squared distance.
+
+    Most pixels have: trying the few pixels around each point is faster than all points for each pixel.
+    """
+    height, width = shape
+    margin = 2 * reach + 1
+    padded = width + 2 * margin
+    x, y = points_px.T
+    (inside,) = np.nonzero((x > -reach - 1.0) & (x < width + reach) & (y > -reach - 1.0) & (y < height + reach))
+    x, y = x[inside], y[inside]
+    column, row = np.rint(x), np.rint(y)
     steps = np.arange(-reach, reach + 1)
-    across, down = (np.square((centre - points_px)[:, axis, None] + steps) for axis in (0, 1))  # [N, k]
-    covered = np.zeros((height + 14, width + 14), bool)
-    hit = down[:, :, None] + across[:, None, :] <= within**2
-    point, by_row, by_column = np.nonzero(hit)
-    column, row = centre.astype(np.int64).T
-    covered[row[point] + steps[by_row] + 7, column[point] + steps[by_column] + 7] = True
-    return covered[7:-7, 7:-7]
+    squared_rows, squared_columns = (np.square(nearest - at + steps[:, None]) for nearest, at in ((row, y), (column, x)))
+    pixel = ((row + margin) * padded + column + margin).astype(np.int64)
+    # One place around the points at a time: arrays that stay in the cache.
+    pairs = [
+        (pixel + (down * padded + across), of_row + of_column)
+        for down, of_row in zip(steps, squared_rows, strict=True)
+        for across, of_column in zip(steps, squared_columns, strict=True)
+    ]
+    least = np.full((height + 2 * margin) * padded, (reach + 0.5) ** 2)
+    owner = np.full(len(least), -1)
+    for pixels, squared in pairs:
+        np.minimum.at(least, pixels, squared)
+    for pixels, squared in pairs:
+        found = squared == least[pixels]
+        owner[pixels[found]] = inside[found]
+    rows, columns = (slice(margin, margin + side) for side in shape)
+    return owner.reshape(-1, padded)[rows, columns], least.reshape(-1, padded)[rows, columns]
 
 
 def _stray(points_px: Array, observed: Marks, target: MaskTarget) -> tuple[NDArray[np.int64], Array]:

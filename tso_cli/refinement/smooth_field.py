@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +16,8 @@ Indices = NDArray[np.int64]
 NEIGHBOURS = 8
 PATCH = 12
 INTERPOLATED_FROM = 6
+# Nodes of a block of the smoother's matrix, at least.
+BLOCK = 64
 
 
 class SmoothField:
@@ -40,8 +40,8 @@ class SmoothField:
         self.nodes = spread_subset(points, nodes)
         positions = points[self.nodes]
         self.patches = _patches(positions)
-        self._rows, self._columns = _neighbours(self.patches)
-        self._smoothers: dict[float, Callable[[Array], Array]] = {}
+        self._adjacent = _adjacent(self.patches)
+        self._smoothers: dict[float, _Smoother] = {}
         self._index: Indices = np.arange(len(points))[:, None]
         self._weight: Array = np.ones((len(points), 1))
         if len(positions) < len(points):
@@ -60,28 +60,9 @@ class SmoothField:
     def smoothed(self, values: Array, weight: float) -> Array:
         """``(I + weight L)^-1 values``, [M, C]; a symmetric matrix, its own transpose."""
         if weight not in self._smoothers:
-            self._smoothers[weight] = self._smoother(weight)
+            # Lambda is stated for so many nodes: with fewer the edges are longer.
+            self._smoothers[weight] = _Smoother(self._adjacent, weight * len(self.nodes) / FIELD_NODES)
         return self._smoothers[weight](values)
-
-    def _smoother(self, weight: float) -> Callable[[Array], Array]:
-        size, diagonal = len(self.nodes), self._rows == self._columns
-        # Lambda is stated for so many nodes: with fewer the edges are longer.
-        weight *= size / FIELD_NODES
-        counts = np.bincount(self._rows, minlength=size)
-        system = np.where(diagonal, 1.0 + weight * (counts[self._rows] - 1), -weight)
-        if use_compiled():
-            # A sparse factor is ten times as quick as the inverse, but not to import.
-            from scipy.sparse import csc_array
-            from scipy.sparse.linalg import splu
-
-            sparse = csc_array((system, self._columns, np.concatenate([[0], np.cumsum(counts)])), (size, size))
-            factor: Callable[[Array], Array] = splu(sparse, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0).solve
-            return factor
-        dense = np.zeros((size, size))
-        dense[self._rows, self._columns] = system
-        inverse = _inverse(dense)
-        # A product with few columns on the right takes twice as long.
-        return lambda values: (values.T.copy() @ inverse).T
 
     def spread(self, values: Array) -> Array:
         """[N, C] values of the points, interpolated between those of the nodes [M, C]."""
@@ -133,27 +114,66 @@ def _patches(nodes: Array) -> Indices:
     return np.concatenate([near, np.repeat(itself, PATCH - near.shape[1], 1)], 1)
 
 
-def _neighbours(patches: Indices) -> tuple[Indices, Indices]:
-    """Pairs (row, column), by rows: nodes of which either is among the 8 nearest of the other, and each with itself."""
-    joined = np.zeros((len(patches), len(patches)), bool)
-    np.put_along_axis(joined, patches[:, : NEIGHBOURS + 1], True, 1)
-    rows, columns = np.nonzero(joined | joined.T)
-    return rows, columns
+def _adjacent(patches: Indices) -> NDArray[np.bool_]:
+    """[M, M] whether either of two nodes is among the 8 nearest of the other; each is of itself."""
+    near = np.zeros((len(patches), len(patches)), bool)
+    np.put_along_axis(near, patches[:, : NEIGHBOURS + 1], True, 1)
+    adjacent: NDArray[np.bool_] = near | near.T
+    return adjacent
 
 
-def _inverse(matrix: Array) -> Array:
-    """Of a symmetric positive definite matrix, by its halves: five times as fast as `numpy.linalg.inv`."""
-    inverse, half = np.empty_like(matrix), len(matrix) // 2
-    if half <= 32:
-        inverse[:] = np.linalg.inv(matrix)
-        return inverse
-    first, off = _inverse(matrix[:half, :half]), matrix[:half, half:]
-    carried = first @ off
-    second = _inverse(matrix[half:, half:] - off.T @ carried)
-    coupling = carried @ second
-    inverse[:half, :half], inverse[half:, half:] = first + coupling @ carried.T, second
-    inverse[:half, half:], inverse[half:, :half] = -coupling, -coupling.T
-    return inverse
+class _Smoother:
+    """``(I + weight L)^-1`` of a graph's Laplacian L.
+
+    Nodes equally many edges away from a first one are adjacent to those one edge nearer or farther alone. In this order the
+    matrix is block tridiagonal, and blocks are eliminated one by one: ten times as fast as the inverse.
+    """
+
+    def __init__(self, adjacent: NDArray[np.bool_], weight: float) -> None:
+        blocks = _layers(adjacent)
+        diagonal = 1.0 + weight * (np.count_nonzero(adjacent, axis=1) - 1)
+        self._order = np.concatenate(blocks)
+        self._ends = np.cumsum([len(block) for block in blocks])[:-1]
+        self._inverses: list[Array] = []
+        self._carries: list[Array] = []
+        for number, block in enumerate(blocks):
+            matrix = -weight * adjacent[np.ix_(block, block)]
+            np.fill_diagonal(matrix, diagonal[block])
+            if number:
+                coupling = -weight * adjacent[np.ix_(block, blocks[number - 1])]
+                self._carries.append(coupling @ self._inverses[-1])
+                matrix -= self._carries[-1] @ coupling.T
+            self._inverses.append(np.linalg.inv(matrix))
+
+    def __call__(self, values: Array) -> Array:
+        """[M, C] smoothed."""
+        parts = np.split(values[self._order], self._ends)
+        for number, carry in enumerate(self._carries, 1):
+            parts[number] = parts[number] - carry @ parts[number - 1]
+        parts = [inverse @ part for inverse, part in zip(self._inverses, parts, strict=True)]
+        for number, carry in reversed(list(enumerate(self._carries))):
+            parts[number] = parts[number] - carry.T @ parts[number + 1]
+        smoothed = np.empty_like(values)
+        smoothed[self._order] = np.concatenate(parts)
+        return smoothed
+
+
+def _layers(adjacent: NDArray[np.bool_]) -> list[Indices]:
+    """All nodes in blocks of about `BLOCK`, of which only successive ones are adjacent."""
+    left = np.ones(len(adjacent), bool)
+    blocks: list[Indices] = []
+    block: list[Indices] = []
+    layer = np.empty(0, np.int64)
+    while left.any():
+        if not len(layer):
+            layer = np.flatnonzero(left)[:1]
+        left[layer] = False
+        block.append(layer)
+        if sum(map(len, block)) >= BLOCK:
+            blocks.append(np.concatenate(block))
+            block = []
+        layer = np.flatnonzero(adjacent[layer].any(0) & left)
+    return [*blocks, np.concatenate(block)] if block else blocks
 
 
 def falling_weights(distance: Array) -> Array:
