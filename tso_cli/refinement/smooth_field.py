@@ -34,10 +34,12 @@ class SmoothField:
     patches : [M, 12] the nearest nodes of each node, itself first.
     """
 
-    def __init__(self, points: Array, nodes: int = FIELD_NODES) -> None:
+    def __init__(self, points: Array, nodes: int = FIELD_NODES, finer: SmoothField | None = None) -> None:
         self._points = points
         self._coarser: dict[int, SmoothField] = {}
-        self.nodes = spread_subset(points, nodes)
+        # The first of a spread subset are the smaller one, but where the finer field has every point, in their own order.
+        known = finer is not None and len(finer.nodes) < len(points)
+        self.nodes = finer.nodes[:nodes] if finer and known else spread_subset(points, nodes)
         positions = points[self.nodes]
         self.patches = _patches(positions)
         self._adjacent = _adjacent(self.patches)
@@ -54,7 +56,7 @@ class SmoothField:
         if nodes >= len(self.nodes):
             return self
         if nodes not in self._coarser:
-            self._coarser[nodes] = SmoothField(self._points, nodes)
+            self._coarser[nodes] = SmoothField(self._points, nodes, self)
         return self._coarser[nodes]
 
     def smoothed(self, values: Array, weight: float) -> Array:
