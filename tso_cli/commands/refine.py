@@ -86,6 +86,13 @@ HEADINGS = {
 )
 @click.option("--refine-camera", is_flag=True, help="First correct the cameras, close to the given ones; points mode.")
 @click.option("--write-camera", type=PATH, help="Write the fitted or refined cameras, .json.")
+@click.option(
+    "--assume",
+    multiple=True,
+    metavar="NAME",
+    help="What the input is, if not as tso expects: camera-to-world, opengl, cloud-z-up, cloud-millimetres, mask-flipped, ...; "
+    "warnings name the likely one, an unknown NAME lists all.",
+)
 @click.option("--invert-mask", is_flag=True, help="The object is dark in the mask.")
 @click.option("--ignore", type=PATH, multiple=True, help="Image whose bright pixels are unknown: left out of the loss.")
 @click.option("--depth", type=PATH, multiple=True, help="Depth map along the camera's z, 16-bit PNG or .npy; 0, NaN: unknown.")
@@ -143,7 +150,7 @@ def command(ctx: click.Context, check: bool, quiet: bool, verbose: bool, as_json
             options.log(f"tso: checkpoint: {inputs.checkpoint}")
         options.log(f"tso: camera: {', '.join(dict.fromkeys(scene.camera_sources))}")
     if check:
-        check_scene(scene, as_json, quiet)
+        check_scene(scene, as_json, quiet, warned)
         return
     read = time.perf_counter() - started
     with options.loading():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -15,26 +16,34 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..geometry.camera import Camera
+    from ..refinement.assumptions import Suspect
     from ..refinement.placement import Placement
     from ..scene.load import Scene
 
 
-def check_scene(scene: Scene, as_json: bool, quiet: bool) -> None:
-    """Print cameras, scale and overlap; InputError where cloud and mask do not overlap."""
+def check_scene(scene: Scene, as_json: bool, quiet: bool, warned: list[str]) -> None:
+    """Print cameras, scale and overlap; InputError where cloud and mask do not overlap.
+
+    ``warned`` collects the warnings so far and those to come.
+    """
     from ..refinement.cloud import outliers_told
-    from ..refinement.placement import SMALLEST_BOX_IOU, mask_doubts, place, require_overlap
+    from ..refinement.assumptions import Agreement
+    from ..refinement.placement import SMALLEST_BOX_IOU, mask_doubts, place
+    from ..refinement.problem import require_overlaps
 
     placements = [place(scene.moving, view) for view in scene.views]
     doubts = [] if scene.surface else outliers_told(len(scene.points) - len(scene.moving))
     for doubt in (*doubts, *(doubt for view in scene.views for doubt in mask_doubts(view, len(scene.moving)))):
         warnings.warn(doubt, stacklevel=1)
     overlaps = [placement.box_iou > SMALLEST_BOX_IOU for placement in placements]
+    agreement = None if scene.network else Agreement.of(scene.moving, scene.views)
+    if agreement and agreement.suspects and all(overlaps):
+        warnings.warn(str(agreement), stacklevel=1)
     if as_json:
-        options.echo_json(_document(scene, placements, overlaps))
+        options.echo_json(_document(scene, placements, overlaps, agreement.suspects if agreement else (), warned))
     elif not quiet:
         _print(scene, placements, overlaps)
-    for placement, view in zip(placements, scene.views, strict=True):
-        require_overlap(placement, view)
+    require_overlaps(scene.moving, scene.views, agreement)
 
 
 def camera_document(camera: Camera, source: str) -> dict[str, Any]:
@@ -43,7 +52,22 @@ def camera_document(camera: Camera, source: str) -> dict[str, Any]:
     return {"source": source, **shape, **{name: getattr(camera, name).tolist() for name in ("K", "R", "t")}}
 
 
-def _document(scene: Scene, placements: list[Placement], overlaps: list[bool]) -> dict[str, Any]:
+def verdict_document(
+    confidence: float | None, verdict: str | None, reason: str | None, warned: list[str], suspects: Sequence[Suspect]
+) -> dict[str, Any]:
+    """What a user of many objects looks at first."""
+    return {
+        "confidence": confidence,
+        "verdict": verdict,
+        "reason": reason,
+        "warnings": warned,
+        "suspects": [suspect._asdict() for suspect in suspects],
+    }
+
+
+def _document(
+    scene: Scene, placements: list[Placement], overlaps: list[bool], suspects: Sequence[Suspect], warned: list[str]
+) -> dict[str, Any]:
     views = []
     for view, source, placement, overlap in zip(scene.views, scene.camera_sources, placements, overlaps, strict=True):
         camera = camera_document(view.camera, source)
@@ -57,6 +81,7 @@ def _document(scene: Scene, placements: list[Placement], overlaps: list[bool]) -
         "placement": views[0]["placement"],
         "meets": all(overlaps),
         "views": views,
+        **verdict_document(None, None, None, warned, suspects),
         "version": __version__,
     }
 

@@ -45,6 +45,7 @@ class RefineInputs:
     source: Path
     masks: tuple[Path, ...]
     camera: Path | None
+    assume: tuple[str, ...]
     invert_mask: bool
     ignore: tuple[Path, ...]
     depth: tuple[Path, ...]
@@ -82,6 +83,9 @@ class RefineInputs:
 
             self.masks = tuple(named_masks(self.camera))
 
+        if self.assume and self.mode != "points":
+            raise InputError(f"--assume is for --mode points, found --mode {self.mode}, which places its cloud itself")
+
     def _check_points_mode(self) -> None:
         if self.checkpoint is not None:
             raise InputError(
@@ -113,8 +117,11 @@ class RefineInputs:
             from ..scene.load import ViewFiles, load_points_scene
         camera = None if self.fit else self.camera
         if self.checkpoint is None:
+            from ..refinement.assumptions import assumptions_of
+
             views = ViewFiles(
-                self.masks, camera, self.invert_mask, self.ignore, self.depth, self.depth_scale or 1.0, self.image
+                *(self.masks, camera, self.invert_mask, self.ignore, self.depth, self.depth_scale or 1.0, self.image),
+                assumptions_of(self.assume),
             )
             return load_points_scene(self.source, views, self.fit)
         from ..scene.network import load_network_scene

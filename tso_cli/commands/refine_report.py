@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..version import __version__
-from .refine_check import camera_document
+from .refine_check import camera_document, verdict_document
 
 if TYPE_CHECKING:
     from ..geometry.camera import Camera
@@ -63,7 +63,7 @@ class RefineReport:
             "frame": scene.frame,
             "points": len(result.points),
             "outliers": int(result.outliers.sum()),
-            "warnings": warnings,
+            **verdict_document(result.confidence, result.verdict, result.reason, warnings, result.suspects),
             "convention": {
                 "moved": "way of a point from its start, as a share of the object's size, the longest side of the start's box",
                 "chamfer_to_initial": "squared distances, mean over points, both directions summed, longest side 1",

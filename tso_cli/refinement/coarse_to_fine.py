@@ -110,4 +110,5 @@ def _averaged(parts: list[Descent], weights: list[float], initial: Array, object
         losses=[*parts[0].losses, *(loss for part in parts[1:] for loss in part.losses[1:])],
         first_loss=loss_at_start,
         best_loss=min(loss_at_mean, loss_at_start),
+        stages=tuple(part.best for part in parts),
     )

@@ -35,7 +35,7 @@ class Descent:
     best : [N, 3], the iterate with the lowest loss. best_step : its step.
     losses : at the start and after every step; the last is NaN where points or loss were not finite.
     interrupted : Ctrl-C ended it.
-    first_loss, best_loss : of the start and of ``best``.
+    first_loss, best_loss : of the start and of ``best``. stages : the best of each stage, [N, 3].
     """
 
     best: Array
@@ -44,6 +44,7 @@ class Descent:
     interrupted: bool
     first_loss: float
     best_loss: float
+    stages: tuple[Array, ...] = ()
 
 
 def offset_progress(on_progress: Progress, done: int, total: int) -> Progress:

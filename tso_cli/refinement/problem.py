@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.view import View
 from ..geometry.window import Array, Box, window_of
+from .assumptions import Agreement
 from .cloud import Cloud
 from .config import Settings
 from .placement import place, require_overlap
@@ -29,6 +30,7 @@ class Problem:
     ----------
     views : as given. all_views : the same, followed by the flipped ones where a mirror plane is used.
     resampled : of each of ``all_views``. fine_grids : cells a side of each in stages with a fine grid.
+    agreement : of points mode, with what may be wrong with the input.
     """
 
     cloud: Cloud
@@ -37,17 +39,18 @@ class Problem:
     resampled: tuple[ResampledView, ...]
     fine_grids: tuple[int, ...]
     symmetry: SymmetryDecision
+    agreement: Agreement | None = None
 
     @classmethod
     def of(cls, cloud: Cloud, views: tuple[View, ...], settings: Settings) -> Problem:
         """Raises InputError where the cloud's projection misses a mask, or the mode cannot use depth maps or images."""
         _require_supported(cloud, views, settings)
-        for view in views:
-            require_overlap(place(cloud.initial, view), view)
+        agreement = Agreement.of(cloud.initial, views) if settings.mode == "points" else None
+        require_overlaps(cloud.initial, views, agreement)
         symmetry = decide_symmetry(cloud, settings.symmetry)
         if symmetry.outcome == "given":
             _require_plane_through(cloud, views, symmetry, settings.symmetry)
-        return cls(cloud, (), (), (), (), symmetry).with_views(views, settings)
+        return cls(cloud, (), (), (), (), symmetry, agreement).with_views(views, settings)
 
     def with_views(self, views: tuple[View, ...], settings: Settings) -> Problem:
         """The same cloud with other views."""
@@ -81,6 +84,15 @@ class Problem:
         return sum(
             weight * (1.0 + flipped + (view.depth is not None)) for weight, view in zip(weights, self.views, strict=True)
         )
+
+
+def require_overlaps(points: Array, views: tuple[View, ...], agreement: Agreement | None) -> None:
+    """Raise InputError where ``points`` [N, 3] miss a mask, with what may be wrong."""
+    for view in views:
+        try:
+            require_overlap(place(points, view), view)
+        except InputError as error:
+            raise InputError("; ".join(filter(None, (str(error), str(agreement or ""))))) from None
 
 
 def _side(box: Box) -> float:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..geometry.camera import Camera
 from ..geometry.view import View
 from ..geometry.window import Box
+from .assumptions import Suspect
 from .cloud import outliers_told
 from .placement import mask_doubts
 from .symmetry import SymmetryOutcome
@@ -52,6 +53,10 @@ class RefineResult:
     symmetry : a, b, c, d of the mirror plane ax + by + cz = d that was used, in the frame of the input, or None.
     symmetry_outcome : "used" (a plane that was found), "given", or without a plane "not_asked", "none_found" (the cloud has
         none) or "contradicted" (the cloud has one, the views contradict it). symmetry_reason : the measurement, in words.
+    suspects : what may be wrong with the input, likeliest first.
+    verdict : "improved", "unchanged", or "doubtful": likely worse than the start, for the ``reason``. confidence : in [0, 1],
+        that the points are not worse than the start by over 5 % in Chamfer distance; of the default alone, else both are None.
+        signs : what it is from.
     sigma_sq : squared cells.
     view_windows : left, top, right, bottom edges of the window of each mask, px, that the cloud was compared with at last,
         and cells along its side.
@@ -92,6 +97,11 @@ class RefineResult:
     surface: tuple[Array, Array] | None = None
     surface_samples: int | None = None
     outliers: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
+    suspects: tuple[Suspect, ...] = ()
+    verdict: str | None = None
+    confidence: float | None = None
+    reason: str = ""
+    signs: dict[str, float] = field(default_factory=dict)
 
     @property
     def judged(self) -> tuple[Array, Array]:
@@ -139,6 +149,9 @@ def result_warnings(result: RefineResult, views: Sequence[View], steps: int) -> 
         messages.append(f"the loss was no number after step {result.steps}: the result is the best before that")
     elif result.moved_max < SMALL_DISPLACEMENT:
         messages.append(f"hardly anything moved: no point by more than {100.0 * SMALL_DISPLACEMENT:g} % of the object's size")
+    if result.reason:
+        sure = "" if result.confidence is None else f" (confidence {result.confidence:.2f} of 1)"
+        messages.append(f"the result is doubtful{sure}: {result.reason}")
     messages += outliers_told(int(result.outliers.sum()))
     for view in views:
         messages += mask_doubts(view, result.surface_samples or len(result.judged[0]))

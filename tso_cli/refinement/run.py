@@ -22,11 +22,12 @@ from .config import Settings
 from .objective import SilhouetteObjective, ViewTargets
 from .optimise import Descent, Parameters, Progress, Term, descend, sum_of
 from .parameters import PointParameters
-from .presets import Stage
+from .presets import STAGES, Stage
 from .problem import Problem
 from .result import RefineResult, StopReason, result_warnings
 from .smooth_field import SmoothField
 from .symmetry_check import verified_symmetry
+from .verdict import Verdict, signs_of
 from .view_weights import ViewWeights
 
 # A start of lower IoU hardly touches its mask, as a pole beside its own: coming nearer need not raise the IoU.
@@ -215,6 +216,11 @@ def _result(
     best_step = 0 if outcome.reverted else descent.best_step
     iou_before, iou_after = np.mean(outcome.ious, 0).tolist()
     lengths = np.linalg.norm(moved.displacements, axis=1)
+    signs, verdict = {}, None
+    if len(descent.stages) == len(STAGES) and problem.agreement:
+        initial = cloud.normalised()
+        signs = signs_of(problem, initial, descent.best, list(descent.stages), outcome.ious, prepared.view_weights.inlier)
+        verdict = Verdict.of(signs, best_step > 0, str(problem.agreement))
     result = RefineResult(
         points=moved.points,
         initial=cloud.given,
@@ -248,6 +254,11 @@ def _result(
         surface=(cloud.judged, moved.judged) if cloud.surface else None,
         surface_samples=len(moved.displacements) if cloud.surface else None,
         outliers=cloud.outliers,
+        suspects=problem.agreement.suspects if problem.agreement else (),
+        verdict=verdict and verdict.name,
+        confidence=verdict and verdict.confidence,
+        reason=verdict.reason if verdict else str(problem.agreement or ""),
+        signs=signs,
     )
     return replace(result, warnings=result_warnings(result, problem.views, settings.steps))
 

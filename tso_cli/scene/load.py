@@ -21,6 +21,7 @@ from ..io.images import read_depth, read_image, read_mask
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork
+    from ..refinement.assumptions import Assumption
     from ..refinement.surface import Surface
 
 
@@ -83,7 +84,7 @@ class ViewFiles:
     """The files of one or several views; ``ignore``, ``depth`` and ``image`` hold one for each mask or none.
 
     camera : the file of all cameras; None looks for files beside the masks.
-    invert : the masks show the object dark.
+    invert : the masks show the object dark. assumptions : about masks and cameras.
     ignore : images whose foreground marks unknown pixels. depth_scale : as in `read_depth`.
     """
 
@@ -94,6 +95,7 @@ class ViewFiles:
     depth: Sequence[Path] = ()
     depth_scale: float = 1.0
     image: Sequence[Path] = ()
+    assumptions: Sequence[Assumption] = ()
 
     def one_each(self, option: str, plural: str, files: Sequence[Path]) -> Sequence[Path | None]:
         """The file of each mask, None where there are no files; InputError for another number of them."""
@@ -124,7 +126,7 @@ def load_views(files: ViewFiles) -> tuple[list[View], list[Path | None]]:
             for number, camera in zip(numbers, pair_with_masks(source, [files.masks[i] for i in numbers]), strict=True):
                 cameras[number] = camera
     rows = zip(files.masks, sources, cameras, ignore, strict=True)
-    views = [_read_view(mask, source, camera, files.invert, unknown) for mask, source, camera, unknown in rows]
+    views = [_read_view(mask, source, camera, files, unknown) for mask, source, camera, unknown in rows]
     return _with_depth_and_images(views, files), sources
 
 
@@ -146,10 +148,10 @@ def _with_depth_and_images(views: Sequence[View], files: ViewFiles) -> list[View
 
 
 def _read_view(
-    mask_file: Path, camera_file: Path | None, camera: Camera | None, invert: bool, ignore_file: Path | None
+    mask_file: Path, camera_file: Path | None, camera: Camera | None, files: ViewFiles, ignore_file: Path | None
 ) -> View:
     """A mask with ``camera``, else with the one in ``camera_file``, else with the canonical one."""
-    mask = read_mask(mask_file, invert)
+    mask = read_mask(mask_file, files.invert)
     height, width = mask.shape
     known = None
     if ignore_file is not None:
@@ -161,7 +163,10 @@ def _read_view(
         camera = read_camera(camera_file, width, height, mask_file)
     else:
         check_size(camera_file, camera, width, height, mask_file)
-    return View(mask, camera, known, name=str(mask_file))
+    view = View(mask, camera, known, name=str(mask_file))
+    for assumption in files.assumptions:
+        view = assumption.of_view(view)
+    return view
 
 
 def require_same_size(file: Path, shape: tuple[int, ...], mask_file: Path | str, mask_shape: tuple[int, ...]) -> None:
@@ -185,7 +190,17 @@ def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = Fal
         )
     cloud = read_cloud(cloud_file)
     colours = cloud.colours() if files.image else None
-    scene = Scene(cloud.points, (), (), "", "input", cloud=cloud, colours=colours, faces=cloud.faces())
+    axes = np.eye(3)
+    for assumption in files.assumptions:
+        axes = assumption.matrix @ axes
+    scene = Scene(
+        cloud.points @ axes.T,
+        *((), (), "", "input"),
+        cloud=cloud,
+        colours=colours,
+        faces=cloud.faces(),
+        to_output=lambda points: points @ axes,
+    )
     if fit:
         return _with_fitted_camera(scene, files)
     views, sources = load_views(files)
@@ -204,7 +219,9 @@ def _with_fitted_camera(scene: Scene, files: ViewFiles) -> Scene:
     from ..pose import fit_camera
 
     (ignore,) = files.one_each("--ignore", "ignore maps", files.ignore)
-    view = _read_view(files.masks[0], None, None, files.invert, ignore)
+    if any(assumption.camera for assumption in files.assumptions):
+        raise InputError("--camera fit finds the camera by itself, expected no --assume about a camera")
+    view = _read_view(files.masks[0], None, None, files, ignore)
     fitted = fit_camera(scene.moving, view.mask, view.known, name=view.name)
     views = _with_depth_and_images([replace(view, camera=fitted.camera)], files)
     if not fitted.sure:

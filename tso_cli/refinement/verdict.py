@@ -1,0 +1,154 @@
+"""Whether a result can be trusted: signs of a refinement that went wrong, and the confidence that they leave.
+
+IoU is no sign: where camera or mask are wrong it rises while the cloud gets worse. What tells is above all how the points moved:
+a camera that is off moves them as one body, a wrong mask moves them far or against one another from stage to stage.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.camera import Camera
+from ..losses.projection import pixels_under, project
+from .objective import MaskChamferObjective, ViewTargets
+from .placement import place
+from .prior import ROBUST_SCALE
+from .problem import Problem
+
+Array = NDArray[np.float64]
+Name = Literal["improved", "unchanged", "doubtful"]
+
+MODEL = Path(__file__).with_name("confidence.json")
+# A result of less confidence is doubtful.
+LEAST_CONFIDENCE = 0.5
+# What is said where signs of this group took most of the confidence.
+REASONS = {
+    "camera": "the points moved as one body, as a camera that is off would move them; is the camera right? (--refine-camera)",
+    "motion": "the points moved far, or without their neighbours",
+    "stages": "the coarse and the fine stages of the descent disagree",
+    "misfit": "cloud and mask agree too little, before or after",
+    "input": "the silhouettes differ in a way that another camera or mask might explain",
+    "symmetry": "the mask and its mirror image contradict each other more than a right camera lets them",
+    "views": "the views contradict each other",
+}
+SMALLEST = 1e-3
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What to think of a result.
+
+    name : "unchanged" where the result is the start; "doubtful" where it may well be worse than the start; else "improved".
+    confidence : that it is not worse by over 5 %, in [0, 1]. reason : why it is doubtful, else "".
+    """
+
+    name: Name
+    confidence: float
+    reason: str
+
+    @classmethod
+    def of(cls, signs: dict[str, float], moved: bool, suspicion: str) -> Verdict:
+        """Of a default refinement with ``signs``; ``suspicion`` : what the input looks like, if not as it should."""
+        if not moved:
+            return cls("unchanged", 1.0, "")
+        confidence, group = _judged(signs)
+        if suspicion or confidence < LEAST_CONFIDENCE:
+            return cls("doubtful", confidence, suspicion or REASONS[group])
+        return cls("improved", confidence, "")
+
+
+def signs_of(
+    problem: Problem, initial: Array, refined: Array, stages: list[Array], ious: list[tuple[float, float]], inlier: list[float]
+) -> dict[str, float]:
+    """What the confidence depends on, named GROUP: SIGN.
+
+    ``problem`` has its last windows; ``initial``, ``refined`` and the best of each stage are [N, 3] of longest side 1; ``ious``
+    of each view before and after, and its ``inlier`` weight.
+    """
+    moved = refined - initial
+    lengths = np.linalg.norm(moved, axis=1)
+    signs = {"motion: mean": _log(lengths.mean()), "motion: most": _log(lengths.max())}
+    camera = problem.resampled[0].camera
+    axes = np.sqrt(np.square(moved @ camera.R.T).mean(0))
+    signs |= {"motion: along": _log(axes[2]), "motion: across": _log(float(np.hypot(*axes[:2])))}
+    signs |= _explained(initial, refined)
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        signs[f"stages: {i + 1} to {j + 1}"] = _log(np.sqrt(np.square(stages[j] - stages[i]).sum(1).mean()))
+
+    views = len(problem.views)
+    targets = ViewTargets.of(problem.resampled[:views], [1.0 / views] * views)
+    objective = MaskChamferObjective(targets, ROBUST_SCALE)
+    for name, points in (("before", initial), ("after", refined)):
+        signs[f"misfit: {name}"] = _log(objective(points)[0] / targets.pixels)
+    signs["misfit: beside"] = float(np.mean([_beside(refined, view.camera, view.mask.inside) for view in targets.views]))
+    signs["misfit: IoU before"], signs["misfit: IoU after"] = np.mean(ious, 0).tolist()
+
+    assert problem.agreement is not None
+    inside = problem.views[0].inside
+    border = np.count_nonzero(inside[1:] != inside[:-1]) + np.count_nonzero(inside[:, 1:] != inside[:, :-1])
+    signs |= {
+        "input: IoU of boxes": float(np.mean([place(problem.cloud.initial, view).box_iou for view in problem.views])),
+        "input: IoU of cells": problem.agreement.as_given,
+        "input: IoU of cells as assumed": problem.agreement.best,
+        "input: suspects": float(len(problem.agreement.suspects)),
+        "input: border": _log(border / np.sqrt(np.count_nonzero(inside))),
+        "input: pixels": _log(np.count_nonzero(inside)),
+        "input: truncated": float(targets.truncated),
+        "symmetry: used": float(problem.symmetry.plane is not None),
+        "symmetry: contradicted": float(problem.symmetry.outcome == "contradicted"),
+        "symmetry: loss ratio": min(problem.symmetry.loss_ratio or 1.0, 5.0),
+        "views: number": _log(views),
+        "views: inlier weight": min(inlier),
+    }
+    return signs
+
+
+def _explained(initial: Array, refined: Array) -> dict[str, float]:
+    """Shares of the motion that no rigid, similar, or affine map explains, and the parts of the rigid one."""
+    x, y = initial - initial.mean(0), refined - refined.mean(0)
+    u, s, v = np.linalg.svd(x.T @ y)
+    s[2], u[:, 2] = s[2] * np.sign(np.linalg.det(u @ v)), u[:, 2] * np.sign(np.linalg.det(u @ v))
+    turn, scale = u @ v, float(s.sum() / np.square(x).sum())
+    affine = np.linalg.lstsq(x, y, rcond=None)[0]
+    total = np.square(refined - initial).sum() + 1e-12
+    left = {"rigid": x @ turn, "similar": scale * x @ turn, "affine": x @ affine}
+    return {
+        **{f"camera: not {name}": float(np.square(y - mapped).sum() / total) for name, mapped in left.items()},
+        "camera: turn": _log(np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))),
+        "camera: scale": _log(abs(np.log(max(scale, SMALLEST)))),
+        "camera: shift": _log(float(np.linalg.norm((refined - initial).mean(0)))),
+    }
+
+
+def _beside(points: Array, camera: Camera, inside: NDArray[np.bool_]) -> float:
+    """Share of the points that do not fall on ``inside`` [H, W]."""
+    projected = project(points, camera)
+    pixel, within = pixels_under(projected.points_px, projected.valid, *inside.shape)
+    return 1.0 - np.count_nonzero(within & inside.ravel()[pixel]) / len(points)
+
+
+def _log(value: float) -> float:
+    return float(np.log(value + SMALLEST))
+
+
+@functools.cache
+def _model() -> tuple[list[str], tuple[Array, ...]]:
+    document = json.loads(MODEL.read_text())
+    return document["signs"], tuple(np.array(document[name]) for name in ("mean", "deviation", "hidden", "offset", "output"))
+
+
+def _judged(signs: dict[str, float]) -> tuple[float, str]:
+    """The confidence, and the group of signs that takes most of it: without them (at their means) it would be highest."""
+    names, (mean, deviation, hidden, offset, output) = _model()
+    standard = np.clip((np.array([signs[name] for name in names]) - mean) / deviation, -4.0, 4.0)
+    groups = np.array([name.split(":")[0] for name in names])
+    rows = np.stack([standard, *(np.where(groups == group, 0.0, standard) for group in REASONS)])
+    doubt = np.tanh(rows @ hidden + offset) @ output[:-1] + output[-1]
+    return float(1.0 / (1.0 + np.exp(doubt[0]))), list(REASONS)[int(doubt[1:].argmin())]
