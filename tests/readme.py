@@ -4,8 +4,6 @@ python -m tests.readme             runs the commands that pages show, puts what 
 python -m tests.readme --figures   fills in the figures alone
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

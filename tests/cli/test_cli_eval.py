@@ -7,6 +7,7 @@ from click.testing import CliRunner
 from PIL import Image
 from scipy.spatial import cKDTree
 
+from tests.corruption import assert_refused
 from tests.dataset_trees import lopsided, write_binvox
 from tests.io.test_shapes import SQUARE_OFF, SQUARE_PLY
 from tso_cli.commands.evaluate import command
@@ -387,8 +388,7 @@ def test_iou_without_a_fitting_camera_is_refused(pictured):
 
 @pytest.mark.parametrize("setting", [{"metrics": ("volume",)}, {"protocol": "x"}])
 def test_an_unknown_metric_or_protocol_is_refused(setting):
-    with pytest.raises(InputError, match=f"{next(iter(setting))} (are|is) .*expected (some|one) of"):
-        EvalConfig(**setting)
+    assert_refused(f"{next(iter(setting))} (are|is) .*expected (some|one) of", EvalConfig, **setting)
 
 
 def test_progress_counts_the_pairs(cloud):

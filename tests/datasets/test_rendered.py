@@ -44,8 +44,7 @@ def test_unfinished_objects_are_left_out_and_one_object_is_a_data_set_of_one(fol
     assert [item.name for item in open_rendered(folder).objects] == ["a/chair"]
     assert [item.name for item in open_rendered(folder / "a" / "chair").objects] == ["chair"]
     shutil.rmtree(folder / "a")
-    with pytest.raises(InputError, match="no object"):
-        open_rendered(folder)
+    assert_refused("no object", open_rendered, folder)
 
 
 def test_an_object_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
@@ -79,8 +78,7 @@ def test_the_old_object_comes_back_when_the_new_one_cannot_take_its_place(tmp_pa
 
 def test_an_object_is_replaced_only_when_asked(tmp_path):
     write(tmp_path / "a", 1, views=2)
-    with pytest.raises(InputError, match="--overwrite"):
-        write(tmp_path / "a", 2)
+    assert_refused("--overwrite", write, tmp_path / "a", 2)
     assert stored_record(tmp_path / "a") == {"n": 1}
     write(tmp_path / "a", 2, overwrite=True)
     assert stored_record(tmp_path / "a") == {"n": 2}

@@ -1,7 +1,5 @@
 """README and docs say what the program does: commands are run, figures are those of the records, names are checked."""
 
-from __future__ import annotations
-
 import ast
 import re
 import runpy

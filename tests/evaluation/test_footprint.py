@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
+from tests.scenes import EXAMPLES, block, example
 from tso_cli.evaluation.footprint import RIM, common_window, footprint, in_window, spacing, window_iou
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.resampling import area_resize
@@ -17,8 +18,6 @@ from tso_cli.geometry.window import window_of
 from tso_cli.io.meshes import read_mesh
 from tso_cli.refinement.run import view_ious
 from tso_cli.render import RayScene, RenderSettings, fitting_distance, ground_truth, look_at, normalise, render_view
-
-from ..scenes import EXAMPLES, example, square_mask
 
 NAMES = ("chair", "car", "airplane")
 # One unit is 100 px; x to the right, y down.
@@ -51,7 +50,7 @@ def _plate(step=0.02, last=0.88):
 
 
 # The mask of that plate: it reaches half a pixel beyond the outermost points.
-SQUARE = square_mask(10, 10, 79, 100)
+SQUARE = block(np.s_[10:89, 10:89], (100, 100))
 
 
 @pytest.mark.parametrize("size", [64, 1024])

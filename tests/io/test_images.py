@@ -9,7 +9,6 @@ import pytest
 from PIL import Image
 
 from tests.corruption import assert_reads_or_refuses, assert_refused, repair_png
-from tso_cli.errors import InputError
 from tso_cli.io.images import PIXEL_LIMIT, read_depth, read_image, read_mask, write_image
 
 SHAPE = np.zeros((6, 9), dtype=bool)
@@ -172,8 +171,7 @@ def test_what_is_written_reads_back_and_is_not_replaced_unasked(tmp_path):
     rgba = np.random.default_rng(0).integers(0, 255, (6, 9, 4), dtype=np.uint8)
     write_image(tmp_path / "a.png", rgba)
     assert np.array_equal(read_image(tmp_path / "a.png"), rgba)
-    with pytest.raises(InputError, match="--overwrite"):
-        write_image(tmp_path / "a.png", SOFT)
+    assert_refused("--overwrite", write_image, tmp_path / "a.png", SOFT)
     for array, mask in ((SHAPE, SHAPE), (SOFT, SOFT / np.float32(255))):
         write_image(tmp_path / "a.png", array, overwrite=True)
         assert np.array_equal(read_mask(tmp_path / "a.png"), mask)

@@ -1,7 +1,5 @@
 """Which form of a kernel runs, and what a refinement imports."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Compiled code on disk, its threads, and its gradients."""
 
-from __future__ import annotations
-
 import os
 import threading
 import time

@@ -1,7 +1,5 @@
 """The compiled losses: values and gradients are those of the plain forms."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Nearest neighbours of tensors are exact."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Exponentials and logarithms in compiled loops."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numba import njit

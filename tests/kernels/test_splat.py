@@ -1,7 +1,5 @@
 """The sums of Gaussians: the windowed kernels against the exact product, and that against the printed formula."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Both forms of a loss, and its gradient by finite differences and by autograd."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

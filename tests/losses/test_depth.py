@@ -1,7 +1,5 @@
 """The depth loss and its gradient."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

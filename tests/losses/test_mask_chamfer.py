@@ -1,7 +1,5 @@
 """The mask Chamfer loss, in numpy and compiled, against all pairs in torch."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

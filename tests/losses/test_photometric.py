@@ -1,7 +1,5 @@
 """The photometric loss of clouds with colours."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

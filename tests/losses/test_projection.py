@@ -1,7 +1,5 @@
 """Eq. 1: world to pixels, and gradients back."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -3,8 +3,6 @@
 The form of the training, in torch, must fulfil the same statements.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tso_cli.errors import InputError
+from tests.corruption import assert_refused
+from tests.scenes import EXAMPLES
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.resampling import area_resize
 from tso_cli.geometry.view import View
@@ -13,8 +14,6 @@ from tso_cli.io.images import read_image
 from tso_cli.network.input import crop_box, network_input
 from tso_cli.network.model import NetworkConfig, build_network
 from tso_cli.scene.network import network_scene
-
-from ..scenes import EXAMPLES
 
 
 def rectangle(height, width, rows, columns):
@@ -151,8 +150,7 @@ def test_wrong_sizes_and_settings_are_refused():
         "outside 0 to 1": lambda: network_input(image.astype(float) + 3.0, view),
         "box is": lambda: area_resize(image, (3.0, 0.0, 3.0, 5.0), 4, 4),
     }.items():
-        with pytest.raises(InputError, match=message):
-            call()
+        assert_refused(message, call)
 
 
 @pytest.mark.parametrize("size", [0.3, 0.9])
@@ -193,10 +191,13 @@ def test_a_crop_of_share_0_does_not_depend_on_resolution_or_distance():
 )
 def test_a_crop_of_share_0_needs_the_object_before_the_camera_and_near_the_origin(t, message):
     view = rectangle(64, 64, slice(20, 30), slice(20, 30))
-    with pytest.raises(InputError, match=message):
-        network_input(
-            np.zeros((64, 64, 3), np.uint8), replace(view, camera=replace(view.camera, t=np.array(t))), crop_share=0.0
-        )
+    assert_refused(
+        message,
+        network_input,
+        np.zeros((64, 64, 3), np.uint8),
+        replace(view, camera=replace(view.camera, t=np.array(t))),
+        crop_share=0.0,
+    )
 
 
 def test_a_network_that_sees_sizes_takes_the_distance_of_the_camera_and_warns_without_one(chair):

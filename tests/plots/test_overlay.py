@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.scenes import block
 from tso_cli.evaluation.footprint import Seen
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
@@ -25,8 +26,6 @@ from tso_cli.plots.overlay import (
     draw_overlay,
 )
 from tso_cli.refinement import RefineConfig, refine
-
-from ..scenes import square_mask
 
 
 def _panel(*points):
@@ -80,7 +79,7 @@ def test_mask_and_silhouette_are_told_apart_by_colour():
 def test_the_object_fills_its_panel_in_a_photo_of_any_size(times, tmp_path):
     points = np.random.default_rng(0).uniform(-0.3, 0.3, (400, 3))
     camera = replace(Camera.canonical(64, 64), width=64 * times, height=64 * times)
-    view = View(square_mask(20, 20, 26, 64 * times), camera)
+    view = View(block(np.s_[20:46, 20:46], (64 * times, 64 * times)), camera)
     draw_overlay(tmp_path / "picture.png", refine(points, view, config=RefineConfig(steps=0)), [view])
     with Image.open(tmp_path / "picture.png") as picture:
         panel = np.asarray(picture)[TITLE : TITLE + PANEL, GAP : GAP + PANEL]

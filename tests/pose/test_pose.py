@@ -5,14 +5,13 @@ import shutil
 import numpy as np
 import pytest
 
+from tests.scenes import example
 from tso_cli.errors import InputError
 from tso_cli.geometry.rotations import angle_between, from_vectors, spread
 from tso_cli.io.cameras import read_camera
 from tso_cli.pose import alignment, fit_camera
 from tso_cli.pose.alignment import Poses, Target
 from tso_cli.pose.fit import _same_by_symmetry, _spacing
-
-from ..scenes import example
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,5 @@
 """Batches of clouds: the results of each alone in any number of processes, errors, progress and interrupts."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal
@@ -11,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.corruption import assert_refused
 from tests.losses.common import FORMS, in_form
 from tso_cli.errors import InputError, TsoError
 from tso_cli.geometry.camera import Camera
@@ -70,8 +69,7 @@ def test_a_scene_that_is_no_pair_is_an_error_of_its_own():
         (None, None, "scenes is None, expected a sequence"),
         ([], RefineConfig("latent"), "for a batch"),
     ):
-        with pytest.raises(InputError, match=words):
-            refine_batch(scenes, config)
+        assert_refused(words, refine_batch, scenes, config)
     assert refine_batch([]) == []
 
 

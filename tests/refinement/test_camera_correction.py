@@ -1,14 +1,12 @@
 """Camera correction before the descent: its gradient, and which cameras it changes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.losses.common import FORMS, assert_equal, assert_gradient, in_form
-from tests.losses.scenes import block
+from tests.scenes import block, example
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.rotations import angle_between, from_vectors
 from tso_cli.geometry.view import View
@@ -17,8 +15,6 @@ from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.camera_correction import _WithCameras, moved_camera, moved_silhouette
 from tso_cli.refinement.objective import silhouette_loss
 from tso_cli.refinement.resampled_view import ResampledView, resample_view
-
-from ..scenes import example
 
 PRESETS = pytest.mark.parametrize("preset", ["best", "paper"])
 MODELS = pytest.mark.parametrize("model", ["perspective", "orthographic"])

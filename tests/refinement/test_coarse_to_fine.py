@@ -1,14 +1,12 @@
 """The preset "best": the mean over its stages, the position prior, and what the views say nothing about."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.losses.common import assert_gradient
-from tests.losses.scenes import block
+from tests.scenes import block
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
 from tso_cli.losses.silhouette import silhouette_of

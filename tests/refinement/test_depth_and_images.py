@@ -1,14 +1,12 @@
 """Refinements by depth maps and by photos, beside the mask."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from tests.losses.scenes import block
+from tests.corruption import assert_refused
 from tests.painted import CAMERA, MASK, SIZE, photo, sheet
+from tests.scenes import block
 from tso_cli import Camera, RefineConfig, refine
-from tso_cli.errors import InputError
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.view import View
 from tso_cli.refinement.cloud import Cloud
@@ -118,8 +116,7 @@ ORTHOGRAPHIC = Camera(CAMERA.K, CAMERA.R, CAMERA.t, SIZE, SIZE, "orthographic")
     ],
 )
 def test_unusable_depth_maps_and_images_are_refused(parts, words):
-    with pytest.raises(InputError, match=words):
-        View(**(dict(mask=MASK, camera=CAMERA) | parts))
+    assert_refused(words, View, **(dict(mask=MASK, camera=CAMERA) | parts))
 
 
 def test_what_a_refinement_cannot_use_is_refused():
@@ -133,5 +130,4 @@ def test_what_a_refinement_cannot_use_is_refused():
         (view, np.linspace(0, 300, 972).reshape(-1, 3), None, "colours span 0 to 300, expected 0 to 1"),
         (view, "red", None, "colours are no array of numbers"),
     ):
-        with pytest.raises(InputError, match=words):
-            refine(points, scene, config=config, colours=colour)
+        assert_refused(words, refine, points, scene, config=config, colours=colour)

@@ -1,14 +1,11 @@
 """Accuracy on the shipped examples, whose true clouds are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
+from tests.scenes import example
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.refinement import RefineConfig, refine, refine_batch, run
-
-from ..scenes import example
 
 NAMES = pytest.mark.parametrize("name", ["chair", "airplane", "car"])
 

@@ -1,12 +1,10 @@
 """The network modes: which parameters move, from where, and their gradient."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
 
-from tests.losses.scenes import block
+from tests.scenes import block
 from tso_cli.errors import TsoError
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View

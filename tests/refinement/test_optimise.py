@@ -1,7 +1,5 @@
 """The optimisation loop: the best iterate, whatever ends it, and Eq. 7."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np
@@ -10,7 +8,7 @@ import torch
 
 from tests import oracles
 from tests.losses.common import FORMS, in_form
-from tests.losses.scenes import block
+from tests.scenes import block
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
 from tso_cli.refinement import RefineConfig, refine

@@ -1,7 +1,5 @@
 """Points far from all others: held, reported, and of no influence on the rest."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

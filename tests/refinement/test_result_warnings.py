@@ -1,11 +1,10 @@
 """Warnings of a result: that nothing moved, and why; and of coarse masks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from tests.losses.scenes import block, points_at
+from tests.losses.scenes import points_at
+from tests.scenes import block
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
 from tso_cli.refinement import RefineConfig, refine

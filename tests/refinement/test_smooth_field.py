@@ -1,7 +1,5 @@
 """Smooth displacement fields and averages."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

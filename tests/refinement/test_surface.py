@@ -1,7 +1,5 @@
 """Meshes: samples of the surface move, and the vertices follow."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +8,8 @@ import pytest
 from PIL import Image
 from trimesh.remesh import subdivide
 
+from tests.corruption import assert_refused
 from tso_cli.cli import main
-from tso_cli.errors import InputError
 from tso_cli.evaluation.metrics import chamfer, nearest_squared
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.points import sample_surface
@@ -152,8 +150,7 @@ def test_a_mesh_without_area_or_whose_faces_join_few_vertices_is_taken_for_a_clo
     ],
 )
 def test_faces_that_are_no_triangles_are_refused(faces, message, views):
-    with pytest.raises(InputError, match=message):
-        refine(CORNERS, views, faces=faces)
+    assert_refused(message, refine, CORNERS, views, faces=faces)
 
 
 def test_vertices_without_faces_change_nothing_and_follow_the_surface(stretched, views):

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from tests.corruption import assert_refused
 from tso_cli import render
-from tso_cli.errors import InputError, TsoError
+from tso_cli.errors import TsoError
 from tso_cli.geometry.camera import CANONICAL_ROTATION, Camera
 from tso_cli.geometry.points import farthest_point_sample, sample_surface
 from tso_cli.io.meshes import Mesh
@@ -71,8 +72,7 @@ def test_cameras_are_drawn_from_the_ranges_at_the_given_distance():
 
 
 def test_a_camera_inside_the_object_is_refused():
-    with pytest.raises(InputError, match="inside the object"):
-        sample_cameras(RenderSettings(distance=0.3), box().vertices, np.random.default_rng(0))
+    assert_refused("inside the object", sample_cameras, RenderSettings(distance=0.3), box().vertices, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize(
@@ -87,8 +87,7 @@ def test_a_camera_inside_the_object_is_refused():
     ],
 )
 def test_impossible_settings_are_refused(change, words):
-    with pytest.raises(InputError, match=words):
-        replace(RenderSettings(), **change)
+    assert_refused(words, replace, RenderSettings(), **change)
 
 
 # Pictures

@@ -5,19 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.scenes import block
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.view import View
 from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.scene import placing
 from tso_cli.scene.placing import align_silhouette, place_in_front, view_to_world
 
-from ..scenes import square_mask
-
 
 @pytest.mark.parametrize("focal", [60.0, 120.0, 400.0])
 def test_a_cloud_placed_in_front_fills_the_box_of_the_mask(cloud, focal):
     K = np.array([[focal, 0.0, 20.0], [0.0, focal, 40.0], [0.0, 0.0, 1.0]])
-    view = View(square_mask(10, 30, 22), Camera(K, np.eye(3), np.zeros(3), 64, 64))
+    view = View(block(np.s_[30:52, 10:32]), Camera(K, np.eye(3), np.zeros(3), 64, 64))
     placed = place_in_front(cloud, view)
     pixels, depth = placed.project(cloud)
     low, high = pixels.min(0) - 0.5, pixels.max(0) + 0.5

@@ -1,7 +1,5 @@
 """The affinity loss in both forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Chamfer distance between clouds."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """Eq. 1 to 3 in torch, batched over clouds and views."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

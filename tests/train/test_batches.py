@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.corruption import assert_refused
 from tso_cli.datasets.opening import open_dataset
 from tso_cli.errors import InputError
 from tso_cli.geometry.camera import CANONICAL_ROTATION, Camera
@@ -64,8 +65,7 @@ def test_a_training_set_without_objects_or_views_or_with_orthographic_cameras_is
         ([replace(item, views=[])], "box0: has no view"),
         ([replace(item, views=[orthographic])], "orthographic, expected perspective"),
     ):
-        with pytest.raises(InputError, match=message):
-            TrainingData(objects, "one")
+        assert_refused(message, TrainingData, objects, "one")
 
 
 # Random draws
@@ -150,8 +150,7 @@ def test_an_unreadable_picture_is_warned_of_once_and_replaced():
     np.testing.assert_array_equal(replaced.images, usable.images)
     np.testing.assert_array_equal(replaced.masks, usable.masks)
     assert len(warned) == 1 and list(data.unusable) == ["box0 view 0"]
-    with pytest.raises(InputError, match="truncated"):
-        assemble(TrainingData(objects, "boxes", strict=True), [Draw(0, 0)], "view")
+    assert_refused("truncated", assemble, TrainingData(objects, "boxes", strict=True), [Draw(0, 0)], "view")
 
 
 def test_an_object_with_unreadable_points_is_warned_of_once_and_replaced():
@@ -165,8 +164,7 @@ def test_an_object_with_unreadable_points_is_warned_of_once_and_replaced():
     # Its pictures still serve where no points are needed.
     masks = assemble(data, [Draw(0, 1)], "view", targets=False)
     np.testing.assert_array_equal(masks.images[0], data.prepared(0, 1).image)
-    with pytest.raises(InputError, match="ends after 6"):
-        assemble(TrainingData(objects, "boxes", strict=True), [Draw(0, 0)], "view")
+    assert_refused("ends after 6", assemble, TrainingData(objects, "boxes", strict=True), [Draw(0, 0)], "view")
 
 
 def test_ten_unusable_pictures_are_warned_of_and_all_are_listed():
@@ -193,8 +191,9 @@ def test_the_object_is_composited_on_its_background():
         np.testing.assert_allclose(image[:, inside], picture.image[:, inside], atol=1e-6)
         assert image[:, outside].std() > 0.01
     assert np.abs(first - second)[:, outside].mean() > 0.05
-    with pytest.raises(InputError, match="background 'black', expected 'keep'"):
-        TrainingData(make_objects(1), "box", backgrounds=Backgrounds("textures"))
+    assert_refused(
+        "background 'black', expected 'keep'", TrainingData, make_objects(1), "box", backgrounds=Backgrounds("textures")
+    )
 
 
 def test_backgrounds_are_crops_of_the_photos_of_a_folder(tmp_path):
@@ -203,8 +202,7 @@ def test_backgrounds_are_crops_of_the_photos_of_a_folder(tmp_path):
     np.testing.assert_allclose(crop, np.broadcast_to(np.float32([[[1]], [[0]], [[0]]]), (3, 64, 64)), atol=1e-6)
     (tmp_path / "empty").mkdir()
     for name, message in (("empty", "holds no picture"), ("none", "not a folder, expected one with photos .*, or 'textures'")):
-        with pytest.raises(InputError, match=message):
-            Backgrounds(str(tmp_path / name))
+        assert_refused(message, Backgrounds, str(tmp_path / name))
 
 
 def test_an_unreadable_photo_is_warned_of_once_and_replaced_by_the_next(tmp_path):

@@ -8,7 +8,8 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from tso_cli.errors import InputError, TsoError
+from tests.corruption import assert_refused
+from tso_cli.errors import TsoError
 from tso_cli.io.checkpoints import load_network
 from tso_cli.network.model import build_network
 from tso_cli.train import TrainConfig, evaluate, network_config, start, train
@@ -88,8 +89,7 @@ def test_the_seed_decides_the_network(thin, data):
 def test_training_starts_from_given_weights(thin, data):
     first = train(data, config()).network
     assert_equal(weights(start(data, config(seed=5), first).network), weights(first))
-    with pytest.raises(InputError, match="predicts 64 points, expected 32"):
-        start(data, config(points=32), first)
+    assert_refused("predicts 64 points, expected 32", start, data, config(points=32), first)
 
 
 def test_averaging_saves_other_weights_than_the_last_and_keeps_constant_ones(thin, data):
@@ -112,8 +112,7 @@ def test_averaging_saves_other_weights_than_the_last_and_keeps_constant_ones(thi
     ],
 )
 def test_data_that_lack_what_the_supervision_needs_are_refused(data, changes, masked, processes, message):
-    with pytest.raises(InputError, match=message):
-        train(data, config(**changes), masked=data if masked else None, processes=Processes(0, processes))
+    assert_refused(message, train, data, config(**changes), masked=data if masked else None, processes=Processes(0, processes))
 
 
 @pytest.mark.parametrize(
@@ -123,8 +122,7 @@ def test_data_that_lack_what_the_supervision_needs_are_refused(data, changes, ma
      {"precision": "float16"}, {"averaging": 1.0}, {"workers": 0}, {"category_sigma_sq": {"car": 0.0}}, {"joint_weight": 0.0}],
 )  # fmt: skip
 def test_impossible_settings_are_refused(change):
-    with pytest.raises(InputError, match="expected"):
-        config(**change)
+    assert_refused("expected", config, **change)
 
 
 def test_the_saturation_window_is_a_sixth_of_the_steps_within_bounds():
@@ -196,8 +194,7 @@ def test_a_loss_that_is_not_finite_stops_the_training(thin, data, monkeypatch):
 
 def test_a_resume_with_other_settings_or_other_data_or_without_a_state_is_refused(thin, data, tmp_path):
     path = tmp_path / "base.safetensors"
-    with pytest.raises(InputError, match=r"base.training.safetensors: does not exist"):
-        resume(path, data, config())
+    assert_refused(r"base.training.safetensors: does not exist", resume, path, data, config())
     train_into(path, data, config(steps=2, averaging=0.9))
     same = {"averaging": 0.9}
     for change, message in (
@@ -208,15 +205,11 @@ def test_a_resume_with_other_settings_or_other_data_or_without_a_state_is_refuse
         ({"supervision": "masks"}, "trained with supervision"),
         ({"seed": 3}, "trained with seed 0"),
     ):
-        with pytest.raises(InputError, match=message):
-            resume(path, data, config(**{**same, **change}))
-    with pytest.raises(InputError, match="2 steps are done already"):
-        train(data, config(steps=2, **same), resume(path, data, config(**same)))
-    with pytest.raises(InputError, match="other data"):
-        resume(path, TrainingData(make_objects(2), "three boxes"), config(**same))
+        assert_refused(message, resume, path, data, config(**{**same, **change}))
+    assert_refused("2 steps are done already", train, data, config(steps=2, **same), resume(path, data, config(**same)))
+    assert_refused("other data", resume, path, TrainingData(make_objects(2), "three boxes"), config(**same))
     path.replace(state_path(path))
-    with pytest.raises(InputError, match="step in the training state is None"):
-        resume(path, data, config(**same))
+    assert_refused("step in the training state is None", resume, path, data, config(**same))
 
 
 def test_a_damaged_training_state_is_refused(thin, data, tmp_path):
@@ -235,8 +228,7 @@ def test_a_damaged_training_state_is_refused(thin, data, tmp_path):
     ]
     for change, stored, message in cases:
         save_file(stored, file, {"tso": json.dumps({**whole, "training": {**state, **change}})})
-        with pytest.raises(InputError, match=message):
-            resume(path, data, config())
+        assert_refused(message, resume, path, data, config())
 
 
 # How it is evaluated
