@@ -42,10 +42,7 @@ def test_the_windowed_kernels_agree_with_the_exact_product_in_value_and_gradient
 
 @pytest.mark.parametrize("kernel", WINDOWED)
 @settings(max_examples=40, deadline=None)
-@given(
-    st.lists(st.tuples(st.floats(-12, 36), st.floats(-12, 36)), min_size=1, max_size=20),
-    st.floats(0.05, 8.0),
-)
+@given(st.lists(st.tuples(st.floats(-12, 36), st.floats(-12, 36)), min_size=1, max_size=20), st.floats(0.05, 8.0))
 def test_the_kernels_agree_for_any_points_inside_and_outside_the_image(kernel, points, sigma_sq):
     tensor = torch.tensor([points], dtype=torch.float64)
     valid = torch.ones(tensor.shape[:2], dtype=torch.bool)

@@ -76,12 +76,7 @@ SCENES = {
     "unknown pixels": (_soft(), (_soft()[::-1] > 0.4) * _soft(), RANDOM.uniform(0, 30, (20, 2)), SIGMA_SQ),
     "narrow Gaussians": (_soft(), None, RANDOM.uniform(0, 30, (30, 2)), 0.1),
     "wide Gaussians": (_soft(), None, RANDOM.uniform(0, 30, (30, 2)), 6.4),
-    "points on borders of pixels": (
-        _soft(),
-        None,
-        [[3.5, 4.5], [2.5, 7.0], [-0.5, 3.2], [29.5, 21.5], [8.0, 9.0]],
-        SIGMA_SQ,
-    ),
+    "points on borders of pixels": (_soft(), None, [[3.5, 4.5], [2.5, 7.0], [-0.5, 3.2], [29.5, 21.5], [8.0, 9.0]], SIGMA_SQ),
     "points outside the image": (_soft(), None, [[-2.3, 4.0], [11.2, -14.0], [50.0, 9.6], [12.0, 11.0]], SIGMA_SQ),
     "stacked points": (1.0 - DISC, None, [[10.3, 10.0]] * 6 + [[50.2, 40.7]], SIGMA_SQ),
 }
