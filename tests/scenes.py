@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.view import View
+from tso_cli import Camera, View
 from tso_cli.io.cameras import read_camera
 from tso_cli.io.clouds import read_cloud
 from tso_cli.io.images import read_mask

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from tests.corruption import assert_refused
+from tso_cli import Camera, InputError, TsoError
 from tso_cli.datasets import rendered
 from tso_cli.datasets.rendered import open_rendered, stored_record, write_object
-from tso_cli.errors import InputError, TsoError
-from tso_cli.geometry.camera import Camera
 from tso_cli.io.images import write_image
 
 

@@ -11,6 +11,7 @@ from tso_cli.kernels.dispatch import planned
 Loss = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
 NUMPY, COMPILED = 0, 1 << 60
+MODELS = pytest.mark.parametrize("model", ["perspective", "orthographic"])
 FORMS = pytest.mark.parametrize("form", [NUMPY, COMPILED], ids=["numpy", "compiled"])
 
 

@@ -7,9 +7,8 @@ import pytest
 
 from tests.corruption import assert_refused
 from tests.scenes import EXAMPLES
-from tso_cli.geometry.camera import Camera
+from tso_cli import Camera, View
 from tso_cli.geometry.resampling import area_resize
-from tso_cli.geometry.view import View
 from tso_cli.io.images import read_image
 from tso_cli.network.input import crop_box, network_input
 from tso_cli.network.model import NetworkConfig, build_network

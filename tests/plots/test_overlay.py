@@ -7,9 +7,8 @@ import pytest
 from PIL import Image
 
 from tests.scenes import block
+from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.evaluation.footprint import Seen
-from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.view import View
 from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.plots.overlay import (
     AGREED,
@@ -25,7 +24,6 @@ from tso_cli.plots.overlay import (
     compare,
     draw_overlay,
 )
-from tso_cli.refinement import RefineConfig, refine
 
 
 def _panel(*points):

@@ -11,10 +11,8 @@ import pytest
 
 from tests.corruption import assert_refused
 from tests.losses.common import FORMS, in_form
-from tso_cli.errors import InputError, TsoError
-from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.view import View
-from tso_cli.refinement import PRESETS, RefineConfig, RefineResult, refine, refine_batch
+from tso_cli import Camera, InputError, RefineConfig, RefineResult, TsoError, View, refine, refine_batch
+from tso_cli.refinement import PRESETS
 from tso_cli.refinement.objective import SilhouetteObjective
 
 POINTS = np.random.default_rng(0).uniform(-0.3, 0.3, (40, 3))

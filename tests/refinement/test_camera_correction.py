@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.losses.common import FORMS, assert_equal, assert_gradient, in_form
+from tests.losses.common import FORMS, MODELS, assert_equal, assert_gradient, in_form
 from tests.scenes import about, block, example, seen, turned
 from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.geometry.rotations import angle_between, from_vectors
@@ -14,7 +14,6 @@ from tso_cli.refinement.objective import silhouette_loss
 from tso_cli.refinement.resampled_view import ResampledView, resample_view
 
 PRESETS = pytest.mark.parametrize("preset", ["best", "paper"])
-MODELS = pytest.mark.parametrize("model", ["perspective", "orthographic"])
 CLOUD = np.random.default_rng(0).uniform(-0.4, 0.4, (15, 3))
 TURNS_AND_SHIFTS = np.array([[0.02, -0.03, 0.01], [0.01, 0.02, -0.01], [0.4, -0.5, 0.9], [0.0, -0.02, 0.03]])
 

@@ -6,9 +6,8 @@ import pytest
 from tests.corruption import assert_refused
 from tests.painted import CAMERA, MASK, SIZE, photo, sheet
 from tests.scenes import block
-from tso_cli import Camera, RefineConfig, refine
+from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.evaluation.metrics import chamfer
-from tso_cli.geometry.view import View
 from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.objective import MaskChamferObjective, ViewTargets
 from tso_cli.refinement.problem import Problem

@@ -5,11 +5,8 @@ import pytest
 import torch
 
 from tests.scenes import block
-from tso_cli.errors import TsoError
-from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.view import View
+from tso_cli import Camera, RefineConfig, TsoError, View, refine
 from tso_cli.network.model import Encoder, build_network
-from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.network_parameters import NetworkParameters
 from tso_cli.refinement.objective import SilhouetteObjective
 from tso_cli.refinement.resampled_view import resample_view

@@ -9,9 +9,7 @@ import torch
 from tests import oracles
 from tests.losses.common import FORMS, in_form
 from tests.scenes import block
-from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.view import View
-from tso_cli.refinement import RefineConfig, refine
+from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.refinement.objective import SilhouetteObjective
 from tso_cli.refinement.optimise import descend, offset_progress, sum_of
 from tso_cli.refinement.resampled_view import resample_view

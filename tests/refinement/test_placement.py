@@ -5,9 +5,7 @@ import pytest
 
 from tests.corruption import assert_refused
 from tests.scenes import block
-from tso_cli.errors import InputError
-from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.view import View
+from tso_cli import Camera, InputError, View
 from tso_cli.refinement.placement import box_iou, place, require_overlap
 
 

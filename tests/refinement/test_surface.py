@@ -9,15 +9,13 @@ from PIL import Image
 from trimesh.remesh import subdivide
 
 from tests.corruption import assert_refused
+from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.cli import main
 from tso_cli.evaluation.metrics import chamfer, nearest_squared
-from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.points import sample_surface
-from tso_cli.geometry.view import View
 from tso_cli.io.clouds import read_cloud
 from tso_cli.losses.chamfer import spacings
 from tso_cli.losses.silhouette import silhouette_of
-from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.run import view_ious
 from tso_cli.refinement.surface import SAMPLES, Surface

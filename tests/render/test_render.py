@@ -8,9 +8,8 @@ import pytest
 from scipy import ndimage
 
 from tests.corruption import assert_refused
-from tso_cli import render
-from tso_cli.errors import TsoError
-from tso_cli.geometry.camera import CANONICAL_ROTATION, Camera
+from tso_cli import Camera, TsoError, render
+from tso_cli.geometry.camera import CANONICAL_ROTATION
 from tso_cli.geometry.points import farthest_point_sample, sample_surface
 from tso_cli.io.meshes import Mesh
 from tso_cli.render import RayScene, RenderSettings, rays, render_view, sample_cameras

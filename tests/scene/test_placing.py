@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tests.scenes import block, seen
-from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.view import View
+from tso_cli import Camera, View
 from tso_cli.scene import placing
 from tso_cli.scene.placing import align_silhouette, place_in_front, view_to_world
 

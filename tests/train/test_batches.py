@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tests.corruption import assert_refused
+from tso_cli import Camera, InputError
 from tso_cli.datasets.opening import open_dataset
-from tso_cli.errors import InputError
-from tso_cli.geometry.camera import CANONICAL_ROTATION, Camera
+from tso_cli.geometry.camera import CANONICAL_ROTATION
 from tso_cli.io.images import write_image
 from tso_cli.io.shipped import example_meshes
 from tso_cli.train.backgrounds import Backgrounds
