@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests import oracles
+from tests.scenes import block
 from tso_cli.geometry.camera import Camera
 from tso_cli.kernels import tensors
 from tso_cli.kernels.splat import splat
@@ -138,8 +139,7 @@ def test_far_pixels_attract_the_nearest_point_as_equation_4_does(where, form):
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.tuples(st.floats(0, 39), st.floats(0, 39)), min_size=1, max_size=5), st.integers(0, 39), st.integers(0, 39))
 def test_of_a_few_points_the_loss_is_equation_4_up_to_the_count_of_the_nearest(points, row, column):
-    mask = np.zeros((40, 40))
-    mask[row, column] = 1.0
+    mask = block(np.s_[row, column], (40, 40))
     oracle = oracles.bce(torch.tensor(points, dtype=torch.float64), torch.tensor(mask), SIGMA_SQ).item()
     for form in (NUMPY, "torch"):
         excess = (_bce(form, points, mask)[0] - oracle) / (4096 / 1600)
