@@ -34,17 +34,12 @@ def clouds(smallest=1, largest=30):
 
 
 def naive_farthest(points, count):
-    chosen = [0]
+    """From the first point on, each time the first of those farthest from the chosen ones."""
+    pairs, chosen = np.square(points[:, None] - points).sum(2), [0]
     while len(chosen) < count:
-        best, best_distance = -1, -1.0
-        for i in range(len(points)):
-            if i in chosen:
-                continue
-            steps = [points[i] - points[j] for j in chosen]
-            distance = min(d[0] * d[0] + d[1] * d[1] + d[2] * d[2] for d in steps)
-            if distance > best_distance:
-                best, best_distance = i, distance
-        chosen.append(best)
+        distance = pairs[:, chosen].min(1)
+        distance[chosen] = -1.0
+        chosen.append(int(distance.argmax()))
     return chosen
 
 
