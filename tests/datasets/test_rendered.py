@@ -78,11 +78,9 @@ def test_the_old_object_comes_back_when_the_new_one_cannot_take_its_place(tmp_pa
 def test_an_object_is_replaced_only_when_asked(tmp_path):
     write(tmp_path / "a", 1, views=2)
     assert_refused("--overwrite", write, tmp_path / "a", 2)
-    assert stored_record(tmp_path / "a") == {"n": 1}
+    assert (stored_record(tmp_path / "a"), stored_record(tmp_path / "other")) == ({"n": 1}, None)
     write(tmp_path / "a", 2, overwrite=True)
-    assert stored_record(tmp_path / "a") == {"n": 2}
-    assert not (tmp_path / "a/001.png").exists()
-    assert stored_record(tmp_path / "other") is None
+    assert stored_record(tmp_path / "a") == {"n": 2} and not (tmp_path / "a/001.png").exists()
 
 
 def test_as_a_data_set_an_object_has_its_views_target_and_category(folder):

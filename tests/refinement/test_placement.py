@@ -19,10 +19,9 @@ def test_points_are_counted_behind_the_camera_inside_the_image_and_on_the_mask(c
     assert placement.mask_box == (23.5, 23.5, 39.5, 39.5)
 
 
-def test_the_iou_of_boxes():
-    assert box_iou((0, 0, 2, 2), (0, 0, 2, 2)) == 1.0
-    assert box_iou((0, 0, 2, 2), (1, 0, 3, 2)) == pytest.approx(1 / 3)
-    assert box_iou((0, 0, 2, 2), (3, 0, 4, 2)) == 0.0
+@pytest.mark.parametrize(("other", "iou"), [((0, 0, 2, 2), 1.0), ((1, 0, 3, 2), 1 / 3), ((3, 0, 4, 2), 0.0)])
+def test_the_iou_of_boxes(other, iou):
+    assert box_iou((0, 0, 2, 2), other) == pytest.approx(iou, rel=1e-15, abs=0.0)
 
 
 @pytest.mark.parametrize(
@@ -34,8 +33,7 @@ def test_a_cloud_that_misses_the_mask_is_refused_with_advice(cloud, move, words)
     moved = cloud * 0.2 + move
     with pytest.raises(InputError, match=words) as caught:
         require_overlap(place(moved, view), view)
-    assert "mask.png" in str(caught.value)
-    assert "OpenCV" in str(caught.value)
+    assert "mask.png" in str(caught.value) and "OpenCV" in str(caught.value)
 
 
 def test_a_cloud_on_both_sides_of_the_image_is_refused():

@@ -176,10 +176,10 @@ def test_a_bad_mesh_alone_or_a_bad_output_is_an_error_and_writes_nothing(meshes,
 
 
 def test_names_that_would_collide_are_refused(meshes, tmp_path):
-    (meshes / "c.stl").write_bytes(b"x")
-    assert_refused("different names", render_folder, meshes, tmp_path / "out", FAST)
-    (meshes / "c.stl").rename(meshes / "chair.stl")
-    assert_refused("rendered inside chair", render_folder, meshes, tmp_path / "out", FAST)
+    for name, message in (("c.stl", "different names"), ("chair.stl", "rendered inside chair")):
+        (meshes / name).write_bytes(b"x")
+        assert_refused(message, render_folder, meshes, tmp_path / "out", FAST)
+        (meshes / name).unlink()
     assert not (tmp_path / "out").exists()
 
 
@@ -188,16 +188,11 @@ def test_the_output_may_lie_inside_the_source(meshes):
     assert again.skipped == first.written and not again.written
 
 
-def test_the_command_prints_one_json_document_and_writes_a_data_set(tso_render, meshes, tmp_path):
+def test_the_command_prints_one_json_document_writes_a_data_set_and_refuses_an_unreadable_size(tso_render, meshes, tmp_path):
+    assert "128x96" in tso_render(meshes, tmp_path / "out", "--size", "wide").refusal
     done = tso_render(meshes, tmp_path / "out", *WORDS, "--size", "32x24", "--seed", 5, "--json")
     assert "warning" not in done.err
-    document = json.loads(done.out)
-    assert document["written"] == ["c", "chair/a", "chair/b"]
-    assert document["settings"]["size"] == [32, 24]
+    assert (done.document["written"], done.document["settings"]["size"]) == (["c", "chair/a", "chair/b"], [32, 24])
     data = open_rendered(tmp_path / "out")
     assert [item.target().shape for item in data.objects if item.target] == [(50, 3)] * 3
     assert data.objects[0].views[0].load()[0].shape == (24, 32, 3)
-
-
-def test_the_command_refuses_an_unreadable_size(tso_render, meshes, tmp_path):
-    assert "128x96" in tso_render(meshes, tmp_path / "out", "--size", "wide").refusal
