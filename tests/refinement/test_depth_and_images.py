@@ -28,8 +28,8 @@ def _plain_sheet(slope: float) -> np.ndarray:
 
 def test_a_depth_map_is_resampled_without_averaging_across_edges():
     depth = np.where(np.arange(256) < 130, 2.0, 3.0)[None].repeat(256, 0)
-    mask = block(np.s_[64:192, 64:192], (256, 256))
-    resampled = resample_view(View(mask, Camera.canonical(256, 256), depth=depth), 0.4, np.zeros(3), 2.0)
+    view = View(block(np.s_[64:192, 64:192], (256, 256)), Camera.canonical(256, 256), depth=depth)
+    resampled = resample_view(view, 0.4, np.zeros(3), 2.0)
     assert resampled.depth.shape == (64, 64)
     assert set(np.unique(resampled.depth)) == {1.0, 1.5}
 
