@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tso_cli import Camera, View
+from tso_cli.evaluation.metrics import chamfer
 from tso_cli.io.cameras import read_camera
 from tso_cli.io.clouds import read_cloud
 from tso_cli.io.images import read_mask
@@ -25,6 +26,10 @@ class Example(NamedTuple):
     @property
     def view(self) -> View:
         return View(self.mask, self.camera, name="mask.png")
+
+    def error(self, points: np.ndarray) -> float:
+        """Chamfer distance to the truth."""
+        return chamfer(points, self.target).chamfer
 
 
 def example(name: str) -> Example:

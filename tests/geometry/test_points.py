@@ -71,9 +71,8 @@ def test_normalising_undoes_scale_and_place(points, scale, seed):
     points = points - points.mean(0)
     place = np.random.default_rng(seed).normal(size=3)
     ours = normalise_longest_side(points)
-    np.testing.assert_allclose(
-        normalise_longest_side(points * scale + place * scale), ours, atol=1e-9 / np.ptp(points, axis=0).max()
-    )
+    tolerance = 1e-9 / np.ptp(points, axis=0).max()
+    np.testing.assert_allclose(normalise_longest_side(points * scale + place * scale), ours, atol=tolerance)
     assert np.ptp(ours, axis=0).max() == pytest.approx(1.0, abs=1e-9)
     np.testing.assert_allclose(ours.min(0) + ours.max(0), 0.0, atol=1e-9)
 

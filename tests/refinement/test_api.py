@@ -9,7 +9,6 @@ import torch
 from tests.corruption import assert_refused
 from tests.scenes import block
 from tso_cli import Camera, RefineConfig, TsoError, View, refine
-from tso_cli.evaluation.metrics import chamfer
 from tso_cli.refinement import PRESETS, resampled_view
 from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.objective import SilhouetteObjective
@@ -17,14 +16,9 @@ from tso_cli.refinement.objective import SilhouetteObjective
 PAPER = RefineConfig(preset="paper")
 
 
-def _error(points, chair) -> float:
-    """Chamfer distance to the truth."""
-    return chamfer(points, chair.target).chamfer
-
-
 def test_the_papers_settings_bring_the_chair_nearer_to_the_true_shape(chair):
     result = refine(*chair[:3], PAPER)
-    assert _error(result.points, chair) < 0.97 * _error(chair.points, chair)
+    assert chair.error(result.points) < 0.97 * chair.error(chair.points)
     assert result.iou_after > result.iou_before + 0.01
     assert result.loss_after < result.loss_before
     assert (result.steps, result.stop_reason, result.mode) == (50, "max_steps", "points")
@@ -66,7 +60,7 @@ def test_a_scan_with_coordinates_near_four_million_is_refined_as_at_the_origin(c
     far = refine(points + 4e6, mask, _shifted(camera, 4e6), config)
     # At four million, coordinates hold nine digits after the point: of two points equally near, the other may be the nearer.
     np.testing.assert_allclose(far.points - 4e6, expected.points, atol=1e-4 if preset == "paper" else 0.02)
-    assert _error(far.points - 4e6, chair) == pytest.approx(_error(expected.points, chair), rel=0.02)
+    assert chair.error(far.points - 4e6) == pytest.approx(chair.error(expected.points), rel=0.02)
 
 
 def test_another_unit_changes_nothing(chair):
@@ -97,7 +91,7 @@ def test_a_grid_of_64_cells_loses_nothing_against_one_of_256(chair, monkeypatch)
     monkeypatch.setattr("tso_cli.refinement.problem.resample_view", fine)
     full = refine(*chair[:3], PAPER)
     assert not np.array_equal(coarse.points, full.points)
-    assert _error(coarse.points, chair) < 1.01 * _error(full.points, chair)
+    assert chair.error(coarse.points) < 1.01 * chair.error(full.points)
     # The resampled view has the loss of all pixels but for the averaged rim of the mask.
     assert coarse.loss_before == pytest.approx(full.loss_before, rel=0.05)
 

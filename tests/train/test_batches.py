@@ -229,10 +229,8 @@ def test_the_fingerprint_changes_with_the_pictures_of_the_same_objects():
 
 
 def test_a_rendered_folder_gives_the_same_batches_as_its_pictures_in_memory(folder):
-    read, in_memory = (
-        draw_batch(source, Drawing(0, 2, "view", 2), 0)
-        for source in (TrainingData(open_dataset(folder).objects, "boxes"), TrainingData(make_objects(2), "boxes"))
-    )
+    sources = open_dataset(folder).objects, make_objects(2)
+    read, in_memory = (draw_batch(TrainingData(objects, "boxes"), Drawing(0, 2, "view", 2), 0) for objects in sources)
     for name in ("images", "masks", "K", "targets"):
         np.testing.assert_allclose(getattr(read, name), getattr(in_memory, name), atol=1e-6, rtol=1e-7)
 
