@@ -116,10 +116,8 @@ def test_any_points_cost_the_same_in_both_forms(places, name, robust_scale):
 @pytest.mark.parametrize("name", ["one object", "a truncated object"])
 def test_a_view_that_observes_no_point_has_an_infinite_loss(name, form):
     objective, points = _objective(name)
-    camera = objective.targets.views[0].camera
-    behind, beside = (
-        points_at(np.full((4, 2), place), camera, np.full(4, depth)) for place, depth in ((9.0, -2.0), (-50.0, 2.0))
-    )
+    places, camera = ((9.0, -2.0), (-50.0, 2.0)), objective.targets.views[0].camera
+    behind, beside = (points_at(np.full((4, 2), place), camera, np.full(4, depth)) for place, depth in places)
     value, gradient = in_form(form, objective, behind)
     assert value == np.inf and not gradient.any()
     # Beyond the border that truncates the object, nobody can judge them.
