@@ -51,12 +51,12 @@ def speed(setting: Setting, only: Sequence[str] = ()) -> Record:
     chosen = [name for name in PARTS if name in (only or PARTS)]
     records = []
     for name in chosen:
-        measure = import_module(f".{name}", __package__).measure
+        measure = getattr(import_module(f".{PARTS[name]}", __package__), f"measure_{name}")
         with threadpool_limits(1):
             records += measure(setting)
     return {
         "bench": "speed",
-        "command": "tso bench speed" + (" --full" if setting.full else ""),
+        "command": "tso bench speed",
         "machine": {"cpu": _processor(), "cores": os.cpu_count(), "platform": platform.platform(terse=True)},
         "versions": {"tso": __version__, "python": platform.python_version()}
         | {package: _version(package) for package in ("torch", "numpy", "numba", "scipy")},

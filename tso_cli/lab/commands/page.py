@@ -19,7 +19,7 @@ from .records import read_record
 
 def load(name: str) -> Any:
     """The `Study` of that name, or what shows the record of `tso bench speed`."""
-    return import_module(f"tso_cli.lab.{'bench.study' if name == 'speed' else f'studies.{QUESTIONS[name][0]}'}").STUDY
+    return import_module(f"tso_cli.lab.{'bench.shown' if name == 'speed' else f'studies.{QUESTIONS[name][0]}'}").STUDY
 
 
 def write_page(study: Shown, record: Record, output: Path) -> None:
