@@ -11,7 +11,7 @@ import click
 from ...commands import options
 from ..bench import PARTS
 from . import records
-from .page import write_page
+from .tools import write_page
 
 
 @click.group("bench")

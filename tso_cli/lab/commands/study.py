@@ -12,8 +12,8 @@ from ...commands import options
 from ...io.shipped import named_checkpoint
 from ..study import Option, Progress, Record, Study, answer
 from . import records
-from .page import write_page
 from .records import Reporter, check_outputs, earlier_record, write_record
+from .tools import write_page
 
 
 def command_of(study: Study) -> click.Command:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,7 @@ from ...evaluation.metrics import chamfer, f_score
 from ...geometry.points import Array
 from ...io.output import check_output
 from ...network.model import BaseNetwork
-from ..charts.accuracy_pictures import draw_cases
-from ..charts.ratios import Panel, draw_ratios
-from ..charts.tradeoff import draw_tradeoffs
+from ..charts import Panel, draw_cases, draw_ratios, draw_tradeoffs
 from ..study import CHECKPOINT, COMMON, DEVICE, VIEWS, Cases, Option, Plan, Progress, Record, Study, Table, part
 from .accuracy_targets import claims
 from .cases import JUDGED, KINDS, SAMPLES, Case, CaseBuilder, kinds_of
@@ -32,6 +31,8 @@ TIMED = 6
 """Cases of each kind, category and variant that are refined once more, alone, for the time."""
 STARTS = "Where the starts are from. May be repeated.  [default: all; with --ablation all but right]"
 F_THRESHOLD = 0.02
+# Of a row of the table, beside Chamfer.
+FIGURES = ("mean_ratio", "median_ratio", "worst_ratio", "worse", "floor_ratio", "start_f_score", "f_score", "iou_before", "iou")
 CONVENTION = {
     "chamfer": "squared distances, mean over points, forward + backward, longest side 1; to as many target points",
     "f_score": f"share of points with a counterpart nearer than {F_THRESHOLD}, harmonic mean of both directions, 16,384 target "
@@ -68,13 +69,9 @@ def plan(
         raise InputError(f"points is {points}, expected {about.points}, as many as the network predicts, for kind network")
     builder = CaseBuilder(meshes, split, settings["views"], settings["size"], points, settings["seed"], network, about)
     variants = {kind: variants_of(kind, settings["ablation"]) for kind in kinds}
-    settings |= {
-        "categories": list(categories),
-        "kinds": list(kinds),
-        "shapes": [shape.name for shape in shapes],
-        "network": weights_hash(network) if network else None,
-        "variants": {kind: list(of_kind) for kind, of_kind in variants.items()},
-    }
+    settings |= {"categories": list(categories), "kinds": list(kinds), "shapes": [shape.name for shape in shapes]}
+    settings["network"] = weights_hash(network) if network else None
+    settings["variants"] = {kind: list(of_kind) for kind, of_kind in variants.items()}
 
     def judge(kind: str, group: list[Shape], timed: int) -> Cases:
         cases = [case for shape in group for case in builder.cases(shape, kind)]
@@ -83,10 +80,9 @@ def plan(
     jobs, size = [], max(1, GROUP // settings["views"])
     for category in categories:
         members = [shape for shape in shapes if shape.category == category]
-        for kind in kinds_of(category, kinds):
-            for start in range(0, len(members), size):
-                group, timed = members[start : start + size], 0 if start else TIMED
-                jobs.append(({"kind": kind, "shape": group[0].name}, partial(judge, kind, group, timed)))
+        for kind, start in product(kinds_of(category, kinds), range(0, len(members), size)):
+            group, timed = members[start : start + size], 0 if start else TIMED
+            jobs.append(({"kind": kind, "shape": group[0].name}, partial(judge, kind, group, timed)))
     if not jobs:
         raise InputError(f"kinds are {', '.join(kinds)}, expected some that {', '.join(categories)} have")
 
@@ -102,8 +98,7 @@ def judge_group(cases: list[Case], variants: dict[str, Variant], device: str, ne
     records: Cases = []
     for case in cases:
         names = {key: getattr(case, key) for key in ("kind", "category", "shape", "view")}
-        before = rounded({**_scores(case.initial, case), "floor": case.floor})
-        records.append({**names, "before": before, "variants": {}})
+        records.append({**names, "before": rounded({**_scores(case.initial, case), "floor": case.floor}), "variants": {}})
     for name, variant in variants.items():
         results = refined(cases, variant, device, network)
         for number, (case, record, result) in enumerate(zip(cases, records, results, strict=True)):
@@ -174,10 +169,9 @@ def tables(record: Record) -> list[Table]:
     for kind, category, group in groups:
         before = group["before"]
         for name, row in group["variants"].items():
-            figures = [row[key] for key in ("mean_ratio", "median_ratio", "worst_ratio", "worse")]
-            figures += [before["floor_ratio"], before["f_score"], row["f_score"]]
-            figures += [row[key] for key in ("iou_before", "iou", "median_seconds")]
-            rows.append([kind, category, group["cases"], name, 1e3 * before["chamfer"], 1e3 * row["chamfer"], *figures])
+            start = [kind, category, group["cases"], name, 1e3 * before["chamfer"], 1e3 * row["chamfer"]]
+            figures = {**row, "floor_ratio": before["floor_ratio"], "start_f_score": before["f_score"]}
+            rows.append([*start, *(figures[key] for key in (*FIGURES, "median_seconds"))])
     header = ["kind", "category", "cases", "variant", "before", "after", "ratio", "median", "worst", "worse", "floor"]
     note = (
         "before, after: Chamfer x1000; ratio: after/before, mean of the cases' own; worse: cases over 1; floor: ratio that "
@@ -201,13 +195,11 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
     """Ratios of all cases, a row of panels for each kind; and their means against seconds, NAME.tradeoff.png."""
     if "other" in record["summary"] and not record["settings"]["ablation"]:
         draw_tradeoffs(path.with_suffix(".tradeoff.png"), record["summary"]["other"], overwrite)
-    grid = [
-        [
-            Panel(f"{category}, {kind}", {name: ratios_of(cases, name) for name in cases[0]["variants"]})
-            for category, cases in grouped(of_kind, "category").items()
-        ]
-        for kind, of_kind in grouped(record["cases"], "kind").items()
-    ]
+    grid: list[list[Panel]] = []
+    for kind, of_kind in grouped(record["cases"], "kind").items():
+        groups = grouped(of_kind, "category").items()
+        ratios = {category: {name: ratios_of(cases, name) for name in cases[0]["variants"]} for category, cases in groups}
+        grid.append([Panel(f"{category}, {kind}", rows) for category, rows in ratios.items()])
     draw_ratios(path, grid, overwrite)
 
 

@@ -11,7 +11,7 @@ from ...errors import InputError
 from ...evaluation.metrics import chamfer
 from ...geometry.points import Array
 from ...train.data import TrainingData
-from ..charts.bars import Rows
+from ..charts import Rows
 from ..study import Cases, Record, claim
 from .judging import Predicted, camera_axes, object_axes
 from .material import ALL

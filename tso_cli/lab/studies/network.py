@@ -13,7 +13,7 @@ from ...evaluation.metrics import chamfer
 from ...io.checkpoints import load_network
 from ...io.shipped import CATEGORIES
 from ...train.batches import Draw, assemble
-from ..charts.bars import draw_bars
+from ..charts import draw_bars
 from ..study import CHECKPOINT, MESHES, SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table
 from .judging import Floats, mean_shape, view_targets
 from .material import Material
