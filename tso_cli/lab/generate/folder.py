@@ -12,7 +12,8 @@ from ...errors import InputError
 from ...io.meshes import Mesh, write_mesh
 from ...io.output import check_output, reason
 from . import airplane, car, chair
-from .parts import join, pick
+from .draws import pick
+from .parts import join
 
 _MAKERS = {"chair": chair, "car": car, "airplane": airplane}
 CATEGORIES = tuple(_MAKERS)
