@@ -15,8 +15,8 @@ from PIL import Image
 from tests.lab.studying import tso
 from tso_cli.errors import TsoError
 from tso_cli.lab.bench import PARTS, kernels, refining, speed, timing
-from tso_cli.lab.bench.claims import claims
 from tso_cli.lab.bench.shown import STUDY, draw_speed
+from tso_cli.lab.bench.speed import claims
 from tso_cli.lab.bench.timing import Contestant, Setting, record, timed
 from tso_cli.lab.study import answer
 from tso_cli.losses.chamfer import ChamferToStart

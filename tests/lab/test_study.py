@@ -45,7 +45,6 @@ TOY = Study(
     ),
     plan=plan,
     conclude=lambda cases: {"claims": [claim("sizes grow", True, "2 > 1"), claim("sizes shrink", False, "2 > 1")]},
-    kept="after every toy",
 )
 
 

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from tso_cli.evaluation.metrics import chamfer
-from tso_cli.lab.studies import affinity, failures, material, supervision, trained
-from tso_cli.lab.studies.judging import MEAN_SHAPE, Predicted, camera_axes, constant_answer, judge, object_axes
-from tso_cli.lab.studies.material import ALL, Material
+from tso_cli.lab.studies import affinity, failures, judging, supervision, trained
+from tso_cli.lab.studies.judging import ALL, MEAN_SHAPE, Material, Predicted, camera_axes, constant_answer, judge, object_axes
 from tso_cli.lab.studies.trained import Comparison, Setting, masks
 from tso_cli.lab.study import Progress
 from tso_cli.render import look_at
@@ -75,7 +74,7 @@ def test_training_and_judged_shapes_are_those_of_their_lists(split):
     assert [item.name for item in shapes.data("car", True).objects] == ["car/qreal_SUV"]
     assert [item.name for item in shapes.data(ALL, False).objects] == ["car/qbasic_RaceCar", "chair/kfurn_chairRounded"]
     dense = shapes.data("car", True, dense=True)
-    assert dense.target(0).shape == (material.DENSE, 3)
+    assert dense.target(0).shape == (judging.DENSE, 3)
     np.testing.assert_allclose(np.ptp(dense.target(0), axis=0), np.ptp(shapes.data("car", True).target(0), axis=0), atol=0.02)
 
 

@@ -144,7 +144,6 @@ class Study(Shown):
     options: tuple[Option, ...]
     plan: Callable[..., Plan]
     conclude: Callable[[Cases], Record]
-    kept: str = "after every shape"
 
     def run(self, progress: Progress, **options: Any) -> Record:
         """The record of all cases; those of ``progress.earlier`` are not judged again.

@@ -19,7 +19,7 @@ from .tools import write_page
 def command_of(study: Study) -> click.Command:
     """`tso lab NAME`."""
 
-    def run(output: Path | None, overwrite: bool, as_json: bool, resume: bool = False, **values: Any) -> None:
+    def run(output: Path | None, overwrite: bool, as_json: bool, resume: bool, **values: Any) -> None:
         check_outputs(output, overwrite, resume)
         command_line = _command_line(study, values)
         for option in study.options:
@@ -43,22 +43,17 @@ def command_of(study: Study) -> click.Command:
         else:
             click.echo(answer(study, record))
 
-    decorators = [*map(_click_option, study.options), records.output]
-    if study.kept:
-        again = f"Go on from the record at -o, kept {study.kept}, if there is one."
-        decorators.append(click.option("--resume", is_flag=True, help=again))
+    resumed = click.option("--resume", is_flag=True, help="Go on from the record at -o, kept after every job, if there is one.")
     function: Callable[..., Any] = run
-    for decorate in reversed([*decorators, options.overwrite, options.as_json]):
+    for decorate in (options.as_json, options.overwrite, resumed, records.output, *map(_click_option, study.options[::-1])):
         function = decorate(function)
     return click.command(study.name, help=f"{study.question}\n\n{study.about}")(function)
 
 
 def _click_option(option: Option) -> Callable[..., Any]:
-    kind: Any = option.kind
+    kind: Any = options.FilePath() if option.kind is Path else option.kind
     if option.choices:
         kind = click.Choice(option.choices)
-    elif option.kind is Path:
-        kind = options.FilePath()
     elif option.least is not None:
         kind = click.IntRange(option.least, option.most)
     settings: dict[str, Any] = {"is_flag": True} if option.kind is bool else {"type": kind}

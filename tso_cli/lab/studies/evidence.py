@@ -282,5 +282,4 @@ STUDY = Study(
     ),
     plan=plan,
     conclude=conclude,
-    kept="after every group of shapes",
 )

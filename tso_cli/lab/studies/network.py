@@ -15,8 +15,7 @@ from ...io.shipped import CATEGORIES
 from ...train.batches import Draw, assemble
 from ..charts import draw_bars
 from ..study import CHECKPOINT, MESHES, SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table
-from .judging import Floats, mean_shape, view_targets
-from .material import Material
+from .judging import Floats, Material, mean_shape, view_targets
 from .shapes import SPLIT as SHIPPED_SPLIT
 from .shapes import weights_hash
 from .summary import grouped, mean
@@ -145,5 +144,4 @@ STUDY = Study(
     ),
     plan=plan,
     conclude=conclude,
-    kept="after every category",
 )

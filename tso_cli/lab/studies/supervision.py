@@ -9,8 +9,7 @@ import numpy as np
 from ..charts import Rows
 from ..study import Cases, Record, claim
 from .discretised import DEPTH, PLAIN
-from .judging import MEAN_SHAPE
-from .material import ALL
+from .judging import ALL, MEAN_SHAPE
 from .trained import CATEGORIES, NOISE, Comparison, Setting, chamfers, masks, trained_study, with_mean
 
 POINTS, MASKS = "3D points", "masks"
@@ -44,13 +43,9 @@ def settings(categories: Sequence[str]) -> list[Setting]:
     points = {"supervision": "points"}
     networks = []
     for category in categories:
-        networks += [
-            Setting(MEAN_SHAPE, category, constant=True),
-            Setting(POINTS, category, points),
-            Setting(MASKS, category, masks(category)),
-            Setting(DISCRETISED, category, masks(category), PLAIN),
-            Setting(LIN, category, masks(category), DEPTH),
-        ]
+        networks += [Setting(MEAN_SHAPE, category, constant=True), Setting(POINTS, category, points)]
+        for name, projection in ((MASKS, ""), (DISCRETISED, PLAIN), (LIN, DEPTH)):
+            networks.append(Setting(name, category, masks(category), projection))
     if len(categories) > 1:
         networks += [Setting(POINTS_ALL, ALL, points), Setting(MASKS_ALL, ALL, masks(ALL))]
     return networks
@@ -141,25 +136,18 @@ def conclude_views(cases: Cases) -> Record:
         more = [means[count] for count in COUNTS[1:]]
         spreads[category] = max(more) / min(more)
         largest[category] = max(means.values())
+    better = all(max(by_count["2"]) < min(by_count["1"]) for by_count in seeds.values())
+    all_teach = all(value < constant[name] for name, value in largest.items())
+    little = f"more than two change little (largest at most {CONSTANT:g} times the smallest)"
+    times = ", ".join(f"{name} {value:.2f} times" for name, value in spreads.items())
+    against = ", ".join(
+        f"{name} {value:.2f} at most against {constant[name]:.2f}{', not there' * (value >= constant[name])}"
+        for name, value in largest.items()
+    )
     claims = [
-        claim(
-            "two masks of each object are better than one, whatever the seed",
-            all(max(by_count["2"]) < min(by_count["1"]) for by_count in seeds.values()),
-            ", ".join(gains),
-        ),
-        claim(
-            f"more than two change little (largest at most {CONSTANT:g} times the smallest)",
-            max(spreads.values()) <= CONSTANT,
-            ", ".join(f"{name} {value:.2f} times" for name, value in spreads.items()),
-        ),
-        claim(
-            "masks teach more than the mean shape",
-            all(value < constant[name] for name, value in largest.items()),
-            ", ".join(
-                f"{name} {value:.2f} at most against {constant[name]:.2f}{', not there' * (value >= constant[name])}"
-                for name, value in largest.items()
-            ),
-        ),
+        claim("two masks of each object are better than one, whatever the seed", better, ", ".join(gains)),
+        claim(little, max(spreads.values()) <= CONSTANT, times),
+        claim("masks teach more than the mean shape", all_teach, against),
     ]
     return {"summary": summary, "constant": constant, "paper": VIEWS_PAPER, "claims": claims}
 

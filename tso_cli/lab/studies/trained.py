@@ -20,8 +20,7 @@ from ...train.state import TrainingState, load_training, save_training, state_pa
 from ..charts import Rows, draw_bars
 from ..study import DEVICE, MESHES, SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table, part
 from .discretised import DEPTH, projected_objective
-from .judging import CONVENTION, JUDGED_VIEWS, Predicted, constant_answer, judge, predict
-from .material import ALL, Material
+from .judging import ALL, CONVENTION, JUDGED_VIEWS, Material, Predicted, constant_answer, judge, predict
 from .shapes import SPLIT as SHIPPED_SPLIT
 
 CATEGORIES = ("airplane", "car", "chair")
@@ -48,10 +47,8 @@ RATE, AVERAGING = 3e-4, 0.99
 class Setting:
     """One network of a study.
 
-    name : in tables; unique among the settings of a category.
-    category : to train and judge on; `ALL` for all categories of the study, each equally often.
-    changes : fields of `train.TrainConfig` in which it differs from the others.
-    projection : "plain" or "depth" of `discretised`; empty for the paper's.
+    name : in tables; unique among the settings of a category. category : to train and judge on; `ALL` : all, equally often.
+    changes : fields of `train.TrainConfig` in which it differs. projection : of `discretised`; empty for the paper's.
     constant : judge the mean training shape instead of a network. repeat : is added to the seed.
     """
 
@@ -190,7 +187,6 @@ def trained_study(
         options=OPTIONS,
         plan=comparison.plan,
         conclude=conclude,
-        kept="after every network and every 500 steps",
     )
 
 
