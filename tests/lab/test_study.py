@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from tso_cli.errors import InputError
 from tso_cli.lab.commands import tools as pages
-from tso_cli.lab.commands.study import command_of
+from tso_cli.lab.commands.records import command_of
 from tso_cli.lab.studies import QUESTIONS, accuracy, evidence, fingerprint, pose, refining
 from tso_cli.lab.study import MESHES, Option, Plan, Progress, Study, Table, claim, page
 from tso_cli.refinement import RefineConfig

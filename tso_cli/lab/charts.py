@@ -98,7 +98,7 @@ def draw_tradeoffs(path: Path, groups: Record, overwrite: bool) -> None:
 
     Raises InputError if ``path`` cannot be written to.
     """
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     with page(path, overwrite, (2.3 * len(groups), 3.3), dpi=100) as figure:
         axes = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
@@ -113,7 +113,7 @@ def draw_tradeoffs(path: Path, groups: Record, overwrite: bool) -> None:
             middle, half = (low * high) ** 0.5, max((high / low) ** 0.5, 2.2)
             axis.set_xlim(middle / half, middle * half)
             axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axis.xaxis.set_major_formatter("{x:g}")
             axis.xaxis.set_minor_formatter(NullFormatter())
             axis.set_title(category, fontsize=10)
             axis.tick_params(labelsize=8)
@@ -141,12 +141,9 @@ def draw_cases(path: Path, cases: Sequence[tuple[str, Case, Array]], overwrite: 
                 if window.silhouette.any() and not window.silhouette.all():
                     axis.contour(window.silhouette, levels=[0.5], colors=WORSE, linewidths=1.2)
                 axis.set_title(f"mask, {name} outline", fontsize=8)
-            turned = {
-                name: points @ view.camera.R.T
-                for name, points in (("initial", case.initial), ("refined", refined), ("truth", case.target))
-            }
+            shown = {"initial": case.initial, "refined": refined, "truth": case.target}
             for i, (side, directions) in enumerate(SIDES.items()):
-                clouds = {name: points @ directions.T for name, points in turned.items()}
+                clouds = {name: points @ view.camera.R.T @ directions.T for name, points in shown.items()}
                 for axis, name in zip(row[2 + 3 * i :], clouds, strict=False):
                     _draw_cloud(axis, clouds[name], list(clouds.values()))
                     axis.set_title(f"{name}\n{side}", fontsize=8)

@@ -23,7 +23,7 @@ class _Lab(LazyGroup):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         from . import tools
-        from .study import command_of
+        from .records import command_of
 
         if cmd_name in QUESTIONS:
             return command_of(tools.load(cmd_name))

@@ -11,7 +11,6 @@ import click
 from ...commands import options
 from ..bench import PARTS
 from . import records
-from .tools import write_page
 
 
 @click.group("bench")
@@ -28,7 +27,7 @@ def command() -> None:
     show_default=True,
     help="Measure each contestant about so long, and at least three times.",
 )
-@records.output
+@records.output_option
 @options.seed
 @options.overwrite
 @options.as_json
@@ -58,7 +57,7 @@ def speed(only: tuple[str, ...], seconds: float, output: Path | None, seed: int,
     record = measure(Setting(seconds, seed, report), only)
     if output is not None:
         records.write_record(record, STUDY.parts, output)
-        write_page(STUDY, record, output)
+        records.write_page(STUDY, record, output)
     if as_json:
         options.echo_json(record)
     else:

@@ -10,13 +10,10 @@ import click
 
 from ...commands import options
 from ...errors import GateError, InputError
-from ...io.output import atomic_output
 from ...io.reading import shown
 from ...version import __version__
 from ..studies import QUESTIONS
-from ..study import Record, Shown
-from ..study import page as page_of
-from .records import read_record
+from .records import read_record, write_page
 
 records_argument = click.argument("records", nargs=-1, required=True, type=options.FilePath())
 
@@ -25,14 +22,6 @@ def load(name: str) -> Any:
     """The `Study` of that name, or what shows the record of `tso bench speed`."""
     module, attribute = ("bench.shown.STUDY" if name == "speed" else f"studies.{QUESTIONS[name][0]}").rsplit(".", 1)
     return getattr(import_module(f"tso_cli.lab.{module}"), attribute)
-
-
-def write_page(study: Shown, record: Record, output: Path) -> None:
-    """The chart and the page of the record at ``output``, beside it."""
-    study.draw(output.with_suffix(".png"), record, True)
-    with atomic_output(output.with_suffix(".md")) as temporary:
-        more = sorted(path.name for path in output.parent.glob(f"{output.stem}.*.png"))
-        temporary.write_text(page_of(study, record, output.name, more))
 
 
 @click.command("page")
