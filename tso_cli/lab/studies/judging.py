@@ -167,15 +167,13 @@ def mean_shape(targets: Sequence[Floats], seed: int = 0, steps: int = MEAN_STEPS
         optimiser.zero_grad()
         (forward + backward).mean().backward()
         optimiser.step()
-    mean: Floats = points.detach().numpy()
-    return mean
+    return np.asarray(points.detach().numpy())
 
 
 def constant_answer(training: TrainingData, judged: TrainingData, frame: str) -> list[Predicted]:
     """The mean training shape in ``frame`` as the prediction for every view that is judged."""
-    canonical = frame == "canonical"
-    targets = [training.target(i) for i in range(len(training.objects))] if canonical else view_targets(training)
-    mean = mean_shape(targets).astype(np.float64)
+    whole = [training.target(i) for i in range(len(training.objects))] if frame == "canonical" else view_targets(training)
+    mean = mean_shape(whole).astype(np.float64)
     return [replace(shape, points=np.repeat(mean[None], len(shape.target), axis=0)) for shape in predict(None, judged, frame)]
 
 
