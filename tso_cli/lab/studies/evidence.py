@@ -92,10 +92,7 @@ DEPTH_ROWS: Rows = {
 STARTS_OF_PAINT = {"bent 2": "bent to Chamfer 2", "bent 6": "bent to Chamfer 6", "other": "another shape, other colours"}
 PHOTOS = {None: "mask", 0.7: "mask and photo, exposure 0.7", 1.4: "mask and photo, exposure 1.4"}
 COLOUR_ROWS: Rows = {
-    f"{STARTS_OF_PAINT[start]}; {PHOTOS[exposure]}": (
-        partial(painted, start=start, exposure=exposure),
-        _variant(symmetry="none"),
-    )
+    f"{STARTS_OF_PAINT[start]}; {PHOTOS[exposure]}": (partial(painted, start=start, exposure=exposure), ONE)
     for start, exposure in product(STARTS_OF_PAINT, PHOTOS)
 }
 LACKING: dict[str, Alter] = {
@@ -170,7 +167,7 @@ def plan(progress: Progress, *, meshes: Path, split: Path | None, questions: tup
     builder = CaseBuilder(meshes, split, settings["views"], SIZE, POINTS, settings["seed"])
     settings |= {"questions": list(questions), "points": POINTS, "size": SIZE}
     settings["rows"] = {name: list(question.rows) for name, question in chosen.items()}
-    settings["shapes"] = [shape.name for shape in shapes]
+    settings["shapes"] = [shape.name for group in by_category.values() for shape in group]
 
     def judge_group(name: str, kind: str, group: list[Shape]) -> Cases:
         others = [*group[1:], group[0]] if len(group) > 1 else [None]
