@@ -102,8 +102,8 @@ LACKING: dict[str, Alter] = {
     "lower part of a side missing": partial(without, part="low"),
 }
 MISSING_ROWS: Rows = {
-    f"{name}; symmetry {plane}": (alter, _variant(symmetry=plane))
-    for (name, alter), plane in product(LACKING.items(), ("none", "auto"))
+    f"{name}; symmetry {plane}": (alter, variant)
+    for (name, alter), (plane, variant) in product(LACKING.items(), (("none", ONE), ("auto", _variant())))
 }
 
 
