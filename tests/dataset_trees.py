@@ -13,6 +13,8 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
+from tests.io.test_shapes import binvox_bytes
+from tests.scenes import about
 from tso_cli.datasets.items import ObjectItem
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.points import farthest_point_sample, sample_surface
@@ -41,16 +43,6 @@ def lopsided_points() -> np.ndarray:
     """1,024 points of it."""
     samples = sample_surface(lopsided().vertices, lopsided().faces, 4096, np.random.default_rng(0))
     return samples[farthest_point_sample(samples, 1024)]
-
-
-def about(axis: int, degrees: float) -> np.ndarray:
-    """Rotation about x, y or z, right-handed."""
-    angle = np.radians(degrees)
-    matrix = np.eye(3)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    matrix[i, i] = matrix[j, j] = np.cos(angle)
-    matrix[i, j], matrix[j, i] = -np.sin(angle), np.sin(angle)
-    return matrix
 
 
 def pictured(vertices: np.ndarray, faces: np.ndarray, focal: float, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -98,7 +90,7 @@ def authors_points(points: np.ndarray, azimuth: float, elevation: float) -> np.n
     """A cloud in the axes X of the authors' code: row = 120 X_x / |X_z| + 32, column = 120 X_y / |X_z| + 32."""
     a, b, c = points.T
     p = np.stack([-b, -c, a])
-    return (about(1, elevation) @ about(0, azimuth) @ p).T - np.array([0.0, 0.0, 2.0])
+    return (about("y", elevation) @ about("x", azimuth) @ p).T - np.array([0.0, 0.0, 2.0])
 
 
 def write_shapenet(
@@ -149,8 +141,8 @@ def write_r2n2(
             ratio = 0.7 + 0.1 * k
             # The renderer turns an empty object, by Euler angles (-rotation, -elevation, -azimuth) in the order x, y, z, that
             # carries the camera at (1.75 ratio, 0, 0), itself turned by 90 degrees about z and then y.
-            carrier = about(2, -azimuth) @ about(1, -elevation) @ about(0, -rotation)
-            matrix = carrier @ about(1, 90.0) @ about(2, 90.0)
+            carrier = about("z", -azimuth) @ about("y", -elevation) @ about("x", -rotation)
+            matrix = carrier @ about("y", 90.0) @ about("z", 90.0)
             place = carrier @ np.array([1.75 * ratio, 0.0, 0.0])
             seen = through_blender_camera(blender_points(lopsided().vertices), matrix, place)
             image, mask = pictured(seen, lopsided().faces, 35.0 / 32.0 * size, (size, size))
@@ -179,11 +171,8 @@ def write_binvox(path: Path, in_the_middle: bool, side: int = 32) -> None:
     index = np.clip(np.floor((points - corner) / scale * side), 0, side - 1).astype(int)
     grid = np.zeros((side, side, side), dtype=bool)
     grid[tuple(index.T)] = True
-    flat = grid.transpose(0, 2, 1).ravel()
-    data = b"".join(bytes([int(value), 1]) for value in flat)
-    translate = " ".join(f"{value:.6f}" for value in low)
     path.parent.mkdir(parents=True)
-    path.write_bytes(f"#binvox 1\ndim {side} {side} {side}\ntranslate {translate}\nscale {scale:.6f}\ndata\n".encode() + data)
+    path.write_bytes(binvox_bytes(grid, " ".join(f"{value:.6f}" for value in low), f"{scale:.6f}"))
 
 
 # Pix3D
@@ -201,11 +190,11 @@ def write_pix3d(root: Path, count: int = 3) -> list[dict[str, Any]]:
     (root / "model/chair/IKEA_X/model.obj").write_text(corners + faces)
     entries = []
     for k in range(count):
-        rotation = about(0, 15.0) @ about(1, 40.0 + 110.0 * k) @ about(2, 6.0)
+        rotation = about("x", 15.0) @ about("y", 40.0 + 110.0 * k) @ about("z", 6.0)
         shift = np.array([0.15, -0.1, 2.6]) - rotation @ np.array([0.4, -0.3, 0.2])
         focal = 30.0 + k
         # Blender's camera at the origin, turned by 180 degrees about y.
-        seen = through_blender_camera(vertices @ rotation.T + shift, about(1, 180.0), np.zeros(3))
+        seen = through_blender_camera(vertices @ rotation.T + shift, about("y", 180.0), np.zeros(3))
         image, mask = pictured(seen, lopsided().faces, focal / 32.0 * PIX3D_SIZE[0], PIX3D_SIZE)
         write_image(root / f"img/chair/{k:04d}.png", image)
         write_image(root / f"mask/chair/{k:04d}.png", mask)

@@ -5,6 +5,21 @@ import math
 import torch
 from torch import Tensor
 
+from tso_cli import Camera
+
+
+def project(points: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
+    """Eq. 1: pixels [N, 2] and depths [N] of points [N, 3]."""
+    K, R, t = (torch.tensor(part) for part in (camera.K, camera.R, camera.t))
+    in_camera = points @ R.T + t
+    plane = in_camera / in_camera[:, 2:] if camera.model == "perspective" else in_camera
+    return plane[:, :2] @ K[:2, :2].T + K[:2, 2], in_camera[:, 2]
+
+
+def robust(squared: Tensor, scale: float) -> Tensor:
+    """The cost of a squared distance, bounded by that of ``scale``."""
+    return squared * scale**2 / (scale**2 + squared)
+
 
 def silhouette_sums(points_px: Tensor, height: int, width: int, sigma_sq: float) -> Tensor:
     """Eq. 2 and 3 before the tanh: [N, 2] -> [H, W], an N x H x W tensor."""

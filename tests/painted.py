@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from tests.scenes import block
 from tso_cli import Camera
 
 SIZE = 64
 CAMERA = Camera.canonical(SIZE, SIZE)
-MASK = np.zeros((SIZE, SIZE), np.float32)
-MASK[5:59, 5:59] = 1.0
+MASK = block(np.s_[5:59, 5:59])
 COLUMNS, ROWS = np.meshgrid(np.arange(SIZE), np.arange(SIZE))
 
 

@@ -4,8 +4,6 @@ python -m tests.readme             runs the commands that pages show, puts what 
 python -m tests.readme --figures   fills in the figures alone
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -67,9 +65,9 @@ def gains() -> str:
     shown = ("paper", "best", "best, no symmetry", "best, two masks", "best, four masks")
     rows = []
     for name, group in record("accuracy")["summary"]["other"].items():
-        cells = [f"{row['mean_ratio']:.2f}, {row['median_seconds']:.1f} s" for row in map(group["variants"].get, shown)]
-        default = group["variants"]["best"]
-        rows.append([name, *cells, f"{default['worse']} of {group['cases']}, {default['worst_ratio']:.2f}"])
+        cells = ["{mean_ratio:.2f}, {median_seconds:.1f} s".format_map(group["variants"][variant]) for variant in shown]
+        worse = "{worse} of {cases}, {worst_ratio:.2f}".format_map(group | group["variants"]["best"])
+        rows.append([name, *cells, worse])
     return markdown(header, rows)
 
 
@@ -78,11 +76,10 @@ def types() -> str:
     rows = []
     for name, group in record("accuracy")["summary"]["other"].items():
         before, row = group["before"], group["variants"]["best"]
-        ratios = (f"{row[key]:.2f}" for key in ("mean_ratio", "worst_ratio"))
         chamfer = f"{1e3 * before['chamfer']:.1f} -> {1e3 * row['chamfer']:.1f}"
+        ratios = f"{row['mean_ratio']:.2f}", f"{row['worst_ratio']:.2f}", str(row["worse"]), f"{before['floor_ratio']:.2f}"
         measures = f"{before['f_score']:.2f} -> {row['f_score']:.2f}", f"{row['iou_before']:.2f} -> {row['iou']:.2f}"
-        cells = [chamfer, *ratios, str(row["worse"]), f"{before['floor_ratio']:.2f}", *measures]
-        rows.append([f"{name}, {group['cases']}", *cells])
+        rows.append([f"{name}, {group['cases']}", chamfer, *ratios, *measures])
     header = ["object, clouds", "Chamfer x1000", "mean", "worst", "made worse", "floor", "F-score", "IoU"]
     return markdown(header, rows)
 
@@ -137,7 +134,7 @@ def variants() -> str:
     rows = []
     for name in ("encoder", "encoder-decoder", "points"):
         row, paper = summary["capnet"][name], printed[name][2] / printed["before"][2]
-        interval = " to ".join(f"{end:.3f}" for end in row["interval"])
+        interval = "{:.3f} to {:.3f}".format(*row["interval"])
         worse = f"{row['worse']} of {summary['cases']}"
         rows.append([f"`{name}`", f"{row['ratio_of_means']:.3f}", interval, f"{paper:.3f}", worse])
     return markdown(["variant", "after / before", "95 % interval", "the paper", "made worse"], rows)
@@ -184,17 +181,9 @@ def network() -> str:
 
 def photos() -> str:
     """The temple before and after, judged by photos that were not used."""
-    rows = [
-        [
-            f"{len(row['start'])}",
-            row["preset"] or "none",
-            f"{row['iou']:.2f}",
-            f"{row['worst_iou']:.2f}",
-            f"{row['beside']:.0%}",
-        ]
-        for row in record("photos")["summary"]
-        if row["symmetry"] != "auto" and len(row["masks"]) in (0, 4)
-    ]
+    shown = (row for row in record("photos")["summary"] if row["symmetry"] != "auto" and len(row["masks"]) in (0, 4))
+    cells = "{start} {preset} {iou:.2f} {worst_iou:.2f} {beside:.0%}"
+    rows = [cells.format_map(row | {"start": len(row["start"]), "preset": row["preset"] or "none"}).split() for row in shown]
     return markdown(["start carved from photos", "preset", "IoU, mean", "IoU, worst", "points beside a mask"], rows)
 
 
@@ -264,15 +253,10 @@ def stages() -> str:
     return markdown(["stage", *columns], rows)
 
 
-FILLED: dict[str, Callable[[], str]] = {
-    "accuracy_targets": partial(targets, "accuracy"),
-    "speed_targets": partial(targets, "speed"),
-    **{
-        made.__name__: made
-        for made in (initial_error, gains, types, starts, choices, variants, depth, cameras, network, photos)
-    },
-    **{made.__name__: made for made in (machine, objects, batches, kernels, stages)},
-}
+FIGURES = (initial_error, gains, types, starts, choices, variants, depth, cameras, network, photos)
+FIGURES += (machine, objects, batches, kernels, stages)
+FILLED: dict[str, Callable[[], str]] = {made.__name__: made for made in FIGURES}
+FILLED |= {f"{name}_targets": partial(targets, name) for name in ("accuracy", "speed")}
 
 
 def with_figures(text: str) -> str:
@@ -283,16 +267,9 @@ def with_figures(text: str) -> str:
 def _run(command: str, folder: Path) -> str:
     words = shlex.split(command)
     assert words[0] == "tso", command
+    words[0:1] = [sys.executable, "-m", "tso_cli"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        [sys.executable, "-m", "tso_cli", *words[1:]],
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.PIPE,
-        text=True,
-        check=True,
-    )
-    return done.stdout.rstrip("\n")
+    return subprocess.check_output(words, cwd=folder, env=environment, text=True).rstrip("\n")
 
 
 def _with_commands(text: str, folder: Path) -> str:

@@ -1,15 +1,18 @@
-"""The shipped examples, and a square mask."""
+"""The shipped examples; masks, views and cameras made from others."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.view import View
+from tso_cli import Camera, View
+from tso_cli.evaluation.metrics import chamfer
 from tso_cli.io.cameras import read_camera
 from tso_cli.io.clouds import read_cloud
 from tso_cli.io.images import read_mask
+from tso_cli.losses.silhouette import silhouette_of
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -24,6 +27,10 @@ class Example(NamedTuple):
     def view(self) -> View:
         return View(self.mask, self.camera, name="mask.png")
 
+    def error(self, points: np.ndarray) -> float:
+        """Chamfer distance to the truth."""
+        return chamfer(points, self.target).chamfer
+
 
 def example(name: str) -> Example:
     """Start, mask, camera and true cloud of a shipped example."""
@@ -33,7 +40,32 @@ def example(name: str) -> Example:
     return Example(read_cloud(folder / "initial.ply").points, mask, camera, read_cloud(folder / "target.ply").points)
 
 
-def square_mask(left: int, top: int, side: int, size: int = 64) -> np.ndarray:
-    mask = np.zeros((size, size), np.float32)
-    mask[top : top + side, left : left + side] = 1.0
+def block(region: tuple[slice, slice], shape: tuple[int, int] = (64, 64)) -> np.ndarray:
+    """A mask that is foreground in ``region``."""
+    mask = np.zeros(shape, np.float32)
+    mask[region] = 1.0
     return mask
+
+
+def seen(points: np.ndarray, camera: Camera) -> View:
+    """What a camera shows of a cloud, each pixel foreground or not."""
+    return View(np.float32(silhouette_of(points, camera) > 0.5), camera)
+
+
+def about(axis: str, degrees: float) -> np.ndarray:
+    """Rotation about x, y or z, right-handed."""
+    return Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
+
+
+def turned(camera: Camera, degrees: float) -> Camera:
+    """The camera that sees an object as ``camera`` sees it turned about the vertical axis."""
+    return replace(camera, R=camera.R @ about("y", degrees))
+
+
+def in_photo(view: View, times: int, left: int, top: int) -> View:
+    """The picture of a view at some place of one so many times as wide and high."""
+    height, width = view.mask.shape
+    mask = np.zeros((times * height, times * width), np.float32)
+    mask[top : top + height, left : left + width] = view.mask
+    K = view.camera.K + [[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]]
+    return View(mask, replace(view.camera, K=K, width=times * width, height=times * height), name=view.name)

@@ -1,7 +1,5 @@
 """Small training data for tests: boxes with a knob, drawn as dense clouds."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

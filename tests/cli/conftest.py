@@ -1,12 +1,12 @@
 """Masks and a network to run commands with."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from tests.scenes import turned
 from tso_cli import __version__
 from tso_cli.io.cameras import CameraRecord, read_camera, write_cameras
 from tso_cli.io.clouds import read_cloud
@@ -20,10 +20,9 @@ def views(folder):
     camera, target = read_camera("camera.json", 256, 256), read_cloud("target.ply").points
     records = []
     for name, degrees, size in (("front.png", 0.0, (64, 64)), ("side.png", 80.0, (96, 80)), ("back.png", 200.0, (128, 128))):
-        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-        turned = replace(camera, R=camera.R @ [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]).resized(*size)
-        Image.fromarray((silhouette_of(target, turned) * 255.0).astype(np.uint8)).save(name)
-        records.append(CameraRecord(turned, Path(name)))
+        around = turned(camera, degrees).resized(*size)
+        Image.fromarray((silhouette_of(target, around) * 255.0).astype(np.uint8)).save(name)
+        records.append(CameraRecord(around, Path(name)))
     write_cameras("views.json", records)
     return [record.mask for record in records]
 

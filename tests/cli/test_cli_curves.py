@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tso_cli.errors import InputError
+from tests.corruption import assert_refused
 from tso_cli.io.checkpoints import save_network
 from tso_cli.io.logs import read_log
 from tso_cli.network.model import NetworkConfig
@@ -70,8 +70,7 @@ def test_logs_of_one_name_are_told_apart_by_their_folders(log, tmp_path):
 )
 def test_a_damaged_log_is_refused(log, kept, line, message):
     log.write_text("\n".join([*log.read_text().splitlines()[:kept], line]))
-    with pytest.raises(InputError, match=f"masks.jsonl: .*{message}"):
-        read_log(log)
+    assert_refused(f"masks.jsonl: .*{message}", read_log, log)
 
 
 def test_the_command_draws_several_logs_of_different_losses_and_one_that_is_zero(log, tmp_path, tso):

@@ -3,19 +3,17 @@ import shutil
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from PIL import Image
-from scipy.spatial import cKDTree
 
+from tests.corruption import assert_refused
 from tests.dataset_trees import lopsided, write_binvox
 from tests.io.test_shapes import SQUARE_OFF, SQUARE_PLY
-from tso_cli.commands.evaluate import command
-from tso_cli.errors import GateError, InputError
 from tso_cli.evaluation.compare import EvalConfig, evaluate
 from tso_cli.evaluation.footprint import IOU_MEANS
 from tso_cli.evaluation.metrics import chamfer, emd, iou
 from tso_cli.evaluation.pairs import Pair
 from tso_cli.geometry.camera import Camera
+from tso_cli.geometry.points import farthest_point_sample, normalise_longest_side, sample_surface
 from tso_cli.io.cameras import CameraRecord, write_cameras
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.io.images import read_mask
@@ -24,22 +22,19 @@ from tso_cli.io.shipped import examples_folder
 from tso_cli.losses.silhouette import silhouette_of
 
 
-def run(*arguments):
-    return CliRunner().invoke(command, [str(argument) for argument in arguments])
+@pytest.fixture
+def run(tso):
+    return lambda *arguments: tso("eval", *arguments)
 
 
-def document(*arguments):
-    result = run(*arguments, "--json")
-    assert result.exit_code == 0, result.output + repr(result.exception)
-    return json.loads(result.stdout)
+@pytest.fixture
+def document(run):
+    return lambda *arguments: run(*arguments, "--json").document
 
 
-def refusal(*arguments):
-    """The message of the error that a call ends with."""
-    result = run(*arguments)
-    assert isinstance(result.exception, InputError), repr(result.exception)
-    assert result.stdout == ""
-    return str(result.exception)
+@pytest.fixture
+def refusal(run):
+    return lambda *arguments: run(*arguments).refusal
 
 
 def points_of(seed, count=40):
@@ -76,7 +71,7 @@ def grid(tmp_path):
     return tmp_path / "grid.npy"
 
 
-def test_two_files_give_one_pair_with_raw_numbers(cloud):
+def test_two_files_give_one_pair_with_raw_numbers(cloud, document):
     found = document("--chamfer", cloud("a.ply", 1), cloud("b.ply", 2, 50))
     (pair,) = found["pairs"]
     expected = chamfer(points_of(1), points_of(2, 50))
@@ -86,18 +81,18 @@ def test_two_files_give_one_pair_with_raw_numbers(cloud):
     assert (found["convention"]["protocol"], found["convention"]["seed"]) == ("plain", 0)
 
 
-def test_the_table_shows_thousandfold_values_and_names_its_convention(cloud):
+def test_the_table_shows_thousandfold_values_and_names_its_convention(cloud, run, document):
     a, b = cloud("a.ply", 1), cloud("b.ply", 2)
     result = run(a, b)
     value = chamfer(points_of(1), points_of(2)).chamfer
-    assert f"{1000 * value:.3f}" in result.stdout.splitlines()[2].split()
-    assert "Chamfer x1000: squared distances" in result.stdout
-    assert "seed 0" in result.stdout
-    assert result.stderr == ""
+    assert f"{1000 * value:.3f}" in result.out.splitlines()[2].split()
+    assert "Chamfer x1000: squared distances" in result.out
+    assert "seed 0" in result.out
+    assert result.err == ""
     assert document(a, b) == document("--chamfer", a, b)
 
 
-def test_folders_are_matched_by_the_path_without_suffix(cloud, tmp_path):
+def test_folders_are_matched_by_the_path_without_suffix(cloud, tmp_path, document):
     cloud("ours/chair/one.ply", 1), cloud("ours/two.v2.ply", 2), cloud("theirs/two.v2.ply", 4)
     (tmp_path / "theirs" / "chair").mkdir()
     np.save(tmp_path / "theirs" / "chair" / "one.npy", points_of(3))
@@ -110,7 +105,7 @@ def test_folders_are_matched_by_the_path_without_suffix(cloud, tmp_path):
     assert found["mean"]["chamfer"] == pytest.approx(np.mean(values))
 
 
-def test_an_unmatched_name_is_an_error_that_names_it(cloud, tmp_path):
+def test_an_unmatched_name_is_an_error_that_names_it(cloud, tmp_path, refusal):
     cloud("ours/a.ply"), cloud("theirs/a.ply"), cloud("ours/b.ply"), cloud("theirs/c.ply")
     message = refusal(tmp_path / "ours", tmp_path / "theirs")
     assert f"{tmp_path / 'ours'} has b, which" in message and f"{tmp_path / 'theirs'} has c, which" in message
@@ -119,14 +114,14 @@ def test_an_unmatched_name_is_an_error_that_names_it(cloud, tmp_path):
     assert "b, d, e and 2 more" in refusal(tmp_path / "ours", tmp_path / "theirs")
 
 
-def test_a_suffix_of_the_predictions_is_dropped_only_on_request(cloud, tmp_path):
+def test_a_suffix_of_the_predictions_is_dropped_only_on_request(cloud, tmp_path, document, refusal):
     cloud("ours/a.refined.ply", 1), cloud("ours/a.ply", 2), cloud("theirs/a.ply", 3)
     assert "--suffix .refined" in refusal(tmp_path / "ours", tmp_path / "theirs")
     found = document(tmp_path / "ours", tmp_path / "theirs", "--suffix", ".refined")
     assert found["mean"]["chamfer"] == chamfer(points_of(1), points_of(3)).chamfer
 
 
-def test_inputs_that_do_not_pair_are_refused(cloud, tmp_path):
+def test_inputs_that_do_not_pair_are_refused(cloud, tmp_path, refusal):
     file, (folder, empty) = cloud("a.ply"), (tmp_path / "folder", tmp_path / "empty")
     cloud("folder/a.ply")
     empty.mkdir()
@@ -139,13 +134,12 @@ def test_inputs_that_do_not_pair_are_refused(cloud, tmp_path):
     assert "have the same name" in refusal(folder, folder)
 
 
-def test_capnet_protocol_hides_scale_and_place_and_plain_does_not(cloud):
+def test_capnet_protocol_hides_scale_and_place_and_plain_does_not(cloud, document):
     a, b, b_large = cloud("a.ply", 1), cloud("b.ply", 2), cloud("large.ply", 2, scale=7.0)
     assert document(a, b)["mean"]["chamfer"] != pytest.approx(document(a, b_large)["mean"]["chamfer"])
     scaled = document(a, b_large, "--protocol", "capnet", "--emd", "--chamfer")
     assert scaled["mean"] == pytest.approx(document(a, b, "--protocol", "capnet", "--emd", "--chamfer")["mean"])
-    boxed = [p - (p.min(0) + p.max(0)) / 2 for p in (points_of(1), points_of(2))]
-    boxed = [p / np.ptp(p, axis=0).max() for p in boxed]
+    boxed = map(normalise_longest_side, (points_of(1), points_of(2)))
     assert scaled["mean"]["emd"] == pytest.approx(emd(*boxed, squared=True)) and "squared" in scaled["convention"]["emd"]
     assert document(a, b, "--emd")["mean"]["emd"] == pytest.approx(emd(points_of(1), points_of(2)))
 
@@ -153,46 +147,28 @@ def test_capnet_protocol_hides_scale_and_place_and_plain_does_not(cloud):
 CHAIR_MESH = examples_folder() / "meshes" / "chair" / "q17_ChairHandle.ply"
 
 
-def papers_chamfer(prediction, target, seed, thinned=1024):
-    """The paper's evaluation written anew: 16,384 points of a mesh, farthest-point sampling, each cloud in its own box."""
-    rng, clouds = np.random.default_rng(seed), []
-    for path in (prediction, target):
-        points = read_cloud(path).points
-        if path == CHAIR_MESH:
-            mesh = read_mesh(path)
-            a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
-            area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-            drawn = rng.choice(len(area), 16384, p=area / area.sum())
-            # A point of the parallelogram, folded back into the triangle.
-            u, v = rng.random((2, 16384, 1))
-            u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-            points = a[drawn] + u * (b - a)[drawn] + v * (c - a)[drawn]
-        if thinned is not None:
-            kept = [0]
-            distance = np.linalg.norm(points - points[0], axis=1)
-            while len(kept) < thinned:
-                kept.append(int(distance.argmax()))
-                distance = np.minimum(distance, np.linalg.norm(points - points[kept[-1]], axis=1))
-            points = points[kept]
-        low, high = points.min(axis=0), points.max(axis=0)
-        clouds.append((points - (low + high) / 2) / (high - low).max())
-    ours, theirs = map(cKDTree, clouds)
-    return float((ours.query(theirs.data)[0] ** 2).mean() + (theirs.query(ours.data)[0] ** 2).mean())
+def papers_chamfer(prediction, thinned=1024):
+    """The paper's evaluation: 16,384 points of a mesh, farthest-point sampling, each cloud in its own box."""
+    mesh = read_mesh(CHAIR_MESH)
+    clouds = read_cloud(prediction).points, sample_surface(mesh.vertices, mesh.faces, 16384, np.random.default_rng(0))
+    if thinned is not None:
+        clouds = [points[farthest_point_sample(points, thinned)] for points in clouds]
+    return chamfer(*map(normalise_longest_side, clouds)).chamfer
 
 
 @pytest.mark.parametrize("prediction", ["target.ply", "initial.ply"])
-def test_capnet_protocol_is_the_papers_evaluation(prediction):
+def test_capnet_protocol_is_the_papers_evaluation(prediction, document):
     ours = examples_folder() / "chair" / prediction
     result = document(ours, CHAIR_MESH, "--protocol", "capnet")
-    expected = papers_chamfer(ours, CHAIR_MESH, 0)
+    expected = papers_chamfer(ours)
     assert result["mean"]["chamfer"] == pytest.approx(expected, rel=0.04)
     assert (result["pairs"][0]["prediction_points"], result["pairs"][0]["target_points"]) == (1024, 1024)
     assert result["convention"]["points"] == 1024
     # Without the thinning it would be another figure.
-    assert abs(papers_chamfer(ours, CHAIR_MESH, 0, thinned=None) / expected - 1) > 0.06
+    assert abs(papers_chamfer(ours, thinned=None) / expected - 1) > 0.06
 
 
-def test_capnet_protocol_takes_other_numbers_on_request_and_small_clouds_whole(cloud):
+def test_capnet_protocol_takes_other_numbers_on_request_and_small_clouds_whole(cloud, run, document, refusal):
     a, b = cloud("a.ply", 1, 40), cloud("b.ply", 2, 1500)
 
     def counts(*more):
@@ -203,79 +179,78 @@ def test_capnet_protocol_takes_other_numbers_on_request_and_small_clouds_whole(c
     assert counts("--protocol", "capnet", "--points", 30) == (30, 30)
     assert counts("--protocol", "plain") == (40, 1500)
     assert "a.ply: holds 40 points" in refusal(a, b, "--points", 50)
-    assert "1024 points at most (farthest-point)" in run(a, b, "--protocol", "capnet").stdout
+    assert "1024 points at most (farthest-point)" in run(a, b, "--protocol", "capnet").out
 
 
 @pytest.mark.parametrize("in_the_middle", [False, True])
-def test_a_binvox_grid_of_a_shape_lies_on_it_whatever_its_header_places_where(tmp_path, in_the_middle):
+def test_a_binvox_grid_of_a_shape_lies_on_it_whatever_its_header_places_where(tmp_path, in_the_middle, run):
     write_mesh(tmp_path / "shape.ply", lopsided())
     write_binvox(tmp_path / "grid" / "shape.binvox", in_the_middle)
     result = run(tmp_path / "shape.ply", tmp_path / "grid" / "shape.binvox", "--json")
     # Half a voxel off all over, of 32 along a longest side of 0.66, would be 0.0002 to and fro.
-    assert json.loads(result.stdout)["mean"]["chamfer"] < 0.0004
-    assert "centres" not in result.stderr
+    assert result.document["mean"]["chamfer"] < 0.0004
+    assert "centres" not in result.err
 
 
-def test_a_grid_far_from_what_it_is_compared_with_is_remarked_on(cloud, grid):
+def test_a_grid_far_from_what_it_is_compared_with_is_remarked_on(cloud, grid, run):
     path = grid.with_name("shifted.ply")
     for shift, remarked in ((0.1, False), (0.4, True)):
         write_cloud(path, points_of(0) + [0, shift, 0], dtype="float64", overwrite=True)
         for pair in ((path, grid), (grid, path)):
-            assert ("voxel grids are centred at the origin" in run(*pair).stderr) == remarked
-            assert "voxel grids are centred" not in run(*pair, "--protocol", "capnet").stderr
-    assert "voxel grids are centred" not in run(cloud("a.ply"), path).stderr
+            assert ("voxel grids are centred at the origin" in run(*pair).err) == remarked
+            assert "voxel grids are centred" not in run(*pair, "--protocol", "capnet").err
+    assert "voxel grids are centred" not in run(cloud("a.ply"), path).err
 
 
-def test_a_surface_against_itself_is_as_far_as_two_samples_of_it(square):
-    assert "prediction and target draw their own points" in run(square, square, "--samples", 4000).stdout
+def test_a_surface_against_itself_is_as_far_as_two_samples_of_it(square, run, document):
+    assert "prediction and target draw their own points" in run(square, square, "--samples", 4000).out
     distance = document(square, square, "--samples", 4000)["mean"]
     # Of N points at random on an area A the nearest to any place is at a mean squared distance of A / (pi N).
     assert distance["forward"] == pytest.approx(4 / (np.pi * 4000), rel=0.1)
     assert distance["backward"] == pytest.approx(distance["forward"], rel=0.1)
     assert document(square, square, "--vertices")["mean"]["chamfer"] == 0.0
-    assert "draw" not in run(square, square, "--vertices").stdout
+    assert "draw" not in run(square, square, "--vertices").out
 
 
-def test_a_single_point_is_judged_by_distance_and_not_by_its_own_size(tmp_path):
+def test_a_single_point_is_judged_by_distance_and_not_by_its_own_size(tmp_path, run, document, refusal):
     one, two = tmp_path / "one.xyz", tmp_path / "two.xyz"
     one.write_text("1 0 0\n")
     two.write_text("0 0 0\n1 0 0\n")
     assert document(one, two)["mean"] == {"forward": 0.5, "backward": 0.0, "chamfer": 0.5}
     assert document(two, one, "--f-score", "--threshold", 0.1)["mean"]["precision"] == 0.5
-    assert run(two, one).stderr == ""
-    assert refusal(two, one, "--f-score") == (
-        f"{two} against {one}: target: holds a single point, expected a cloud of some extent"
-    )
+    assert run(two, one).err == ""
+    reason = f"{two} against {one}: target: holds a single point, expected a cloud of some extent"
+    assert refusal(two, one, "--f-score") == f"tso: error: {reason}"
     assert "prediction: holds a single point" in refusal(one, two, "--protocol", "capnet")
     one.write_text("1 0 0\n1 0 0\n")
     assert document(two, one)["mean"]["backward"] == 0.5
     assert "target: all 2 points are equal" in refusal(two, one, "--protocol", "capnet")
 
 
-def test_plain_protocol_says_when_the_target_is_not_of_size_one(cloud):
+def test_plain_protocol_says_when_the_target_is_not_of_size_one(cloud, run):
     large = cloud("large.ply", 2, scale=7.0)
-    assert "longest side of the target is 7" in run(large, large).stderr
-    assert run(large, large, "--protocol", "capnet").stderr == ""
+    assert "longest side of the target is 7" in run(large, large).err
+    assert run(large, large, "--protocol", "capnet").err == ""
 
 
-def test_emd_of_unequal_clouds_advises_points_and_names_the_files(cloud):
+def test_emd_of_unequal_clouds_advises_points_and_names_the_files(cloud, refusal):
     message = refusal(cloud("a.ply", 1, 60), cloud("b.ply", 2, 30), "--emd")
     assert "a.ply against" in message and "--points 30" in message
 
 
-def test_f_score_takes_a_threshold(cloud):
+def test_f_score_takes_a_threshold(cloud, document):
     a, b = cloud("a.ply", 1), cloud("b.ply", 2)
     assert document(a, b, "--f-score")["pairs"][0]["threshold"] == pytest.approx(0.01)
     wide = document(a, b, "--f-score", "--threshold", 5)
     assert wide["mean"] == {"precision": 1.0, "recall": 1.0, "f_score": 1.0}
 
 
-def test_meshes_and_voxel_grids_are_compared_by_their_surface_and_this_is_logged(square, grid):
+def test_meshes_and_voxel_grids_are_compared_by_their_surface_and_this_is_logged(square, grid, run, document):
     mesh = square.with_name("b.ply")
     mesh.write_text(SQUARE_PLY)
     result = run(square, mesh, "--samples", 500, "--json")
-    assert "prediction: 1 of 1 are meshes, judged by 500 points of the surface" in result.stderr
-    (pair,) = json.loads(result.stdout)["pairs"]
+    assert "prediction: 1 of 1 are meshes, judged by 500 points of the surface" in result.err
+    (pair,) = result.document["pairs"]
     assert (pair["prediction_kind"], pair["prediction_points"]) == ("mesh", 500)
     assert document(mesh, mesh, "--vertices")["pairs"][0]["prediction_points"] == 4
     (pair,) = document(grid, grid, "--samples", 300, "--points", 50)["pairs"]
@@ -283,19 +258,18 @@ def test_meshes_and_voxel_grids_are_compared_by_their_surface_and_this_is_logged
     assert 0.0 < pair["chamfer"] < 0.05
 
 
-def test_the_same_seed_gives_the_same_numbers(square, cloud):
+def test_the_same_seed_gives_the_same_numbers(square, cloud, document):
     b = cloud("b.ply")
     means = [document(square, b, "--samples", 50, "--seed", seed)["mean"] for seed in (1, 1, 2)]
     assert means[0] == means[1] != means[2]
 
 
-def test_fail_above_prints_the_result_and_then_fails_the_gate(cloud):
+def test_fail_above_prints_the_result_and_then_fails_the_gate(cloud, run, document):
     a, b = cloud("a.ply", 1), cloud("b.ply", 2)
     thousandfold = 1000 * document(a, b)["mean"]["chamfer"]
-    assert run(a, b, "--fail-above", thousandfold * 1.01).exit_code == 0
+    assert run(a, b, "--fail-above", thousandfold * 1.01).code == 0
     result = run(a, b, "--json", "--fail-above", thousandfold * 0.99)
-    assert isinstance(result.exception, GateError) and result.exception.exit_code == 3
-    assert json.loads(result.stdout)["pairs"]
+    assert result.code == 3 and json.loads(result.out)["pairs"]
 
 
 @pytest.mark.parametrize(
@@ -312,7 +286,7 @@ def test_fail_above_prints_the_result_and_then_fails_the_gate(cloud):
         (["--fail-above", "nan"], "expected a number >= 0"),
     ],
 )
-def test_options_that_make_no_sense_are_refused(cloud, options, message):
+def test_options_that_make_no_sense_are_refused(cloud, options, message, refusal):
     assert message in refusal(cloud("a.ply"), cloud("b.ply"), *options)
 
 
@@ -333,7 +307,7 @@ def pictured(cloud, tmp_path):
     return tmp_path
 
 
-def test_iou_compares_the_silhouette_with_the_mask(pictured):
+def test_iou_compares_the_silhouette_with_the_mask(pictured, document):
     cloud = pictured / "cloud.ply"
     found = document(cloud, cloud, "--iou", "--mask", pictured / "mask.png", "--camera", pictured / "camera.json")
     assert found["pairs"][0]["iou"] > 0.85
@@ -342,7 +316,7 @@ def test_iou_compares_the_silhouette_with_the_mask(pictured):
     assert document(cloud, cloud, "--iou", "--mask", pictured / "inverse.png")["mean"]["iou"] < 0.15
 
 
-def test_sigma_sq_asks_for_the_silhouette_of_the_papers_projector(pictured):
+def test_sigma_sq_asks_for_the_silhouette_of_the_papers_projector(pictured, document, refusal):
     cloud, mask = pictured / "cloud.ply", pictured / "mask.png"
     found = document(cloud, cloud, "--iou", "--mask", mask, "--sigma-sq", 0.3)
     silhouette = silhouette_of(read_cloud(cloud).points, Camera.canonical(32, 32), 0.3)
@@ -351,7 +325,7 @@ def test_sigma_sq_asks_for_the_silhouette_of_the_papers_projector(pictured):
     assert "serves --iou" in refusal(cloud, cloud, "--sigma-sq", 0.3)
 
 
-def test_iou_is_the_mean_over_the_views_of_a_camera_file(pictured):
+def test_iou_is_the_mean_over_the_views_of_a_camera_file(pictured, document):
     cloud, camera = pictured / "cloud.ply", Camera.canonical(32, 32)
     views = [CameraRecord(camera, mask=pictured / name) for name in ("mask.png", "inverse.png")]
     write_cameras(pictured / "views.json", views)
@@ -360,7 +334,7 @@ def test_iou_is_the_mean_over_the_views_of_a_camera_file(pictured):
     assert (pair["iou"], pair["views"]) == (pytest.approx(np.mean(single)), 2)
 
 
-def test_masks_and_cameras_of_a_folder_are_found_by_name(pictured, tmp_path):
+def test_masks_and_cameras_of_a_folder_are_found_by_name(pictured, tmp_path, document, refusal):
     for folder in ("clouds", "masks", "cameras"):
         (tmp_path / folder).mkdir()
     for name, mask in (("one", "mask.png"), ("two", "inverse.png")):
@@ -375,7 +349,7 @@ def test_masks_and_cameras_of_a_folder_are_found_by_name(pictured, tmp_path):
     assert "no mask for 'two', expected two.png" in refusal(clouds, clouds, "--iou", "--mask", masks)
 
 
-def test_iou_without_a_fitting_camera_is_refused(pictured):
+def test_iou_without_a_fitting_camera_is_refused(pictured, refusal):
     cloud, masked = pictured / "cloud.ply", ("--iou", "--mask", pictured / "mask.png")
     assert "names no mask" in refusal(cloud, cloud, "--iou", "--camera", pictured / "camera.json")
     (pictured / "camera.json").unlink()
@@ -387,8 +361,7 @@ def test_iou_without_a_fitting_camera_is_refused(pictured):
 
 @pytest.mark.parametrize("setting", [{"metrics": ("volume",)}, {"protocol": "x"}])
 def test_an_unknown_metric_or_protocol_is_refused(setting):
-    with pytest.raises(InputError, match=f"{next(iter(setting))} (are|is) .*expected (some|one) of"):
-        EvalConfig(**setting)
+    assert_refused(f"{next(iter(setting))} (are|is) .*expected (some|one) of", EvalConfig, **setting)
 
 
 def test_progress_counts_the_pairs(cloud):

@@ -31,7 +31,7 @@ def test_quiet_prints_nothing_but_errors_and_the_json_document(folder, refine):
         assert refine("initial.ply", "mask.png", "-q", *option) == (0, "", "")
     assert Path("picture.png").exists()
     run = refine("initial.ply", "mask.png", "-q", "--steps", "0", "--json")
-    assert run.err == ""
+    assert (run.err, run.document["stop_reason"], run.document["steps"]) == ("", "max_steps", 0)
     assert run.document["warnings"] == ["nothing moved: no steps were asked for; the cloud is as it was"]
     assert refine("initial.ply", "nowhere.png", "-q").refusal.startswith("tso: error: nowhere.png")
 
@@ -43,7 +43,8 @@ def test_a_run_that_moves_nothing_says_so_and_why(folder, refine):
     run = refine(*arguments)
     assert run.err == f"tso: warning: {warning}\n" and f"  moved  nothing: {why}\n" in run.out
     document = refine(*arguments, "--json").document
-    assert (document["stop_reason"], document["warnings"], document["moved_max"]) == ("not_improved", [warning], 0.0)
+    assert (document["stop_reason"], document["steps"], document["moved_max"]) == ("not_improved", 3, 0.0)
+    assert document["warnings"] == [warning]
 
 
 def test_warnings_of_reading_the_files_are_in_the_json(folder, refine):
@@ -80,12 +81,13 @@ def test_an_object_of_a_few_pixels_in_a_photo_is_warned_of_in_every_mode(mode, r
     focal = 0.75 * rows * camera.t[2]
     K = np.array([[focal, 0.0, 300.0 + (columns - 1) / 2], [0.0, focal, 200.0 + (rows - 1) / 2], [0.0, 0.0, 1.0]])
     write_cameras("few.camera.json", [CameraRecord(replace(camera, K=K, width=640, height=480))])
-    expected = "a single pixel" if rows == 1 else f"only {rows * columns} pixels: details smaller than 1/{rows} of its size"
+    seen = f"only {rows * columns} pixels: details smaller than 1/{rows} of its size cannot be seen"
+    expected = "a single pixel, which tells where it is and nothing of its shape" if rows == 1 else seen
     source = ("initial.ply",) if mode == "points" else ("photo.png", "--checkpoint", checkpoint)
     for preset in ("best", "paper"):
         run = refine(*source, "few.png", "--mode", mode, "--steps", "2", "-o", "out.ply", "--json", "--preset", preset)
         (warning,) = [text for text in run.document["warnings"] if text.startswith("few.png: shows the object with ")]
-        assert expected in warning
+        assert warning == f"few.png: shows the object with {expected}"
         assert np.isfinite(read_cloud("out.ply").points).all()
 
 

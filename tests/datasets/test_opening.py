@@ -8,7 +8,6 @@ from tests.dataset_trees import CHAIR, write_pix3d, write_r2n2, write_shapenet
 from tso_cli.datasets.opening import open_dataset
 from tso_cli.datasets.rendered import write_object
 from tso_cli.datasets.splits import read_split
-from tso_cli.errors import InputError
 from tso_cli.geometry.camera import Camera
 
 
@@ -52,8 +51,7 @@ def test_an_unknown_layout_is_one_line_that_names_those_known(tmp_path):
 def test_two_layouts_in_one_folder_are_refused(tmp_path):
     write_shapenet(tmp_path)
     write_r2n2(tmp_path / "ShapeNetRendering")
-    with pytest.raises(InputError, match="holds ShapeNet_rendered and ShapeNetRendering, expected one"):
-        open_dataset(tmp_path)
+    assert_refused("holds ShapeNet_rendered and ShapeNetRendering, expected one", open_dataset, tmp_path)
     assert len(open_dataset(tmp_path / "ShapeNetRendering").objects) == 1
 
 
@@ -88,11 +86,10 @@ def test_a_split_selects_objects_and_skipped_ones_are_not_missed(tmp_path):
     path = tmp_path / "splits" / f"{CHAIR}_train_list.txt"
     path.write_text("c\nb\n")
     data = open_dataset(tmp_path)
-    chosen = data.select(read_split(tmp_path)["train"], str(path))
-    assert [item.name for item in chosen.objects] == [f"{CHAIR}/c"]
+    assert [item.name for item in data.select(read_split(tmp_path)["train"], str(path)).objects] == [f"{CHAIR}/c"]
     path.write_text("c\nnone\n")
-    with pytest.raises(InputError, match=f"_train_list.txt: names {CHAIR}/none, expected objects of"):
-        data.select(read_split(tmp_path)["train"], str(path))
+    message = f"_train_list.txt: names {CHAIR}/none, expected objects of"
+    assert_refused(message, data.select, read_split(tmp_path)["train"], str(path))
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from tests.corruption import assert_refused
+from tso_cli import Camera, InputError, TsoError
 from tso_cli.datasets import rendered
 from tso_cli.datasets.rendered import open_rendered, stored_record, write_object
-from tso_cli.errors import InputError, TsoError
-from tso_cli.geometry.camera import Camera
 from tso_cli.io.images import write_image
 
 
@@ -44,8 +43,7 @@ def test_unfinished_objects_are_left_out_and_one_object_is_a_data_set_of_one(fol
     assert [item.name for item in open_rendered(folder).objects] == ["a/chair"]
     assert [item.name for item in open_rendered(folder / "a" / "chair").objects] == ["chair"]
     shutil.rmtree(folder / "a")
-    with pytest.raises(InputError, match="no object"):
-        open_rendered(folder)
+    assert_refused("no object", open_rendered, folder)
 
 
 def test_an_object_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
@@ -79,13 +77,10 @@ def test_the_old_object_comes_back_when_the_new_one_cannot_take_its_place(tmp_pa
 
 def test_an_object_is_replaced_only_when_asked(tmp_path):
     write(tmp_path / "a", 1, views=2)
-    with pytest.raises(InputError, match="--overwrite"):
-        write(tmp_path / "a", 2)
-    assert stored_record(tmp_path / "a") == {"n": 1}
+    assert_refused("--overwrite", write, tmp_path / "a", 2)
+    assert (stored_record(tmp_path / "a"), stored_record(tmp_path / "other")) == ({"n": 1}, None)
     write(tmp_path / "a", 2, overwrite=True)
-    assert stored_record(tmp_path / "a") == {"n": 2}
-    assert not (tmp_path / "a/001.png").exists()
-    assert stored_record(tmp_path / "other") is None
+    assert stored_record(tmp_path / "a") == {"n": 2} and not (tmp_path / "a/001.png").exists()
 
 
 def test_as_a_data_set_an_object_has_its_views_target_and_category(folder):

@@ -6,6 +6,7 @@ from PIL import Image
 
 from tests import dataset_trees as trees
 from tests.corruption import assert_refused
+from tests.scenes import block
 from tso_cli.datasets import common
 from tso_cli.datasets.shapenet import open_shapenet, shapenet_camera
 
@@ -40,9 +41,7 @@ def test_the_cloud_seen_by_the_cameras_covers_the_masks(tmp_path, clouds):
 
 
 def test_the_object_is_what_is_nearer_than_254_and_the_picture_keeps_its_colours(root):
-    depth = np.full((64, 64), 254, dtype=np.uint8)
-    depth[10:20, 30:40] = 253
-    Image.fromarray(depth).save(model(root) / "depth_1.png")
+    Image.fromarray(np.uint8(254 - block(np.s_[10:20, 30:40]))).save(model(root) / "depth_1.png")
     image, mask = open_shapenet(root).objects[0].views[1].load()
     assert mask.sum() == 100 and mask[10:20, 30:40].all()
     np.testing.assert_array_equal(image, np.asarray(Image.open(model(root) / "render_1.png"))[..., :3])

@@ -53,9 +53,7 @@ def test_a_mask_is_the_largest_bright_thing_without_holes(script):
     picture[25:30, 35:45] = 0
     picture[5:9, 70:75] = 255
     mask = script.mask_of(picture)
-    assert mask[27, 40]
-    assert not mask[7, 72]
-    assert not mask[55, 5]
+    assert mask[27, 40] and not mask[7, 72] and not mask[55, 5]
     assert mask.sum() == pytest.approx(40 * 40, rel=0.05)
 
 

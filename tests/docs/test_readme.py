@@ -1,7 +1,5 @@
 """README and docs say what the program does: commands are run, figures are those of the records, names are checked."""
 
-from __future__ import annotations
-
 import ast
 import re
 import runpy
@@ -51,10 +49,8 @@ def test_the_figures_of_the_pages_are_those_of_the_records():
 
 
 def test_the_list_of_records_names_each_record_once():
-    listed = re.findall(
-        r"^\| \[([\w-]+)\]\((?:\.\./)?\1\.md\)", (DOCS / "records" / "README.md").read_text(), flags=re.MULTILINE
-    )
-    assert sorted(listed) == RECORD_NAMES
+    page = (RECORDS / "README.md").read_text()
+    assert sorted(re.findall(r"(?m)^\| \[([\w-]+)\]\((?:\.\./)?\1\.md\)", page)) == RECORD_NAMES
 
 
 @pytest.mark.slow
@@ -167,15 +163,15 @@ def test_the_script_for_networks_runs(tmp_path, monkeypatch, capsys):
     from tso_cli.io.checkpoints import save_network
     from tso_cli.network.model import NetworkConfig, build_network
 
-    checkpoint = tmp_path / "small.safetensors"
+    script, checkpoint = ROOT / "examples" / "refine_network.py", tmp_path / "small.safetensors"
     save_network(checkpoint, build_network(points=128), NetworkConfig(points=128, version=__version__))
-    monkeypatch.setattr(sys, "argv", ["refine_network.py", str(checkpoint)])
-    runpy.run_path(str(ROOT / "examples" / "refine_network.py"), run_name="__main__")
-    assert capsys.readouterr().out.count("Chamfer x1000") == 2
-    monkeypatch.setattr(sys, "argv", ["refine_network.py"])
-    runpy.run_path(str(ROOT / "examples" / "refine_network.py"), run_name="__main__")
-    for before, after in re.findall(r"Chamfer x1000 ([\d.]+) -> ([\d.]+)", capsys.readouterr().out):
-        assert float(after) < float(before)
+    printed = []
+    for arguments in ([str(checkpoint)], []):
+        monkeypatch.setattr(sys, "argv", [script.name, *arguments])
+        runpy.run_path(str(script), run_name="__main__")
+        printed.append(re.findall(r"Chamfer x1000 ([\d.]+) -> ([\d.]+)", capsys.readouterr().out))
+    assert [len(lines) for lines in printed] == [2, 2]
+    assert all(float(after) < float(before) for before, after in printed[1])
 
 
 def test_the_examples_weigh_under_three_megabytes_and_hold_what_is_promised():

@@ -1,6 +1,5 @@
 """The silhouette of a cloud and its IoU with a mask."""
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -9,39 +8,28 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
+from tests.scenes import EXAMPLES, block, example, in_photo
+from tso_cli import Camera, View
 from tso_cli.evaluation.footprint import RIM, common_window, footprint, in_window, spacing, window_iou
-from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.resampling import area_resize
-from tso_cli.geometry.view import View
 from tso_cli.geometry.window import window_of
 from tso_cli.io.meshes import read_mesh
 from tso_cli.refinement.run import view_ious
 from tso_cli.render import RayScene, RenderSettings, fitting_distance, ground_truth, look_at, normalise, render_view
-
-from ..scenes import EXAMPLES, example, square_mask
 
 NAMES = ("chair", "car", "airplane")
 # One unit is 100 px; x to the right, y down.
 FLAT = Camera(np.diag([100.0, 100.0, 1.0]), np.eye(3), np.zeros(3), 100, 100, "orthographic")
 
 
-def _example(name, cloud="target"):
-    scene = example(name)
-    return (scene.target if cloud == "target" else scene.points), scene.view
+def _example(name):
+    """The true cloud and the view of an example."""
+    return example(name).target, example(name).view
 
 
 def _resized(view, size):
     cover, _ = area_resize(view.mask, (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5), size, size)
     return View(np.float32(cover > 0.5), view.camera.resized(size, size))
-
-
-def _on_canvas(view, times, left, top):
-    """The picture laid into one so many times as wide and high."""
-    height, width = view.mask.shape
-    mask = np.zeros((times * height, times * width), np.float32)
-    mask[top : top + height, left : left + width] = view.mask
-    K = view.camera.K + [[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]]
-    return View(mask, replace(view.camera, K=K, width=times * width, height=times * height))
 
 
 def _plate(step=0.02, last=0.88):
@@ -51,7 +39,7 @@ def _plate(step=0.02, last=0.88):
 
 
 # The mask of that plate: it reaches half a pixel beyond the outermost points.
-SQUARE = square_mask(10, 10, 79, 100)
+SQUARE = block(np.s_[10:89, 10:89], (100, 100))
 
 
 @pytest.mark.parametrize("size", [64, 1024])
@@ -81,7 +69,7 @@ def test_a_cloud_scores_the_same_in_a_canvas_of_any_size(name, size):
     view = _resized(view, size)
     score = window_iou(points, view)
     for times, left, top in ((2, 0, 17), (4, 611 * size // 256, 5), (8, 3 * size, 7 * size)):
-        assert window_iou(points, _on_canvas(view, times, left, top)) == pytest.approx(score, abs=0.01)
+        assert window_iou(points, in_photo(view, times, left, top)) == pytest.approx(score, abs=0.01)
 
 
 @pytest.mark.parametrize("name", ["chair", "airplane"])
@@ -91,7 +79,7 @@ def test_a_cloud_that_is_shifted_scaled_or_of_another_shape_scores_clearly_lower
     score = window_iou(points, view)
     for other in (points + right, points - right, points + down, points - down, 1.1 * points, 0.9 * points):
         assert window_iou(other, view) < score - 0.1
-    assert window_iou(_example(name, "initial")[0], view) < score - 0.1
+    assert window_iou(example(name).points, view) < score - 0.1
 
 
 def test_half_of_the_object_scores_half():
@@ -102,9 +90,7 @@ def test_half_of_the_object_scores_half():
 
 def test_what_lies_beyond_the_border_of_the_image_is_unknown():
     points, view = _example("car")
-    camera = replace(
-        view.camera, K=view.camera.K - [[0.0, 0.0, 90.0], [0.0, 0.0, 70.0], [0.0, 0.0, 0.0]], width=130, height=150
-    )
+    camera = view.camera.cropped((89.5, 69.5, 219.5, 219.5), 130, 150)
     assert window_iou(points, View(view.mask[70:220, 90:220], camera)) > 0.95
 
 
@@ -123,10 +109,8 @@ def test_a_hole_wider_than_two_spacings_stays_open_and_the_gaps_between_points_a
     assert hole.sum() == 4
     seen = in_window(points[~hole], View(SQUARE, FLAT), (-0.5, -0.5, 99.5, 99.5))
     assert not seen.silhouette[48:51, 48:51].any()
-    around = np.zeros((100, 100), bool)
-    around[11:88, 11:88] = True
-    around[46:53, 46:53] = False
-    assert seen.silhouette[around].all()
+    around = block(np.s_[11:88, 11:88], (100, 100)) - block(np.s_[46:53, 46:53], (100, 100))
+    assert seen.silhouette[around > 0.0].all()
 
 
 def test_strays_lower_the_score_and_fill_nothing():
@@ -143,12 +127,11 @@ def test_strays_lower_the_score_and_fill_nothing():
 
 
 def test_what_the_mask_does_not_know_says_nothing():
-    points, mask, known = _plate(), SQUARE.copy(), np.ones((100, 100), bool)
-    mask[:, 60:], known[:, 60:] = 0.0, False
-    assert window_iou(points, View(mask, FLAT)) < 0.7
-    assert window_iou(points, View(mask, FLAT, known)) > 0.97
-    mask[:, 60:] = 1.0
-    assert window_iou(points[points[:, 0] < 0.61], View(mask, FLAT, known)) > 0.97
+    points, known = _plate(), np.arange(100) + np.zeros((100, 1)) < 60
+    less, more = (np.where(known, SQUARE, np.float32(value)) for value in (0.0, 1.0))
+    assert window_iou(points, View(less, FLAT)) < 0.7
+    assert window_iou(points, View(less, FLAT, known)) > 0.97
+    assert window_iou(points[points[:, 0] < 0.61], View(more, FLAT, known)) > 0.97
 
 
 def test_points_beyond_the_border_close_gaps_within():
@@ -219,14 +202,14 @@ def test_the_spacing_is_that_of_the_points_on_their_surface_and_random_points_ne
 
 def test_scans_far_from_the_origin_and_very_large_or_small_units_change_nothing():
     points, view = _example("car")
-    shift = np.array([4e6, -3e6, 5e6])
-    moved = replace(view, camera=replace(view.camera, t=view.camera.t - view.camera.R @ shift))
-    assert window_iou(points + shift, moved) == pytest.approx(window_iou(points, view), abs=1e-3)
-    for unit in (1e-30, 1e30):
-        scaled = replace(view, camera=replace(view.camera, t=unit * view.camera.t))
-        assert window_iou(unit * points, scaled) == pytest.approx(window_iou(points, view), abs=1e-3)
+    for unit, shift in ((1.0, [4e6, -3e6, 5e6]), (1e-30, np.zeros(3)), (1e30, np.zeros(3))):
+        camera = replace(view.camera, t=unit * view.camera.t - view.camera.R @ shift)
+        assert window_iou(unit * points + shift, replace(view, camera=camera)) == pytest.approx(
+            window_iou(points, view), abs=1e-3
+        )
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("model", ["perspective", "orthographic"])
 @pytest.mark.parametrize(
     "points",
@@ -240,24 +223,15 @@ def test_scans_far_from_the_origin_and_very_large_or_small_units_change_nothing(
     ids=["one", "equal", "behind", "at the camera", "far outside"],
 )
 def test_degenerate_clouds_get_a_number_and_no_warning(points, model):
-    mask = np.zeros((40, 60), np.float32)
-    mask[5:30, 20:50] = 1.0
     camera = replace(Camera.canonical(60, 40), model=model)
     if model == "orthographic":
         camera = replace(camera, K=np.array([[40.0, 0.0, 29.5], [0.0, 40.0, 19.5], [0.0, 0.0, 1.0]]))
-    view = View(mask, camera)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        score = window_iou(np.array(points), view)
-    assert 0.0 <= score < 0.1
+    assert 0.0 <= window_iou(np.array(points), View(block(np.s_[5:30, 20:50], (40, 60)), camera)) < 0.1
 
 
 def test_a_window_whose_cells_miss_all_that_is_known_scores_0():
-    mask, known = np.zeros((3000, 3000), np.float32), np.zeros((3000, 3000), bool)
-    mask[1500, 1500] = 1.0
-    known[1500, 1500:1502] = True
-    view = View(mask, FLAT.resized(3000, 3000), known)
-    box = (-0.5, -0.5, 2999.5, 2999.5)
+    mask, known = (block(np.s_[1500, 1500 : 1500 + width], (3000, 3000)) for width in (1, 2))
+    view, box = View(mask, FLAT.resized(3000, 3000), known > 0.5), (-0.5, -0.5, 2999.5, 2999.5)
     assert not in_window(_plate(), view, box).known.any()
     assert window_iou(_plate(), view, box) == 0.0
 
@@ -281,7 +255,5 @@ def _cases(draw):
 @settings(max_examples=60, deadline=None)
 @given(_cases())
 def test_of_any_cloud_and_mask_it_is_a_number_from_0_to_1_and_the_same_every_time(case):
-    points, view = case
-    score = window_iou(points, view)
-    assert 0.0 <= score <= 1.0
-    assert window_iou(points.copy(), view) == score
+    score = window_iou(*case)
+    assert 0.0 <= score <= 1.0 and window_iou(case[0].copy(), case[1]) == score

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tso_cli.errors import InputError
+from tests.corruption import assert_refused
 from tso_cli.geometry.points import (
     as_points,
     bounding_box_normalisation,
@@ -34,17 +34,12 @@ def clouds(smallest=1, largest=30):
 
 
 def naive_farthest(points, count):
-    chosen = [0]
+    """From the first point on, each time the first of those farthest from the chosen ones."""
+    pairs, chosen = np.square(points[:, None] - points).sum(2), [0]
     while len(chosen) < count:
-        best, best_distance = -1, -1.0
-        for i in range(len(points)):
-            if i in chosen:
-                continue
-            steps = [points[i] - points[j] for j in chosen]
-            distance = min(d[0] * d[0] + d[1] * d[1] + d[2] * d[2] for d in steps)
-            if distance > best_distance:
-                best, best_distance = i, distance
-        chosen.append(best)
+        distance = pairs[:, chosen].min(1)
+        distance[chosen] = -1.0
+        chosen.append(int(distance.argmax()))
     return chosen
 
 
@@ -65,8 +60,7 @@ def test_farthest_points_are_those_of_a_plain_loop(points, data):
     ],
 )
 def test_what_is_not_a_cloud_is_refused_by_name(points, message):
-    with pytest.raises(InputError, match=f"chair.ply: .*{message}"):
-        as_points(points, "chair.ply")
+    assert_refused(f"chair.ply: .*{message}", as_points, points, "chair.ply")
 
 
 @settings(max_examples=40, deadline=None)
@@ -77,9 +71,8 @@ def test_normalising_undoes_scale_and_place(points, scale, seed):
     points = points - points.mean(0)
     place = np.random.default_rng(seed).normal(size=3)
     ours = normalise_longest_side(points)
-    np.testing.assert_allclose(
-        normalise_longest_side(points * scale + place * scale), ours, atol=1e-9 / np.ptp(points, axis=0).max()
-    )
+    tolerance = 1e-9 / np.ptp(points, axis=0).max()
+    np.testing.assert_allclose(normalise_longest_side(points * scale + place * scale), ours, atol=tolerance)
     assert np.ptp(ours, axis=0).max() == pytest.approx(1.0, abs=1e-9)
     np.testing.assert_allclose(ours.min(0) + ours.max(0), 0.0, atol=1e-9)
 
@@ -91,8 +84,7 @@ def test_centre_and_scale_are_those_of_the_bounding_box_not_of_the_points():
 
 @pytest.mark.parametrize("points", [[[1.0, 2.0, 3.0]], [[1.0, 2.0, 3.0]] * 5, [[-1.7e308, 0, 0], [1.7e308, 0, 0]]])
 def test_a_cloud_without_a_measurable_extent_cannot_be_normalised(points):
-    with pytest.raises(InputError, match=r"a\.ply: "):
-        bounding_box_normalisation(points, "a.ply")
+    assert_refused(r"a\.ply: ", bounding_box_normalisation, points, "a.ply")
 
 
 TWO_SQUARES = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 5], [3, 0, 5], [3, 3, 5], [0, 3, 5]], dtype=float)
@@ -137,8 +129,7 @@ def test_the_last_face_is_not_drawn_from_if_it_has_no_area():
     ],
 )
 def test_samples_that_cannot_be_are_refused(call, message):
-    with pytest.raises(InputError, match=message):
-        call()
+    assert_refused(message, call)
 
 
 @given(st.lists(st.tuples(*[st.floats(-1e3, 1e3)] * 2), min_size=1, max_size=20), st.floats(0.0, 1.0))

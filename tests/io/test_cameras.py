@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tests.corruption import assert_reads_or_refuses, assert_refused
-from tso_cli.errors import InputError
 from tso_cli.geometry.camera import Camera
 from tso_cli.io.cameras import CameraRecord, find_camera, named_masks, pair_with_masks, read_camera, read_cameras, write_cameras
 
@@ -90,10 +89,8 @@ def test_the_masks_own_camera_comes_before_the_folders(save, tmp_path):
 
 
 def test_a_camera_for_another_size_is_refused(save, tmp_path):
-    with pytest.raises(
-        InputError, match=r"camera\.json: width x height is 64x48, the mask .*m\.png is 128x96, expected the same$"
-    ):
-        read_camera(save(GOOD), 128, 96, tmp_path / "m.png")
+    message = r"camera\.json: width x height is 64x48, the mask .*m\.png is 128x96, expected the same$"
+    assert_refused(message, read_camera, save(GOOD), 128, 96, tmp_path / "m.png")
 
 
 def test_the_view_that_names_the_mask_is_chosen(save, tmp_path):

@@ -20,20 +20,16 @@ CODES = {"float": "f", "double": "d", "uchar": "B", "int": "i", "short": "h", "c
 
 def a_ply(form, kind="float", eol="\n", faces=FACES, extra_first=False, lists=None, points=POINTS):
     """A PLY file with comments, colours, an attribute between the coordinates and, if asked for, rows before them."""
-    order = {"binary_big_endian": ">", "binary_little_endian": "<"}.get(form)
+    order = ORDERS[form]
     lines = ["ply", f"format {form} 1.0", "comment element vertex 99", "obj_info by hand"]
     body = []
 
     def row(*columns):  # pairs (kind, value), value a list for a list with a uchar count
+        parts = [(f"B{len(v)}{CODES[k]}", [len(v), *v]) if isinstance(v, list) else (CODES[k], [v]) for k, v in columns]
         if order is None:
-            words = [str(w) for _, v in columns for w in ([len(v), *v] if isinstance(v, list) else [v])]
-            body.append(("  ".join(words) + " " + eol).encode())
-            return
-        for code, value in columns:
-            if isinstance(value, list):
-                body.append(struct.pack(f"{order}B{len(value)}{CODES[code]}", len(value), *value))
-            else:
-                body.append(struct.pack(order + CODES[code], value))
+            body.append(("  ".join(str(word) for _, words in parts for word in words) + " " + eol).encode())
+        else:
+            body.extend(struct.pack(order + codes, *values) for codes, values in parts)
 
     if extra_first:
         lines += ["element camera 2", "property list uchar short ids", "property double focal"]
@@ -53,12 +49,11 @@ def a_ply(form, kind="float", eol="\n", faces=FACES, extra_first=False, lists=No
     return (eol.join([*lines, "end_header"]) + eol).encode() + b"".join(body)
 
 
-FORMS = ["ascii", "binary_little_endian", "binary_big_endian"]
+# What precedes the numbers of a binary row in the terms of `struct`.
+ORDERS = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
 SHAPES = [{}, {"eol": "\r\n"}, {"eol": "\r"}, {"extra_first": True}, {"faces": []}, {"lists": [[1], [], [0, 3], [2]]}]
-
-
 every_shape = pytest.mark.parametrize("shape", SHAPES, ids=str)
-every_form = pytest.mark.parametrize("form", FORMS)
+every_form = pytest.mark.parametrize("form", ORDERS)
 
 
 @every_form
@@ -86,8 +81,7 @@ def test_faces_are_read_as_triangles(save, form, faces):
 @pytest.mark.parametrize("wrong", [4, -1])
 def test_a_face_of_a_point_that_is_not_there_is_refused(save, form, wrong):
     cloud = read_cloud(save("a.ply", a_ply(form, faces=[[0, 1, 2], [0, 1, 2, wrong]])))
-    with pytest.raises(InputError, match=f"a.ply: a face names vertex {wrong}, expected 0 to 3"):
-        cloud.faces()
+    assert_refused(f"a.ply: a face names vertex {wrong}, expected 0 to 3", cloud.faces)
 
 
 @every_form
@@ -115,8 +109,9 @@ def test_moving_one_point_rewrites_that_point_alone(save, tmp_path, form, shape)
     moved[2, 1] = 0.625
     write_cloud(tmp_path / "b.ply", moved, like=cloud)
     written = (tmp_path / "b.ply").read_bytes()
-    old = b"0.3333333333333333" if form == "ascii" else struct.pack("<>"[form.endswith("big_endian")] + "f", 1 / 3)
-    new = b"0.625" if form == "ascii" else struct.pack("<>"[form.endswith("big_endian")] + "f", 0.625)
+    old, new = b"0.3333333333333333", b"0.625"
+    if form != "ascii":
+        old, new = (struct.pack(ORDERS[form] + "f", value) for value in (1 / 3, 0.625))
     assert source.count(old) == 1
     assert written == source.replace(old, new)
 
@@ -235,16 +230,14 @@ def test_what_is_not_a_cloud_is_refused_in_one_line(save, case):
     assert_refused(rf"bad\.ply: .*{message}", read_cloud, save("bad.ply", content))
 
 
-@pytest.mark.parametrize("form", FORMS[1:])
+@pytest.mark.parametrize("form", [form for form, order in ORDERS.items() if order])
 @every_shape
 def test_a_binary_body_of_another_length_than_the_header_says_is_refused(save, form, shape):
     data = a_ply(form, **shape)
     start = data.index(b"end_header") + len("end_header" + shape.get("eol", "\n"))
     for end in range(start, len(data), 3):
-        with pytest.raises(InputError, match=r"a\.ply: ends after \d of \d rows of element"):
-            read_cloud(save("a.ply", data[:end]))
-    with pytest.raises(InputError, match=r"3 bytes follow the data"):
-        read_cloud(save("a.ply", data + b"abc"))
+        assert_refused(r"a\.ply: ends after \d of \d rows of element", read_cloud, save("a.ply", data[:end]))
+    assert_refused(r"3 bytes follow the data", read_cloud, save("a.ply", data + b"abc"))
     assert len(read_cloud(save("a.ply", data + b"\n")).points) == 4
 
 
@@ -252,8 +245,7 @@ def test_a_binary_body_of_another_length_than_the_header_says_is_refused(save, f
 def test_a_count_that_lies_allocates_nothing(save, form):
     for element, count in ((b"vertex", b"4"), (b"face", b"3")):
         data = a_ply(form).replace(element + b" " + count, element + b" 900000000000000000")
-        with pytest.raises(InputError, match=f"of 900000000000000000 rows of element '{element.decode()}'"):
-            read_cloud(save("a.ply", data))
+        assert_refused(f"of 900000000000000000 rows of element '{element.decode()}'", read_cloud, save("a.ply", data))
 
 
 def test_files_that_cannot_be_opened_are_refused(save, tmp_path):
@@ -305,20 +297,15 @@ def test_arrays_and_tables_that_are_no_clouds_are_refused(save, content, message
 
 def test_nothing_is_written_for_points_that_cannot_be(save, tmp_path):
     cloud = read_cloud(save("a.ply", a_ply("binary_little_endian")))
-    bad = POINTS.copy()
-    bad[3, 0] = np.nan
-    huge = POINTS * 1e60
     for points, error, message in [
-        (bad, TsoError, r"b\.ply: point 3 is not finite"),
+        (np.vstack([POINTS[:3], [np.nan, 0.5, 0.5]]), TsoError, r"b\.ply: point 3 is not finite"),
         (POINTS[:3], InputError, "3 points to write, expected 4 as in .*a.ply"),
-        (huge, TsoError, "does not fit into the float"),
+        (POINTS * 1e60, TsoError, "does not fit into the float"),
     ]:
         with pytest.raises(error, match=message):
             write_cloud(tmp_path / "b.ply", points, like=cloud)
-    with pytest.raises(InputError, match=r"expected \.ply"):
-        write_cloud(tmp_path / "b.xyz", POINTS)
-    with pytest.raises(InputError, match="exists already"):
-        write_cloud(tmp_path / "a.ply", POINTS, like=cloud)
+    assert_refused(r"expected \.ply", write_cloud, tmp_path / "b.xyz", POINTS)
+    assert_refused("exists already", write_cloud, tmp_path / "a.ply", POINTS, like=cloud)
     assert [p.name for p in tmp_path.iterdir()] == ["a.ply"]
     write_cloud(tmp_path / "a.ply", POINTS, like=cloud, overwrite=True)
 
@@ -350,13 +337,11 @@ def test_any_damage_is_read_or_refused_in_one_line(save, tmp_path, name):
 
 @every_form
 def test_colours_are_read_as_shares_of_what_their_type_can_hold(save, form):
-    with pytest.raises(InputError, match="its points have no colours, expected red, green and blue"):
-        read_cloud(save("a.ply", a_ply(form))).colours()
+    assert_refused("its points have no colours, expected red, green and blue", read_cloud(save("a.ply", a_ply(form))).colours)
     kinds = {"blue": "ushort", "x": "float", "red": "uchar", "y": "float", "z": "double", "green": "float"}
     rows = [(65535, 0.5, 200, 1.0, 2.0, 0.25), (13, 1.5, 0, 1.0, 2.0, 1.0)]
     header = "".join(f"property {kind} {name}\n" for name, kind in kinds.items())
-    order = {"ascii": None, "binary_big_endian": ">", "binary_little_endian": "<"}[form]
-    codes = "".join(CODES[kind] for kind in kinds.values())
+    order, codes = ORDERS[form], "".join(CODES[kind] for kind in kinds.values())
     body = [struct.pack(order + codes, *row) if order else " ".join(map(str, row)).encode() + b"\n" for row in rows]
     head = f"ply\nformat {form} 1.0\nelement vertex 2\n{header}end_header\n".encode()
     cloud = read_cloud(save("b.ply", head + b"".join(body)))
@@ -364,5 +349,4 @@ def test_colours_are_read_as_shares_of_what_their_type_can_hold(save, form):
     assert np.allclose(cloud.colours(), [[200 / 255, 0.25, 1.0], [0.0, 1.0, 13 / 65535]], rtol=0.0, atol=1e-12)
     if form == "ascii":
         too_bright = save("c.ply", head + body[0].replace(b"0.25", b"200") + body[1])
-        with pytest.raises(InputError, match="colours span 0 to 200 of their type's range, expected 0 to 1"):
-            read_cloud(too_bright).colours()
+        assert_refused("colours span 0 to 200 of their type's range, expected 0 to 1", read_cloud(too_bright).colours)

@@ -1,7 +1,6 @@
 """Masks of every kind mean the same; images come upright; what is neither is refused in one line."""
 
 import struct
-import warnings
 import zlib
 
 import numpy as np
@@ -9,9 +8,9 @@ import pytest
 from PIL import Image
 
 from tests.corruption import assert_reads_or_refuses, assert_refused, repair_png
-from tso_cli.errors import InputError
 from tso_cli.io.images import PIXEL_LIMIT, read_depth, read_image, read_mask, write_image
 
+pytestmark = pytest.mark.filterwarnings("error")
 SHAPE = np.zeros((6, 9), dtype=bool)
 SHAPE[1:4, 2:7] = True
 SHAPE[4, 2] = True
@@ -49,13 +48,6 @@ HARD = {
 def saved(tmp_path, image, name="mask.png", **options):
     image.save(tmp_path / name, **options)
     return tmp_path / name
-
-
-@pytest.fixture(autouse=True)
-def no_warning_passes_unseen():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        yield
 
 
 @pytest.mark.parametrize("kind", HARD)
@@ -158,12 +150,10 @@ def test_images_and_masks_are_turned_as_the_camera_noted(tmp_path, orientation):
 
 def test_images_become_8_bit_colours(tmp_path):
     rgb = np.random.default_rng(0).integers(0, 256, (6, 9, 3), dtype=np.uint8)
-    rgba = np.dstack([rgb, SOFT])
-    assert np.array_equal(read_image(saved(tmp_path, Image.fromarray(rgb))), rgb)
-    assert np.array_equal(read_image(saved(tmp_path, Image.fromarray(rgba))), rgba)
-    grey = np.repeat(SOFT[..., None], 3, axis=2)
-    assert np.array_equal(read_image(saved(tmp_path, Image.fromarray(SOFT))), grey)
-    assert np.array_equal(read_image(saved(tmp_path, Image.fromarray(SOFT.astype(np.uint16) * 257))), grey)
+    for array in (rgb, np.dstack([rgb, SOFT])):
+        assert np.array_equal(read_image(saved(tmp_path, Image.fromarray(array))), array)
+    for array in (SOFT, SOFT.astype(np.uint16) * 257):
+        assert np.array_equal(read_image(saved(tmp_path, Image.fromarray(array))), np.dstack([SOFT] * 3))
     assert np.array_equal(read_image(saved(tmp_path, HARD["1-bit"]()))[..., 1], SHAPE * 255)
     assert read_image(saved(tmp_path, Image.fromarray(rgb).convert("CMYK"), "a.jpg")).shape == (6, 9, 3)
 
@@ -172,8 +162,7 @@ def test_what_is_written_reads_back_and_is_not_replaced_unasked(tmp_path):
     rgba = np.random.default_rng(0).integers(0, 255, (6, 9, 4), dtype=np.uint8)
     write_image(tmp_path / "a.png", rgba)
     assert np.array_equal(read_image(tmp_path / "a.png"), rgba)
-    with pytest.raises(InputError, match="--overwrite"):
-        write_image(tmp_path / "a.png", SOFT)
+    assert_refused("--overwrite", write_image, tmp_path / "a.png", SOFT)
     for array, mask in ((SHAPE, SHAPE), (SOFT, SOFT / np.float32(255))):
         write_image(tmp_path / "a.png", array, overwrite=True)
         assert np.array_equal(read_mask(tmp_path / "a.png"), mask)

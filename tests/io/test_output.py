@@ -78,9 +78,7 @@ def test_a_real_limit_on_file_size_leaves_nothing_behind(tmp_path):
         "except Exception as error:\n"
         "    print(type(error).__name__, error)\n"
     )
-    run = subprocess.run(
-        [sys.executable, "-c", program, str(tmp_path / "big.ply")], capture_output=True, text=True, check=False
-    )
+    run = subprocess.run([sys.executable, "-c", program, str(tmp_path / "big.ply")], capture_output=True, text=True)
     assert run.stdout.startswith("InputError"), run.stderr
     assert "big.ply: cannot be written (File too large)" in run.stdout
     assert list(tmp_path.iterdir()) == []

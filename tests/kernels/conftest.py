@@ -1,7 +1,5 @@
 """Running a function in both forms, and on several threads."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

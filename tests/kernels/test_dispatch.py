@@ -1,7 +1,5 @@
 """Which form of a kernel runs, and what a refinement imports."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -76,17 +74,11 @@ REFINE = """
 import sys, numpy as np
 from tso_cli.refinement import RefineConfig, refine
 mask = np.zeros((64, 64), np.float32); mask[20:44, 20:44] = 1.0
-config = RefineConfig(steps={steps}, preset="{preset}")
-refine(np.random.default_rng(0).uniform(-0.3, 0.3, ({points}, 3)), mask, config=config)
-assert not set(sys.modules) & {absent}, set(sys.modules) & {absent}
+refine(np.random.default_rng(0).uniform(-0.3, 0.3, (16384, 3)), mask, config=RefineConfig(steps=200))
+assert 'numba' in sys.modules and 'torch' not in sys.modules
 """
-
-
-@pytest.mark.parametrize("preset", ["best", "paper"])
-def test_refining_a_small_cloud_imports_neither_torch_nor_scipy_nor_numba(preset):
-    _python(REFINE.format(steps=1, preset=preset, points=1024, absent={"torch", "scipy", "numba"}))
 
 
 @pytest.mark.slow
 def test_refining_a_large_cloud_imports_no_torch():
-    _python(REFINE.format(steps=200, preset="best", points=16384, absent={"torch"}) + "assert 'numba' in sys.modules")
+    _python(REFINE)

@@ -1,15 +1,15 @@
-"""Compiled code on disk, its threads, and its gradients."""
-
-from __future__ import annotations
+"""Compiled code on disk, its threads, its exponentials, and its gradients."""
 
 import os
 import threading
 import time
 
+import numpy as np
 import pytest
 import torch
+from numba import njit
 
-from tso_cli.kernels import jit
+from tso_cli.kernels import jit, simd
 from tso_cli.kernels.jit import forget_stale, share
 from tso_cli.kernels.splat import splat
 from tso_cli.kernels.tensors import PrecomputedGradient
@@ -98,3 +98,21 @@ def test_second_derivatives_are_refused_and_not_silently_dropped(function):
     (gradient,) = torch.autograd.grad(function(points), points, create_graph=True)
     with pytest.raises(RuntimeError, match="once_differentiable"):
         gradient.sum().backward()
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_exponentials_and_logarithms_are_those_of_numpy(dtype):
+    @njit
+    def both(x, powers, logs):
+        for i in range(len(x)):
+            powers[i], logs[i] = simd.exp(-x[i]), simd.log(x[i])
+
+    x = np.geomspace(1e-30, 80.0, 20001).astype(dtype)
+    powers, logs = np.empty_like(x), np.empty_like(x)
+    both(x, powers, logs)
+    near = x < 1.0
+    exact = np.exp(-x.astype(np.float64))
+    precision = 3e-7 if dtype == np.float32 else 1e-15
+    np.testing.assert_allclose(powers[near], exact[near], rtol=precision)
+    np.testing.assert_allclose(powers, exact, rtol=20 * precision)
+    np.testing.assert_allclose(logs, np.log(x.astype(np.float64)), rtol=precision, atol=precision)

@@ -1,7 +1,5 @@
 """The GPU's kernels against the exact product and against all pairs; without a GPU in Triton's interpreter."""
 
-from __future__ import annotations
-
 import importlib.util
 import math
 import os

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tso_cli.lab.studies import judging, material, network
+from tso_cli.lab.studies import judging, network
 
 from ..training import make_thin
 from .studying import write_split
@@ -18,7 +18,7 @@ TRAIN = [
 ]
 VALIDATION = ["car/qreal_Cop", "car/qpublic_Taxi", "chair/kfurn_chair"]
 TEST = ["airplane/qplane_Military_Airplane", "car/qbasic_RaceCar", "chair/kfurn_chairRounded"]
-see, mean_shape = cache(material.see), judging.mean_shape
+see, mean_shape = cache(judging.see), judging.mean_shape
 
 
 @pytest.fixture(scope="session")
@@ -31,6 +31,6 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Thin networks; few and small pictures, rendered once; a mean shape of few steps."""
     make_thin(monkeypatch)
     for name, value in (("TRAINING_VIEWS", 8), ("TEST_VIEWS", 5), ("SIZE", 32), ("see", see)):
-        monkeypatch.setattr(material, name, value)
+        monkeypatch.setattr(judging, name, value)
     for module in (judging, network):
         monkeypatch.setattr(module, "mean_shape", partial(mean_shape, steps=30))

@@ -14,25 +14,10 @@ from PIL import Image
 
 from tests.lab.studying import tso
 from tso_cli.errors import TsoError
-from tso_cli.lab.bench import (
-    PARTS,
-    batch,
-    chamfer,
-    command,
-    first_call,
-    material,
-    object,
-    parts,
-    peers,
-    silhouette,
-    speed,
-    timing,
-    training,
-)
-from tso_cli.lab.bench.claims import claims
-from tso_cli.lab.bench.study import STUDY
+from tso_cli.lab.bench import PARTS, kernels, refining, speed, timing
+from tso_cli.lab.bench.shown import STUDY, draw_speed
+from tso_cli.lab.bench.speed import claims
 from tso_cli.lab.bench.timing import Contestant, Setting, record, timed
-from tso_cli.lab.charts.speed_chart import draw_speed
 from tso_cli.lab.study import answer
 from tso_cli.losses.chamfer import ChamferToStart
 from tso_cli.losses.silhouette import silhouette_sums
@@ -52,25 +37,22 @@ def measured():
     """Every part at sizes that take little time; no process is started, and the speed of training is a test of its own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(timing, "LEAST_RUNS", 1)
-        patch.setattr(object, "MORE_VIEWS", (2,))
-        for name, value in (("CLOUDS", 1), ("POINTS", 64), ("SPIN", "")):
-            patch.setattr(batch, name, value)
-        no_process = Contestant("import torch", lambda: 1.0)
-        for module in (object, batch, command):
-            patch.setattr(module, "IMPORT_TORCH", no_process)
-        patch.setattr(command, "process", lambda name, arguments, environment=None: lambda: 1.0)
+        for name, value in (("MORE_VIEWS", (2,)), ("CLOUDS", 1), ("POINTS", 64), ("SPIN", "")):
+            patch.setattr(refining, name, value)
+        patch.setattr(refining, "IMPORT_TORCH", Contestant("import torch", lambda: 1.0))
+        patch.setattr(refining, "process", lambda name, arguments, environment=None: lambda: 1.0)
         answered = json.dumps({"seconds": 0.5, "peak_memory_bytes": 1 << 20})
-        patch.setattr(object, "run_process", lambda name, arguments: (1.0, answered))
+        patch.setattr(refining, "run_process", lambda name, arguments: (1.0, answered))
         speed_of_training = {"bare": 2.0, "step": 1.0, "added": 1.0, "waiting": 0.0}
-        patch.setattr(training, "images_per_second", lambda *_: speed_of_training)
+        patch.setattr(kernels, "images_per_second", lambda *_: speed_of_training)
         return [
-            *command.measure(QUICK),
-            *object.measure(QUICK, (64,), steps=1),
-            *parts.measure(QUICK, (64,)),
-            *batch.measure(QUICK, (1, 2), steps=1, most=2),
-            *silhouette.measure(QUICK, [(64, 16), (128, 32)]),
-            *chamfer.measure(QUICK, [64]),
-            *training.measure(QUICK, batch=1),
+            *refining.measure_command(QUICK),
+            *refining.measure_object(QUICK, (64,), steps=1),
+            *refining.measure_parts(QUICK, (64,)),
+            *refining.measure_batch(QUICK, (1, 2), steps=1, most=2),
+            *kernels.measure_silhouette(QUICK, [(64, 16), (128, 32)]),
+            *kernels.measure_chamfer(QUICK, [64]),
+            *kernels.measure_training(QUICK, batch=1),
         ]
 
 
@@ -128,22 +110,22 @@ def test_claims_tell_met_targets_from_missed_ones(row, fields, met):
 
 
 def test_the_scatter_computes_the_same_loss_where_points_cover_the_mask():
-    points_px, _ = silhouette.scene(2048, 24)
+    points_px, _ = kernels.scene(2048, 24)
     sums = silhouette_sums(points_px, np.ones(2048, bool), 24, 24, 0.4)
     # The clamp hides silhouettes nearer to 0 or 1 than 1e-6.
     drawn, mask = np.tanh(sums).clip(1e-6, 1.0 - 1e-6), (sums > 0.5) & (sums < 2.0)
     expected = -np.log(np.where(mask, drawn, 1.0 - drawn)).sum()
-    scattered = silhouette.scattered_loss(peers.tensor(points_px), peers.tensor(mask))
+    scattered = kernels.scattered_loss(kernels.tensor(points_px), kernels.tensor(mask))
     assert float(scattered) == pytest.approx(expected, rel=2e-3)
 
 
 def test_every_contestant_computes_the_same_chamfer_distance_and_gradient():
-    initial = material.cloud(200)
+    initial = refining.cloud(200)
     # Far enough that many nearest neighbours change.
     moved = initial + np.random.default_rng(0).normal(scale=0.05, size=initial.shape)
     expected, by_points = ChamferToStart(initial)(moved)
-    terms = {name: term for name, term in chamfer.terms(initial).items() if not isinstance(term, str)}
-    assert set(chamfer.terms(initial)) - set(terms) <= set(PEERS)
+    terms = {name: term for name, term in kernels.terms(initial).items() if not isinstance(term, str)}
+    assert set(kernels.terms(initial)) - set(terms) <= set(PEERS)
     assert len(terms) >= 6
     for name, term in terms.items():
         value, gradient = term(moved)
@@ -169,20 +151,14 @@ def test_another_package_is_measured_or_recorded_with_the_reason(package, reason
 
     installed = types.SimpleNamespace(ChamferDistance=lambda: distance)
     monkeypatch.setitem(sys.modules, "chamferdist", None if package is None else installed)
-    (row,) = (row for row in chamfer.measure(QUICK, [32]) if row["name"] == "chamferdist")
+    (row,) = (row for row in kernels.measure_chamfer(QUICK, [32]) if row["name"] == "chamferdist")
     assert row.get("left_out") == reason
     assert bool(row["seconds"]) == (reason is None)
 
 
-def test_contestants_that_would_hold_too_much_at_once_are_left_out(monkeypatch):
-    monkeypatch.setattr(silhouette, "MOST_NUMBERS", {"tso, numpy": 1e3, silhouette.SCATTER: 1e3})
-    samples = silhouette.contestants(*silhouette.scene(64, 32))
-    assert [name for name, sample in samples.items() if isinstance(sample, str)] == ["tso, numpy", silhouette.SCATTER]
-    monkeypatch.setattr(chamfer, "CDIST_UP_TO", 16)
-    monkeypatch.setattr(chamfer, "PAIRS_UP_TO", 16)
-    reasons = {name: term for name, term in chamfer.terms(material.cloud(32)).items() if isinstance(term, str)}
-    assert reasons["cdist, torch"] == "1.0e+03 pairs held at once"
-    assert all(reasons[name] == "compares all 1.0e+03 pairs, minutes" for name in chamfer.COMPARE_ALL)
+def test_a_contestant_that_would_hold_too_much_at_once_is_left_out(monkeypatch):
+    monkeypatch.setattr(kernels, "CDIST_UP_TO", 16)
+    assert kernels.terms(refining.cloud(32))["cdist, torch"] == "1.0e+03 pairs held at once"
 
 
 # Times and processes
@@ -225,34 +201,34 @@ def test_processes_and_neighbour_of_a_batch_are_gone_after_it(monkeypatch):
     for before in ("7", None):
         monkeypatch.setenv("OMP_NUM_THREADS", before) if before else monkeypatch.delenv("OMP_NUM_THREADS")
         seen = []
-        batch.on_processes(lambda seen=seen: seen.append(os.environ["OMP_NUM_THREADS"]), 2)()
+        refining.on_processes(lambda seen=seen: seen.append(os.environ["OMP_NUM_THREADS"]), 2)()
         assert (seen, os.environ.get("OMP_NUM_THREADS")) == (["2"], before)
-    with batch.busy_neighbour() as spinners:
+    with refining.busy_neighbour() as spinners:
         assert all(spinner.poll() is None for spinner in spinners)
     assert spinners
     assert all(spinner.poll() is not None for spinner in spinners)
 
 
 def test_the_first_call_of_a_fresh_process_says_its_seconds_and_memory():
-    arguments = material.cloud(64), material.chair_views(), object.RefineConfig(steps=1)
-    call = object.Call(arguments, "numpy", steady=False)
+    arguments = refining.cloud(64), refining.chair_views(), refining.RefineConfig(steps=1)
+    call = refining.Call(arguments, "numpy", steady=False)
     assert 0.0 < call() < 60.0
     assert call.fields["peak_memory_bytes"] == 0 or 2**24 < call.fields["peak_memory_bytes"] < 2**30
-    assert first_call.peak_memory() >= 0
+    assert timing.peak_memory() >= 0
 
 
 def test_a_process_that_fails_is_not_timed():
     with pytest.raises(TsoError, match=r"wrong: ended with exit code 2, saying .*No such command"):
-        timing.process("wrong", (*command.TSO, "nothing"))()
+        timing.process("wrong", (*refining.TSO, "nothing"))()
 
 
 def test_a_first_run_finds_no_byte_code_and_no_compiled_loops(tmp_path):
-    environment = command.never_run(tmp_path)
+    environment = timing.never_run(tmp_path)
     copied = list((tmp_path / "fresh").rglob("*"))
     assert environment == {"PYTHONPATH": str(tmp_path / "fresh"), "NUMBA_CACHE_DIR": str(tmp_path / "compiled")}
     assert tmp_path / "fresh" / "tso_cli" / "cli.py" in copied
     assert not [path for path in copied if path.suffix in (".pyc", ".nbi")]
-    _, printed = timing.run_process("tso --version", (*command.TSO, "--version"), command.never_run)
+    _, printed = timing.run_process("tso --version", (*refining.TSO, "--version"), timing.never_run)
     assert printed.startswith("tso, version")
 
 
@@ -263,8 +239,8 @@ def test_the_command_writes_record_page_and_chart_and_overwrites_nothing(measure
     monkeypatch.setattr(speed, "compile_loops", lambda: None)
     for name in PARTS:
         rows = [row for row in measured if row["what"] == name]
-        part = sys.modules[f"tso_cli.lab.bench.{name}"]
-        monkeypatch.setattr(part, "measure", lambda setting, rows=rows: rows if torch.get_num_threads() == 1 else [])
+        part = {"refining": refining, "kernels": kernels}[PARTS[name]]
+        monkeypatch.setattr(part, f"measure_{name}", lambda setting, rows=rows: rows if torch.get_num_threads() == 1 else [])
     record = speed.speed(QUICK)
     assert record["records"] == measured
     assert set(record["convention"]) == {"seconds", *PARTS}

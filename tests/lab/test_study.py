@@ -12,8 +12,8 @@ import pytest
 from click.testing import CliRunner
 
 from tso_cli.errors import InputError
-from tso_cli.lab.commands import page as pages
-from tso_cli.lab.commands.study import command_of
+from tso_cli.lab.commands import tools as pages
+from tso_cli.lab.commands.records import command_of
 from tso_cli.lab.studies import QUESTIONS, accuracy, evidence, fingerprint, pose, refining
 from tso_cli.lab.study import MESHES, Option, Plan, Progress, Study, Table, claim, page
 from tso_cli.refinement import RefineConfig
@@ -45,7 +45,6 @@ TOY = Study(
     ),
     plan=plan,
     conclude=lambda cases: {"claims": [claim("sizes grow", True, "2 > 1"), claim("sizes shrink", False, "2 > 1")]},
-    kept="after every toy",
 )
 
 

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from tso_cli.evaluation.metrics import chamfer
-from tso_cli.lab.studies import affinity, failures, material, supervision, trained, views, weight
-from tso_cli.lab.studies.judging import MEAN_SHAPE, Predicted, camera_axes, constant_answer, judge, object_axes
-from tso_cli.lab.studies.material import ALL, Material
+from tso_cli.lab.studies import affinity, failures, judging, supervision, trained
+from tso_cli.lab.studies.judging import ALL, MEAN_SHAPE, Material, Predicted, camera_axes, constant_answer, judge, object_axes
 from tso_cli.lab.studies.trained import Comparison, Setting, masks
 from tso_cli.lab.study import Progress
 from tso_cli.render import look_at
@@ -34,8 +33,10 @@ def cars(split: Path) -> Material:
 def compare(split: Path, progress: Progress | None = None, **changes: Any) -> dict[str, Any]:
     """Three networks."""
     settings = [Setting(f"V = {count}", "car", masks("car", views=count)) for count in (1, 2, 3)]
-    compared = replace(views.STUDY, plan=Comparison(2, ("car",), lambda categories: settings).plan, conclude=lambda cases: {})
-    options = {"meshes": MESHES, "part": "test", "categories": (), "full": False, "limit": None, "steps": None}
+    compared = replace(
+        supervision.VIEWS, plan=Comparison(2, ("car",), lambda categories: settings).plan, conclude=lambda cases: {}
+    )
+    options = {"meshes": MESHES, "part": "test", "categories": (), "limit": 32, "steps": None}
     options |= {"batch_size": 2, "frame": "canonical", "seed": 0, "device": "cpu"}
     return compared.run(progress or Progress(), **{**options, "split": split, **changes})
 
@@ -73,7 +74,7 @@ def test_training_and_judged_shapes_are_those_of_their_lists(split):
     assert [item.name for item in shapes.data("car", True).objects] == ["car/qreal_SUV"]
     assert [item.name for item in shapes.data(ALL, False).objects] == ["car/qbasic_RaceCar", "chair/kfurn_chairRounded"]
     dense = shapes.data("car", True, dense=True)
-    assert dense.target(0).shape == (material.DENSE, 3)
+    assert dense.target(0).shape == (judging.DENSE, 3)
     np.testing.assert_allclose(np.ptp(dense.target(0), axis=0), np.ptp(shapes.data("car", True).target(0), axis=0), atol=0.02)
 
 
@@ -171,19 +172,19 @@ def test_a_claim_about_supervision_holds_where_it_holds_in_every_category():
 
 
 def test_two_masks_are_better_than_one_only_where_every_seed_says_so():
-    values = {setting.name: 2.0 for setting in views.settings(["car"])}
+    values = {setting.name: 2.0 for setting in supervision.views_settings(["car"])}
     values |= {"V = 1": 4.0, "V = 1, seed + 1": 5.0, "V = 1, seed + 2": 4.0, "V = 3": 2.1, MEAN_SHAPE: 5.0}
-    assert held(views.conclude(cases_of("car", values))) == [True, True, True]
-    record = views.conclude(cases_of("car", values | {"V = 2, seed + 1": 4.1}))
+    assert held(supervision.conclude_views(cases_of("car", values))) == [True, True, True]
+    record = supervision.conclude_views(cases_of("car", values | {"V = 2, seed + 1": 4.1}))
     assert held(record) == [False, False, True]
     assert record["summary"]["car"]["2"] == pytest.approx(2.7)
 
 
 def test_the_papers_lambda_is_the_best_of_its_three():
-    values = {setting.name: 5.0 + i for i, setting in enumerate(weight.settings(["chair"]))}
-    assert held(weight.conclude(cases_of("chair", values))) == [False, False]
+    values = {setting.name: 5.0 + i for i, setting in enumerate(affinity.weight_settings(["chair"]))}
+    assert held(affinity.conclude_weights(cases_of("chair", values))) == [False, False]
     values |= {name: 1.0 for name in values if name.endswith(", 0.0001")}
-    assert held(weight.conclude(cases_of("chair", values))) == [True, True]
+    assert held(affinity.conclude_weights(cases_of("chair", values))) == [True, True]
 
 
 @pytest.mark.parametrize(("widths", "depth", "holds"), [((0.8, 0.95), 4e-3, True), ((1.2, 0.7), 0.9e-3, False)])

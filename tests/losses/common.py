@@ -1,7 +1,5 @@
 """Both forms of a loss, and its gradient by finite differences and by autograd."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -13,6 +11,7 @@ from tso_cli.kernels.dispatch import planned
 Loss = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
 NUMPY, COMPILED = 0, 1 << 60
+MODELS = pytest.mark.parametrize("model", ["perspective", "orthographic"])
 FORMS = pytest.mark.parametrize("form", [NUMPY, COMPILED], ids=["numpy", "compiled"])
 
 

@@ -1,6 +1,4 @@
-"""Masks, a camera with skew in general position, and points that it sees at chosen pixels."""
-
-from __future__ import annotations
+"""A camera with skew in general position, and points that it sees at chosen pixels."""
 
 import numpy as np
 
@@ -21,13 +19,6 @@ def points_at(pixels: np.ndarray, camera: Camera, depth: np.ndarray) -> np.ndarr
     plane = np.linalg.solve(camera.K, np.concatenate([pixels, np.ones((len(pixels), 1))], 1).T).T
     plane[:, :2] *= 1.0 if camera.model == "orthographic" else depth[:, None]
     return (np.concatenate([plane[:, :2], depth[:, None]], 1) - camera.t) @ camera.R
-
-
-def block(region: tuple[slice, slice], shape: tuple[int, int] = (64, 64)) -> np.ndarray:
-    """A mask that is foreground in ``region``."""
-    mask = np.zeros(shape, np.float32)
-    mask[region] = 1.0
-    return mask
 
 
 def scattered(count: int = 60, seed: int = 1) -> np.ndarray:

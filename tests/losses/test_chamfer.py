@@ -1,7 +1,5 @@
 """The Chamfer distance to the start (Eq. 7): exact, whatever was proved without a search."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,13 +1,12 @@
 """The depth loss and its gradient."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests import oracles
 from tso_cli.geometry.camera import Camera
 from tso_cli.losses.depth import TOLERANCE, DepthTarget, depth_loss
 from tso_cli.losses.projection import project
@@ -59,25 +58,23 @@ def _scene(count: int) -> np.ndarray:
 def _oracle(points: torch.Tensor, depth: np.ndarray, robust_scale: float) -> torch.Tensor:
     """By all pairs of pixels and points, and point by point."""
     camera = camera_of()
-    R, t, K = (torch.tensor(part) for part in (camera.R, camera.t, camera.K))
-    in_camera = points @ R.T + t
-    valid = in_camera[:, 2] > 1e-3
+    pixels, own_depth = oracles.project(points, camera)
+    valid = own_depth > 1e-3
     rows, columns = np.nonzero(np.isfinite(depth))
     known = torch.tensor(depth[rows, columns])
     surface = torch.tensor(points_at(np.stack([columns, rows], 1), camera, depth[rows, columns]))
     focal, area = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])) * 64.0 / WIDTH, (64.0 / WIDTH) ** 2
 
     def robust(squared: torch.Tensor) -> torch.Tensor:
-        cost = squared * robust_scale**2 / (robust_scale**2 + squared)
-        return torch.where(squared > TOLERANCE**2, cost, 0.0).sum()
+        return torch.where(squared > TOLERANCE**2, oracles.robust(squared, robust_scale), 0.0).sum()
 
     squared = (surface[:, None] - points).square().sum(2).masked_fill(~valid, torch.inf)
     total = robust(squared.min(1).values * (focal / known) ** 2) * area
-    for point, (column, row), exists in zip(in_camera, (in_camera / in_camera[:, 2:]) @ K.T[:, :2], valid, strict=True):
+    for z, (column, row), exists in zip(own_depth, pixels, valid, strict=True):
         i, j = round(row.item()), round(column.item())
         if exists and 0 <= i < HEIGHT and 0 <= j < WIDTH and np.isfinite(depth[i, j]):
             least = np.nanmin(depth[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2])
-            total = total + robust(((least - point[2]).clamp_min(0.0) * focal / depth[i, j]).square()) * 1024.0 / len(points)
+            total = total + robust(((least - z).clamp_min(0.0) * focal / depth[i, j]).square()) * 1024.0 / len(points)
     return total
 
 

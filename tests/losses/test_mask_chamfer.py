@@ -1,7 +1,5 @@
 """The mask Chamfer loss, in numpy and compiled, against all pairs in torch."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
+from tests import oracles
+from tests.scenes import block
 from tso_cli.geometry.camera import NEAR
 from tso_cli.losses.mask_chamfer import COVERED_WITHIN, MaskTarget, mask_chamfer, resolvability
 from tso_cli.refinement.objective import MaskChamferObjective, ViewTarget, ViewTargets
@@ -53,14 +53,8 @@ def _objective(name: str, robust_scale: float = 3.0) -> tuple[MaskChamferObjecti
 def _oracle(points: torch.Tensor, objective: MaskChamferObjective) -> torch.Tensor:
     """The loss by one view from all pairs of points and pixels."""
     (view,) = objective.targets.views
-    camera, target = view.camera, view.mask
-    K, R, t = (torch.tensor(part) for part in (camera.K, camera.R, camera.t))
-    in_camera = points @ R.T + t
-    valid = torch.ones(len(points), dtype=torch.bool)
-    if camera.model == "perspective":
-        valid = in_camera[:, 2] > NEAR
-        in_camera = in_camera / in_camera[:, 2:]
-    pixels = in_camera[:, :2] @ K[:2, :2].T + K[:2, 2]
+    target, (pixels, depth) = view.mask, oracles.project(points, view.camera)
+    valid = (depth > NEAR) | (view.camera.model == "orthographic")
     left, top, right, bottom = target.bounds
     x, y = pixels.detach().T
     in_image = valid & (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
@@ -68,7 +62,7 @@ def _oracle(points: torch.Tensor, objective: MaskChamferObjective) -> torch.Tens
     area, resolved = target.scale**2, torch.tensor(objective.resolvability[0] if objective.resolvability else np.ones(len(x)))
 
     def robust(squared: torch.Tensor) -> torch.Tensor:
-        return squared * area * objective.robust_scale**2 / (objective.robust_scale**2 + squared * area)
+        return oracles.robust(squared * area, objective.robust_scale)
 
     # Column by column: of foreground pixels equally near, the leftmost and then the upper one counts.
     foreground = torch.tensor(np.argwhere(target.inside.T), dtype=torch.float64)
@@ -123,10 +117,8 @@ def test_any_points_cost_the_same_in_both_forms(places, name, robust_scale):
 @pytest.mark.parametrize("name", ["one object", "a truncated object"])
 def test_a_view_that_observes_no_point_has_an_infinite_loss(name, form):
     objective, points = _objective(name)
-    camera = objective.targets.views[0].camera
-    behind, beside = (
-        points_at(np.full((4, 2), place), camera, np.full(4, depth)) for place, depth in ((9.0, -2.0), (-50.0, 2.0))
-    )
+    places, camera = ((9.0, -2.0), (-50.0, 2.0)), objective.targets.views[0].camera
+    behind, beside = (points_at(np.full((4, 2), place), camera, np.full(4, depth)) for place, depth in places)
     value, gradient = in_form(form, objective, behind)
     assert value == np.inf and not gradient.any()
     # Beyond the border that truncates the object, nobody can judge them.
@@ -141,30 +133,20 @@ def _loss(pixels, target: MaskTarget, robust_scale: float = 3.0, parts=None) -> 
     return float(costs.sum()), gradient
 
 
-def _square(size: int = 64, low: int = 20, high: int = 30) -> np.ndarray:
-    mask = np.zeros((size, size))
-    mask[low:high, low:high] = 1.0
-    return mask
-
-
 def test_a_covered_mask_costs_nothing():
-    rows, columns = np.nonzero(_square())
-    points = np.stack([columns, rows], 1) + 0.5 * COVERED_WITHIN
-    value, gradient = _loss(points, MaskTarget.of(_square()))
+    square = block(np.s_[20:30, 20:30])
+    value, gradient = _loss(np.argwhere(square)[:, ::-1] + 0.5 * COVERED_WITHIN, MaskTarget.of(square))
     assert value == 0.0 and not gradient.any()
 
 
 def test_pixels_many_times_the_robust_scale_away_have_next_to_no_gradient():
-    mask = np.zeros((64, 64))
-    mask[4, 60] = 1.0
-    far, near = (np.abs(_loss([[10.0, 4.0]], MaskTarget.of(mask), scale)[1]).max() for scale in (2.0, 200.0))
+    target = MaskTarget.of(block(np.s_[4, 60]))
+    far, near = (np.abs(_loss([[10.0, 4.0]], target, scale)[1]).max() for scale in (2.0, 200.0))
     assert far < 1e-3 * near
 
 
 def test_an_image_of_twice_the_size_costs_the_same():
-    mask = np.zeros((64, 64))
-    mask[10:40, 20:50] = 1.0
-    points = np.random.default_rng(2).uniform(5, 55, (40, 2))
+    mask, points = block(np.s_[10:40, 20:50]), np.random.default_rng(2).uniform(5, 55, (40, 2))
     finer = _loss((points + 0.5) * 2 - 0.5, MaskTarget.of(mask.repeat(2, 0).repeat(2, 1)))[0]
     assert finer == pytest.approx(_loss(points, MaskTarget.of(mask))[0], rel=0.05)
 
@@ -192,6 +174,4 @@ def test_the_nearest_foreground_pixel_is_as_near_as_scipys(height, width, share)
     ("bounds", "expected"), [(None, True), ((-5.5, -0.5, 63.5, 63.5), False), ((-0.2, -0.5, 90.0, 63.5), True)]
 )
 def test_an_object_that_touches_a_border_of_its_image_is_truncated(bounds, expected):
-    mask = np.zeros((64, 64))
-    mask[20:40, :30] = 1.0
-    assert MaskTarget.of(mask, bounds=bounds).truncated == expected
+    assert MaskTarget.of(block(np.s_[20:40, :30]), bounds=bounds).truncated == expected

@@ -1,7 +1,5 @@
 """Nearest neighbours and evenly spread subsets, in every form."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,12 +1,11 @@
 """The photometric loss of clouds with colours."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
+from tests import oracles
 from tests.painted import CAMERA, MASK, photo, sheet
 from tso_cli.losses.photometric import Photo, PhotometricTerm, _detail
 
@@ -85,14 +84,12 @@ def test_value_and_gradient_are_those_of_bilinear_samples_of_the_details(scene):
     assert 0 < visible.sum() < len(points) - 7
 
     def oracle(leaf: torch.Tensor) -> torch.Tensor:
-        plane = 120.0 * leaf[:, :2] * torch.tensor([1.0, -1.0]) / (2.0 - leaf[:, 2:])
+        places = ((oracles.project(leaf, CAMERA)[0] - 31.5) / 31.5)[None, None]
         image = torch.tensor(objective.detail).permute(2, 0, 1)[None]
-        sampled = torch.nn.functional.grid_sample(image, (plane / 31.5)[None, None], padding_mode="border", align_corners=True)[
-            0, :, 0
-        ].T
+        sampled = torch.nn.functional.grid_sample(image, places, padding_mode="border", align_corners=True)[0, :, 0].T
         difference = (sampled - torch.tensor(objective.expected)) / torch.tensor(objective.exposure)
         squared = difference.square().sum(1)[torch.tensor(visible)]
-        return 3000.0 * objective.agreement * 1024.0 / len(points) * (squared * 0.01 / (0.01 + squared)).sum()
+        return 3000.0 * objective.agreement * 1024.0 / len(points) * oracles.robust(squared, 0.1).sum()
 
     assert_equal(objective(points), by_autograd(oracle, points))
 

@@ -1,17 +1,12 @@
 """Eq. 1: world to pixels, and gradients back."""
 
-from __future__ import annotations
-
 import numpy as np
-import pytest
 
 from tso_cli.geometry.camera import Camera
 from tso_cli.losses.projection import pixels_under, project
 
-from .common import assert_gradient
+from .common import MODELS, assert_gradient
 from .scenes import camera_of, points_at, scattered
-
-MODELS = pytest.mark.parametrize("model", ["perspective", "orthographic"])
 
 
 @MODELS

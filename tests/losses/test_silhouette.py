@@ -3,8 +3,6 @@
 The form of the training, in torch, must fulfil the same statements.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -14,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests import oracles
+from tests.scenes import block
 from tso_cli.geometry.camera import Camera
 from tso_cli.kernels import tensors
 from tso_cli.kernels.splat import splat
@@ -78,12 +77,7 @@ SCENES = {
     "unknown pixels": (_soft(), (_soft()[::-1] > 0.4) * _soft(), RANDOM.uniform(0, 30, (20, 2)), SIGMA_SQ),
     "narrow Gaussians": (_soft(), None, RANDOM.uniform(0, 30, (30, 2)), 0.1),
     "wide Gaussians": (_soft(), None, RANDOM.uniform(0, 30, (30, 2)), 6.4),
-    "points on borders of pixels": (
-        _soft(),
-        None,
-        [[3.5, 4.5], [2.5, 7.0], [-0.5, 3.2], [29.5, 21.5], [8.0, 9.0]],
-        SIGMA_SQ,
-    ),
+    "points on borders of pixels": (_soft(), None, [[3.5, 4.5], [2.5, 7.0], [-0.5, 3.2], [29.5, 21.5], [8.0, 9.0]], SIGMA_SQ),
     "points outside the image": (_soft(), None, [[-2.3, 4.0], [11.2, -14.0], [50.0, 9.6], [12.0, 11.0]], SIGMA_SQ),
     "stacked points": (1.0 - DISC, None, [[10.3, 10.0]] * 6 + [[50.2, 40.7]], SIGMA_SQ),
 }
@@ -145,8 +139,7 @@ def test_far_pixels_attract_the_nearest_point_as_equation_4_does(where, form):
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.tuples(st.floats(0, 39), st.floats(0, 39)), min_size=1, max_size=5), st.integers(0, 39), st.integers(0, 39))
 def test_of_a_few_points_the_loss_is_equation_4_up_to_the_count_of_the_nearest(points, row, column):
-    mask = np.zeros((40, 40))
-    mask[row, column] = 1.0
+    mask = block(np.s_[row, column], (40, 40))
     oracle = oracles.bce(torch.tensor(points, dtype=torch.float64), torch.tensor(mask), SIGMA_SQ).item()
     for form in (NUMPY, "torch"):
         excess = (_bce(form, points, mask)[0] - oracle) / (4096 / 1600)

@@ -6,37 +6,22 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.scenes import block
+from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.evaluation.footprint import Seen
-from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.view import View
 from tso_cli.losses.silhouette import silhouette_of
-from tso_cli.plots.overlay import (
-    AGREED,
-    GAP,
-    MISSING,
-    NEAR_TO_FAR,
-    PANEL,
-    STRAY,
-    TITLE,
-    UNKNOWN,
-    _dots,
-    _fitted,
-    compare,
-    draw_overlay,
-)
-from tso_cli.refinement import RefineConfig, refine
-
-from ..scenes import square_mask
+from tso_cli.plots import overlay
+from tso_cli.plots.overlay import PANEL, compare, draw_overlay
 
 
 def _panel(*points):
-    return np.asarray(_dots(*np.array(points, float).T))
+    return np.asarray(overlay._dots(*np.array(points, float).T))
 
 
 @pytest.mark.parametrize("order", [1, -1])
 def test_a_nearer_point_hides_a_farther_one(order):
     points = [(0.0, 0.0, -0.5), (0.0, 0.0, 0.5), (0.9, 0.9, 0.2)][::order]
-    np.testing.assert_array_equal(_panel(*points)[PANEL // 2, PANEL // 2], NEAR_TO_FAR[0])
+    np.testing.assert_array_equal(_panel(*points)[PANEL // 2, PANEL // 2], overlay.NEAR_TO_FAR[0])
 
 
 def test_a_point_is_drawn_to_the_right_and_down_of_the_middle_as_far_as_it_lies():
@@ -53,7 +38,7 @@ def test_the_dots_of_a_large_cloud_are_small_but_there():
 
 @pytest.mark.parametrize("height", [10, 1000])
 def test_an_image_fills_its_panel_and_keeps_its_shape(height):
-    image = _fitted(np.repeat([[(0.0, 0.0, 0.0)] * height + [(1.0, 0.5, 0.0)] * height], height, axis=0))
+    image = overlay._fitted(np.repeat([[(0.0, 0.0, 0.0)] * height + [(1.0, 0.5, 0.0)] * height], height, axis=0))
     assert image.size == (PANEL, PANEL // 2)
     assert (image.getpixel((0, 3)), image.getpixel((PANEL - 1, 3))) == ((0, 0, 0), (255, 128, 0))
 
@@ -72,7 +57,7 @@ def test_one_view_gets_a_row_before_and_one_after_and_several_a_row_each(count, 
 
 def test_mask_and_silhouette_are_told_apart_by_colour():
     silhouette, mask, known = (np.array([row], bool) for row in ([1, 0, 1, 0, 1], [1, 1, 0, 0, 1], [1, 1, 1, 1, 0]))
-    expected = [[AGREED, MISSING, STRAY, (1.0, 1.0, 1.0), UNKNOWN]]
+    expected = [[overlay.AGREED, overlay.MISSING, overlay.STRAY, (1.0, 1.0, 1.0), overlay.UNKNOWN]]
     np.testing.assert_array_equal(compare(Seen(silhouette, mask, known)), expected)
 
 
@@ -80,9 +65,9 @@ def test_mask_and_silhouette_are_told_apart_by_colour():
 def test_the_object_fills_its_panel_in_a_photo_of_any_size(times, tmp_path):
     points = np.random.default_rng(0).uniform(-0.3, 0.3, (400, 3))
     camera = replace(Camera.canonical(64, 64), width=64 * times, height=64 * times)
-    view = View(square_mask(20, 20, 26, 64 * times), camera)
+    view = View(block(np.s_[20:46, 20:46], (64 * times, 64 * times)), camera)
     draw_overlay(tmp_path / "picture.png", refine(points, view, config=RefineConfig(steps=0)), [view])
     with Image.open(tmp_path / "picture.png") as picture:
-        panel = np.asarray(picture)[TITLE : TITLE + PANEL, GAP : GAP + PANEL]
-    agreed = (panel == np.rint(255.0 * np.array(AGREED))).all(2).mean()
+        panel = np.asarray(picture)[overlay.TITLE : overlay.TITLE + PANEL, overlay.GAP : overlay.GAP + PANEL]
+    agreed = (panel == np.rint(255.0 * np.array(overlay.AGREED))).all(2).mean()
     assert 0.25 < agreed < 0.8

@@ -1,10 +1,8 @@
 """The shipped chair."""
 
-from __future__ import annotations
-
 import pytest
 
-from ..scenes import Example, example
+from tests.scenes import Example, example
 
 
 @pytest.fixture(scope="session")

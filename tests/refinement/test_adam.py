@@ -1,7 +1,5 @@
 """Adam, with one scale for each number and with one for the whole cloud, and torch's without the start-up of torch.optim."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

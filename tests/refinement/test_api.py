@@ -1,35 +1,24 @@
 """`refine`: its results, invariances and refusals."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-import tso_cli
-from tests.losses.scenes import block
-from tso_cli.errors import InputError, TsoError
-from tso_cli.evaluation.metrics import chamfer
-from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.view import View
-from tso_cli.refinement import PRESETS, RefineConfig, refine, resampled_view
+from tests.corruption import assert_refused
+from tests.scenes import block
+from tso_cli import Camera, RefineConfig, TsoError, View, refine
+from tso_cli.refinement import PRESETS, resampled_view
 from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.objective import SilhouetteObjective
 
 PAPER = RefineConfig(preset="paper")
 
 
-def _error(points, chair) -> float:
-    """Chamfer distance to the truth."""
-    return chamfer(points, chair.target).chamfer
-
-
 def test_the_papers_settings_bring_the_chair_nearer_to_the_true_shape(chair):
-    points, mask, camera, _ = chair
-    result = tso_cli.refine(points, mask, camera, PAPER)
-    assert _error(result.points, chair) < 0.97 * _error(points, chair)
+    result = refine(*chair[:3], PAPER)
+    assert chair.error(result.points) < 0.97 * chair.error(chair.points)
     assert result.iou_after > result.iou_before + 0.01
     assert result.loss_after < result.loss_before
     assert (result.steps, result.stop_reason, result.mode) == (50, "max_steps", "points")
@@ -71,7 +60,7 @@ def test_a_scan_with_coordinates_near_four_million_is_refined_as_at_the_origin(c
     far = refine(points + 4e6, mask, _shifted(camera, 4e6), config)
     # At four million, coordinates hold nine digits after the point: of two points equally near, the other may be the nearer.
     np.testing.assert_allclose(far.points - 4e6, expected.points, atol=1e-4 if preset == "paper" else 0.02)
-    assert _error(far.points - 4e6, chair) == pytest.approx(_error(expected.points, chair), rel=0.02)
+    assert chair.error(far.points - 4e6) == pytest.approx(chair.error(expected.points), rel=0.02)
 
 
 def test_another_unit_changes_nothing(chair):
@@ -94,45 +83,39 @@ def test_enlarging_mask_and_intrinsics_by_two_changes_nothing(chair):
 
 
 def test_a_grid_of_64_cells_loses_nothing_against_one_of_256(chair, monkeypatch):
-    points, mask, camera, _ = chair
-    coarse = refine(points, mask, camera, PAPER)
+    coarse = refine(*chair[:3], PAPER)
 
     def fine(view, sigma_sq, centre, scale, box):
         return resampled_view.resample_view(view, 0.4 * 4**2, centre, scale, box, 256)
 
     monkeypatch.setattr("tso_cli.refinement.problem.resample_view", fine)
-    full = refine(points, mask, camera, PAPER)
+    full = refine(*chair[:3], PAPER)
     assert not np.array_equal(coarse.points, full.points)
-    assert _error(coarse.points, chair) < 1.01 * _error(full.points, chair)
+    assert chair.error(coarse.points) < 1.01 * chair.error(full.points)
     # The resampled view has the loss of all pixels but for the averaged rim of the mask.
     assert coarse.loss_before == pytest.approx(full.loss_before, rel=0.05)
 
 
 def test_a_large_gamma_keeps_the_cloud_near_its_start(chair):
-    points, mask, camera, _ = chair
-    strong = refine(points, mask, camera, RefineConfig(gamma=1e8, preset="paper"))
-    weak = refine(points, mask, camera, RefineConfig(gamma=0.0, preset="paper"))
+    strong, weak = (refine(*chair[:3], RefineConfig(gamma=gamma, preset="paper")) for gamma in (1e8, 0.0))
     assert strong.chamfer_to_initial < 0.2 * weak.chamfer_to_initial
 
 
 def test_a_loss_that_stops_being_a_number_keeps_the_best_before_it(chair, monkeypatch):
-    points, mask, camera, _ = chair
-    calls = iter(range(1000))
-    true_call = SilhouetteObjective.__call__
+    calls, true_call = iter(range(1000)), SilhouetteObjective.__call__
 
     def failing(self, moved):
         value, gradient = true_call(self, moved)
         return value * (np.nan if next(calls) >= 3 else 1.0), gradient
 
     monkeypatch.setattr(SilhouetteObjective, "__call__", failing)
-    result = refine(points, mask, camera, PAPER)
+    result = refine(*chair[:3], PAPER)
     assert (result.stop_reason, result.steps, result.best_step) == ("non_finite", 2, 2)
     assert np.isfinite(result.points).all()
     calls = iter(range(2, 1000))
-    with pytest.raises(TsoError, match="after the first step"):
-        refine(points, mask, camera, PAPER)
-    with pytest.raises(TsoError, match="loss of the start"):
-        refine(points, mask, camera, PAPER)
+    for message in ("after the first step", "loss of the start"):
+        with pytest.raises(TsoError, match=message):
+            refine(*chair[:3], PAPER)
 
 
 def test_points_on_ignored_pixels_hardly_move(chair):
@@ -159,10 +142,9 @@ def test_losses_of_views_add_up_and_best_counts_a_repeated_view_once(chair, pres
 
 
 def test_orthographic_views_are_refined(chair):
-    points, mask, *_ = chair
     K = np.array([[180.0, 0.0, 127.5], [0.0, 180.0, 127.5], [0.0, 0.0, 1.0]])
     camera = Camera(K, np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.0]), 256, 256, "orthographic")
-    result = refine(points, mask, camera, RefineConfig(steps=6, symmetry="none"))
+    result = refine(chair.points, chair.mask, camera, RefineConfig(steps=6, symmetry="none"))
     assert result.loss_after < result.loss_before
 
 
@@ -183,8 +165,7 @@ def test_unusable_points_masks_and_cameras_are_refused(chair):
         (dict(config=RefineConfig("encoder")), "needs a network"),
     ):
         arguments = dict(points=points, masks=mask, cameras=camera) | bad
-        with pytest.raises(InputError, match=words):
-            refine(**arguments)
+        assert_refused(words, refine, **arguments)
 
 
 @pytest.mark.parametrize(
@@ -193,8 +174,7 @@ def test_unusable_points_masks_and_cameras_are_refused(chair):
     + [("mode", "magic"), ("preset", "magic"), ("sigma_sq", float("nan")), ("device", "cuda")],
 )
 def test_settings_out_of_range_are_refused(name, value):
-    with pytest.raises(InputError, match=name):
-        RefineConfig(**{name: value})
+    assert_refused(name, RefineConfig, **{name: value})
 
 
 def test_a_pole_thinner_than_a_cell_of_the_window_moves_onto_its_mask():
@@ -204,15 +184,12 @@ def test_a_pole_thinner_than_a_cell_of_the_window_moves_onto_its_mask():
     mask = block(np.s_[rows, rows // 6 + 106], (256, 256))
     camera = Camera.canonical(256, 256)
     result = refine(pole, mask, camera)
-    errors = []
-    for cloud in (pole, result.points):
-        column, row = camera.project(cloud)[0].T
-        errors.append(np.abs(column - row / 6 - 106.0).mean())
-    assert errors[1] < 0.9 * errors[0]
+    columns, rows = np.stack([camera.project(cloud)[0] for cloud in (pole, result.points)]).transpose(2, 0, 1)
+    before, after = np.abs(columns - rows / 6 - 106.0).mean(1)
+    assert after < 0.9 * before
 
 
 def test_an_ignore_map_that_leaves_no_known_cell_is_refused(chair):
-    points, mask, camera, _ = chair
     every_fourth = np.arange(256)[:, None] % 4 + np.arange(256) % 4 == 0
-    with pytest.raises(InputError, match="front: no pixel is known to be foreground when it is worked on at 64x64"):
-        refine(points, View(mask, camera, every_fourth, name="front"))
+    view = replace(chair.view, known=every_fourth, name="front")
+    assert_refused("front: no pixel is known to be foreground when it is worked on at 64x64", refine, chair.points, view)

@@ -1,7 +1,5 @@
 """Batches of clouds: the results of each alone in any number of processes, errors, progress and interrupts."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal
@@ -11,17 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.corruption import assert_refused
 from tests.losses.common import FORMS, in_form
-from tso_cli.errors import InputError, TsoError
-from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.view import View
-from tso_cli.refinement import PRESETS, RefineConfig, RefineResult, refine, refine_batch
+from tests.scenes import block
+from tso_cli import Camera, InputError, RefineConfig, RefineResult, TsoError, View, refine, refine_batch
+from tso_cli.refinement import PRESETS
 from tso_cli.refinement.objective import SilhouetteObjective
 
 POINTS = np.random.default_rng(0).uniform(-0.3, 0.3, (40, 3))
-MASK = np.zeros((64, 64), np.float32)
-MASK[21:32, 25:41] = 1.0
-VIEW = View(MASK, Camera.canonical(64, 64))
+VIEW = View(block(np.s_[21:32, 25:41]), Camera.canonical(64, 64))
 
 
 def _same(result: RefineResult, alone: RefineResult) -> bool:
@@ -33,16 +29,12 @@ def _same(result: RefineResult, alone: RefineResult) -> bool:
 @FORMS
 @pytest.mark.parametrize("preset", PRESETS)
 def test_in_any_number_of_processes_results_have_the_bits_of_each_alone(chair, monkeypatch, form, preset):
-    points, mask, camera, _ = chair
-    points = points[::3]
-    small = View(mask[::4, ::4], camera.resized(64, 64))
+    points, view, camera = chair.points[::3], chair.view, chair.camera
+    small = View(chair.mask[::4, ::4], camera.resized(64, 64))
     far = replace(camera, t=camera.t - camera.R @ np.full(3, 100.0))
-    scenes = [
-        (points, chair.view),
-        (points[::2], [chair.view, small]),
-        (points + 100.0, View(mask, far)),
-        (points[::2] * 0.9, View(mask, camera, np.arange(256)[:, None] + np.zeros((256, 256)) < 200)),
-    ]
+    known = np.arange(256)[:, None] + np.zeros((256, 256)) < 200
+    scenes = [(points, view), (points[::2], [view, small]), (points + 100.0, replace(view, camera=far))]
+    scenes.append((points[::2] * 0.9, replace(view, known=known)))
     config = RefineConfig(steps=3, preset=preset)
     expected = in_form(form, lambda: [refine(cloud, views, config=config) for cloud, views in scenes])
     for processes in ("1", "2", "3"):
@@ -51,7 +43,7 @@ def test_in_any_number_of_processes_results_have_the_bits_of_each_alone(chair, m
 
 
 def test_one_failing_cloud_of_a_batch_leaves_the_others_unaffected():
-    behind = View(MASK, replace(VIEW.camera, t=VIEW.camera.t - [0.0, 0.0, 9.0]))
+    behind = replace(VIEW, camera=replace(VIEW.camera, t=VIEW.camera.t - [0.0, 0.0, 9.0]))
     scenes = [(POINTS, VIEW), (POINTS, behind), (POINTS * np.nan, VIEW), (POINTS, VIEW)]
     good, invisible, not_finite, other = refine_batch(scenes, RefineConfig(steps=3))
     assert _same(good, other) and good.steps == 3
@@ -70,8 +62,7 @@ def test_a_scene_that_is_no_pair_is_an_error_of_its_own():
         (None, None, "scenes is None, expected a sequence"),
         ([], RefineConfig("latent"), "for a batch"),
     ):
-        with pytest.raises(InputError, match=words):
-            refine_batch(scenes, config)
+        assert_refused(words, refine_batch, scenes, config)
     assert refine_batch([]) == []
 
 

@@ -1,27 +1,19 @@
 """Camera correction before the descent: its gradient, and which cameras it changes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.losses.common import FORMS, assert_equal, assert_gradient, in_form
-from tests.losses.scenes import block
-from tso_cli.geometry.camera import Camera
+from tests.losses.common import FORMS, MODELS, assert_equal, assert_gradient, in_form
+from tests.scenes import about, block, example, seen, turned
+from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.geometry.rotations import angle_between, from_vectors
-from tso_cli.geometry.view import View
-from tso_cli.losses.silhouette import silhouette_of
-from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.camera_correction import _WithCameras, moved_camera, moved_silhouette
 from tso_cli.refinement.objective import silhouette_loss
 from tso_cli.refinement.resampled_view import ResampledView, resample_view
 
-from ..scenes import example
-
 PRESETS = pytest.mark.parametrize("preset", ["best", "paper"])
-MODELS = pytest.mark.parametrize("model", ["perspective", "orthographic"])
 CLOUD = np.random.default_rng(0).uniform(-0.4, 0.4, (15, 3))
 TURNS_AND_SHIFTS = np.array([[0.02, -0.03, 0.01], [0.01, 0.02, -0.01], [0.4, -0.5, 0.9], [0.0, -0.02, 0.03]])
 
@@ -73,11 +65,10 @@ def test_a_correction_that_shows_no_point_has_an_infinite_loss():
 
 def _view(points, azimuth, wrong=0.0):
     """The cloud from an azimuth, in degrees; ``wrong`` is the error of the view's camera, degrees."""
-    right = Camera.canonical(64, 64)
-    for turn in ([25.0, 0.0, 0.0], [0.0, azimuth, 0.0]):
-        right = replace(right, R=right.R @ from_vectors(np.radians(turn)))
+    level = Camera.canonical(64, 64)
+    right = turned(replace(level, R=level.R @ about("x", 25.0)), azimuth)
     given = replace(right, R=from_vectors(np.radians(wrong) * np.array([0.6, 0.64, 0.48])) @ right.R)
-    return View(np.float32(silhouette_of(points, right) > 0.5), given, name=f"from {azimuth:g}"), right
+    return replace(seen(points, right), camera=given, name=f"from {azimuth:g}"), right
 
 
 @PRESETS

@@ -1,18 +1,13 @@
 """The preset "best": the mean over its stages, the position prior, and what the views say nothing about."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.losses.common import assert_gradient
-from tests.losses.scenes import block
-from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.view import View
-from tso_cli.losses.silhouette import silhouette_of
-from tso_cli.refinement import RefineConfig, refine
+from tests.scenes import block, seen
+from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.objective import MaskChamferObjective, ViewTargets
 from tso_cli.refinement.presets import BEST
@@ -29,16 +24,14 @@ def test_points_outside_every_image_hardly_move():
     camera = look_at(0.0, 0.0, 2.2, (64, 64))
     observed = camera.project(bar)[0][:, 0] > -0.5
     assert 0.3 < observed.mean() < 0.7
-    mask = (silhouette_of(bar + [0.0, 0.06, 0.0], camera) > 0.5).astype(np.float32)
-    moved = refine(bar, mask, camera, RefineConfig(symmetry="none")).points[:, 1] - bar[:, 1]
+    higher = seen(bar + [0.0, 0.06, 0.0], camera)
+    moved = refine(bar, higher, config=RefineConfig(symmetry="none")).points[:, 1] - bar[:, 1]
     assert moved[observed].mean() > 0.02
     assert np.abs(moved[~observed]).mean() < 0.15 * moved[observed].mean()
 
 
 def test_the_result_is_the_weighted_mean_of_the_stages_and_more_masks_raise_the_weight_of_the_last(chair):
-    points, mask, camera, _ = chair
-    side = look_at(90.0, 10.0, 2.0, (64, 64))
-    views = [View(mask, camera), View((silhouette_of(points * [1.0, 1.1, 1.0], side) > 0.5).astype(np.float32), side)]
+    points, views = chair.points, [chair.view, seen(chair.points * [1.0, 1.1, 1.0], look_at(90.0, 10.0, 2.0, (64, 64)))]
 
     def refined(*weights):
         stages = tuple(replace(stage, averaging_weight=weight) for stage, weight in zip(BEST.stages, weights, strict=True))
@@ -55,14 +48,12 @@ def test_the_result_is_the_weighted_mean_of_the_stages_and_more_masks_raise_the_
 
 
 def test_as_evidence_a_flipped_mask_counts_a_quarter_and_a_depth_map_as_a_mask(chair):
-    points, mask, camera, _ = chair
-    depth = np.where(mask > 0.5, camera.t[2], 0.0)
-
     def evidence(views, symmetry="none", weights=(1.0, 1.0)):
-        problem = Problem.of(Cloud(points, "points"), tuple(views), RefineConfig(symmetry=symmetry).settings())
+        problem = Problem.of(Cloud(chair.points, "points"), tuple(views), RefineConfig(symmetry=symmetry).settings())
         return problem.evidence(list(weights[: len(views)]))
 
-    plain, deep = View(mask, camera), View(mask, camera, depth=depth)
+    plain = View(chair.mask, chair.camera)
+    deep = replace(plain, depth=np.where(chair.mask > 0.5, chair.camera.t[2], 0.0))
     assert evidence([plain]) == 1.0
     assert evidence([plain, plain]) == 2.0
     assert evidence([plain], "x") == 1.25
@@ -80,10 +71,7 @@ def _truncated(view: View) -> View:
 
 @pytest.mark.parametrize(("truncated", "expected"), [((True, True), 1.0), ((True, False), 2.0), ((False, False), 2.0)])
 def test_views_that_all_truncate_the_object_are_no_more_evidence_than_one(chair, monkeypatch, truncated, expected):
-    points, mask, camera, _ = chair
-    side = look_at(90.0, 10.0, 3.0, (64, 64))
-    views = [View(mask, camera), View((silhouette_of(points, side) > 0.5).astype(np.float32), side)]
-    evidence = []
+    evidence, views = [], [chair.view, seen(chair.points, look_at(90.0, 10.0, 3.0, (64, 64)))]
 
     def spied(*arguments):
         evidence.append(arguments[-1])
@@ -91,18 +79,14 @@ def test_views_that_all_truncate_the_object_are_no_more_evidence_than_one(chair,
 
     monkeypatch.setattr("tso_cli.refinement.coarse_to_fine.position_prior", spied)
     views = [_truncated(view) if cut else view for view, cut in zip(views, truncated, strict=True)]
-    refine(points, views, config=RefineConfig(steps=3, symmetry="none"))
-    assert evidence
-    assert evidence == [pytest.approx(expected, rel=0.05)] * len(evidence)
+    refine(chair.points, views, config=RefineConfig(steps=3, symmetry="none"))
+    assert evidence and evidence == [pytest.approx(expected, rel=0.05)] * len(evidence)
 
 
 def test_an_object_that_every_view_truncates_is_held_three_times_as_much(chair):
-    points, mask, camera, _ = chair
-    view = _truncated(View(mask, camera))
-    held, loose = (_prior(points, view, truncated_prior=factor)[0].weights for factor in (3.0, 1.0))
-    np.testing.assert_allclose(held, 3.0 * loose)
-    whole = (_prior(points, View(mask, camera), truncated_prior=factor)[0].weights for factor in (3.0, 1.0))
-    np.testing.assert_array_equal(*whole)
+    for view, factor in ((_truncated(chair.view), 3.0), (chair.view, 1.0)):
+        held, loose = (_prior(chair.points, view, truncated_prior=prior)[0].weights for prior in (3.0, 1.0))
+        np.testing.assert_allclose(held, factor * loose)
 
 
 def _prior(points: np.ndarray, view: View, evidence: float = 1.0, **settings: object) -> tuple[PositionPrior, ViewTargets]:
@@ -120,7 +104,7 @@ def test_the_position_prior_is_a_weighted_square_with_its_gradient(chair):
 
 
 def test_a_worse_start_is_held_less_and_more_evidence_lowers_the_least_weight(chair):
-    points, mask, camera, _ = chair
+    points = chair.points
     # As if the cloud had 1,024 points, e being the mean loss per mask pixel at the robust scale 4.
     prior, targets = _prior(points, chair.view, local_prior=False, least_prior_weight=0.0)
     e = MaskChamferObjective(targets, 4.0)(prior.initial)[0] / targets.pixels
@@ -133,9 +117,7 @@ def test_a_worse_start_is_held_less_and_more_evidence_lowers_the_least_weight(ch
     # Even a perfect start is held no more than where e = 0.1.
     square = np.stack(np.meshgrid(np.arange(26, 38, 0.5), np.arange(26, 38, 0.5)), -1).reshape(-1, 2)
     flat = np.concatenate([(square - 31.5) / 60.0 * [1.0, -1.0], np.zeros((len(square), 1))], 1)
-    inside = np.zeros((64, 64), np.float32)
-    inside[26:38, 26:38] = 1.0
-    exact = _prior(flat, View(inside, Camera.canonical(64, 64)))[0]
+    exact = _prior(flat, View(block(np.s_[26:38, 26:38]), Camera.canonical(64, 64)))[0]
     np.testing.assert_allclose(exact.weights, 300.0 / 0.1 * 1024.0 / len(flat))
 
 
@@ -143,11 +125,10 @@ def test_a_part_that_fits_badly_is_held_less_than_the_rest():
     """A sheet whose right third lies beside the mask."""
     x, y = np.meshgrid(np.linspace(-0.3, 0.3, 24), np.linspace(-0.2, 0.2, 16))
     sheet = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
-    mask = block(np.s_[19:45, 13:38])
-    weights = _prior(sheet, View(mask, Camera.canonical(64, 64)), least_prior_weight=0.0)[0].weights
+    view = View(block(np.s_[19:45, 13:38]), Camera.canonical(64, 64))
+    weights = _prior(sheet, view, least_prior_weight=0.0)[0].weights
     assert weights[sheet[:, 0] > 0.25].max() < 0.5 * weights[sheet[:, 0] < 0.0].min()
-    even = _prior(sheet, View(mask, Camera.canonical(64, 64)), least_prior_weight=0.0, local_prior=False)[0].weights
-    assert np.ptp(even) == 0.0
+    assert np.ptp(_prior(sheet, view, least_prior_weight=0.0, local_prior=False)[0].weights) == 0.0
 
 
 def test_parts_that_the_pixels_do_not_resolve_have_no_resolvability():
@@ -155,8 +136,7 @@ def test_parts_that_the_pixels_do_not_resolve_have_no_resolvability():
     post = np.random.default_rng(0).uniform([-0.1, -0.3, -0.1], [0.1, 0.1, 0.1], (400, 3))
     aerial = np.stack([np.zeros(60), np.linspace(0.12, 0.5, 60), np.zeros(60)], 1)
     points = np.concatenate([post, aerial])
-    mask = block(np.s_[4:60, 20:44])
-    _, targets = _prior(points, View(mask, Camera.canonical(64, 64)))
+    _, targets = _prior(points, View(block(np.s_[4:60, 20:44]), Camera.canonical(64, 64)))
     initial = Cloud(points, "points").normalised()
     (resolved,) = targets.resolvability(initial, SmoothField(initial))
     assert resolved[:400].mean() > 0.9 and resolved[-50:].max() < 0.1

@@ -1,16 +1,13 @@
 """Refinements by depth maps and by photos, beside the mask."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from tests.losses.scenes import block
+from tests.corruption import assert_refused
 from tests.painted import CAMERA, MASK, SIZE, photo, sheet
-from tso_cli import Camera, RefineConfig, refine
-from tso_cli.errors import InputError
+from tests.scenes import block
+from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.evaluation.metrics import chamfer
-from tso_cli.geometry.view import View
 from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.objective import MaskChamferObjective, ViewTargets
 from tso_cli.refinement.problem import Problem
@@ -31,8 +28,8 @@ def _plain_sheet(slope: float) -> np.ndarray:
 
 def test_a_depth_map_is_resampled_without_averaging_across_edges():
     depth = np.where(np.arange(256) < 130, 2.0, 3.0)[None].repeat(256, 0)
-    mask = block(np.s_[64:192, 64:192], (256, 256))
-    resampled = resample_view(View(mask, Camera.canonical(256, 256), depth=depth), 0.4, np.zeros(3), 2.0)
+    view = View(block(np.s_[64:192, 64:192], (256, 256)), Camera.canonical(256, 256), depth=depth)
+    resampled = resample_view(view, 0.4, np.zeros(3), 2.0)
     assert resampled.depth.shape == (64, 64)
     assert set(np.unique(resampled.depth)) == {1.0, 1.5}
 
@@ -118,8 +115,7 @@ ORTHOGRAPHIC = Camera(CAMERA.K, CAMERA.R, CAMERA.t, SIZE, SIZE, "orthographic")
     ],
 )
 def test_unusable_depth_maps_and_images_are_refused(parts, words):
-    with pytest.raises(InputError, match=words):
-        View(**(dict(mask=MASK, camera=CAMERA) | parts))
+    assert_refused(words, View, **(dict(mask=MASK, camera=CAMERA) | parts))
 
 
 def test_what_a_refinement_cannot_use_is_refused():
@@ -133,5 +129,4 @@ def test_what_a_refinement_cannot_use_is_refused():
         (view, np.linspace(0, 300, 972).reshape(-1, 3), None, "colours span 0 to 300, expected 0 to 1"),
         (view, "red", None, "colours are no array of numbers"),
     ):
-        with pytest.raises(InputError, match=words):
-            refine(points, scene, config=config, colours=colour)
+        assert_refused(words, refine, points, scene, config=config, colours=colour)

@@ -1,17 +1,12 @@
 """The network modes: which parameters move, from where, and their gradient."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
 
-from tests.losses.scenes import block
-from tso_cli.errors import TsoError
-from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.view import View
+from tests.scenes import block
+from tso_cli import Camera, RefineConfig, TsoError, View, refine
 from tso_cli.network.model import Encoder, build_network
-from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.network_parameters import NetworkParameters
 from tso_cli.refinement.objective import SilhouetteObjective
 from tso_cli.refinement.resampled_view import resample_view
@@ -22,8 +17,8 @@ MODES = pytest.mark.parametrize("mode", ["encoder", "encoder-decoder", "latent"]
 @pytest.fixture
 def photo():
     """A small network, its input image and a mask."""
-    mask = block(np.s_[22:42, 25:40])
-    return build_network(points=64), torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0)), mask
+    image = torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0))
+    return build_network(points=64), image, block(np.s_[22:42, 25:40])
 
 
 @MODES
@@ -56,8 +51,7 @@ def test_the_latent_vector_starts_at_the_encoders_and_is_decoded_in_each_step(ph
 
 def test_the_latent_mode_runs_the_encoder_once(photo, monkeypatch):
     network, image, mask = photo
-    calls = []
-    true_forward = Encoder.forward
+    calls, true_forward = [], Encoder.forward
     monkeypatch.setattr(Encoder, "forward", lambda encoder, images: calls.append(1) or true_forward(encoder, images))
     refine(None, mask, config=RefineConfig("latent", steps=4), network=network, image=image)
     assert len(calls) == 1

@@ -1,7 +1,5 @@
 """The optimisation loop: the best iterate, whatever ends it, and Eq. 7."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np
@@ -10,10 +8,8 @@ import torch
 
 from tests import oracles
 from tests.losses.common import FORMS, in_form
-from tests.losses.scenes import block
-from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.view import View
-from tso_cli.refinement import RefineConfig, refine
+from tests.scenes import block
+from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.refinement.objective import SilhouetteObjective
 from tso_cli.refinement.optimise import descend, offset_progress, sum_of
 from tso_cli.refinement.resampled_view import resample_view
@@ -40,8 +36,7 @@ def _square(points: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def test_the_best_iterate_is_kept_and_every_step_reported():
-    reported = []
-    parameters = Iterates(1.0, 0.5, 0.1, 0.7)
+    reported, parameters = [], Iterates(1.0, 0.5, 0.1, 0.7)
     descent = descend(parameters, _square, 3, offset_progress(lambda *step: reported.append(step), 10, 99))
     losses = [_square(points)[0] for points in parameters.points]
     assert (descent.best_step, descent.interrupted, descent.losses) == (2, False, losses)
@@ -108,13 +103,12 @@ def test_a_sum_of_terms_adds_values_and_gradients():
     np.testing.assert_allclose(gradient, 5.0 * START)
 
 
-def _mask() -> np.ndarray:
-    return block(np.s_[22:42, 25:40])
+MASK = block(np.s_[22:42, 25:40])
 
 
 @FORMS
 def test_the_loss_of_a_view_without_visible_points_is_infinite(form):
-    view = resample_view(View(_mask(), Camera.canonical(64, 64)), 0.4, np.zeros(3), 1.0)
+    view = resample_view(View(MASK, Camera.canonical(64, 64)), 0.4, np.zeros(3), 1.0)
     objective, points = SilhouetteObjective([view, view], [1.0, 0.5]), START - 0.5
     value, gradient = in_form(form, objective, points)
     assert np.isfinite(value) and gradient.any()
@@ -133,16 +127,13 @@ def test_the_paper_preset_is_adam_on_equation_7():
     points = np.random.default_rng(0).uniform(-0.3, 0.3, (90, 3))
     # The settings are stated for a centred cloud with longest side 1.
     points = (points - (points.min(0) + points.max(0)) / 2.0) / np.ptp(points, axis=0).max()
-    mask, camera = _mask(), Camera.canonical(64, 64)
-    initial = torch.tensor(points)
+    mask, camera, initial = MASK, Camera.canonical(64, 64), torch.tensor(points)
     moved = initial.clone().requires_grad_()
     optimiser = torch.optim.Adam([moved], lr=5e-4)
-    K, R, t = (torch.tensor(part) for part in (camera.K, camera.R, camera.t))
     losses = []
     for step in range(26):
-        plane = (moved @ R.T + t) @ K.T
-        loss = oracles.bce(plane[:, :2] / plane[:, 2:], torch.tensor(mask).double(), 0.4)
-        loss = loss + 1e6 * sum(oracles.chamfer(moved, initial))
+        pixels, _ = oracles.project(moved, camera)
+        loss = oracles.bce(pixels, torch.tensor(mask).double(), 0.4) + 1e6 * sum(oracles.chamfer(moved, initial))
         losses.append(loss.item())
         if step < 25:
             optimiser.zero_grad()

@@ -1,7 +1,5 @@
 """Points far from all others: held, reported, and of no influence on the rest."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -9,25 +7,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.scenes import example
 from tso_cli.io.clouds import read_cloud
 from tso_cli.io.shipped import examples_folder
 from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.cloud import Cloud, outliers
-from tso_cli.scene.load import load_points_scene
 
-EXAMPLES = ("airplane", "car", "chair")
+NAMES = pytest.mark.parametrize("name", ["airplane", "car", "chair"])
 CONFIG = RefineConfig(steps=6)
 
 
-def _scene(name):
-    folder = examples_folder() / name
-    return load_points_scene(folder / "initial.ply", folder / "mask.png")
-
-
-@pytest.mark.parametrize("name", EXAMPLES)
+@NAMES
 @pytest.mark.parametrize("sizes", [2.0, 10.0, 1000.0])
 def test_a_stray_point_at_any_distance_changes_no_bit_of_the_others(name, sizes):
-    scene = _scene(name)
+    scene = example(name)
     stray = scene.points.mean(0) + sizes * np.ptp(scene.points, axis=0).max() * np.array([0.6, 0.64, 0.48])
     place = len(scene.points) // 2
     alone = refine(scene.points, scene.view, config=CONFIG)
@@ -39,9 +32,9 @@ def test_a_stray_point_at_any_distance_changes_no_bit_of_the_others(name, sizes)
     assert "1 point lies far from all others: left where found, and out of all measures" in beside.warnings
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@NAMES
 def test_a_fifth_of_outliers_far_and_wide_changes_the_others_by_under_two_percent(name):
-    scene, rng = _scene(name), np.random.default_rng(0)
+    scene, rng = example(name), np.random.default_rng(0)
     size = np.ptp(scene.points, axis=0).max()
     noise = scene.points.mean(0) + size * rng.uniform(-2.5, 2.5, (len(scene.points) // 5, 3))
     alone = refine(scene.points, scene.view)
@@ -77,7 +70,7 @@ def test_colours_follow_the_points_that_move():
 
 
 def test_measures_and_overlay_are_of_the_rest():
-    scene = _scene("chair")
+    scene = example("chair")
     beside = refine(np.vstack([scene.points, [[3000.0, 0.0, 0.0]]]), scene.view, config=CONFIG)
     initial, refined = beside.judged
     assert initial.shape == refined.shape == scene.points.shape
@@ -85,7 +78,7 @@ def test_measures_and_overlay_are_of_the_rest():
 
 def test_points_in_one_place_far_away_are_outliers():
     invalid = np.tile([[3.0, 0.0, 0.0]], (40, 1))
-    assert outliers(np.vstack([_scene("chair").points, invalid])).sum() == 40
+    assert outliers(np.vstack([example("chair").points, invalid])).sum() == 40
 
 
 def test_more_than_a_quarter_of_a_cloud_are_no_outliers():

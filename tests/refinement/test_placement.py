@@ -1,20 +1,16 @@
 """Where a cloud projects in a view."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from tso_cli.errors import InputError
-from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.view import View
+from tests.corruption import assert_refused
+from tests.scenes import block
+from tso_cli import Camera, InputError, View
 from tso_cli.refinement.placement import box_iou, place, require_overlap
-
-from ..scenes import square_mask
 
 
 def test_points_are_counted_behind_the_camera_inside_the_image_and_on_the_mask(cloud):
-    view = View(square_mask(24, 24, 16), Camera.canonical(64, 64))
+    view = View(block(np.s_[24:40, 24:40]), Camera.canonical(64, 64))
     points = np.vstack([cloud, [[0.0, 0.0, 3.0], [5.0, 0.0, 0.0]]])
     placement = place(points, view)
     assert (placement.points, placement.behind, placement.inside_image) == (502, 1, 500)
@@ -23,10 +19,9 @@ def test_points_are_counted_behind_the_camera_inside_the_image_and_on_the_mask(c
     assert placement.mask_box == (23.5, 23.5, 39.5, 39.5)
 
 
-def test_the_iou_of_boxes():
-    assert box_iou((0, 0, 2, 2), (0, 0, 2, 2)) == 1.0
-    assert box_iou((0, 0, 2, 2), (1, 0, 3, 2)) == pytest.approx(1 / 3)
-    assert box_iou((0, 0, 2, 2), (3, 0, 4, 2)) == 0.0
+@pytest.mark.parametrize(("other", "iou"), [((0, 0, 2, 2), 1.0), ((1, 0, 3, 2), 1 / 3), ((3, 0, 4, 2), 0.0)])
+def test_the_iou_of_boxes(other, iou):
+    assert box_iou((0, 0, 2, 2), other) == pytest.approx(iou, rel=1e-15, abs=0.0)
 
 
 @pytest.mark.parametrize(
@@ -34,24 +29,22 @@ def test_the_iou_of_boxes():
     [((0, 0, 5.0), "all 500 points lie behind"), ((9.0, 0, 0), "no point falls inside"), ((0.42, -0.4, 0), "hardly meet")],
 )
 def test_a_cloud_that_misses_the_mask_is_refused_with_advice(cloud, move, words):
-    view = View(square_mask(4, 4, 8), Camera.canonical(64, 64), name="mask.png")
+    view = View(block(np.s_[4:12, 4:12]), Camera.canonical(64, 64), name="mask.png")
     moved = cloud * 0.2 + move
     with pytest.raises(InputError, match=words) as caught:
         require_overlap(place(moved, view), view)
-    assert "mask.png" in str(caught.value)
-    assert "OpenCV" in str(caught.value)
+    assert "mask.png" in str(caught.value) and "OpenCV" in str(caught.value)
 
 
 def test_a_cloud_on_both_sides_of_the_image_is_refused():
     """Its box covers the image, on which none of its points falls."""
     points = np.random.default_rng(0).uniform(-0.1, 0.1, (40, 3)) + np.where(np.arange(40) % 2, 3.0, -3.0)[:, None] * [1, 0, 0]
-    view = View(square_mask(20, 20, 24), Camera.canonical(64, 64))
-    with pytest.raises(InputError, match="no point falls inside the 64x64 image"):
-        require_overlap(place(points, view), view)
+    view = View(block(np.s_[20:44, 20:44]), Camera.canonical(64, 64))
+    assert_refused("no point falls inside the 64x64 image", require_overlap, place(points, view), view)
 
 
 def test_points_behind_the_camera_are_warned_of(cloud):
-    view = View(square_mask(20, 20, 24), Camera.canonical(64, 64))
+    view = View(block(np.s_[20:44, 20:44]), Camera.canonical(64, 64))
     points = np.vstack([cloud, [[0.0, 0.0, 3.0]]])
     with pytest.warns(UserWarning, match="1 of 501 points lie behind the camera"):
         require_overlap(place(points, view), view)

@@ -1,7 +1,5 @@
 """Smooth displacement fields and averages."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -18,10 +16,6 @@ def _cloud(count: int, seed: int = 0) -> np.ndarray:
 
 def _moved(field: SmoothField, weight: float, values: np.ndarray) -> np.ndarray:
     return field.spread(field.smoothed(values, weight))
-
-
-def _peak(field: SmoothField, place: int = 0) -> np.ndarray:
-    return np.eye(len(field.nodes))[:, place : place + 1].repeat(3, 1)
 
 
 @FORMS
@@ -90,7 +84,7 @@ def test_points_of_a_large_cloud_follow_their_nodes():
     field = SmoothField(points)
     assert field.nodes.shape == (FIELD_NODES,) and field.patches.shape == (FIELD_NODES, 12)
     np.testing.assert_array_equal(field.patches[:, 0], np.arange(FIELD_NODES))
-    moved = _moved(field, 10.0, _peak(field))[:, 0]
+    moved = _moved(field, 10.0, np.eye(FIELD_NODES)[:, :1].repeat(3, 1))[:, 0]
     order = np.linalg.norm(points - points[moved.argmax()], axis=1).argsort()
     assert moved[order[:50]].mean() > 5.0 * moved[order[2500:]].mean()
 

@@ -1,7 +1,5 @@
 """Meshes: samples of the surface move, and the vertices follow."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,16 +8,13 @@ import pytest
 from PIL import Image
 from trimesh.remesh import subdivide
 
-from tso_cli.cli import main
-from tso_cli.errors import InputError
+from tests.corruption import assert_refused
+from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.evaluation.metrics import chamfer, nearest_squared
-from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.points import sample_surface
-from tso_cli.geometry.view import View
 from tso_cli.io.clouds import read_cloud
 from tso_cli.losses.chamfer import spacings
 from tso_cli.losses.silhouette import silhouette_of
-from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.run import view_ious
 from tso_cli.refinement.surface import SAMPLES, Surface
@@ -47,7 +42,7 @@ def _subdivided(vertices: np.ndarray, faces: np.ndarray, times: int) -> tuple[np
 @pytest.fixture(scope="module")
 def views() -> list[View]:
     solid = _dense(WIDE, BOX)
-    return [View((silhouette_of(solid, camera, 0.1) > 0.5).astype(np.float32), camera) for camera in (FRONT, BACK)]
+    return [View(np.float32(silhouette_of(solid, camera, 0.1) > 0.5), camera) for camera in (FRONT, BACK)]
 
 
 @pytest.fixture(scope="module")
@@ -152,8 +147,7 @@ def test_a_mesh_without_area_or_whose_faces_join_few_vertices_is_taken_for_a_clo
     ],
 )
 def test_faces_that_are_no_triangles_are_refused(faces, message, views):
-    with pytest.raises(InputError, match=message):
-        refine(CORNERS, views, faces=faces)
+    assert_refused(message, refine, CORNERS, views, faces=faces)
 
 
 def test_vertices_without_faces_change_nothing_and_follow_the_surface(stretched, views):
@@ -174,7 +168,7 @@ def test_a_thin_sheet_keeps_its_thickness(views):
     np.testing.assert_allclose(thickness, np.broadcast_to([0.0, 0.0, 0.003], thickness.shape), atol=0.003)
 
 
-def test_the_written_file_differs_from_the_input_in_its_coordinates_alone(tmp_path, monkeypatch, capsys, views):
+def test_the_written_file_differs_from_the_input_in_its_coordinates_alone(tmp_path, monkeypatch, tso, views):
     monkeypatch.chdir(tmp_path)
     properties = "".join(f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz"))
     header = f"ply\nformat ascii 1.0\ncomment a box\nelement vertex 8\n{properties}element face 6\n"
@@ -183,12 +177,9 @@ def test_the_written_file_differs_from_the_input_in_its_coordinates_alone(tmp_pa
     header += "property list uchar int vertex_indices\nproperty uchar flags\nend_header\n"
     Path("box.ply").write_text(header + vertices + faces)
     Image.fromarray((255 * views[0].mask).astype(np.uint8)).save("mask.png")
-    with pytest.raises(SystemExit) as stopped:
-        main(["refine", "box.ply", "mask.png", "-o", "out.ply"])
-    assert stopped.value.code == 0
-    out, err = capsys.readouterr()
-    assert "out.ply: 8 vertices, which follow 1,024 points of the faces" in out
-    assert "the normals are those of box.ply" in err
+    run = tso("refine", "box.ply", "mask.png", "-o", "out.ply")
+    assert run.code == 0 and "the normals are those of box.ply" in run.err
+    assert "out.ply: 8 vertices, which follow 1,024 points of the faces" in run.out
     before, after = (Path(name).read_text().splitlines() for name in ("box.ply", "out.ply"))
     body = before.index("end_header") + 1
     for number, (old, new) in enumerate(zip(before, after, strict=True)):

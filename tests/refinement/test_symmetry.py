@@ -1,21 +1,17 @@
 """Mirror planes: search, symmetry check and flipped views."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.corruption import assert_refused
 from tests.losses.common import COMPILED, FORMS, in_form
-from tso_cli.errors import InputError
-from tso_cli.geometry.view import View
+from tests.scenes import example, seen
+from tso_cli import RefineConfig, View, refine
 from tso_cli.losses.silhouette import silhouette_of
-from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.symmetry import MirrorPlane, find_mirror_plane
 from tso_cli.render import look_at
-
-from ..scenes import example
 
 
 def _rotation(seed: int) -> np.ndarray:
@@ -38,8 +34,7 @@ def test_a_chair_with_one_arm_has_no_plane(chair):
     points = chair.points
     side = (points - points.mean(0)) @ find_mirror_plane(points).normal
     upper = points[:, 1] > np.quantile(points[:, 1], 0.6)
-    lopsided = points[~(upper & (side > 0.0))]
-    assert not find_mirror_plane(lopsided).symmetric
+    assert not find_mirror_plane(points[~(upper & (side > 0.0))]).symmetric
 
 
 def test_the_plane_of_a_large_cloud_is_found_in_any_order_of_its_points(chair):
@@ -66,8 +61,7 @@ def test_too_few_points_have_no_plane(count):
 
 def _seen(points: np.ndarray) -> list[View]:
     """Masks of a cloud from half right and from half left."""
-    cameras = look_at(35.0, 20.0, 3.0, (64, 64)), look_at(-70.0, 30.0, 3.0, (64, 64))
-    return [View((silhouette_of(points, camera) > 0.5).astype(np.float32), camera) for camera in cameras]
+    return [seen(points, look_at(azimuth, elevation, 3.0, (64, 64))) for azimuth, elevation in ((35.0, 20.0), (-70.0, 30.0))]
 
 
 def _boxes(*sides: float) -> np.ndarray:
@@ -120,34 +114,28 @@ def test_two_reflections_are_the_identity_and_midpoints_lie_on_the_plane(seed, o
 
 
 def test_a_flipped_view_shows_the_mirror_image_of_the_cloud(chair):
-    points, mask, camera, _ = chair
-    normal = np.array([0.6, 0.0, 0.8])
-    plane = MirrorPlane(normal, 0.05)
-    view = plane.view(View(silhouette_of(points, camera), camera))
-    np.testing.assert_allclose(silhouette_of(plane.reflect(points), view.camera), view.mask, atol=1e-4)
+    plane = MirrorPlane(np.array([0.6, 0.0, 0.8]), 0.05)
+    view = plane.view(View(silhouette_of(chair.points, chair.camera), chair.camera))
+    np.testing.assert_allclose(silhouette_of(plane.reflect(chair.points), view.camera), view.mask, atol=1e-4)
 
 
 def test_a_given_plane_is_used_and_reported(chair):
-    points, mask, camera, _ = chair
-    planes = {}
-    for symmetry in ("none", "x", "2,0,0,0.1"):
-        result = refine(points, mask, camera, RefineConfig(steps=0, symmetry=symmetry))
-        planes[symmetry] = result.symmetry
-        assert result.symmetry_outcome == ("not_asked" if symmetry == "none" else "given")
-    middle = (points[:, 0].min() + points[:, 0].max()) / 2.0
-    assert planes == {"none": None, "x": pytest.approx((1, 0, 0, middle)), "2,0,0,0.1": pytest.approx((1, 0, 0, 0.05))}
+    middle = (chair.points[:, 0].min() + chair.points[:, 0].max()) / 2.0
+    for symmetry, plane in ("none", None), ("x", (1, 0, 0, middle)), ("2,0,0,0.1", (1, 0, 0, 0.05)):
+        result = refine(*chair[:3], RefineConfig(steps=0, symmetry=symmetry))
+        assert result.symmetry == (plane and pytest.approx(plane))
+        assert result.symmetry_outcome == ("given" if plane else "not_asked")
 
 
 @pytest.mark.parametrize("bad", ["w", "1,0,0", "0,0,0,1", "1,a,0,0", "nan,0,0,0"])
 def test_malformed_planes_are_refused(bad):
-    with pytest.raises(InputError, match="symmetry is"):
-        RefineConfig(symmetry=bad)
+    assert_refused("symmetry is", RefineConfig, symmetry=bad)
 
 
 @pytest.mark.parametrize("plane", ["0,0,1,9", "0,1,0,-0.9"])
 def test_a_plane_beside_the_cloud_is_refused(chair, plane):
-    with pytest.raises(InputError, match=f"symmetry is '{plane}', expected a plane .* through the cloud"):
-        refine(*chair[:3], RefineConfig(symmetry=plane))
+    message = f"symmetry is '{plane}', expected a plane .* through the cloud"
+    assert_refused(message, refine, *chair[:3], RefineConfig(symmetry=plane))
 
 
 def test_given_and_searched_planes_have_the_same_misfit():
@@ -161,17 +149,15 @@ def test_given_and_searched_planes_have_the_same_misfit():
 def test_the_misfit_of_coinciding_points_is_zero_or_infinite():
     half = np.random.default_rng(0).uniform(0.1, 0.5, (50, 3))
     cloud = np.concatenate([half, half * [-1.0, 1.0, 1.0]] * 2)
-    exact = MirrorPlane(np.array([1.0, 0.0, 0.0]), 0.0).judged(cloud)
-    assert (exact.misfit, exact.far) == (0.0, 0.0)
-    beside = MirrorPlane(np.array([1.0, 0.0, 0.0]), 0.1).judged(cloud)
-    assert (beside.misfit, beside.far) == (np.inf, np.inf)
+    for offset, misfit in ((0.0, 0.0), (0.1, np.inf)):
+        judged = MirrorPlane(np.array([1.0, 0.0, 0.0]), offset).judged(cloud)
+        assert (judged.misfit, judged.far) == (misfit, misfit)
 
 
 def test_a_flipped_view_has_the_flipped_depth_map(chair):
-    points, mask, camera, _ = chair
     plane = MirrorPlane(np.array([1.0, 0.0, 0.0]), 0.0)
-    flipped = plane.view(View(mask, camera, depth=np.tile(np.arange(1.0, 257.0), (256, 1))))
-    (pixel,), (depth,) = camera.project(points[:1])
-    (image,), (same,) = flipped.camera.project(plane.reflect(points[:1]))
+    flipped = plane.view(View(chair.mask, chair.camera, depth=np.tile(np.arange(1.0, 257.0), (256, 1))))
+    (pixel,), (depth,) = chair.camera.project(chair.points[:1])
+    (image,), (same,) = flipped.camera.project(plane.reflect(chair.points[:1]))
     np.testing.assert_allclose([*image, same], [255.0 - pixel[0], pixel[1], depth])
     np.testing.assert_array_equal(flipped.depth[0], np.arange(256.0, 0.0, -1.0))

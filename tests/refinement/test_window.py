@@ -1,15 +1,12 @@
 """The window: lengths belong to the object, whatever photo it is in."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.losses.scenes import block
+from tests.scenes import block, example, in_photo
 from tso_cli import Camera, RefineConfig, View, refine
-from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.view import object_box
 from tso_cli.geometry.window import window_of
 from tso_cli.refinement import PRESETS
@@ -17,35 +14,15 @@ from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.resampled_view import resample_view
 
-from ..scenes import example
-
-
-def framed(view, times, across, down):
-    """The view in a photo ``times`` as wide and high; ``across`` and ``down`` are its place, from 0 to 1."""
-    height, width = view.mask.shape
-    top, left = int(height * (times - 1) * down), int(width * (times - 1) * across)
-    mask = np.zeros((times * height, times * width), np.float32)
-    mask[top : top + height, left : left + width] = view.mask
-    K = view.camera.K + [[0, 0, left], [0, 0, top], [0, 0, 0]]
-    return View(mask, replace(view.camera, K=K, width=mask.shape[1], height=mask.shape[0]), name=view.name)
-
-
-def _of(name):
-    shown = example(name)
-    return shown.points, shown.target, shown.view
-
 
 @pytest.mark.parametrize(("name", "preset"), [("car", "paper"), pytest.param("airplane", "best", marks=pytest.mark.slow)])
 def test_an_object_comes_as_near_to_the_truth_in_a_large_photo_as_in_a_small_one(name, preset):
-    initial, target, view = _of(name)
-    config = RefineConfig(preset=preset)
-    before = chamfer(initial, target).chamfer
-    ratios = [
-        chamfer(refine(initial, photo, config=config).points, target).chamfer / before
-        for photo in (view, framed(view, 8, 1.0, 1.0))
-    ]
-    assert ratios[1] == pytest.approx(ratios[0], abs=0.02)
-    assert max(ratios) < 0.97
+    shown, config = example(name), RefineConfig(preset=preset)
+    views = shown.view, in_photo(shown.view, 8, 1792, 1792)
+    errors = np.array([shown.error(refine(shown.points, view, config=config).points) for view in views])
+    small, large = errors / shown.error(shown.points)
+    assert large == pytest.approx(small, abs=0.02)
+    assert max(small, large) < 0.97
 
 
 def test_the_window_is_a_square_around_mask_and_cloud():
@@ -60,27 +37,24 @@ def test_the_window_is_a_square_around_mask_and_cloud():
     assert right_edge - left == pytest.approx(bottom - top)
 
 
-def test_a_few_outliers_do_not_widen_the_window():
-    initial, _, view = _of("chair")
-    photo = framed(view, 8, 0.5, 0.3)
-    stray = np.vstack([initial, initial.mean(0) + [1.5, 0.0, 0.0]])
-    np.testing.assert_allclose(window_of(photo, stray), window_of(photo, initial), atol=4.0)
+def test_a_few_outliers_do_not_widen_the_window(chair):
+    photo = in_photo(chair.view, 8, 896, 537)
+    stray = np.vstack([chair.points, chair.points.mean(0) + [1.5, 0.0, 0.0]])
+    np.testing.assert_allclose(window_of(photo, stray), window_of(photo, chair.points), atol=4.0)
 
 
 def test_the_window_ends_at_the_border_that_truncates_the_object():
-    mask = block(np.s_[14:64, 10:50])
-    left, top, right, bottom = window_of(View(mask, Camera.canonical(64, 64)))
+    left, top, right, bottom = window_of(View(block(np.s_[14:64, 10:50]), Camera.canonical(64, 64)))
     assert bottom == pytest.approx(63.5)
     assert (left + right) / 2.0 == pytest.approx(29.5)
     assert top == pytest.approx(63.5 - (right - left))
 
 
 def test_an_image_that_the_object_fills_is_its_own_window():
-    mask = block(np.s_[2:62, 4:60])
-    view = View(mask, Camera.canonical(64, 64))
+    view = View(block(np.s_[2:62, 4:60]), Camera.canonical(64, 64))
     assert window_of(view) == pytest.approx((-0.5, -0.5, 63.5, 63.5))
     working = resample_view(view, 0.4, np.zeros(3), 1.0, window_of(view))
-    np.testing.assert_array_equal(working.mask, mask)
+    np.testing.assert_array_equal(working.mask, view.mask)
     np.testing.assert_allclose(working.camera.K, view.camera.K)
     assert working.known is None
 
@@ -92,40 +66,42 @@ def test_only_the_borders_of_the_image_truncate_an_object():
         assert resample_view(view, 0.4, np.zeros(3), 1.0).target.truncated == expected
 
 
-def test_the_window_follows_a_cloud_that_starts_far_from_its_mask():
-    _, target, view = _of("chair")
-    photo = framed(view, 4, 0.5, 0.3)
-    start = target + [0.0, 0.3, 0.0] @ view.camera.R
+@pytest.fixture
+def far_off(chair):
+    """The true cloud far from its mask, and the mask in a photo."""
+    return chair.target + [0.0, 0.3, 0.0] @ chair.camera.R, in_photo(chair.view, 4, 384, 230)
+
+
+def test_the_window_follows_a_cloud_that_starts_far_from_its_mask(far_off, chair):
+    start, photo = far_off
     item = Problem.of(Cloud(start, "points"), (photo,), RefineConfig(symmetry="none").settings())
-    first, last = (each.resampled[0].box for each in (item, item.with_windows_around(target, False)))
+    first, last = (each.resampled[0].box for each in (item, item.with_windows_around(chair.target, False)))
     assert first[2] - first[0] > 1.1 * (last[2] - last[0])
-    np.testing.assert_allclose(last, window_of(photo, target))
+    np.testing.assert_allclose(last, window_of(photo, chair.target))
 
 
 @pytest.mark.slow
-def test_a_refinement_ends_in_the_window_of_its_result_on_the_grid_that_its_mask_bears():
-    _, target, view = _of("chair")
-    photo = framed(view, 4, 0.5, 0.3)
-    start = target + [0.0, 0.3, 0.0] @ view.camera.R
+def test_a_refinement_ends_in_the_window_of_its_result_on_the_grid_that_its_mask_bears(far_off, chair):
+    start, photo = far_off
     result = refine(start, photo, config=RefineConfig(symmetry="none"))
     ((box, cells),) = result.view_windows
     assert cells == 128
     first, last = (np.subtract(*window_of(photo, points)[2::-2]) for points in (start, result.points))
     assert first > last + 10.0
     assert abs(box[2] - box[0] - last) < 0.3 * (first - last)
-    small = View(view.mask[::4, ::4], view.camera.resized(64, 64))
-    results = [refine(target, small, config=RefineConfig(steps=3, preset=preset)) for preset in PRESETS]
+    small = View(chair.mask[::4, ::4], chair.camera.resized(64, 64))
+    results = [refine(chair.target, small, config=RefineConfig(steps=3, preset=preset)) for preset in PRESETS]
     assert [result.view_windows[0][1] for result in results] == [96, 64]
 
 
 def test_stray_foreground_far_from_the_object_is_left_out_with_a_warning():
-    initial, target, view = _of("car")
-    photo = framed(view, 4, 0.5, 0.3)
+    car = example("car")
+    photo = in_photo(car.view, 4, 384, 230)
     mask = photo.mask.copy()
     mask[-40:-38, 30:32] = 1.0
     strayed = View(mask, photo.camera)
     assert (strayed.box(), strayed.specks, photo.specks) == (photo.box(), 4, 0)
-    result, expected = (refine(initial[::4], view, config=RefineConfig(steps=2)) for view in (strayed, photo))
+    result, expected = (refine(car.points[::4], view, config=RefineConfig(steps=2)) for view in (strayed, photo))
     np.testing.assert_array_equal(result.points, expected.points)
     assert result.iou_after == expected.iou_after
     assert result.warnings == ("mask: foreground far from the object is left out (4 px)",)
@@ -163,10 +139,7 @@ def test_any_mask_lies_in_its_window(height, width, row, column, tall, wide):
     view = View(mask, Camera.canonical(width, height))
     left, top, right, bottom = window_of(view)
     box = view.box()
-    assert left <= box[0] + 1e-9
-    assert top <= box[1] + 1e-9
-    assert right >= box[2] - 1e-9
-    assert bottom >= box[3] - 1e-9
+    assert left <= box[0] + 1e-9 and top <= box[1] + 1e-9 and right >= box[2] - 1e-9 and bottom >= box[3] - 1e-9
     assert right - left == pytest.approx(bottom - top)
     seen = resample_view(view, 0.4, np.zeros(3), 1.0)
     assert seen.target.inside.any()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from tso_cli.io.meshes import Mesh, write_mesh
 
@@ -13,10 +14,8 @@ def tso_render(tso):
 
 def box(sides=(1.0, 1.0, 1.0), centre=(0.0, 0.0, 0.0)):
     """A closed box of 12 triangles."""
-    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    faces = [(a, b, c) for a, b, c, _ in quads] + [(a, c, d) for a, _, c, d in quads]
-    return Mesh(corners * sides + centre, np.array(faces, dtype=np.int64))
+    made = trimesh.creation.box(sides)
+    return Mesh(np.array(made.vertices) + centre, np.array(made.faces))
 
 
 def joined(*parts):

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import pytest
 
+from tests.corruption import assert_refused
 from tso_cli.datasets import rendered
 from tso_cli.datasets.rendered import open_rendered
-from tso_cli.errors import InputError
 from tso_cli.render import RenderSettings, render_folder
 
 FAST = RenderSettings(views=3, size=(24, 24), samples=200, points=50)
@@ -137,8 +137,7 @@ def test_a_folder_of_other_settings_is_only_changed_with_overwrite(meshes, tmp_p
     out = tmp_path / "out"
     render_folder(meshes, out, FAST)
     before = contents(out)
-    with pytest.raises(InputError, match=r"views 3, now it is 2.*--overwrite"):
-        render_folder(meshes, out, replace(FAST, views=2))
+    assert_refused(r"views 3, now it is 2.*--overwrite", render_folder, meshes, out, replace(FAST, views=2))
     assert contents(out) == before
     assert len(render_folder(meshes, out, replace(FAST, views=2), overwrite=True).written) == 3
     assert not (out / "c/002.png").exists()
@@ -149,8 +148,7 @@ def test_a_folder_of_something_else_is_never_replaced(meshes, tmp_path):
     (tmp_path / "out/c").mkdir(parents=True)
     (tmp_path / "out/c/thesis.tex").write_text("years of work")
     for overwrite in (False, True):
-        with pytest.raises(InputError, match="not an object"):
-            render_folder(meshes, tmp_path / "out", FAST, overwrite=overwrite)
+        assert_refused("not an object", render_folder, meshes, tmp_path / "out", FAST, overwrite=overwrite)
     assert contents(tmp_path / "out") == {"c/thesis.tex": b"years of work"}
 
 
@@ -173,18 +171,15 @@ def test_a_bad_mesh_alone_or_a_bad_output_is_an_error_and_writes_nothing(meshes,
         (meshes, "broken.ply", "is a file"),
         (meshes, "no/such", "does not exist"),
     ):
-        with pytest.raises(InputError, match=message):
-            render_folder(source, tmp_path / output, FAST)
+        assert_refused(message, render_folder, source, tmp_path / output, FAST)
     assert not (tmp_path / "out").exists()
 
 
 def test_names_that_would_collide_are_refused(meshes, tmp_path):
-    (meshes / "c.stl").write_bytes(b"x")
-    with pytest.raises(InputError, match="different names"):
-        render_folder(meshes, tmp_path / "out", FAST)
-    (meshes / "c.stl").rename(meshes / "chair.stl")
-    with pytest.raises(InputError, match="rendered inside chair"):
-        render_folder(meshes, tmp_path / "out", FAST)
+    for name, message in (("c.stl", "different names"), ("chair.stl", "rendered inside chair")):
+        (meshes / name).write_bytes(b"x")
+        assert_refused(message, render_folder, meshes, tmp_path / "out", FAST)
+        (meshes / name).unlink()
     assert not (tmp_path / "out").exists()
 
 
@@ -193,16 +188,11 @@ def test_the_output_may_lie_inside_the_source(meshes):
     assert again.skipped == first.written and not again.written
 
 
-def test_the_command_prints_one_json_document_and_writes_a_data_set(tso_render, meshes, tmp_path):
+def test_the_command_prints_one_json_document_writes_a_data_set_and_refuses_an_unreadable_size(tso_render, meshes, tmp_path):
+    assert "128x96" in tso_render(meshes, tmp_path / "out", "--size", "wide").refusal
     done = tso_render(meshes, tmp_path / "out", *WORDS, "--size", "32x24", "--seed", 5, "--json")
     assert "warning" not in done.err
-    document = json.loads(done.out)
-    assert document["written"] == ["c", "chair/a", "chair/b"]
-    assert document["settings"]["size"] == [32, 24]
+    assert (done.document["written"], done.document["settings"]["size"]) == (["c", "chair/a", "chair/b"], [32, 24])
     data = open_rendered(tmp_path / "out")
     assert [item.target().shape for item in data.objects if item.target] == [(50, 3)] * 3
     assert data.objects[0].views[0].load()[0].shape == (24, 32, 3)
-
-
-def test_the_command_refuses_an_unreadable_size(tso_render, meshes, tmp_path):
-    assert "128x96" in tso_render(meshes, tmp_path / "out", "--size", "wide").refusal

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from tso_cli import render
-from tso_cli.errors import InputError, TsoError
-from tso_cli.geometry.camera import CANONICAL_ROTATION, Camera
+from tests.corruption import assert_refused
+from tso_cli import Camera, TsoError, render
+from tso_cli.geometry.camera import CANONICAL_ROTATION
 from tso_cli.geometry.points import farthest_point_sample, sample_surface
 from tso_cli.io.meshes import Mesh
 from tso_cli.render import RayScene, RenderSettings, rays, render_view, sample_cameras
@@ -71,8 +71,7 @@ def test_cameras_are_drawn_from_the_ranges_at_the_given_distance():
 
 
 def test_a_camera_inside_the_object_is_refused():
-    with pytest.raises(InputError, match="inside the object"):
-        sample_cameras(RenderSettings(distance=0.3), box().vertices, np.random.default_rng(0))
+    assert_refused("inside the object", sample_cameras, RenderSettings(distance=0.3), box().vertices, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize(
@@ -87,8 +86,7 @@ def test_a_camera_inside_the_object_is_refused():
     ],
 )
 def test_impossible_settings_are_refused(change, words):
-    with pytest.raises(InputError, match=words):
-        replace(RenderSettings(), **change)
+    assert_refused(words, replace, RenderSettings(), **change)
 
 
 # Pictures
@@ -135,9 +133,8 @@ def test_mask_and_projected_surface_agree_for_any_camera(model):
 
 
 def test_nearer_parts_hide_those_behind():
-    red, blue = [255, 0, 0], [0, 0, 255]
     mesh = joined(box((0.4, 0.4, 0.1), (0, 0, 0.3)), box((1, 1, 0.1), (0, 0, -0.3)))
-    scene = RayScene(Mesh(mesh.vertices, mesh.faces, np.array([red] * 12 + [blue] * 12, dtype=np.uint8)))
+    scene = RayScene(replace(mesh, colours=np.repeat(np.uint8([[255, 0, 0], [0, 0, 255]]), 12, axis=0)))
     front, back = (render_view(scene, render.look_at(azimuth, 0.0, 3.0, (33, 33), 40.0)).image for azimuth in (0.0, 180.0))
     assert front[16, 16, 0] > 50 and front[16, 16, 2] == 0
     assert back[16, 16, 2] > 50 and back[16, 16, 0] == 0
@@ -191,5 +188,4 @@ def test_a_rendered_mesh_lies_inside_its_pictures_with_its_target():
 def test_a_mesh_is_centred_and_scaled_without_its_unused_vertices():
     mesh = box((2.0, 4.0, 1.0), (1e6, -5.0, 3.0))
     vertices = render.normalise(Mesh(np.vstack([[1e9, 0, 0], mesh.vertices]), mesh.faces + 1)).vertices
-    np.testing.assert_allclose(vertices.min(axis=0), [-0.25, -0.5, -0.125], atol=1e-9)
-    np.testing.assert_allclose(vertices.max(axis=0), [0.25, 0.5, 0.125], atol=1e-9)
+    np.testing.assert_allclose([-vertices.min(axis=0), vertices.max(axis=0)], [[0.25, 0.5, 0.125]] * 2, atol=1e-9)

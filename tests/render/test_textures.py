@@ -1,6 +1,7 @@
 """Textures: what is read of them, and what a picture shows of them."""
 
 import json
+import re
 import socket
 import warnings
 from dataclasses import replace
@@ -8,14 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import EpsImagePlugin, Image
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 from tso_cli import render
-from tso_cli.commands.evaluate import command as eval_command
 from tso_cli.io.images import read_image
 from tso_cli.io.meshes import Mesh, read_mesh
 from tso_cli.io.textures import Texture
@@ -28,7 +27,7 @@ CHECKS = np.random.default_rng(0).integers(0, 256, (6, 4, 3), dtype=np.uint8)
 
 
 def filled(colour):
-    return np.full((2, 2, 3), colour, np.uint8)
+    return Image.fromarray(np.full((2, 2, 3), colour, np.uint8))
 
 
 def square(material, uv=CORNERS, z=0.0):
@@ -72,6 +71,14 @@ def unlit(mesh, size=60):
     return image / light[..., :1] * 255.0
 
 
+def parts(folder, materials, faces):
+    """An .obj of two faces that share two vertices, and its materials."""
+    (folder / "a.mtl").write_text(materials)
+    vertices = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 9 9 9\nvt 0 0\nvt 1 0\nvt 0 1\n"
+    (folder / "a.obj").write_text(f"mtllib a.mtl\n{vertices}{faces}")
+    return folder / "a.obj"
+
+
 def texels(pixels, uv):
     """The colour at texture coordinates ``uv`` [..., 2], v up, and whether they are well inside their texel."""
     height, width = pixels.shape[:2]
@@ -113,7 +120,7 @@ def test_texture_coordinates_just_below_the_border_stay_in_the_picture():
 
 
 def test_the_base_colour_of_a_glb_multiplies_its_texture_and_kd_of_an_obj_does_not(tmp_path):
-    material = PBRMaterial(baseColorTexture=Image.fromarray(filled((200, 200, 200))), baseColorFactor=[0.5, 1.0, 0.2, 1.0])
+    material = PBRMaterial(baseColorTexture=filled((200, 200, 200)), baseColorFactor=[0.5, 1.0, 0.2, 1.0])
     square(material).export(tmp_path / "a.glb")
     assert read_mesh(tmp_path / "a.glb").textures[0].pixels[0, 0] == pytest.approx([100, 200, 40], abs=1)
     # Writers put anything there: trimesh a grey.
@@ -122,19 +129,17 @@ def test_the_base_colour_of_a_glb_multiplies_its_texture_and_kd_of_an_obj_does_n
 
 def test_each_part_of_a_scene_has_its_texture_wherever_it_stands(tmp_path):
     scene = trimesh.Scene()
-    red, green = (PBRMaterial(baseColorTexture=Image.fromarray(filled(c)), name=str(c)) for c in (RED, GREEN))
+    red, green = (PBRMaterial(baseColorTexture=filled(c), name=str(c)) for c in (RED, GREEN))
     plain = trimesh.Trimesh(square(red).vertices, square(red).faces, process=False)
     plain.visual.face_colors = [*BLUE, 255]
 
-    def moved(x, mirrored=False):
-        transform = np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0, 1.0])
-        transform[0, 3] = x
-        return transform
+    def moved(x, scale=1.0):
+        return np.array([[scale, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
     scene.add_geometry(square(red), geom_name="red", transform=moved(-3))
     scene.add_geometry(square(green), transform=moved(-1))
     scene.add_geometry(plain, transform=moved(1))
-    scene.graph.update(frame_to="again", matrix=moved(3, mirrored=True), geometry="red")
+    scene.graph.update(frame_to="again", matrix=moved(3, -1.0), geometry="red")
     scene.export(tmp_path / "a.glb")
     mesh = read_mesh(tmp_path / "a.glb")
     camera = render.look_at(0.0, 0.0, 8.0, (80, 40), 80.0)
@@ -147,11 +152,9 @@ def test_each_part_of_a_scene_has_its_texture_wherever_it_stands(tmp_path):
 
 def test_materials_of_an_obj_have_their_textures_or_their_plain_colour(tmp_path):
     (tmp_path / "maps").mkdir()
-    Image.fromarray(filled(RED)).save(tmp_path / "maps" / "red.png")
-    (tmp_path / "a.mtl").write_text("newmtl one\nmap_Kd maps\\red.png\nnewmtl two\nKd 0 1 0\n")
-    text = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 9 9 9\nvt 0 0\nvt 1 0\nvt 0 1\n"
-    (tmp_path / "a.obj").write_text(text + "usemtl two\nf 2/1 3/2 4/3\nusemtl one\nf 1/1 2/2 3/3\n")
-    mesh = read_mesh(tmp_path / "a.obj")
+    filled(RED).save(tmp_path / "maps" / "red.png")
+    materials = "newmtl one\nmap_Kd maps\\red.png\nnewmtl two\nKd 0 1 0\n"
+    mesh = read_mesh(parts(tmp_path, materials, "usemtl two\nf 2/1 3/2 4/3\nusemtl one\nf 1/1 2/2 3/3\n"))
     (texture,) = mesh.textures
     assert texture.pixels[0, 0].tolist() == list(RED)
     assert mesh.vertices[mesh.faces[texture.faces]].max() == 1
@@ -201,51 +204,56 @@ def warned(path):
     return mesh, message
 
 
-def broken(kind, folder):
-    """A mesh whose texture cannot be used, and words of the warning."""
-    path = saved(folder / ("a.obj" if kind.startswith("obj") else "a.glb"))
-    picture = folder / "material_0.png"
-    if kind == "obj, missing":
-        picture.unlink()
-        return path, "the texture 'material_0.png' is not in this folder or below"
-    if kind in ("obj, no picture", "obj, a program"):
-        program = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n(x) run\n"
-        picture.write_bytes(program if "program" in kind else b"hello")
-        return path, "the texture 'material_0.png' cannot be decoded"
-    if kind == "obj, elsewhere":
-        material = (folder / "material.mtl").read_text()
-        (folder / "inner").mkdir()
-        (folder / "inner" / "material.mtl").write_text(material.replace("map_Kd ", "map_Kd ../"))
-        return path.rename(folder / "inner" / "a.obj"), "the texture '../material_0.png' is not in this folder or below"
-    if kind == "obj, without coordinates":
-        lines = path.read_text().splitlines()
-        lines = [line for line in lines if not line.startswith("vt")]
-        path.write_text("\n".join(" ".join(w.split("/")[0] for w in x.split()) if x[:1] == "f" else x for x in lines))
-        return path, "has no coordinates on the mesh"
-    if kind == "glb, no picture":
-        # The first view holds indices.
-        return edited(path, lambda h: h["images"][0].update(bufferView=0, name="wood")), "the texture 'wood' cannot be decoded"
-    uri = URIS[kind]
-    edited(path, lambda header: header.update(images=[{"uri": uri, "name": "wood"}]))
-    return path, "cannot be decoded" if "inline" in kind else f"the texture '{uri}' is not in this folder"
-
-
+PROGRAM = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n(x) run\n"
 URIS = {"glb, missing": "wood.png", "glb, on the web": "http://localhost/wood.png", "glb, inline": "data:;base64,aGVsbG8="}
-OBJ = ("missing", "no picture", "a program", "elsewhere", "without coordinates")
+# What the warning says.
+BROKEN = {
+    "obj, missing": "the texture 'material_0.png' is not in this folder or below",
+    "obj, no picture": "the texture 'material_0.png' cannot be decoded",
+    "obj, a program": "the texture 'material_0.png' cannot be decoded",
+    "obj, elsewhere": "the texture '../material_0.png' is not in this folder or below",
+    "obj, without coordinates": "has no coordinates on the mesh",
+    "glb, no picture": "the texture 'wood' cannot be decoded",
+    "glb, missing": "the texture 'wood.png' is not in this folder",
+    "glb, on the web": "the texture 'http://localhost/wood.png' is not in this folder",
+    "glb, inline": "cannot be decoded",
+}
 
 
-@pytest.mark.parametrize("kind", [*(f"obj, {kind}" for kind in OBJ), "glb, no picture", *URIS])
+def broken(kind, folder):
+    """A mesh whose texture cannot be used."""
+    path = saved(folder / ("a.obj" if kind.startswith("obj") else "a.glb"))
+    if kind == "obj, missing":
+        (folder / "material_0.png").unlink()
+    elif kind in ("obj, no picture", "obj, a program"):
+        (folder / "material_0.png").write_bytes(PROGRAM if "program" in kind else b"hello")
+    elif kind == "obj, elsewhere":
+        (folder / "inner").mkdir()
+        material = (folder / "material.mtl").read_text()
+        (folder / "inner" / "material.mtl").write_text(material.replace("map_Kd ", "map_Kd ../"))
+        return path.rename(folder / "inner" / "a.obj")
+    elif kind == "obj, without coordinates":
+        text = re.sub(r"^vt.*\n", "", path.read_text(), flags=re.MULTILINE)
+        path.write_text(re.sub(r"(\d)/\S*", r"\1", text))
+    elif kind == "glb, no picture":
+        # The first view holds indices.
+        edited(path, lambda header: header["images"][0].update(bufferView=0, name="wood"))
+    else:
+        edited(path, lambda header: header.update(images=[{"uri": URIS[kind], "name": "wood"}]))
+    return path
+
+
+@pytest.mark.parametrize("kind", BROKEN)
 def test_a_texture_that_cannot_be_used_gives_one_warning_and_the_colour_of_the_material(tmp_path, kind, monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("a connection was opened")
 
-    path, words = broken(kind, tmp_path)
-    programs = []
+    path, programs = broken(kind, tmp_path), []
     monkeypatch.setattr(EpsImagePlugin, "Ghostscript", lambda *_, **__: programs.append("a program was run"))
     monkeypatch.setattr(socket, "socket", refuse)
     monkeypatch.setattr(socket, "create_connection", refuse)
     mesh, message = warned(path)
-    assert words in message and programs == []
+    assert BROKEN[kind] in message and programs == []
     assert mesh.textures == () and mesh.colours is not None
     if kind.startswith("obj"):
         assert np.abs(mesh.colours.astype(int) - [90, 60, 30]).max() <= 1
@@ -255,7 +263,7 @@ def test_a_texture_beside_the_folder_of_the_mesh_is_read_where_the_folder_above_
     """As ShapeNetCore v2 has them: ID/models/model_normalized.obj, ID/images/texture0.png."""
     source, output = tmp_path / "in", tmp_path / "out"
     source.mkdir()
-    path, _ = broken("obj, elsewhere", source)
+    path = broken("obj, elsewhere", source)
     assert read_mesh(path, within=source).textures
     assert not warned(path)[0].textures
     assert render_folder(source, output, RenderSettings(views=1, size=(32, 32))).written == ["inner/a"]
@@ -265,29 +273,28 @@ def test_a_texture_beside_the_folder_of_the_mesh_is_read_where_the_folder_above_
 
 
 def test_a_link_out_of_the_folder_is_not_followed(tmp_path):
-    path, _ = broken("obj, elsewhere", tmp_path)
+    path = broken("obj, elsewhere", tmp_path)
     (path.parent / "material_0.png").symlink_to(tmp_path / "material_0.png")
     assert "is not in this folder" in warned(path)[1]
 
 
 def test_a_texture_beside_a_glb_is_read(tmp_path):
-    path, _ = broken("glb, missing", tmp_path)
+    path = broken("glb, missing", tmp_path)
     Image.fromarray(CHECKS).save(tmp_path / "wood.png")
     np.testing.assert_array_equal(read_mesh(path).textures[0].pixels, CHECKS)
 
 
 def test_several_textures_that_are_missing_are_counted_in_one_line(tmp_path):
-    (tmp_path / "a.mtl").write_text("newmtl one\nmap_Kd 1.png\nnewmtl two\nmap_Kd 2.png\n")
-    text = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 9 9 9\nvt 0 0\nusemtl one\nf 1/1 2/1 3/1\nusemtl two\nf 2/1 3/1 4/1\n"
-    (tmp_path / "a.obj").write_text(text)
-    assert "'1.png' is not in this folder or below (2 in all)" in warned(tmp_path / "a.obj")[1]
+    materials = "newmtl one\nmap_Kd 1.png\nnewmtl two\nmap_Kd 2.png\n"
+    path = parts(tmp_path, materials, "usemtl one\nf 1/1 2/1 3/1\nusemtl two\nf 2/1 3/1 4/1\n")
+    assert "'1.png' is not in this folder or below (2 in all)" in warned(path)[1]
 
 
 @pytest.mark.filterwarnings("error")
-def test_reading_without_textures_gives_no_warning_nor_does_evaluation(tmp_path):
-    path, _ = broken("obj, missing", tmp_path)
+def test_reading_without_textures_gives_no_warning_nor_does_evaluation(tmp_path, tso):
+    path = broken("obj, missing", tmp_path)
     assert read_mesh(path, textures=False).textures == ()
-    assert CliRunner().invoke(eval_command, [str(path), str(path)]).exit_code == 0
+    assert tso("eval", path, path).code == 0
 
 
 def test_a_missing_texture_is_warned_of_once_for_a_mesh_and_its_copies(tmp_path):

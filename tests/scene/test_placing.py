@@ -5,25 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tso_cli.geometry.camera import Camera
-from tso_cli.geometry.view import View
-from tso_cli.losses.silhouette import silhouette_of
+from tests.scenes import block, seen
+from tso_cli import Camera, View
 from tso_cli.scene import placing
 from tso_cli.scene.placing import align_silhouette, place_in_front, view_to_world
 
-from ..scenes import square_mask
+CANONICAL = Camera.canonical(64, 64)
 
 
 @pytest.mark.parametrize("focal", [60.0, 120.0, 400.0])
 def test_a_cloud_placed_in_front_fills_the_box_of_the_mask(cloud, focal):
     K = np.array([[focal, 0.0, 20.0], [0.0, focal, 40.0], [0.0, 0.0, 1.0]])
-    view = View(square_mask(10, 30, 22), Camera(K, np.eye(3), np.zeros(3), 64, 64))
+    view = View(block(np.s_[30:52, 10:32]), Camera(K, np.eye(3), np.zeros(3), 64, 64))
     placed = place_in_front(cloud, view)
     pixels, depth = placed.project(cloud)
-    low, high = pixels.min(0) - 0.5, pixels.max(0) + 0.5
-    assert (high - low).max() == pytest.approx(22.0, abs=1e-3)
-    np.testing.assert_allclose((low + high) / 2, [20.5, 40.5], atol=1e-3)
-    assert depth.min() > 0.0
+    assert np.ptp(pixels, axis=0).max() + 1.0 == pytest.approx(22.0, abs=1e-3) and depth.min() > 0.0
+    np.testing.assert_allclose((pixels.min(0) + pixels.max(0)) / 2, [20.5, 40.5], atol=1e-3)
 
 
 def test_the_way_back_to_the_world_keeps_the_picture_and_finds_the_true_size(cloud):
@@ -40,7 +37,7 @@ def test_the_way_back_to_the_world_keeps_the_picture_and_finds_the_true_size(clo
 
 def test_alignment_finds_the_camera_that_the_mask_was_seen_through(cloud):
     truth = replace(Camera.canonical(64, 64), t=np.array([0.03, -0.02, 2.08]))
-    view = View((silhouette_of(cloud, truth) > 0.5).astype(np.float32), Camera.canonical(64, 64))
+    view = replace(seen(cloud, truth), camera=Camera.canonical(64, 64))
     aligned_camera = align_silhouette(cloud, view, steps=60)
     assert (np.abs(aligned_camera.t - truth.t) < [0.01, 0.01, 0.04]).all()
     np.testing.assert_array_equal(aligned_camera.K, view.camera.K)
@@ -49,7 +46,7 @@ def test_alignment_finds_the_camera_that_the_mask_was_seen_through(cloud):
 
 def test_alignment_is_not_misled_by_one_stray_point_as_the_box_is(cloud):
     truth = Camera.canonical(64, 64)
-    view = View((silhouette_of(cloud, truth) > 0.5).astype(np.float32), truth)
+    view = seen(cloud, truth)
     stray = np.vstack([cloud, [[0.34, 0.0, 0.0]]])
     boxed = place_in_front(stray, view)
     aligned_camera = align_silhouette(stray, replace(view, camera=boxed), steps=100)
@@ -59,17 +56,17 @@ def test_alignment_is_not_misled_by_one_stray_point_as_the_box_is(cloud):
 
 
 def test_alignment_never_ends_at_a_worse_place_than_it_began(cloud, monkeypatch):
-    view = View((silhouette_of(cloud, Camera.canonical(64, 64)) > 0.5).astype(np.float32), Camera.canonical(64, 64))
+    view = seen(cloud, CANONICAL)
     np.testing.assert_array_equal(align_silhouette(cloud, view, steps=0).t, view.camera.t)
     monkeypatch.setattr(placing, "ALIGNMENT_STEP", 3.0)
     np.testing.assert_array_equal(align_silhouette(cloud, view).t, view.camera.t)
 
 
 def test_alignment_heeds_no_ignored_pixel(cloud):
-    mask = (silhouette_of(cloud, Camera.canonical(64, 64)) > 0.5).astype(np.float32)
+    view = seen(cloud, CANONICAL)
     known = np.ones((64, 64), bool)
     known[:, 52:] = False
-    expected = align_silhouette(cloud, View(mask, Camera.canonical(64, 64), known)).t
-    mask[:, 52:] = 1.0
-    np.testing.assert_array_equal(align_silhouette(cloud, View(mask, Camera.canonical(64, 64), known)).t, expected)
-    assert not np.allclose(align_silhouette(cloud, View(mask, Camera.canonical(64, 64))).t, expected, atol=0.01)
+    expected = align_silhouette(cloud, replace(view, known=known)).t
+    changed = np.where(known, view.mask, np.float32(1.0))
+    np.testing.assert_array_equal(align_silhouette(cloud, View(changed, CANONICAL, known)).t, expected)
+    assert not np.allclose(align_silhouette(cloud, View(changed, CANONICAL)).t, expected, atol=0.01)

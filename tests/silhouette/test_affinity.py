@@ -1,6 +1,4 @@
-"""The affinity loss in both forms."""
-
-from __future__ import annotations
+"""The affinity loss in both forms, and the Chamfer distance between clouds."""
 
 import numpy as np
 import pytest
@@ -10,6 +8,7 @@ from tests import oracles
 from tests.losses.common import by_autograd
 from tso_cli.kernels.splat import splat
 from tso_cli.silhouette.affinity import affinity
+from tso_cli.silhouette.chamfer import chamfer
 
 SIGMA_SQ = 0.4
 
@@ -77,3 +76,14 @@ def test_the_gradient_of_the_affinity_loss_is_that_of_finite_differences(form):
 def test_an_unknown_form_is_refused():
     with pytest.raises(ValueError, match="form is 'printed', expected one of"):
         _affinity(torch.zeros(1, 2), disc(8, 2.0).float(), "printed")
+
+
+def test_chamfer_is_that_of_all_pairs_and_its_gradient_that_of_finite_differences():
+    generator = torch.Generator().manual_seed(5)
+    a = torch.rand(2, 30, 3, generator=generator, dtype=torch.float64, requires_grad=True)
+    b = torch.rand(2, 20, 3, generator=generator, dtype=torch.float64, requires_grad=True)
+    forward, backward = chamfer(a, b)
+    for i in range(2):
+        expected = oracles.chamfer(a[i], b[i])
+        assert (forward[i].item(), backward[i].item()) == pytest.approx((expected[0].item(), expected[1].item()))
+    assert torch.autograd.gradcheck(lambda x, y: sum(chamfer(x, y)), (a, b), eps=1e-7, atol=1e-6)

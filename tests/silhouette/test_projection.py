@@ -1,18 +1,15 @@
 """Eq. 1 to 3 in torch, batched over clouds and views."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
 
+from tests.losses.common import MODELS
 from tests.losses.scenes import HEIGHT, WIDTH, camera_of
 from tso_cli.geometry.camera import Camera
 from tso_cli.kernels import tensors
 from tso_cli.losses import projection
 from tso_cli.silhouette.projection import CameraBatch, project, silhouette_sums
-
-MODELS = pytest.mark.parametrize("model", ["perspective", "orthographic"])
 
 
 @pytest.fixture(params=["plain", "compiled"])

@@ -46,10 +46,8 @@ def test_each_category_is_compared_with_its_own_kernel():
     data = TrainingData([*make_objects(2), *make_objects(1, category="crate")], "boxes and a crate")
     batch = assemble(data, [Draw(0, 0, (1, 2)), Draw(1, 0, (1, 2)), Draw(2, 1, (0, 3))], "canonical")
     points = torch.from_numpy(np.stack(batch.targets))[:, ::4]
-    alone = [
-        mask_loss(points[i : i + 1], batch.select(np.array([i])), sigma_sq, 0.5, "points")[0]
-        for i, sigma_sq in enumerate((0.4, 0.4, 1.5))
-    ]
+    kernels = enumerate((0.4, 0.4, 1.5))
+    alone = [mask_loss(points[i : i + 1], batch.select(np.array([i])), kernel, 0.5, "points")[0] for i, kernel in kernels]
     together, bce, outliers = mask_loss_by_category(points, batch, 0.4, {"crate": 1.5}, 0.5, "points")
     torch.testing.assert_close(together, torch.stack(alone).mean())
     assert float(together) == pytest.approx(bce + 0.5 * outliers, rel=1e-5)

@@ -31,16 +31,9 @@ def test_two_processes_take_the_steps_of_one(tso_train, folder, tmp_path):
     # As torchrun starts them.
     shared = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-c", SCRIPT, folder, "-o", two, *OPTIONS, *options, "--log-file", log]
-    processes = [
-        subprocess.Popen(
-            list(map(str, command)),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env=os.environ | shared | {"RANK": rank, "LOCAL_RANK": rank},
-        )
-        for rank in ("0", "1")
-    ]
+    words, piped = list(map(str, command)), dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    environments = [os.environ | shared | {"RANK": rank, "LOCAL_RANK": rank} for rank in ("0", "1")]
+    processes = [subprocess.Popen(words, env=environment, **piped) for environment in environments]
     alone = tso_train(folder, *OPTIONS, *options)
     (first, first_errors), (second, second_errors) = (process.communicate(timeout=120) for process in processes)
     assert [process.returncode for process in processes] == [0, 0], first_errors + second_errors

@@ -45,9 +45,7 @@ class Option:
 MESHES = Option("--meshes", "Folder with CATEGORY/NAME for every name of the split.", Path, required=True)
 SPLIT = Option("--split", "JSON file, or a folder of lists.  [default: that of the shipped network]", Path)
 CHECKPOINT = Option("--checkpoint", "View-aligned network.", Path, Path("default"))
-CATEGORY = Option(
-    "--category", "May be repeated.  [default: 3, or all of --split]", multiple=True, default=(), name="categories"
-)
+CATEGORY = Option("--category", "May be repeated.  [default: 3, or all of --split]", str, (), multiple=True, name="categories")
 LIMIT = Option("--limit", "At most so many shapes of each category.", int, least=1)
 VIEWS = Option("--views", "Random views of each shape.", int, 2, least=1)
 SEED = Option("--seed", "Seed of everything random.", int, 0, least=0, most=2**63 - 1)
@@ -76,10 +74,8 @@ class Table:
 
     def markdown(self) -> str:
         """For a page."""
-        columns = [
-            text_table([name], [[row[i]] for row in self.rows], self.decimals).split("\n") for i, name in enumerate(self.header)
-        ]
-        lines = [[cell.strip() for cell in line] for line in zip(*columns, strict=True)]
+        shown = [text_table([name], [[row[i]] for row in self.rows], self.decimals) for i, name in enumerate(self.header)]
+        lines = [list(map(str.strip, line)) for line in zip(*(column.split("\n") for column in shown), strict=True)]
         lines[1] = ["---"] * len(self.header)
         table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
         return "\n\n".join(filter(None, (self.title and f"### {self.title}", table, self.note)))
@@ -144,7 +140,6 @@ class Study(Shown):
     options: tuple[Option, ...]
     plan: Callable[..., Plan]
     conclude: Callable[[Cases], Record]
-    kept: str = "after every shape"
 
     def run(self, progress: Progress, **options: Any) -> Record:
         """The record of all cases; those of ``progress.earlier`` are not judged again.
@@ -175,13 +170,12 @@ class Study(Shown):
         if earlier is None:
             return []
         name, before, cases = (earlier.get(key) for key in ("study", "settings", "cases"))
+        text = "the record to go on from"
         if name != self.name or not isinstance(before, dict) or not isinstance(cases, list):
-            raise InputError(f"the record to go on from is of the study {name!r}, expected one of tso lab {self.name}")
+            raise InputError(f"{text} is of the study {name!r}, expected one of tso lab {self.name}")
         for key, value in settings.items():
             if before.get(key) != value:
-                raise InputError(
-                    f"the record to go on from has {key} {before.get(key)!r}, now it is {value!r}; expected the same"
-                )
+                raise InputError(f"{text} has {key} {before.get(key)!r}, now it is {value!r}; expected the same")
         return cases
 
 

@@ -1,4 +1,7 @@
 """Speed of tso beside other ways to do the same work."""
 
-PARTS = ("command", "object", "parts", "batch", "silhouette", "chamfer", "training")
-"""What is measured; each is the module of that name, by its `measure`."""
+PARTS = {
+    **dict.fromkeys(("command", "object", "parts", "batch"), "refining"),
+    **dict.fromkeys(("silhouette", "chamfer", "training"), "kernels"),
+}
+"""What is measured -> the module here whose function `measure_NAME` does it."""

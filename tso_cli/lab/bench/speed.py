@@ -1,23 +1,24 @@
-"""All measurements in one record."""
+"""All measurements in one record, and the targets that it meets."""
 
 from __future__ import annotations
 
 import os
 import platform
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 
 from ...refinement.api import compile_loops
 from ...version import __version__
+from ..study import claim
 from . import PARTS
-from .claims import claims
-from .timing import Record, Setting
+from .timing import Record, Records, Setting
 
 CONVENTION = {
     "seconds": "wall clock; median and quartiles (low, high) of the runs, contestants of a part by turns in one process; one "
@@ -51,12 +52,12 @@ def speed(setting: Setting, only: Sequence[str] = ()) -> Record:
     chosen = [name for name in PARTS if name in (only or PARTS)]
     records = []
     for name in chosen:
-        measure = import_module(f".{name}", __package__).measure
+        measure = getattr(import_module(f".{PARTS[name]}", __package__), f"measure_{name}")
         with threadpool_limits(1):
             records += measure(setting)
     return {
         "bench": "speed",
-        "command": "tso bench speed" + (" --full" if setting.full else ""),
+        "command": "tso bench speed",
         "machine": {"cpu": _processor(), "cores": os.cpu_count(), "platform": platform.platform(terse=True)},
         "versions": {"tso": __version__, "python": platform.python_version()}
         | {package: _version(package) for package in ("torch", "numpy", "numba", "scipy")},
@@ -78,3 +79,58 @@ def _version(package: str) -> str | None:
     with suppress(PackageNotFoundError):
         return version(package)
     return None
+
+
+def claims(records: Records) -> list[dict[str, Any]]:
+    """A claim for every target that the records allow to judge."""
+    measured = [row | {"median": row["seconds"]["median"]} for row in records if row["seconds"]]
+
+    def chosen(what: str, **fields: Any) -> list[Record]:
+        return [row for row in measured if row["what"] == what and fields.items() <= row.items()]
+
+    return [claim(*judged) for judged in _judged(chosen)]
+
+
+def _judged(chosen: Callable[..., Records]) -> Iterator[tuple[str, bool, str]]:
+    """(target, whether it is met, what was measured)."""
+    seconds = {row["name"]: row["median"] for row in chosen("command")}
+    for name in ("tso --version", "tso --help"):
+        if name in seconds:
+            more = seconds[name] - seconds["python"]
+            yield f"{name}: at most 0.15 s more than bare Python", more <= 0.15, f"{more:.2f} s"
+    for row in chosen("command", call="steady", points=1024):
+        ratio = row["over_import_torch"]
+        yield "tso refine of 1,024 points: at most 0.35 of `import torch`", ratio <= 0.35, f"{ratio:.2f}"
+    for first in chosen("command", call="first"):
+        (steady,) = chosen("command", call="steady", points=first["points"])
+        ratio = first["median"] / steady["median"]
+        yield f"tso refine of {first['points']:,} points: the first run under twice any other", ratio < 2.0, f"{ratio:.2f}x"
+
+    for points, most in ((1024, 0.15), (16384, 0.25)):
+        if rows := chosen("object", points=points, preset="best", views=1, call="steady"):
+            ratio = min(row["over_import_torch"] for row in rows)
+            yield f"one object of {points:,} points: at most {most} of `import torch`", ratio <= most, f"{ratio:.2f}"
+
+    batches = [row for row in chosen("batch") if row.get("batch", 1) > 1]
+    most_processes = max((row["processes"] for row in batches), default=1)
+    for row in chosen("batch", preset="best", batch=64, processes=most_processes, busy=False):
+        ratio = row["over_import_torch"]
+        yield "an object in a batch of 64: at most 0.04 of `import torch`", ratio <= 0.04, f"{ratio:.3f}"
+    for busy, most, target in (
+        (False, 1.0, "a batch is never slower on all cores than on one"),
+        (True, 1.5, "beside a busy neighbour a batch on all cores takes at most 1.5x one process"),
+    ):
+        taken = {(row["preset"], row["batch"], row["processes"]): row["median"] for row in batches if row["busy"] == busy}
+        if ratios := [value / taken[preset, size, 1] for (preset, size, count), value in taken.items() if count > 1]:
+            yield target, max(ratios) <= most, f"{max(ratios):.2f}x at worst"
+
+    for what, points, peer, factor in (
+        ("silhouette", 1024, "scatter 9x9", 4.0),
+        ("silhouette", 16384, "scatter 9x9", 4.0),
+        ("chamfer", 16384, "two k-d trees a step", 5.0),
+    ):
+        rows = chosen(what, points=points)
+        ours, theirs = ([row["median"] for row in rows if row["name"].startswith(name)] for name in ("tso", peer))
+        if ours and theirs:
+            ratio = min(theirs) / min(ours)
+            yield f"{what} of {points:,} points: at least {factor:g}x faster than {peer}", ratio >= factor, f"{ratio:.1f}x"

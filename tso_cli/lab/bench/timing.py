@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
+import pickle
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -45,10 +48,9 @@ class Contestant:
 
 @dataclass(frozen=True)
 class Setting:
-    """Settings of a whole run: ``budget`` is in seconds for each contestant, ``full`` adds the large sizes."""
+    """Settings of a whole run: ``budget`` is in seconds for each contestant."""
 
     budget: float = 0.5
-    full: bool = False
     seed: int = 0
     report: Callable[[str], None] = lambda _: None
 
@@ -111,6 +113,13 @@ def as_installed(folder: Path) -> dict[str, str]:
     return {"PYTHONPATH": os.pathsep.join(filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH"))))}
 
 
+def never_run(folder: Path) -> dict[str, str]:
+    """The environment of a copy of the package without byte code and compiled loops."""
+    ignored = shutil.ignore_patterns("__pycache__", "weights", "examples")
+    shutil.copytree(PACKAGE, folder / "fresh" / PACKAGE.name, ignore=ignored)
+    return {"PYTHONPATH": str(folder / "fresh"), "NUMBA_CACHE_DIR": str(folder / "compiled")}
+
+
 def process(name: str, arguments: Sequence[str], environment: Environment = as_installed) -> Sample:
     """A whole process of Python; TsoError if it fails."""
     return lambda: run_process(name, arguments, environment)[0]
@@ -135,3 +144,19 @@ def run_process(name: str, arguments: Sequence[str], environment: Environment = 
 
 IMPORT_TORCH = Contestant("import torch", process("import torch", ("-c", "import torch")))
 """What times are compared with: the first thing that a program with torch does."""
+
+
+def first_call(path: str) -> None:
+    """Make the call of `refine` that is pickled in a file, and print its seconds and the peak memory of this process."""
+    from ...refinement import refine
+
+    points, views, config, form = pickle.loads(Path(path).read_bytes())
+    seconds = timed(lambda: refine(points, views, config=config), form)()
+    print(json.dumps({"seconds": seconds, "peak_memory_bytes": peak_memory()}))
+
+
+def peak_memory() -> int:
+    """The most that this process held so far, in bytes, with Python and all libraries; 0 where Linux does not say."""
+    status = Path("/proc/self/status")
+    lines = status.read_text().splitlines() if status.exists() else []
+    return next((1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM")), 0)

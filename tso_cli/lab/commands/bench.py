@@ -11,7 +11,6 @@ import click
 from ...commands import options
 from ..bench import PARTS
 from . import records
-from .page import write_page
 
 
 @click.group("bench")
@@ -20,8 +19,7 @@ def command() -> None:
 
 
 @command.command("speed")
-@click.option("--only", multiple=True, type=click.Choice(PARTS), help="May be repeated.  [default: all]")
-@click.option("--full", is_flag=True, help="Large sizes too: up to 262,144 points, and batches of 512 objects.")
+@click.option("--only", multiple=True, type=click.Choice(list(PARTS)), help="May be repeated.  [default: all]")
 @click.option(
     "--seconds",
     type=click.FloatRange(min=0.0, min_open=True),
@@ -29,18 +27,16 @@ def command() -> None:
     show_default=True,
     help="Measure each contestant about so long, and at least three times.",
 )
-@records.output
+@records.output_option
 @options.seed
 @options.overwrite
 @options.as_json
-def speed(
-    only: tuple[str, ...], full: bool, seconds: float, output: Path | None, seed: int, overwrite: bool, as_json: bool
-) -> None:
+def speed(only: tuple[str, ...], seconds: float, output: Path | None, seed: int, overwrite: bool, as_json: bool) -> None:
     """Commands, single objects, batches, kernels and training, beside other ways of doing the same.
 
     command: whole processes; object: `refine` with one to four views; parts: what it consists of; batch: many objects in one
     call, on one thread and on all cores; silhouette, chamfer: the kernels at growing sizes; training: images a second. All of
-    it takes some ten minutes, half an hour with --full.
+    it takes some ten minutes.
 
     Contestants for the same work take turns on the CPU. Other packages (chamferdist, pykeops, point_cloud_utils, pytorch3d)
     are measured where they are installed.
@@ -48,8 +44,8 @@ def speed(
     if not math.isfinite(seconds):
         raise click.BadParameter(f"{seconds} is no finite number.", param_hint="'--seconds'")
     records.check_outputs(output, overwrite)
+    from ..bench.shown import STUDY
     from ..bench.speed import speed as measure
-    from ..bench.study import STUDY
     from ..bench.timing import Setting
     from ..study import answer
 
@@ -58,10 +54,10 @@ def speed(
     def report(name: str) -> None:
         options.log(f"tso: {time.monotonic() - begun:4.0f} s  {name}")
 
-    record = measure(Setting(seconds, full, seed, report), only)
+    record = measure(Setting(seconds, seed, report), only)
     if output is not None:
         records.write_record(record, STUDY.parts, output)
-        write_page(STUDY, record, output)
+        records.write_page(STUDY, record, output)
     if as_json:
         options.echo_json(record)
     else:

@@ -1,9 +1,9 @@
-"""What commands that answer with a record share: where the answer goes, and how progress is shown."""
+"""Commands that answer with a record: where the answer goes, how progress is shown, and the command of every study."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,10 @@ from ...commands import options
 from ...errors import InputError
 from ...io.output import atomic_output, check_output
 from ...io.reading import read_bytes
+from ...io.shipped import named_checkpoint
+from ..study import Option, Progress, Record, Shown, Study, answer, page
 
-output = click.option(
+output_option = click.option(
     "-o", "--output", type=options.FilePath(), help="Write the record here (.json), a chart (.png) and a page (.md) beside it."
 )
 
@@ -84,3 +86,80 @@ class Reporter:
         if self._bar is None or self._bar.label != f"tso: {what}":
             self._bar = options.ProgressBar(f"tso: {what}", delay=0.5)
         self._bar(done, total)
+
+
+def write_page(study: Shown, record: Record, output: Path) -> None:
+    """The chart and the page of the record at ``output``, beside it."""
+    study.draw(output.with_suffix(".png"), record, True)
+    with atomic_output(output.with_suffix(".md")) as temporary:
+        more = sorted(path.name for path in output.parent.glob(f"{output.stem}.*.png"))
+        temporary.write_text(page(study, record, output.name, more))
+
+
+def command_of(study: Study) -> click.Command:
+    """`tso lab NAME`."""
+
+    def run(output: Path | None, overwrite: bool, as_json: bool, resume: bool, **values: Any) -> None:
+        check_outputs(output, overwrite, resume)
+        command_line = _command_line(study, values)
+        for option in study.options:
+            if option.multiple:
+                values[option.parameter] = tuple(dict.fromkeys(values[option.parameter]))
+        if values.get("checkpoint"):
+            values["checkpoint"] = named_checkpoint(values["checkpoint"])
+            options.log(f"tso: checkpoint: {values['checkpoint']}")
+
+        def keep(record: Record) -> None:
+            if output is not None:
+                write_record({**record, "command": command_line}, study.parts, output)
+
+        unfinished = output.with_name(f"{output.stem}.unfinished.safetensors") if output else None
+        earlier = earlier_record(study.name, output, resume)
+        record = study.run(Progress(Reporter(), earlier, keep, unfinished, overwrite or resume), **values)
+        if output is not None:
+            write_page(study, {**record, "command": command_line}, output)
+        if as_json:
+            options.echo_json(record)
+        else:
+            click.echo(answer(study, record))
+
+    resumed = click.option("--resume", is_flag=True, help="Go on from the record at -o, kept after every job, if there is one.")
+    function: Callable[..., Any] = run
+    for decorate in (options.as_json, options.overwrite, resumed, output_option, *map(_click_option, study.options[::-1])):
+        function = decorate(function)
+    return click.command(study.name, help=f"{study.question}\n\n{study.about}")(function)
+
+
+def _click_option(option: Option) -> Callable[..., Any]:
+    kind: Any = options.FilePath() if option.kind is Path else option.kind
+    if option.choices:
+        kind = click.Choice(option.choices)
+    elif option.least is not None:
+        kind = click.IntRange(option.least, option.most)
+    settings: dict[str, Any] = {"is_flag": True} if option.kind is bool else {"type": kind}
+    if option.default is not None:  # None, where it is passed on, would satisfy a required option
+        settings["default"] = option.default
+    return click.option(
+        option.flag,
+        option.parameter,
+        required=option.required,
+        multiple=option.multiple,
+        show_default=not (option.default is None or option.default is False or option.default == ()),
+        help=option.help,
+        **settings,
+    )
+
+
+def _command_line(study: Study, values: dict[str, Any]) -> str:
+    """The command line that makes the record; folders and files of this machine by their last names."""
+    words = [f"tso lab {study.name}"]
+    for option in study.options:
+        value = values[option.parameter]
+        if option.required:
+            words.append(f"{option.flag} DIR")
+        elif option.kind is bool:
+            words += [option.flag] * value
+        elif value != option.default:
+            values_of = value if option.multiple else [value]
+            words += [f"{option.flag} {item.name if isinstance(item, Path) else item}" for item in values_of]
+    return " ".join(words)

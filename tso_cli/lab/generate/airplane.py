@@ -9,23 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...io.meshes import Mesh
-from .parts import (
-    X_AXIS,
-    Array,
-    Range,
-    both,
-    chance,
-    draw,
-    ellipsoid,
-    loft,
-    oval,
-    pick,
-    rectangle,
-    rod,
-    sweep,
-    turned,
-    wheel,
-)
+from .draws import Range, chance, draw, pick
+from .parts import X_AXIS, Array, both, ellipsoid, loft, oval, rectangle, rod, sweep, turned, wheel
 
 # Standard deviation of the logarithms by which an aeroplane is stretched along x, y and z.
 SPREAD = 0.06

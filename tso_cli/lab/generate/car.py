@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from ...io.meshes import Mesh
-from .parts import Array, Range, both, box, chance, cushion, draw, loft, wheel
+from .draws import Range, chance, draw
+from .parts import Array, both, box, cushion, loft, wheel
 
 # Standard deviation of the logarithms by which a car is stretched along x, y and z.
 SPREAD = 0.05
@@ -42,14 +43,12 @@ WEIGHTS = {
 }  # fmt: skip
 # Ranges of the others: of most cars, and of kinds with a form of their own.
 FORM: tuple[Range, ...] = ((0.15, 0.55), (0.1, 0.9), (0.1, 0.8), (0.0, 0.09), (-0.02, 0.06))
-ANGULAR: tuple[Range, ...] = ((0.0, 0.4), (0.0, 0.2), (0.0, 0.2), (0.0, 0.03), (-0.2, 0.04))
-BULBOUS: tuple[Range, ...] = ((0.3, 0.6), (0.5, 1.2), (0.5, 1.2), (0.05, 0.15), (-0.02, 0.06))
 FORMS: dict[str, tuple[Range, ...]] = {
     "van": ((0.02, 0.2), (0.2, 0.8), (0.0, 0.2), (0.0, 0.09), (-0.02, 0.06)),
     "sports": ((0.4, 0.8), (0.4, 1.0), (0.1, 0.8), (0.03, 0.1), (-0.02, 0.06)),
     "pickup": ((0.15, 0.55), (0.1, 0.9), (0.0, 0.15), (0.0, 0.09), (-0.02, 0.06)),
-    "box": ANGULAR,
-    "round": BULBOUS,
+    "box": ((0.0, 0.4), (0.0, 0.2), (0.0, 0.2), (0.0, 0.03), (-0.2, 0.04)),
+    "round": ((0.3, 0.6), (0.5, 1.2), (0.5, 1.2), (0.05, 0.15), (-0.02, 0.06)),
 }
 
 

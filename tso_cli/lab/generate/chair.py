@@ -4,63 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...geometry.points import Array
 from ...io.meshes import Mesh
-from .parts import (
-    X_AXIS,
-    Array,
-    Range,
-    both,
-    box,
-    chance,
-    curve,
-    cushion,
-    draw,
-    flat,
-    loft,
-    oval,
-    pick,
-    plate,
-    rectangle,
-    rod,
-    superellipse,
-    sweep,
-    tube,
-    turned,
-)
+from .draws import Range, chance, draw, pick
+from .parts import X_AXIS, both, box, curve, cushion, flat, loft, oval, plate, rectangle, rod, superellipse, sweep, turned
 
 # Standard deviation of the logarithms by which a chair is stretched along x, y and z.
 SPREAD = 0.08
 WEIGHTS = {"dining": 36, "armchair": 21, "lounger": 13, "office": 10, "shell": 12, "bar": 8}
 
 
-class Kind(NamedTuple):
-    """Ranges of the fields of `Frame` from width to flare, and weights of each part's kinds."""
-
-    sizes: tuple[Range, ...]
-    backs: dict[str, float]
-    arms: dict[str, float]
-    bases: dict[str, float]
-
-
-FRAMED = {
-    "dining": Kind(
+# Ranges of the fields of `Frame` from width to flare, and weights of backs, arms and bases.
+Kind = tuple[tuple[Range, ...], dict[str, float], dict[str, float], dict[str, float]]
+FRAMED: dict[str, Kind] = {
+    "dining": (
         ((0.37, 0.58), (0.37, 0.52), (0.38, 0.5), (0.015, 0.09), (0.3, 0.6), (0, 0.3), (0, 0.1), (0.8, 1), (-0.1, 0.1)),
         {"panel": 3.5, "posts": 5, "hoop": 1.6, "raised": 1.5},
         {"none": 7, "rest": 2, "tube": 1},
         {"legs": 12, "sled": 1.5, "cantilever": 1.5, "crossed": 1, "wires": 1, "pedestal": 0.6},
     ),
-    "office": Kind(
+    "office": (
         ((0.42, 0.54), (0.42, 0.52), (0.42, 0.54), (0.04, 0.12), (0.4, 0.75), (0, 0.3), (0, 0.1), (0.8, 1), (-0.2, 0.1)),
         {"panel": 1, "raised": 2},
         {"none": 3.5, "tee": 4, "tube": 2, "rest": 1},
         {"casters": 9, "pedestal": 0.6, "sled": 0.4},
     ),
-    "bar": Kind(
+    "bar": (
         ((0.28, 0.44), (0.28, 0.44), (0.55, 0.82), (0.02, 0.1), (0.15, 0.4), (0, 0.25), (0, 0.1), (0.8, 1), (0, 0)),
         {"none": 9, "panel": 3, "posts": 2, "raised": 3, "hoop": 1},
         {"none": 1},
@@ -77,16 +50,7 @@ BASES: dict[str, tuple[Path, ...]] = {
         [(0, 0.03, -0.9), (1.1, 0.03, -0.9)],
     ),
     "cantilever": (
-        [
-            (1, 1, -1),
-            (1, 1, 0.8),
-            (1, 0.96, 0.95),
-            (1, 0.88, 1),
-            (1, 0.14, 1),
-            (1, 0.05, 0.95),
-            (1, 0.03, 0.8),
-            (1, 0.03, -0.9),
-        ],
+        [(1, *at) for at in ((1, -1), (1, 0.8), (0.96, 0.95), (0.88, 1), (0.14, 1), (0.05, 0.95), (0.03, 0.8), (0.03, -0.9))],
         [(0, 0.03, -0.9), (1, 0.03, -0.9)],
     ),
     "crossed": (
@@ -223,7 +187,8 @@ def _back(rng: np.random.Generator, frame: Frame, kind: str) -> list[Mesh]:
         count = int(rng.integers(3, 9))
         for a in ((2.0 * np.arange(count) + 1.0) / count - 1.0) * 0.9:
             top = float((1.0 - abs(a) ** power) ** (1.0 / power))
-            parts.append(tube(frame.back(a * np.array([0.75, 1.0]), np.array([-0.02, top])), 0.3 * thick, 6))
+            path = frame.back(a * np.array([0.75, 1.0]), np.array([-0.02, top]))
+            parts.append(sweep(path, oval(0.3 * thick, 0.3 * thick, 2.0, 6)))
         return parts
     edge, low, high = 1.0 - thick / frame.width, rng.uniform(0.05, 0.4), rng.uniform(0.025, 0.12)
     top, u = 1.0 - high / 2.0 / frame.back_height, np.linspace(-edge, edge, 9)
@@ -299,8 +264,8 @@ def _column(rng: np.random.Generator, top: float, casters: bool) -> list[Mesh]:
     """A column on a disc, a trumpet foot, or a star of arms, which may end in casters."""
     foot, column = rng.uniform(0.18, 0.3), rng.uniform(0.02, 0.045)
     kind = "star" if casters else pick(rng, {"disc": 2, "trumpet": 2, "star": 3})
-    t = np.linspace(0.0, 1.0, 9)
     if kind == "trumpet":
+        t = np.linspace(0.0, 1.0, 9)
         return [turned((0, 0, 0), (0, top, 0), t, column + (foot - column) * (1.0 - t) ** rng.uniform(4, 9), 20)]
     parts = [rod((0, 0.02, 0), (0, top, 0), column)]
     if kind == "disc":
@@ -351,7 +316,7 @@ def _easy(rng: np.random.Generator) -> list[Mesh]:
     parts = [plate(sling, rng.uniform(0.015, 0.03) if chance(rng, 0.5) else rng.uniform(0.06, 0.14))]
     parts += [rod((-x, y, at), (x, y, at), radius) for y, at in ((low, -z), (height - 0.03, z))]
     if chance(rng, 0.3):
-        return parts + _base(rng, Frame(width * 0.9, depth, low, 0.02, 0.5), pick(rng, FRAMED["dining"].bases))
+        return parts + _base(rng, Frame(width * 0.9, depth, low, 0.02, 0.5), pick(rng, FRAMED["dining"][3]))
     frame = np.array(EASY) * (x, top, z * rng.uniform(1.0, 1.3))
     parts += both(sweep(frame, _section(rng, radius), side=X_AXIS, closed=True))
     if chance(rng, 0.4):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,25 +11,7 @@ from scipy.interpolate import CubicHermiteSpline
 from ...io.meshes import Mesh
 
 Array = NDArray[np.float64]
-Range = tuple[float, float]
 X_AXIS = np.array([1.0, 0.0, 0.0])
-
-
-def chance(rng: np.random.Generator, probability: float) -> bool:
-    """True with this probability."""
-    return bool(rng.random() < probability)
-
-
-def pick(rng: np.random.Generator, weights: Mapping[str, float]) -> str:
-    """One of the keys, drawn by weight."""
-    probabilities = np.array(list(weights.values()), dtype=np.float64)
-    return list(weights)[int(rng.choice(len(weights), p=probabilities / probabilities.sum()))]
-
-
-def draw(rng: np.random.Generator, ranges: Sequence[Range]) -> list[float]:
-    """A number from each range (low, high)."""
-    low, high = np.array(ranges).T
-    return [float(value) for value in rng.uniform(low, high)]
 
 
 def join(parts: Iterable[Mesh]) -> Mesh:
@@ -116,11 +98,6 @@ def _unit(vectors: Array) -> Array:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
-def tube(path: ArrayLike, radius: float, sides: int = 8, closed: bool = False) -> Mesh:
-    """A round bar along a path [N, 3]."""
-    return sweep(path, oval(radius, radius, 2.0, sides), closed=closed)
-
-
 def rod(a: ArrayLike, b: ArrayLike, radius: float, end: float | None = None, sides: int = 8) -> Mesh:
     """Cylinder from ``a`` to ``b``, or the frustum of radius ``end`` at ``b``."""
     return turned(a, b, [0.0, 1.0], [radius, radius if end is None else end], sides)
@@ -128,8 +105,7 @@ def rod(a: ArrayLike, b: ArrayLike, radius: float, end: float | None = None, sid
 
 def turned(a: ArrayLike, b: ArrayLike, stations: ArrayLike, radii: ArrayLike, sides: int = 10) -> Mesh:
     """Body of revolution about the line from ``a`` to ``b``: radius ``radii`` [N] at fractions ``stations`` [N] of it."""
-    start = np.asarray(a, dtype=np.float64)
-    line = np.asarray(b, dtype=np.float64) - start
+    start, line = np.asarray(a, dtype=np.float64), np.subtract(b, a, dtype=np.float64)
     direction = _unit(line)
     first = np.eye(3)[int(np.abs(direction).argmin())]
     first = _unit(first - (first @ direction) * direction)
@@ -139,11 +115,10 @@ def turned(a: ArrayLike, b: ArrayLike, stations: ArrayLike, radii: ArrayLike, si
     return loft((start + along * line)[:, None] + np.asarray(radii, dtype=np.float64)[:, None, None] * ring)
 
 
-def box(size: Sequence[float], centre: ArrayLike, top: Range = (1.0, 1.0), shift: Range = (0.0, 0.0)) -> Mesh:
-    """Box of ``size`` [3]; its top face is scaled by ``top`` and moved by ``shift`` along x and z."""
+def box(size: Sequence[float], centre: ArrayLike) -> Mesh:
+    """Box of ``size`` [3]."""
     outline = rectangle(size[0], size[2])
-    rings = np.stack([flat(outline, -0.5 * size[1]), flat(outline * top + shift, 0.5 * size[1])])
-    return loft(rings + np.asarray(centre, dtype=np.float64))
+    return loft(np.stack([flat(outline, -0.5 * size[1]), flat(outline, 0.5 * size[1])]) + np.asarray(centre))
 
 
 def cushion(size: Sequence[float], centre: ArrayLike, rounding: float = 0.5, power: float = 6.0, puff: float = 0.0) -> Mesh:
@@ -189,8 +164,7 @@ def curve(points: ArrayLike, count: int) -> Array:
     """A smooth curve [count, D] through ``points`` [K, D], K >= 3, evenly stepped between them."""
     knots = np.asarray(points, dtype=np.float64)
     at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1))])
-    result: Array = CubicHermiteSpline(at, knots, np.gradient(knots, at, axis=0))(np.linspace(0.0, at[-1], count))
-    return result
+    return np.asarray(CubicHermiteSpline(at, knots, np.gradient(knots, at, axis=0))(np.linspace(0.0, at[-1], count)))
 
 
 def wheel(centre: ArrayLike, radius: float, width: float, axis: int, sides: int = 18, hub: float = 0.6) -> Mesh:

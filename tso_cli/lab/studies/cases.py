@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...evaluation.metrics import chamfer
-from ...geometry.camera import CANONICAL_ROTATION, Camera
+from ...geometry.camera import CANONICAL_ROTATION
 from ...geometry.points import Array, farthest_point_sample, sample_surface
 from ...geometry.view import View
 from ...io.shipped import CATEGORIES
@@ -119,16 +119,20 @@ class CaseBuilder:
         object_type = shape_type(shape.path.stem)
         candidates = [start for start in self._starts[shape.category] if shape_type(start[0].path.stem) != object_type]
         if not candidates:
-            raise InputError(
-                f"{shape.name}: no {shape.category} of another type is in the list train, expected one to start from"
-            )
+            found = f"no {shape.category} of another type is in the list train"
+            raise InputError(f"{shape.name}: {found}, expected one to start from")
         nearest, samples, _ = min(candidates, key=lambda start: abs(chamfer(start[2], target).chamfer - level))
         return nearest.name, _subset(samples, self.points)
 
     def _view(self, shape: Shape, number: int, scene: RayScene, truncated: bool, rng: np.random.Generator) -> View:
         settings = RenderSettings(views=1, size=(self.size, self.size))
         while True:
-            camera = (_truncating_camera if truncated else _whole_camera)(settings, scene.mesh.vertices, rng)
+            if truncated:
+                angles = rng.uniform(*settings.azimuth), rng.uniform(*settings.elevation)
+                whole = fitting_distance(scene.mesh.vertices, look_at(*angles, 1.0, settings.size))
+                camera = look_at(*angles, TRUNCATING_DISTANCE * whole, settings.size)
+            else:
+                (camera,) = sample_cameras(settings, scene.mesh.vertices, rng)
             mask = render_view(scene, camera, rng).mask
             border = np.concatenate([mask[[0, -1]].ravel(), mask[:, [0, -1]].ravel()])
             # From its narrow side a long object fits the picture from nearer too: then another direction is drawn.
@@ -138,7 +142,7 @@ class CaseBuilder:
     def _predicted(self, case: Case, shape: Shape, scene: RayScene, rng: np.random.Generator) -> Case:
         """The network's prediction from a picture, before a camera whose distance from the object is known."""
         assert self.network is not None and self.about is not None
-        camera = _whole_camera(RenderSettings(views=1, size=(PICTURE, PICTURE)), scene.mesh.vertices, rng)
+        (camera,) = sample_cameras(RenderSettings(views=1, size=(PICTURE, PICTURE)), scene.mesh.vertices, rng)
         picture = render_view(scene, camera, rng)
         view = View(picture.mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, view {case.view}")
         predicted = network_scene(picture.image, view, self.network, self.about, placing="camera")
@@ -147,14 +151,8 @@ class CaseBuilder:
         rng = np.random.default_rng([self.seed, zlib.crc32(shape.name.encode()), case.view])
         views = [self._view(shape, number, scene, False, rng) for number in range(1, MASKS)]
         turned = [replace(view, camera=replace(view.camera, R=view.camera.R @ turn)) for view in views]
-        return replace(
-            case,
-            initial=predicted.points,
-            target=case.target @ turn,
-            dense=case.dense @ turn,
-            views=(predicted.view, *turned),
-            image=predicted.image,
-        )
+        clouds = {"initial": predicted.points, "target": case.target @ turn, "dense": case.dense @ turn}
+        return replace(case, views=(predicted.view, *turned), image=predicted.image, **clouds)
 
 
 def kinds_of(category: str, kinds: Sequence[str]) -> list[str]:
@@ -166,13 +164,3 @@ def kinds_of(category: str, kinds: Sequence[str]) -> list[str]:
 def _subset(samples: Array, count: int) -> Array:
     """So many of ``samples`` [S, 3], spread evenly."""
     return samples if count == len(samples) else samples[farthest_point_sample(samples, count)]
-
-
-def _whole_camera(settings: RenderSettings, vertices: Array, rng: np.random.Generator) -> Camera:
-    return sample_cameras(settings, vertices, rng)[0]
-
-
-def _truncating_camera(settings: RenderSettings, vertices: Array, rng: np.random.Generator) -> Camera:
-    azimuth, elevation = rng.uniform(*settings.azimuth), rng.uniform(*settings.elevation)
-    camera = look_at(azimuth, elevation, 1.0, settings.size)
-    return look_at(azimuth, elevation, TRUNCATING_DISTANCE * fitting_distance(vertices, camera), settings.size)

@@ -34,7 +34,11 @@ def discrete_depth(
     Returns depths [M, height, width], 0 where no point falls, each differentiable by that of the point it shows; and whether a
     point falls there.
     """
-    cell, inside = _cells(points_px, valid, height, width, upsampling)
+    fine_cell = torch.floor((points_px.detach() + 0.5) * upsampling)
+    size = fine_cell.new_tensor([width * upsampling, height * upsampling])
+    inside = valid & (fine_cell >= 0.0).all(-1) & (fine_cell < size).all(-1)
+    column, row = torch.where(inside.unsqueeze(-1), fine_cell, 0.0).long().unbind(-1)
+    cell = row * (width * upsampling) + column  # 0 where there is none
     # Points count from 1; 0 stands for none, at inverse depth 0.
     numbers = torch.arange(1, points_px.shape[1] + 1, device=points_px.device) * inside
     last = numbers.new_zeros(len(cell), height * width * upsampling**2).scatter_reduce_(1, cell, numbers, "amax")
@@ -43,14 +47,6 @@ def discrete_depth(
     nearest = torch.nn.functional.max_pool2d(fine, upsampling).squeeze(1)
     hit = nearest > 0.0
     return torch.where(hit, 1.0 / torch.where(hit, nearest, 1.0), 0.0), hit
-
-
-def _cells(points_px: Tensor, valid: Tensor, height: int, width: int, upsampling: int) -> tuple[Tensor, Tensor]:
-    """Flat index [M, N] of each point's cell of the finer grid, 0 where there is none, and whether there is one."""
-    cell = torch.floor((points_px.detach() + 0.5) * upsampling)
-    inside = valid & (cell >= 0.0).all(-1) & (cell < cell.new_tensor([width * upsampling, height * upsampling])).all(-1)
-    column, row = torch.where(inside.unsqueeze(-1), cell, 0.0).long().unbind(-1)
-    return row * (width * upsampling) + column, inside
 
 
 def silhouette_sums(projected: Projected, cameras: CameraBatch) -> Tensor:
@@ -67,12 +63,9 @@ def depth_loss(points: Tensor, batch: Batch) -> Tensor:
     pixels that it would span across the picture at that depth, so that it compares with the other losses.
     """
     height, width = batch.masks.shape[-2:]
-    losses = []
+    losses, given = [], (batch.K, batch.R, batch.t, batch.targets)
     for b, cloud in enumerate(points):
-        K, R, t, target = (
-            torch.as_tensor(values[b], dtype=points.dtype, device=points.device)
-            for values in (batch.K, batch.R, batch.t, batch.targets)
-        )
+        K, R, t, target = (torch.as_tensor(values[b], dtype=points.dtype, device=points.device) for values in given)
         cameras = CameraBatch(K, R, t, width, height)
         depth, hit = depth_map(cloud, cameras)
         true, true_hit = depth_map(target, cameras)

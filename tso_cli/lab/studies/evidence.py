@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from ...evaluation.metrics import chamfer
 from ...geometry.rotations import angle_between
 from ...refinement import RefineConfig, RefineResult
 from ...refinement.presets import BEST
-from ..charts.ratios import Panel, draw_ratios
+from ..charts import Panel, draw_ratios
 from ..study import COMMON, DEVICE, VIEWS, Cases, Option, Plan, Progress, Record, Study, Table, part
 from .cases import Case, CaseBuilder, kinds_of
 from .evidence_alterations import (
@@ -77,39 +78,33 @@ def _degrees_left(case: Case, altered: Case, result: RefineResult) -> float:
     return float(np.mean([angle_between(camera.R, view.camera.R) for camera, view in pairs]))
 
 
-def _fourth_inlier_weight(case: Case, altered: Case, result: RefineResult) -> float | None:
-    return result.view_trust[3] if len(result.view_trust) > 3 else None
-
-
-def _depth_rows() -> Rows:
-    one, two = _variant(symmetry="none"), _variant(2, symmetry="none")
-    return {
-        "mask, no symmetry": (unaltered, one),
-        "mask and depth, no symmetry": (with_depth, one),
-        "mask, symmetry auto": (unaltered, _variant()),
-        "mask and depth, symmetry auto": (with_depth, _variant()),
-        "mask and depth with noise of 0.01, no symmetry": (partial(with_depth, noise=0.01), one),
-        "mask and depth with noise of 0.03, no symmetry": (partial(with_depth, noise=0.03), one),
-        "two masks, no symmetry": (unaltered, two),
-        "two masks and their depths, no symmetry": (with_depth, two),
-    }
-
-
-def _colour_rows() -> Rows:
-    starts = {"bent 2": "bent to Chamfer 2", "bent 6": "bent to Chamfer 6", "other": "another shape, other colours"}
-    photos = {None: "mask", 0.7: "mask and photo, exposure 0.7", 1.4: "mask and photo, exposure 1.4"}
-    return {
-        f"{start_label}; {photo_label}": (partial(painted, start=start, exposure=exposure), _variant(symmetry="none"))
-        for start, start_label in starts.items()
-        for exposure, photo_label in photos.items()
-    }
-
-
-def _missing_rows() -> Rows:
-    parts = {"side": "one side missing", "high": "upper part of a side missing", "low": "lower part of a side missing"}
-    objects: dict[str, Alter] = {"whole": unaltered, **{text: partial(without, part=key) for key, text in parts.items()}}
-    planes = {"symmetry none": _variant(symmetry="none"), "symmetry auto": _variant()}
-    return {f"{name}; {plane}": (alter, variant) for name, alter in objects.items() for plane, variant in planes.items()}
+ONE, TWO = _variant(symmetry="none"), _variant(2, symmetry="none")
+DEPTH_ROWS: Rows = {
+    "mask, no symmetry": (unaltered, ONE),
+    "mask and depth, no symmetry": (with_depth, ONE),
+    "mask, symmetry auto": (unaltered, _variant()),
+    "mask and depth, symmetry auto": (with_depth, _variant()),
+    "mask and depth with noise of 0.01, no symmetry": (partial(with_depth, noise=0.01), ONE),
+    "mask and depth with noise of 0.03, no symmetry": (partial(with_depth, noise=0.03), ONE),
+    "two masks, no symmetry": (unaltered, TWO),
+    "two masks and their depths, no symmetry": (with_depth, TWO),
+}
+STARTS_OF_PAINT = {"bent 2": "bent to Chamfer 2", "bent 6": "bent to Chamfer 6", "other": "another shape, other colours"}
+PHOTOS = {None: "mask", 0.7: "mask and photo, exposure 0.7", 1.4: "mask and photo, exposure 1.4"}
+COLOUR_ROWS: Rows = {
+    f"{STARTS_OF_PAINT[start]}; {PHOTOS[exposure]}": (partial(painted, start=start, exposure=exposure), ONE)
+    for start, exposure in product(STARTS_OF_PAINT, PHOTOS)
+}
+LACKING: dict[str, Alter] = {
+    "whole": unaltered,
+    "one side missing": partial(without, part="side"),
+    "upper part of a side missing": partial(without, part="high"),
+    "lower part of a side missing": partial(without, part="low"),
+}
+MISSING_ROWS: Rows = {
+    f"{name}; symmetry {plane}": (alter, variant)
+    for (name, alter), (plane, variant) in product(LACKING.items(), (("none", ONE), ("auto", _variant())))
+}
 
 
 def _wrong_rows() -> Rows:
@@ -130,36 +125,35 @@ def _wrong_rows() -> Rows:
     return rows
 
 
-def _camera_rows() -> Rows:
-    return {
-        f"{masks} mask{'s' * (masks > 1)}, {degrees} degrees off; {'refined' if refine else 'as given'}": (
-            partial(with_cameras_off, degrees=degrees),
-            _variant(masks, refine_camera=refine),
-        )
-        for masks in (1, 2)
-        for degrees in (0, 2, 5)
-        for refine in (False, True)
-    }
-
-
+CAMERA_ROWS: Rows = {
+    f"{masks} mask{'s' * (masks > 1)}, {degrees} degrees off; {'refined' if refine else 'as given'}": (
+        partial(with_cameras_off, degrees=degrees),
+        _variant(masks, refine_camera=refine),
+    )
+    for masks, degrees, refine in product((1, 2), (0, 2, 5), (False, True))
+}
 THREE = ("chair", "airplane", "car")
 CATEGORIES = (*THREE, "sofa", "table")
 STARTS = ("other", "near")
 QUESTIONS = {
-    "depth": Question("Depth maps", STARTS, _depth_rows(), THREE),
-    "colours": Question("Photos of painted objects", ("other",), _colour_rows(), THREE),
+    "depth": Question("Depth maps", STARTS, DEPTH_ROWS, THREE),
+    "colours": Question("Photos of painted objects", ("other",), COLOUR_ROWS, THREE),
     "missing": Question(
         "Objects of which a part is missing",
         ("other",),
-        _missing_rows(),
+        MISSING_ROWS,
         CATEGORIES[:4],
         {"no mirror plane": lambda case, altered, result: float(result.symmetry is None)},
     ),
     "wrong": Question(
-        "Wrong views among four", ("other",), _wrong_rows(), CATEGORIES, {"fourth inlier weight": _fourth_inlier_weight}
+        "Wrong views among four",
+        ("other",),
+        _wrong_rows(),
+        CATEGORIES,
+        {"fourth inlier weight": lambda case, altered, result: dict(enumerate(result.view_trust)).get(3)},
     ),
     "cameras": Question(
-        "Cameras that are off", STARTS, _camera_rows(), THREE, {"corrected": _corrected, "degrees left": _degrees_left}
+        "Cameras that are off", STARTS, CAMERA_ROWS, THREE, {"corrected": _corrected, "degrees left": _degrees_left}
     ),
 }
 
@@ -171,13 +165,9 @@ def plan(progress: Progress, *, meshes: Path, split: Path | None, questions: tup
     shapes = shapes_of_part(meshes, split, settings["part"], categories, settings["limit"])
     by_category = {name: [shape for shape in shapes if shape.category == name] for name in categories}
     builder = CaseBuilder(meshes, split, settings["views"], SIZE, POINTS, settings["seed"])
-    settings |= {
-        "questions": list(questions),
-        "points": POINTS,
-        "size": SIZE,
-        "rows": {name: list(question.rows) for name, question in chosen.items()},
-        "shapes": [shape.name for group in by_category.values() for shape in group],
-    }
+    settings |= {"questions": list(questions), "points": POINTS, "size": SIZE}
+    settings["rows"] = {name: list(question.rows) for name, question in chosen.items()}
+    settings["shapes"] = [shape.name for group in by_category.values() for shape in group]
 
     def judge_group(name: str, kind: str, group: list[Shape]) -> Cases:
         others = [*group[1:], group[0]] if len(group) > 1 else [None]
@@ -226,12 +216,9 @@ def conclude(cases: Cases) -> Record:
 
 def _means(cases: Cases) -> Record:
     """By row; a case may lack some."""
-    by_row: dict[str, Cases] = {}
-    for case in cases:
-        for label, figures in case["rows"].items():
-            by_row.setdefault(label, []).append(figures)
     means = {}
-    for label, rows in by_row.items():
+    for label in dict.fromkeys(label for case in cases for label in case["rows"]):
+        rows = [case["rows"][label] for case in cases if label in case["rows"]]
         ratios = np.array([row["chamfer"] / row["before"] for row in rows])
         columns = {key: [row[key] for row in rows] for key in rows[0] if key not in ("before", "chamfer")}
         further = {key: float(np.mean(values)) for key, values in columns.items() if None not in values}
@@ -262,10 +249,11 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
     for question, cases in grouped(record["cases"], "question").items():
         panels = []
         for kind, of_kind in grouped(cases, "kind").items():
-            ratios: dict[str, list[float]] = {label: [] for label in record["summary"][question][kind][ALL]}
-            for case in of_kind:
-                for label, row in case["rows"].items():
-                    ratios[label].append(row["chamfer"] / row["before"])
+            rows_of = [case["rows"] for case in of_kind]
+            ratios = {
+                label: [rows[label]["chamfer"] / rows[label]["before"] for rows in rows_of if label in rows]
+                for label in record["summary"][question][kind][ALL]
+            }
             panels.append(Panel(f"{question}, {kind}", ratios))
         grid.append(panels)
     draw_ratios(path, grid, overwrite)
@@ -291,5 +279,4 @@ STUDY = Study(
     ),
     plan=plan,
     conclude=conclude,
-    kept="after every group of shapes",
 )

@@ -75,8 +75,7 @@ def with_depth(case: Case, truth: Truth, rng: Rng, noise: float = 0.0) -> Case:
     for view in case.views:
         columns, rows = np.arange(view.camera.width), np.arange(view.camera.height)
         depth = truth.scene.cast(view.camera, columns.astype(float), rows.astype(float))["depth"]
-        depth = np.where(np.isfinite(depth), depth + noise * rng.normal(size=depth.shape), 0.0)
-        views.append(replace(view, depth=depth))
+        views.append(replace(view, depth=np.where(np.isfinite(depth), depth + noise * rng.normal(size=depth.shape), 0.0)))
     return replace(case, views=tuple(views))
 
 
@@ -95,10 +94,9 @@ def without(case: Case, truth: Truth, rng: Rng, part: str) -> Case | None:
         return None
     mesh = replace(truth.mesh, faces=faces, colours=None)
     scene = RayScene(mesh)
-    masks = [_mask(scene, view.camera) for view in case.views]
-    if min(int((mask > 0.5).sum()) for mask in masks) < FEWEST_PIXELS:
+    views = tuple(replace(view, mask=_mask(scene, view.camera)) for view in case.views)
+    if min(int((view.mask > 0.5).sum()) for view in views) < FEWEST_PIXELS:
         return None
-    views = tuple(replace(view, mask=mask) for view, mask in zip(case.views, masks, strict=True))
     dense = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
     return replace(case, views=views, dense=dense, target=dense[farthest_point_sample(dense, len(case.target))])
 
@@ -119,16 +117,15 @@ def with_wrong_mask(case: Case, truth: Truth, rng: Rng) -> Case | None:
     """The last view's mask is that of another shape of the category."""
     if truth.other_scene is None:
         return None
-    wrong = case.views[-1]
-    return replace(case, views=(*case.views[:-1], replace(wrong, mask=_mask(truth.other_scene, wrong.camera))))
+    *right, wrong = case.views
+    return replace(case, views=(*right, replace(wrong, mask=_mask(truth.other_scene, wrong.camera))))
 
 
 def with_wrong_camera(case: Case, truth: Truth, rng: Rng) -> Case:
     """The last view's camera is taken to stand 30 degrees to the side, left or right, of where it stood."""
-    wrong = case.views[-1]
+    *right, wrong = case.views
     turn = from_vectors(np.array([0.0, np.radians(WRONG_TURN) * rng.choice([-1.0, 1.0]), 0.0]))
-    camera = replace(wrong.camera, R=wrong.camera.R @ turn)
-    return replace(case, views=(*case.views[:-1], replace(wrong, camera=camera)))
+    return replace(case, views=(*right, replace(wrong, camera=replace(wrong.camera, R=wrong.camera.R @ turn))))
 
 
 def with_cameras_off(case: Case, truth: Truth, rng: Rng, degrees: float) -> Case:
@@ -171,8 +168,7 @@ def paint_of(rng: Rng) -> Paint:
 
     def paint(places: Array) -> Array:
         waves = np.cos(np.einsum("...k,cwk->...cw", places, directions) + phases).sum(-1) / np.sqrt(WAVES)
-        colours: Array = dark + (light - dark) * (0.5 + 0.5 * np.tanh(SHARPNESS * waves))
-        return colours
+        return np.asarray(dark + (light - dark) * (0.5 + 0.5 * np.tanh(SHARPNESS * waves)))
 
     return paint
 
@@ -190,8 +186,8 @@ def photo(scene: RayScene, view: View, paint: Paint, light: Array, exposure: flo
     shade = AMBIENT + (1.0 - AMBIENT) * np.abs(hits["normal"][hit] @ light)
     image = np.ones((*hit.shape, 3))
     image[hit] = np.minimum(exposure * shade[:, None] * paint(places), 1.0)
-    means: Array = image.reshape(camera.height, RAYS_ACROSS, camera.width, RAYS_ACROSS, 3).mean((1, 3))
-    return means.astype(np.float32)
+    means = image.reshape(camera.height, RAYS_ACROSS, camera.width, RAYS_ACROSS, 3).mean((1, 3))
+    return np.asarray(means, dtype=np.float32)
 
 
 def _bend_of(rng: Rng) -> Callable[[Array], Array]:
@@ -207,17 +203,14 @@ def _bent(points: Array, bend: Callable[[Array], Array], target: Array, level: f
         middle = (low + high) / 2.0
         near = chamfer(points + middle * field, target).chamfer < level
         low, high = (middle, high) if near else (low, middle)
-    moved: Array = points + low * field
-    return moved
+    return np.asarray(points + low * field)
 
 
 def _directions(rng: Rng, shape: tuple[int, ...]) -> Array:
     """Unit vectors [*shape, 3]."""
     vectors = rng.normal(size=(*shape, 3))
-    directions: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return directions
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def _mask(scene: RayScene, camera: Camera) -> NDArray[np.float32]:
-    mask: NDArray[np.float32] = render_view(scene, camera).mask.astype(np.float32) / 255.0
-    return mask
+    return np.asarray(render_view(scene, camera).mask.astype(np.float32) / 255.0)

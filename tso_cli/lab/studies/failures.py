@@ -11,10 +11,9 @@ from ...errors import InputError
 from ...evaluation.metrics import chamfer
 from ...geometry.points import Array
 from ...train.data import TrainingData
-from ..charts.bars import Rows
+from ..charts import Rows
 from ..study import Cases, Record, claim
-from .judging import Predicted, camera_axes, object_axes
-from .material import ALL
+from .judging import ALL, Predicted, camera_axes, object_axes
 from .trained import CATEGORIES, Comparison, Setting, chamfers, trained_study
 
 PLANE, CAR = "airplane", "car"
@@ -56,11 +55,11 @@ def measure(predicted: list[Predicted], data: TrainingData) -> Record:
             camera = data.objects[shape.index].views[view].camera
             points, target = (axes(cloud, camera, shape.frame) for cloud in pair)
             rows[shape.category].append(sizes(points, target))
-    measured = {}
-    for key, category, average in (("aeroplanes", PLANE, np.nanmedian), ("cars", CAR, np.mean)):
-        if rows[category]:
-            measured[key] = {name: float(average([row[name] for row in rows[category]])) for name in rows[category][0]}
-    return measured
+    return {
+        key: {name: float(average([row[name] for row in rows[category]])) for name in rows[category][0]}
+        for key, category, average in (("aeroplanes", PLANE, np.nanmedian), ("cars", CAR, np.mean))
+        if rows[category]
+    }
 
 
 def aeroplane_sizes(points: Array, target: Array) -> dict[str, float]:
@@ -70,7 +69,7 @@ def aeroplane_sizes(points: Array, target: Array) -> dict[str, float]:
     are from the 5th to the 95th percentile, those of the body 8 to 28 % of the length behind the nose. NaN where fewer than 5
     points show one.
     """
-    across = min((0, 2), key=lambda axis: chamfer(target * np.where(np.arange(3) == axis, -1.0, 1.0), target).chamfer)
+    across = min((0, 2), key=lambda axis: chamfer(target * (1.0 - 2.0 * np.eye(3)[axis]), target).chamfer)
     along = 2 - across
     low, high = target[:, along].min(), target[:, along].max()
     place = (target[:, along] - low) / (high - low)
@@ -82,12 +81,8 @@ def aeroplane_sizes(points: Array, target: Array) -> dict[str, float]:
         return cloud[(behind > BODY[0]) & (behind < BODY[1])]
 
     bodies = body(points), body(target)
-    return {
-        "body_width": _ratio(*bodies, across),
-        "body_height": _ratio(*bodies, 1),
-        "span": _ratio(points, target, across),
-        "length": _ratio(points, target, along),
-    }
+    sizes = {"body_width": _ratio(*bodies, across), "body_height": _ratio(*bodies, 1)}
+    return sizes | {"span": _ratio(points, target, across), "length": _ratio(points, target, along)}
 
 
 def depth_errors(points: Array, target: Array) -> dict[str, float]:
@@ -122,21 +117,15 @@ def conclude(cases: Cases) -> Record:
             shared, small = summary[wide]["body_width"], summary[narrow]["body_width"]
             widths = f"body width {shared:.2f} of the true one under 0.4, {small:.2f} under 0.1"
             spans = f"wing span {summary[wide]['span']:.2f} and {summary[narrow]['span']:.2f}"
-            text = f"aeroplanes {where} have"
-            claims += [
-                claim(f"{text} too narrow a body under sigma^2 = 0.4", shared < RIGHT, widths),
-                claim(f"{text} a wider body under sigma^2 = 0.1", shared < RIGHT * small, f"{widths}; {spans}"),
-            ]
+            text, found = f"aeroplanes {where} have", f"{widths}; {spans}"
+            claims.append(claim(f"{text} too narrow a body under sigma^2 = 0.4", shared < RIGHT, widths))
+            claims.append(claim(f"{text} a wider body under sigma^2 = 0.1", shared < RIGHT * small, found))
     if ONE in summary:
         depth, across = (summary[ONE][key] / summary[FOUR][key] for key in ("depth", "across"))
-        claims.append(
-            claim(
-                "cars trained with one mask are deformed in depth, more than across, and more masks correct it",
-                depth > 1.0 and depth > across,
-                f"squared error in depth {depth:.2f} times that with four masks, across {across:.2f} times; "
-                f"extent in depth {summary[ONE]['extent']:.2f} and {summary[FOUR]['extent']:.2f} of the true one",
-            )
-        )
+        found = f"squared error in depth {depth:.2f} times that with four masks, across {across:.2f} times; extent in depth "
+        found += f"{summary[ONE]['extent']:.2f} and {summary[FOUR]['extent']:.2f} of the true one"
+        text = "cars trained with one mask are deformed in depth, more than across, and more masks correct it"
+        claims.append(claim(text, depth > 1.0 and depth > across, found))
     return {"summary": summary, "claims": claims}
 
 
@@ -147,13 +136,9 @@ def rows(record: Record) -> Rows:
         if "span" in row:
             planes[name] = {key.replace("_", " "): value for key, value in row.items()}
         else:
-            cars[name] = {
-                "depth error x1000": 1e3 * row["depth"],
-                "across": 1e3 * row["across"],
-                "ratio": row["depth"] / row["across"],
-                "extent in depth, predicted / true": row["extent"],
-                "chamfer": row["chamfer"],
-            }
+            depth, across = row["depth"], row["across"]
+            cars[name] = {"depth error x1000": 1e3 * depth, "across": 1e3 * across, "ratio": depth / across}
+            cars[name] |= {"extent in depth, predicted / true": row["extent"], "chamfer": row["chamfer"]}
     panels = {"aeroplanes, predicted / true": planes, "cars": cars}
     return {title: panel for title, panel in panels.items() if panel}
 

@@ -86,8 +86,8 @@ def _pictures() -> Numbers:
     """A shipped mesh as the studies render theirs."""
     mesh = CHAIR.parent / "meshes" / "chair" / "q17_Chair.ply"
     shape = see(Shape("chair/q17_Chair", mesh), RenderSettings(views=1), 0)
-    means = {"mask": shape.views[0].mask, "image": shape.views[0].image, "points": np.abs(shape.target)}
-    return {key: float(values.mean()) for key, values in means.items()}
+    seen = {"mask": shape.views[0].mask, "image": shape.views[0].image, "points": np.abs(shape.target)}
+    return {key: float(values.mean()) for key, values in seen.items()}
 
 
 PARTS: dict[str, Callable[[], Numbers]] = {

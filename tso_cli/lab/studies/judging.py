@@ -1,21 +1,30 @@
-"""Networks judged on shapes they never saw, and the best answer without a network: the mean training shape."""
+"""Shapes of a split to train on, networks judged on those they never saw, and what needs no network: the mean shape."""
 
 from __future__ import annotations
 
+import hashlib
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ...datasets.items import ObjectItem
 from ...evaluation.metrics import chamfer
 from ...geometry.camera import CANONICAL_ROTATION, Camera
-from ...geometry.points import Array, normalise_longest_side
+from ...geometry.points import Array, normalise_longest_side, sample_surface
 from ...network.model import BaseNetwork
+from ...render import RenderSettings
 from ...silhouette.chamfer import chamfer as batch_chamfer
 from ...train.batches import Draw, assemble
 from ...train.data import TrainingData
+from ...train.sources import rendered_object
+from ..study import Report
+from .shapes import Shape, see, shapes_of_part
 
 Floats = NDArray[np.float32]
 JUDGED_VIEWS = 4
@@ -29,6 +38,70 @@ MEAN_SHAPE = "mean training shape"
 POINTS = 1024
 # Adam's; by then the loss has stopped falling in the third digit.
 MEAN_STEPS, MEAN_RATE, MEAN_BATCH = 300, 3e-3, 16
+# Pictures are larger than the network's input, so that cutting it out of them blurs nothing.
+TRAINING_VIEWS, TEST_VIEWS, SIZE = 24, 8, 96
+DENSE = 16_384
+"""Points of the surface where depth maps are made of them."""
+ALL = "all"
+"""In place of a category: all of the study's at once."""
+
+
+@dataclass(eq=False)
+class Material:
+    """Training data of each category and of all together, and the same for the shapes of ``part`` of a split, to judge on.
+
+    ``limit`` : at most so many training shapes of each category. Raises InputError where the split or ``meshes`` lacks a shape.
+    """
+
+    meshes: Path
+    split: Path | None
+    part: str
+    categories: Sequence[str]
+    limit: int | None = None
+    seed: int = 0
+    report: Report = lambda what, done, total: None
+    _rendered: dict[tuple[str, bool], list[ObjectItem]] = field(init=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._shapes = {
+            True: shapes_of_part(self.meshes, self.split, "train", self.categories, self.limit),
+            False: shapes_of_part(self.meshes, self.split, self.part, self.categories),
+        }
+
+    def counts(self) -> dict[str, dict[str, int]]:
+        """{category: {"training", "judged"}}, numbers of shapes."""
+        training, judged = (Counter(shape.category for shape in shapes) for shapes in self._shapes.values())
+        return {name: {"training": training[name], "judged": judged[name]} for name in self.categories}
+
+    def names_hash(self) -> str:
+        """Changes when the names of the shapes do."""
+        names = "\n".join(shape.name for shapes in self._shapes.values() for shape in shapes)
+        return hashlib.sha256(names.encode()).hexdigest()[:16]
+
+    def data(self, category: str, training: bool, dense: bool = False) -> TrainingData:
+        """The training or the judged shapes of ``category``, or of `ALL`; ``dense`` : with targets of 16,384 points."""
+        names = self.categories if category == ALL else (category,)
+        objects = [item for name in names for item in self._items(name, training)]
+        if dense:
+            shapes = {shape.name: shape for shape in self._shapes[training]}
+            objects = [replace(item, target=partial(_dense, shapes[item.name])) for item in objects]
+        return TrainingData(objects, f"{len(objects)} meshes, {'train' if training else self.part}: {category}")
+
+    def _items(self, category: str, training: bool) -> list[ObjectItem]:
+        if (category, training) not in self._rendered:
+            settings = RenderSettings(views=TRAINING_VIEWS if training else TEST_VIEWS, size=(SIZE, SIZE))
+            shapes, items = [shape for shape in self._shapes[training] if shape.category == category], []
+            for done, shape in enumerate(shapes, 1):
+                seen = see(shape, settings, self.seed)
+                items.append(rendered_object(shape.name, category, seen.views, seen.target.astype(np.float32)))
+                self.report(f"rendering {category}", done, len(shapes))
+            self._rendered[category, training] = items
+        return self._rendered[category, training]
+
+
+def _dense(shape: Shape) -> Floats:
+    mesh = shape.mesh()
+    return sample_surface(mesh.vertices, mesh.faces, DENSE, np.random.default_rng(0)).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,15 +167,13 @@ def mean_shape(targets: Sequence[Floats], seed: int = 0, steps: int = MEAN_STEPS
         optimiser.zero_grad()
         (forward + backward).mean().backward()
         optimiser.step()
-    mean: Floats = points.detach().numpy()
-    return mean
+    return np.asarray(points.detach().numpy())
 
 
 def constant_answer(training: TrainingData, judged: TrainingData, frame: str) -> list[Predicted]:
     """The mean training shape in ``frame`` as the prediction for every view that is judged."""
-    canonical = frame == "canonical"
-    targets = [training.target(i) for i in range(len(training.objects))] if canonical else view_targets(training)
-    mean = mean_shape(targets).astype(np.float64)
+    whole = [training.target(i) for i in range(len(training.objects))] if frame == "canonical" else view_targets(training)
+    mean = mean_shape(whole).astype(np.float64)
     return [replace(shape, points=np.repeat(mean[None], len(shape.target), axis=0)) for shape in predict(None, judged, frame)]
 
 

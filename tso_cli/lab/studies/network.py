@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -13,15 +14,17 @@ from ...evaluation.metrics import chamfer
 from ...io.checkpoints import load_network
 from ...io.shipped import CATEGORIES
 from ...train.batches import Draw, assemble
-from ..charts.bars import draw_bars
-from ..study import CHECKPOINT, MESHES, SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table
-from .judging import Floats, mean_shape, view_targets
-from .material import Material
+from ..charts import draw_bars
+from ..study import CATEGORY, CHECKPOINT, MESHES, SEED, SPLIT, Cases, Plan, Progress, Record, Study, Table
+from .judging import Floats, Material, mean_shape, view_targets
 from .shapes import SPLIT as SHIPPED_SPLIT
 from .shapes import weights_hash
 from .summary import grouped, mean
 
 PARTS = ("validation", "test")
+CONVENTION = {
+    "Chamfer": "squared distances, mean over points, forward + backward; targets of longest side 1, in the view's frame"
+}
 LABELS = {
     "network": "network",
     "nearest": "nearest training shape",
@@ -58,13 +61,11 @@ def plan(
                 with torch.no_grad():
                     predicted = network(torch.from_numpy(batch.images)).numpy()
                 pairs = list(zip(predicted, batch.targets, strict=True))
-                distances = {
-                    "network": mean(chamfer(cloud, target).chamfer for cloud, target in pairs),
-                    "mean_view": mean(chamfer(mean_view, target).chamfer for target in batch.targets),
-                    "mean_aligned": nearest_of([mean_aligned], judged.target(index)),
-                    "nearest": nearest_of(clouds, judged.target(index)),
-                }
-                cases.append({"part": part, "category": category, "shape": item.name, **distances})
+                case: Record = {"part": part, "category": category, "shape": item.name}
+                case["network"] = mean(chamfer(cloud, target).chamfer for cloud, target in pairs)
+                case["mean_view"] = mean(chamfer(mean_view, target).chamfer for target in batch.targets)
+                case["mean_aligned"] = nearest_of([mean_aligned], judged.target(index))
+                cases.append({**case, "nearest": nearest_of(clouds, judged.target(index))})
                 progress.report(f"{category}: judging, {part}", index + 1, len(judged.objects))
         return cases
 
@@ -82,10 +83,8 @@ def aligned_mean(targets: Sequence[Floats], seed: int = 0) -> Floats:
     """The mean shape of ``targets`` in the quarter turns that fit it best; turns and mean alternate three times."""
     result = targets[0]
     for _ in range(3):
-        turned = [
-            min((target @ turn for turn in TURNS), key=lambda cloud: chamfer(result, cloud).chamfer) for target in targets
-        ]
-        result = mean_shape(turned, seed)
+        facing = [[target @ turn for turn in TURNS] for target in targets]
+        result = mean_shape([min(turned, key=lambda cloud: chamfer(result, cloud).chamfer) for turned in facing], seed)
     return result
 
 
@@ -133,17 +132,8 @@ STUDY = Study(
     reading="A network that ignored the picture could do no better than the mean shape in its own frame. The nearest training "
     "shape is the best that retrieval could do, were it told the answer: a network that comes close to it has learnt more "
     "than to remember.",
-    convention={
-        "Chamfer": "squared distances, mean over points, forward + backward; targets of longest side 1, in the view's frame"
-    },
-    options=(
-        MESHES,
-        SPLIT,
-        CHECKPOINT,
-        Option("--category", "May be repeated.", str, CATEGORIES, multiple=True, name="categories"),
-        SEED,
-    ),
+    convention=CONVENTION,
+    options=(MESHES, SPLIT, CHECKPOINT, replace(CATEGORY, help="May be repeated.", default=CATEGORIES), SEED),
     plan=plan,
     conclude=conclude,
-    kept="after every category",
 )

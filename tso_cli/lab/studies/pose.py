@@ -77,20 +77,13 @@ def conclude(cases: Cases) -> Record:
     for name in (TRUE, WRONG_PRIOR, *CLOUDS.values()):
         if rows := by_cloud.get(name):
             sure = [row for row in rows if row["sure"]]
-            median = {
-                key: float(np.median([row[key] for row in rows])) for key in ("degrees", "shortest", "longest", "seconds")
-            }
-            summary[name] = {
-                "cases": len(rows),
-                "median_degrees": median["degrees"],
-                "right": right(rows, "degrees"),
-                "answers": right(rows, "answers"),
-                "sure": len(sure),
-                "sure_right": right(sure, "degrees"),
-                "shortest": median["shortest"],
-                "longest": median["longest"],
-                "median_seconds": median["seconds"],
-            }
+            degrees, shortest, longest, seconds = (
+                float(np.median([row[key] for row in rows])) for key in ("degrees", "shortest", "longest", "seconds")
+            )
+            counts = {"right": right(rows, "degrees"), "answers": right(rows, "answers")}
+            counts |= {"sure": len(sure), "sure_right": right(sure, "degrees")}
+            summary[name] = {"cases": len(rows), "median_degrees": degrees, **counts}
+            summary[name] |= {"shortest": shortest, "longest": longest, "median_seconds": seconds}
     return {"summary": summary}
 
 
@@ -108,13 +101,10 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
         for cloud, colour in zip(record["summary"], COLOURS, strict=False):
             for key, dashes in (("degrees", "-"), ("answers", "--")):
                 degrees = [case[key] for case in record["cases"] if case["cloud"] == cloud]
-                label = cloud if key == "degrees" else None
-                axis.ecdf(degrees, color=colour, linestyle=dashes, label=label)
-        axis.axvline(15.0, color=INK, linewidth=0.8, zorder=0)
-        axis.set_xlim(0.0, 180.0)
-        axis.set_xticks([0, 15, 30, 60, 90, 120, 150, 180])
+                axis.ecdf(degrees, color=colour, linestyle=dashes, label=cloud if key == "degrees" else None)
+        axis.axvline(RIGHT, color=INK, linewidth=0.8, zorder=0)
+        axis.set(xlim=(0.0, 180.0), xticks=[0, 15, 30, 60, 90, 120, 150, 180], ylabel="share of the cases")
         axis.set_xlabel("degrees from the true rotation (dashed: of the nearest of the answers)")
-        axis.set_ylabel("share of the cases")
         axis.legend(frameon=False, fontsize=8, loc="lower right")
 
 

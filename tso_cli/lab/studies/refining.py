@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 from ...errors import TsoError
 from ...network.model import BaseNetwork
@@ -13,13 +14,7 @@ from .cases import Case
 
 @dataclass(frozen=True)
 class Variant:
-    """One way of refining a case.
-
-    Parameters
-    ----------
-    config : its settings. masks : how many of the case's views it sees.
-    then : settings of points mode, to go on from what ``config`` gave; None to stop there.
-    """
+    """One way of refining a case: with ``config``, seeing so many ``masks`` of it; ``then`` goes on in points mode."""
 
     config: RefineConfig = field(default_factory=RefineConfig)
     masks: int = 1
@@ -32,8 +27,8 @@ def _best_with(**changes: object) -> Variant:
 
 PAPER, DEFAULT = "paper", "best"
 NO_SYMMETRY, TWO_MASKS, FOUR_MASKS = "best, no symmetry", "best, two masks", "best, four masks"
-COMBINED = "latent, then points"
-BOTH_COMBINED = "encoder-decoder, then points"
+MASKS = (DEFAULT, TWO_MASKS, FOUR_MASKS)
+"""The default preset with one, two and four masks."""
 POINTS = {
     PAPER: Variant(RefineConfig(preset="paper")),
     DEFAULT: Variant(),
@@ -43,14 +38,10 @@ POINTS = {
 }
 STEPS = {f"best, {steps} steps": Variant(RefineConfig(steps=steps)) for steps in (12, 144)}
 NETWORK_MODES = ("encoder", "encoder-decoder", "latent")
-NETWORK = {
-    **POINTS,
-    **{
-        f"{mode}, {preset}": Variant(RefineConfig(mode, preset=preset)) for mode in NETWORK_MODES for preset in (PAPER, DEFAULT)
-    },
-    COMBINED: Variant(RefineConfig("latent"), then=RefineConfig()),
-    BOTH_COMBINED: Variant(RefineConfig("encoder-decoder"), then=RefineConfig()),
-}
+MODES = tuple(product(NETWORK_MODES, (PAPER, DEFAULT)))
+ALONE = {f"{mode}, {preset}": Variant(RefineConfig(mode, preset=preset)) for mode, preset in MODES}
+COMBINED = {f"{mode}, then points": Variant(RefineConfig(mode), then=RefineConfig()) for mode in ("latent", "encoder-decoder")}
+NETWORK = {**POINTS, **ALONE, **COMBINED}
 # Adam's steps do not shrink with the gradient: at the preset's rate the cloud falls apart.
 ADAM_RATE = 2e-3
 ABLATION = {

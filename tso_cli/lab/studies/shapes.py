@@ -48,11 +48,7 @@ class RenderedShape:
 
 
 def shapes_of_part(
-    folder: Path,
-    split_file: Path | None = None,
-    part: str = "test",
-    categories: Sequence[str] = (),
-    limit: int | None = None,
+    folder: Path, split_file: Path | None = None, part: str = "test", categories: Sequence[str] = (), limit: int | None = None
 ) -> list[Shape]:
     """The shapes of one part of a split, sorted by category, in the order of the split.
 
@@ -77,10 +73,8 @@ def shapes_of_part(
         chosen += [members[i] for i in np.linspace(0, len(members) - 1, count).round().astype(int)]
     missing = [name for name in chosen if name not in meshes]
     if missing:
-        raise InputError(
-            f"{folder}: has no mesh {missing[0]} ({len(missing)} of {len(chosen)} are missing), expected those that "
-            f"{split_file} names for {part}"
-        )
+        found = f"has no mesh {missing[0]} ({len(missing)} of {len(chosen)} are missing)"
+        raise InputError(f"{folder}: {found}, expected those that {split_file} names for {part}")
     return [Shape(name, meshes[name]) for name in chosen]
 
 

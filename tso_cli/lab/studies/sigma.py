@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import cycle, product
 from pathlib import Path
 from typing import Any
 
@@ -40,23 +41,17 @@ def plan(
         seen = see(shape, render, settings["seed"])
         return [{"category": shape.category, "shape": shape.name, **mask_errors(seen)}]
 
-    settings |= {
-        "shapes": [shape.name for shape in shapes],
-        "points": render.points,
-        "mask": f"{SIZE}x{SIZE}",
-        "sigma_sq": list(SIGMAS),
-    }
+    settings |= {"shapes": [shape.name for shape in shapes], "points": render.points}
+    settings |= {"mask": f"{SIZE}x{SIZE}", "sigma_sq": list(SIGMAS)}
     return Plan(settings, [({"shape": shape.name}, partial(judge, shape)) for shape in shapes], "projecting")
 
 
 def mask_errors(seen: RenderedShape, sigmas: Sequence[float] = SIGMAS) -> dict[str, list[float]]:
     """Mean over pixels and views of what the true silhouette lacks, has too much, and both, for each sigma^2."""
     errors = np.zeros((2, len(sigmas)))
-    for view in seen.views:
-        mask = view.mask.astype(np.float64) / 255.0
-        for k, sigma_sq in enumerate(sigmas):
-            over = silhouette_of(seen.target, view.camera, sigma_sq) - mask
-            errors[:, k] += np.maximum(-over, 0.0).mean(), np.maximum(over, 0.0).mean()
+    for view, (k, sigma_sq) in product(seen.views, enumerate(sigmas)):
+        over = silhouette_of(seen.target, view.camera, sigma_sq) - view.mask.astype(np.float64) / 255.0
+        errors[:, k] += np.maximum(-over, 0.0).mean(), np.maximum(over, 0.0).mean()
     errors /= len(seen.views)
     return {"missing": errors[0].tolist(), "stray": errors[1].tolist(), "l1": errors.sum(0).tolist()}
 
@@ -65,14 +60,9 @@ def _means(category: str, rows: Cases) -> Record:
     """Means over shapes; the best sigma^2, and the error at the paper's."""
     means = {key: np.mean([row[key] for row in rows], axis=0) for key in ("l1", "missing", "stray")}
     best, paper = int(means["l1"].argmin()), PAPER.get(category)
-    return {
-        "shapes": len(rows),
-        **{key: value.tolist() for key, value in means.items()},
-        "best": SIGMAS[best],
-        "l1_at_best": float(means["l1"][best]),
-        "paper": paper,
-        "l1_at_paper": None if paper is None else float(np.interp(np.log(paper), np.log(SIGMAS), means["l1"])),
-    }
+    at_paper = None if paper is None else float(np.interp(np.log(paper), np.log(SIGMAS), means["l1"]))
+    figures = {"best": SIGMAS[best], "l1_at_best": float(means["l1"][best]), "paper": paper, "l1_at_paper": at_paper}
+    return {"shapes": len(rows), **{key: value.tolist() for key, value in means.items()}, **figures}
 
 
 def conclude(cases: Cases) -> Record:
@@ -87,28 +77,24 @@ def claims(summary: Record) -> list[Record]:
     named = {name: row for name, row in summary.items() if row["paper"] is not None and name != "all"}
     best = ", ".join(f"{name} {row['best']:g} (the paper's {row['paper']:g})" for name, row in named.items())
     missing, stray = overall["missing"], overall["stray"]
+    found = f"missing {missing[0]:.4f} to {missing[-1]:.4f}, stray {stray[0]:.4f} to {stray[-1]:.4f}"
+    holes = bool(np.all(np.diff(missing) < 0.0) and np.all(np.diff(stray) > 0.0))
+    near = all(0.5 <= row["best"] / row["paper"] <= 2.0 for row in named.values())
     answers = [
         claim(
             "a small sigma^2 leaves holes, a large one fills what is empty",
-            bool(np.all(np.diff(missing) < 0.0) and np.all(np.diff(stray) > 0.0)),
-            f"from {SIGMAS[0]:g} to {SIGMAS[-1]:g} px^2 missing {missing[0]:.4f} to {missing[-1]:.4f}, "
-            f"stray {stray[0]:.4f} to {stray[-1]:.4f}",
+            holes,
+            f"from {SIGMAS[0]:g} to {SIGMAS[-1]:g} px^2 {found}",
         ),
-        claim(
-            "the paper's sigma^2 is within a factor of two of the best in every category",
-            all(0.5 <= row["best"] / row["paper"] <= 2.0 for row in named.values()),
-            best,
-        ),
+        claim("the paper's sigma^2 is within a factor of two of the best in every category", near, best),
     ]
     if "airplane" in named and len(named) > 1:
         smallest = min(row["best"] for name, row in named.items() if name != "airplane")
+        nearest = min(SIGMAS, key=lambda sigma_sq: abs(np.log(sigma_sq / overall["paper"])))
+        text, over = f"{overall['paper']:g} is best for all categories together", f"over all {overall['shapes']} shapes"
         answers += [
             claim("aeroplanes want a smaller sigma^2 than chairs and cars", named["airplane"]["best"] < smallest, best),
-            claim(
-                f"{overall['paper']:g} is best for all categories together",
-                overall["best"] == min(SIGMAS, key=lambda sigma_sq: abs(np.log(sigma_sq / overall["paper"]))),
-                f"{overall['best']:g} over all {overall['shapes']} shapes",
-            ),
+            claim(text, overall["best"] == nearest, f"{overall['best']:g} {over}"),
         ]
     return answers
 
@@ -131,20 +117,17 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
         axis = figure.subplots()
         sigmas = record["settings"]["sigma_sq"]
         categories = [(name, row) for name, row in record["summary"].items() if name != "all"]
-        for i, (name, row) in enumerate(categories):
-            colour = COLOURS[i % len(COLOURS)]
+        for colour, (name, row) in zip(cycle(COLOURS), categories, strict=False):
             axis.plot(sigmas, row["l1"], color=colour, linewidth=2, label=f"{name}, {row['shapes']} shapes")
-            axis.plot(sigmas, row["missing"], color=colour, linewidth=0.9, linestyle="--")
-            axis.plot(sigmas, row["stray"], color=colour, linewidth=0.9, linestyle=":")
+            for key, dashes in (("missing", "--"), ("stray", ":")):
+                axis.plot(sigmas, row[key], color=colour, linewidth=0.9, linestyle=dashes)
             axis.plot(row["best"], row["l1_at_best"], "o", color=colour, markersize=7)
             if row["paper"] is not None:
                 axis.plot(row["paper"], row["l1_at_paper"], "D", color="white", markeredgecolor=colour, markersize=8)
-        axis.set_xscale("log")
+        axis.set(xscale="log", xlabel="sigma^2 (px^2 at 64x64)", ylabel="mean |silhouette - mask|")
         axis.set_xticks(sigmas[::2], [f"{sigma_sq:g}" for sigma_sq in sigmas[::2]])
         axis.set_xticks([], minor=True)
         axis.set_ylim(bottom=0.0)
-        axis.set_xlabel("sigma^2 (px^2 at 64x64)")
-        axis.set_ylabel("mean |silhouette - mask|")
         axis.set_title("dot: best, diamond: the paper's; dashed: what is missing, dotted: what is stray", fontsize=10)
         axis.legend(frameon=False, loc="upper center")
 

@@ -17,11 +17,10 @@ from ...network.model import NetworkConfig
 from ...train import TrainConfig, TrainResult, network_config, train
 from ...train.data import TrainingData
 from ...train.state import TrainingState, load_training, save_training, state_path
-from ..charts.bars import Rows, draw_bars
+from ..charts import Rows, draw_bars
 from ..study import DEVICE, MESHES, SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table, part
 from .discretised import DEPTH, projected_objective
-from .judging import CONVENTION, JUDGED_VIEWS, Predicted, constant_answer, judge, predict
-from .material import ALL, Material
+from .judging import ALL, CONVENTION, JUDGED_VIEWS, Material, Predicted, constant_answer, judge, predict
 from .shapes import SPLIT as SHIPPED_SPLIT
 
 CATEGORIES = ("airplane", "car", "chair")
@@ -30,10 +29,9 @@ OPTIONS = (
     SPLIT,
     part("test"),
     Option("--category", "May be repeated.  [default: see above]", multiple=True, default=(), name="categories"),
-    Option("--full", "20,000 steps of 16 on all shapes at the paper's rate, 5e-5, weights not averaged.", bool),
-    Option("--steps", "Of every network.  [default: reduced, see above]", int, least=1),
-    Option("--batch-size", "[default: 8; 16 with --full]", int, least=1),
-    Option("--limit", "Training shapes a category.  [default: 32; all with --full]", int, least=1),
+    Option("--steps", "Of every network.  [default: see above]", int, least=1),
+    Option("--batch-size", kind=int, default=8, least=1),
+    Option("--limit", "Training shapes a category.", int, 32, least=1),
     Option("--frame", "Axes of the predicted points: the objects' or the camera's.", str, "canonical", ("canonical", "view")),
     SEED,
     DEVICE,
@@ -41,19 +39,16 @@ OPTIONS = (
 SAVE_EVERY = 500
 # The same training comes out as far away another time: a smaller difference is noise.
 NOISE = 0.95
-# The paper's rate gets nowhere in few steps.
-REDUCED = {"batch_size": 8, "learning_rate": 3e-4, "averaging": 0.99}
-FULL = {"steps": 20_000, "batch_size": 16, "learning_rate": 5e-5, "averaging": 0.0}
+# The paper's rate of 5e-5 gets nowhere in few steps.
+RATE, AVERAGING = 3e-4, 0.99
 
 
 @dataclass(frozen=True)
 class Setting:
     """One network of a study.
 
-    name : in tables; unique among the settings of a category.
-    category : to train and judge on; `ALL` for all categories of the study, each equally often.
-    changes : fields of `train.TrainConfig` in which it differs from the others.
-    projection : "plain" or "depth" of `discretised`; empty for the paper's.
+    name : in tables; unique among the settings of a category. category : to train and judge on; `ALL` : all, equally often.
+    changes : fields of `train.TrainConfig` in which it differs. projection : of `discretised`; empty for the paper's.
     constant : judge the mean training shape instead of a network. repeat : is added to the seed.
     """
 
@@ -69,38 +64,26 @@ class Setting:
 class Comparison:
     """The networks that a study compares.
 
-    steps, reduced : of the reduced size: steps of a network, categories. full : categories of the full size.
-    settings : categories -> the networks to train.
+    steps : of each network; categories : without ``--category``. settings : categories -> the networks to train.
     measure : predictions of a network, judged data -> what else its case says.
     """
 
     steps: int
-    reduced: tuple[str, ...]
+    categories: tuple[str, ...]
     settings: Callable[[Sequence[str]], list[Setting]]
     measure: Callable[[list[Predicted], TrainingData], Record] = lambda predicted, data: {}
-    full: tuple[str, ...] = CATEGORIES
 
-    def plan(self, progress: Progress, *, categories: tuple[str, ...], full: bool, **options: Any) -> Plan:
+    def plan(self, progress: Progress, *, meshes: Path, split: Path | None, part: str, limit: int, **options: Any) -> Plan:
         """Train and judge the network of each setting; the parameters are `OPTIONS`.
 
         The cases: {"setting", "category", "judged": {category: Chamfer distance x1000}, ...}. Raises InputError if a shape is
         missing.
         """
-        categories = categories or (self.full if full else self.reduced)
-        limit = options["limit"] or (None if full else 32)
+        categories = options.pop("categories") or self.categories
         networks = self.settings(categories)
-        material = Material(
-            options["meshes"], options["split"], options["part"], categories, limit, options["seed"], progress.report
-        )
-        budget = {"steps": self.steps, **(FULL if full else REDUCED)}
-        budget |= {key: options[key] for key in ("steps", "batch_size", "frame", "seed", "device") if options[key] is not None}
-        settings = {
-            **budget,
-            "split": (options["split"] or SHIPPED_SPLIT).name,
-            "part": options["part"],
-            "shapes": material.counts(),
-            "names": material.names_hash(),
-        }
+        material = Material(meshes, split, part, categories, limit, options["seed"], progress.report)
+        budget = {**options, "steps": options["steps"] or self.steps, "learning_rate": RATE, "averaging": AVERAGING}
+        about = {"split": (split or SHIPPED_SPLIT).name, "part": part}
         if progress.earlier is None:
             _forget(progress.unfinished)
         jobs = []
@@ -109,6 +92,7 @@ class Comparison:
             shared = {"setting": network.name, "category": network.category}
             jobs.append((shared, partial(self._judge, material, network, budget, progress, doing)))
         # The state of an unfinished network must not outlive it: the next one may differ in its objective alone.
+        settings = {**budget, **about, "shapes": material.counts(), "names": material.names_hash()}
         return Plan(settings, jobs, "training", after_job=partial(_forget, progress.unfinished))
 
     def _judge(self, material: Material, setting: Setting, budget: Record, progress: Progress, doing: str) -> Cases:
@@ -203,7 +187,6 @@ def trained_study(
         options=OPTIONS,
         plan=comparison.plan,
         conclude=conclude,
-        kept="after every network and every 500 steps",
     )
 
 

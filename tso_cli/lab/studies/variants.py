@@ -21,11 +21,11 @@ from ...network.model import BaseNetwork, NetworkConfig
 from ...refinement import RefineConfig, refine
 from ...render import RayScene, RenderSettings
 from ...scene.network import network_scene
-from ..charts.ratios import Panel, draw_ratios
+from ..charts import Panel, draw_ratios
 from ..study import CATEGORY, CHECKPOINT, COMMON, DEVICE, Cases, Option, Plan, Progress, Record, Study, Table, claim, part
 from .refining import uninterrupted
 from .shapes import RenderedShape, Shape, see, shapes_of_part, view_aligned_network, weights_hash
-from .summary import grouped, interval, ratio_figures
+from .summary import grouped, interval, mean, ratio_figures
 
 VARIANTS = ("encoder", "encoder-decoder", "points")
 LETTERS = {"before": "before", "encoder": "E", "encoder-decoder": "E and D", "points": "p"}
@@ -37,6 +37,7 @@ PAPER = {
     "encoder-decoder": (2.28, 2.09, 4.37),
     "points": (2.36, 2.13, 4.49),
 }
+RATIOS = ("ratio_of_means", "visible_ratio", "occluded_ratio")
 KEPT = 1.01
 """Up to this ratio of distances after and before, what the picture does not show counts as kept."""
 SIZE = 128
@@ -65,14 +66,8 @@ def plan(
     """Let the network predict unseen shapes, refine every prediction with each variant and judge it against the truth."""
     shapes = shapes_of_part(meshes, split, settings["part"], categories or (() if split else CATEGORIES), settings["limit"])
     network, about = view_aligned_network(checkpoint)
-    settings |= {
-        "categories": sorted({shape.category for shape in shapes}),
-        "size": SIZE,
-        "shapes": len(shapes),
-        "points": about.points,
-        "sigma_sq": about.sigma_sq,
-        "network": weights_hash(network),
-    }
+    settings |= {"categories": sorted({shape.category for shape in shapes}), "size": SIZE, "shapes": len(shapes)}
+    settings |= {"points": about.points, "sigma_sq": about.sigma_sq, "network": weights_hash(network)}
     render = RenderSettings(views=settings["views"], size=(SIZE, SIZE))
     config = RefineConfig(steps=settings["steps"], device=settings["device"], sigma_sq=about.sigma_sq, preset="paper")
 
@@ -90,28 +85,19 @@ def judge_view(
     picture = seen.views[number]
     view = View(picture.mask.astype(np.float32) / 255.0, picture.camera, name=f"{shape.name}, view {number}")
     scene = network_scene(picture.image, view, network, about, placing="box")
-    clouds = {"before": scene.points}
-    ious: dict[str, float] = {}
-    seconds: dict[str, float] = {}
+    clouds, ious, seconds = {"before": scene.points}, dict[str, float](), {}
     for variant in VARIANTS:
-        points = scene.points if variant == "points" else None
+        points, settings = scene.points if variant == "points" else None, replace(config, mode=variant)
         start = time.perf_counter()
-        settings = replace(config, mode=variant)
         result = uninterrupted(refine(points, scene.view, config=settings, network=network, image=scene.image))
         seconds[variant] = time.perf_counter() - start
         clouds[variant] = result.points
-        ious |= {"before": result.iou_before} if variant == VARIANTS[0] else {}
-        ious[variant] = result.iou_after
+        ious = {"before": result.iou_before} | ious | {variant: result.iou_after}
     target = seen.target @ (CANONICAL_ROTATION @ picture.camera.R).T
     visible = visible_points(seen.scene, seen.target, picture.camera)
-    return {
-        "category": shape.category,
-        "shape": shape.name,
-        "view": number,
-        "capnet": {name: distances(cloud, target, visible) for name, cloud in clouds.items()},
-        "iou": ious,
-        "seconds": seconds,
-    }
+    found = {name: distances(cloud, target, visible) for name, cloud in clouds.items()}
+    names = {"category": shape.category, "shape": shape.name, "view": number}
+    return {**names, "capnet": found, "iou": ious, "seconds": seconds}
 
 
 def visible_points(scene: RayScene, points: Array, camera: Camera) -> NDArray[np.bool_]:
@@ -121,20 +107,10 @@ def visible_points(scene: RayScene, points: Array, camera: Camera) -> NDArray[np
     edge, hits nothing at all.
     """
     pixels, depth = camera.project(points)
-    rays = (points - camera.position) / depth[:, None]  # of depth 1 in the camera's axes
-    casts = [
-        scene.cast(camera, *block.T) for block in np.array_split(pixels, np.arange(POINTS_AT_ONCE, len(pixels), POINTS_AT_ONCE))
+    first = [
+        scene.cast(camera, *block.T)["depth"].diagonal() for block in np.array_split(pixels, -(-len(pixels) // POINTS_AT_ONCE))
     ]
-    hits, faces, normals = (
-        np.concatenate([cast[key][range(len(cast[key])), range(len(cast[key]))] for cast in casts])
-        for key in ("hit", "face", "normal")
-    )
-    corners = scene.mesh.vertices[scene.mesh.faces[np.where(hits, faces, 0).astype(np.int64), 0]]
-    along = (normals * rays).sum(1)
-    # Where the plane of the hit face meets the ray; a face seen edge-on hides nothing.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        first = (normals * (corners - camera.position)).sum(1) / along
-    return ~(hits & (np.abs(along) > 1e-9) & (first < depth - TOLERANCE))
+    return ~(np.concatenate(first) < depth - TOLERANCE)
 
 
 def distances(prediction: Array, target: Array, visible: NDArray[np.bool_]) -> dict[str, float | None]:
@@ -161,15 +137,13 @@ def conclude(cases: Cases) -> Record:
 
 def _means(cases: Cases) -> Record:
     """Before and each variant: means of the distances; and of each variant what became of them."""
-    chamfers = {
-        name: np.array([case["capnet"][name]["forward"] + case["capnet"][name]["backward"] for case in cases])
-        for name in LETTERS
-    }
+    found = [case["capnet"] for case in cases]
+    chamfers = {name: np.array([row[name]["forward"] + row[name]["backward"] for row in found]) for name in LETTERS}
     capnet: Record = {}
     for name, chamfer in chamfers.items():
         row: Record = {}
         for key in ("forward", "backward", "visible", "occluded"):
-            values = [case["capnet"][name][key] for case in cases if case["capnet"][name][key] is not None]
+            values = [of_case[name][key] for of_case in found if of_case[name][key] is not None]
             row[key] = float(np.mean(values)) if values else None
         row["chamfer"] = float(chamfer.mean())
         if name != "before":
@@ -180,18 +154,17 @@ def _means(cases: Cases) -> Record:
                 row[f"{key}_ratio"] = row[key] / before[key] if before[key] else None
             row |= ratio_figures(chamfer / chamfers["before"])
         capnet[name] = row
-    return {
-        "cases": len(cases),
-        "iou": {name: float(np.mean([case["iou"][name] for case in cases])) for name in LETTERS},
-        "median_seconds": {name: float(np.median([case["seconds"][name] for case in cases])) for name in VARIANTS},
-        "capnet": capnet,
-    }
+    ious = {name: mean(case["iou"][name] for case in cases) for name in LETTERS}
+    seconds = {name: float(np.median([case["seconds"][name] for case in cases])) for name in VARIANTS}
+    return {"cases": len(cases), "iou": ious, "median_seconds": seconds, "capnet": capnet}
 
 
 def claims(summary: Record) -> list[Record]:
     """What the paper says of its table, whether it holds here over all cases and in every category, and the figures."""
-    holding = {name: _holding(group, name == "all") for name, group in summary.items()}
-    total, visible, occluded = (_changes(summary["all"], key) for key in ("ratio_of_means", "visible_ratio", "occluded_ratio"))
+    total, visible, occluded = (
+        ", ".join(f"{LETTERS[name]} {100.0 * (ratio - 1.0):+.1f} %" for name, ratio in _ratios(summary["all"], key).items())
+        for key in RATIOS
+    )
     figures = {
         GAINS: total,
         ORDER: total,
@@ -199,6 +172,7 @@ def claims(summary: Record) -> list[Record]:
         SHOWS: f"forward distance of visible points {visible}",
         MISSES: f"visible points {visible}; IoU " + ", ".join(f"{summary['all']['iou'][name]:.3f}" for name in VARIANTS),
     }
+    holding = {name: _holding(group, name == "all") for name, group in summary.items()}
     answers = []
     for text, numbers in figures.items():
         fails = [name for name, holds in holding.items() if not holds[text]]
@@ -208,7 +182,7 @@ def claims(summary: Record) -> list[Record]:
 
 def _holding(group: Record, whole: bool) -> dict[str, bool]:
     """Whether each claim holds of a group of cases; over all cases a gain must show in the whole of its interval."""
-    total, visible, occluded = (_ratios(group, key) for key in ("ratio_of_means", "visible_ratio", "occluded_ratio"))
+    total, visible, occluded = (_ratios(group, key) for key in RATIOS)
     highest = [group["capnet"][name]["interval"][1] for name in VARIANTS] if whole else total.values()
     iou = group["iou"]
     return {
@@ -226,19 +200,14 @@ def _ratios(group: Record, key: str) -> dict[str, float]:
     return {name: 1.0 if ratio is None else ratio for name, ratio in ratios.items()}
 
 
-def _changes(group: Record, key: str) -> str:
-    return ", ".join(f"{LETTERS[name]} {100.0 * (ratio - 1.0):+.1f} %" for name, ratio in _ratios(group, key).items())
-
-
 def tables(record: Record) -> list[Table]:
     """The paper's table beside ours, and what became of each category."""
     summary, paper = record["summary"], record["paper"]
     sides = []
     for name, theirs in paper.items():
         row = summary["all"]["capnet"][name]
-        changes = [None, None]
-        if name != "before":
-            changes = [100.0 * (ratio - 1.0) for ratio in (row["ratio_of_means"], theirs[2] / paper["before"][2])]
+        ratios = (row["ratio_of_means"], theirs[2] / paper["before"][2]) if name != "before" else (None, None)
+        changes = [ratio and 100.0 * (ratio - 1.0) for ratio in ratios]
         ours = [1e3 * row[key] for key in ("forward", "backward", "chamfer")]
         sides.append([LETTERS[name], *ours, changes[0], *theirs, changes[1]])
     rows = []

@@ -1,0 +1,69 @@
+"""`tso refine --depth` on a shipped example, with a depth map made of its target; `--image`, photos of clouds with colours."""
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from tests.painted import MASK, photo, sheet
+from tso_cli.io.clouds import read_cloud
+
+
+@pytest.fixture
+def depth_map(folder, chair):
+    """depth.png: depths of the target's nearest points, each drawn 9 px wide; 0 where there is none."""
+    _, mask, camera, target = chair
+    (columns, rows), depth = (part.T for part in camera.project(target))
+    nearest = np.full(mask.shape, np.inf)
+    for by_row, by_column in np.ndindex(9, 9):
+        row, column = rows.round().astype(int) + by_row - 4, columns.round().astype(int) + by_column - 4
+        inside = (row >= 0) & (row < camera.height) & (column >= 0) & (column < camera.width)
+        np.minimum.at(nearest, (row[inside], column[inside]), depth[inside])
+    depth = np.where(np.isfinite(nearest) & (mask > 0.5), nearest, 0.0)
+    Image.fromarray((1e4 * depth).round().astype(np.uint16)).save("depth.png")
+
+
+def test_a_depth_map_takes_off_a_quarter_more_than_the_mask_alone(depth_map, chair, refine):
+    for name, words in {"mask": (), "depth": ("--depth", "depth.png", "--depth-scale", "0.0001")}.items():
+        assert "depth-scale" not in refine("initial.ply", "mask.png", "-o", f"{name}.ply", "--symmetry", "none", *words).err
+    mask, depth = (chair.error(read_cloud(name).points) for name in ("mask.ply", "depth.ply"))
+    assert depth < 0.75 * mask
+
+
+def test_a_depth_map_in_another_unit_is_warned_of(depth_map, refine):
+    assert "is --depth-scale right?" in refine("initial.ply", "mask.png", "--check", "--depth", "depth.png").err
+
+
+@pytest.fixture
+def painted(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    points, colours = sheet(2.0)
+    start = points + np.stack([0.03 * np.cos(3.3 * points[:, 0]), 0.0 * points[:, 0], 0.0 * points[:, 0]], 1)
+    trimesh.PointCloud(start, np.rint(255.0 * colours).astype(np.uint8)).export("cloud.ply")
+    Image.fromarray((255 * MASK).astype(np.uint8)).save("mask.png")
+    Image.fromarray(np.rint(255.0 * photo(0.8)).astype(np.uint8)).save("photo.png")
+    Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save("small.png")
+    return tmp_path
+
+
+def test_an_image_brings_a_cloud_nearer_and_its_colours_stay(painted, refine):
+    for name, words in {"image": ("--image", "photo.png"), "mask": ()}.items():
+        assert refine("cloud.ply", "mask.png", *words, "-o", f"{name}.ply", "--symmetry", "none").code == 0
+    truth = sheet(2.0)[0]
+    moved = np.stack([read_cloud(name).points for name in ("image.ply", "mask.ply")])
+    with_image, without = np.linalg.norm(moved - truth, axis=2).mean(1)
+    assert with_image < 0.5 * without
+    assert np.array_equal(read_cloud("image.ply").colours(), read_cloud("cloud.ply").colours())
+
+
+@pytest.mark.parametrize(
+    ("photos", "message"),
+    [
+        (("small.png",), "small.png: is 8x8, the mask mask.png is 64x64"),
+        (("photo.png", "photo.png"), "found 2 images for 1 masks, expected one for each"),
+        (("none.png",), "none.png: does not exist"),
+    ],
+)
+def test_an_image_that_does_not_fit_gets_one_line_and_writes_nothing(painted, refine, photos, message):
+    assert message in refine("cloud.ply", "mask.png", *(word for photo in photos for word in ("--image", photo))).refusal
+    assert not list(painted.glob("*.refined.ply"))

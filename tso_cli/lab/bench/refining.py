@@ -1,0 +1,247 @@
+"""Refinements: whole commands, single objects, the parts that they consist of, and batches."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import product
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...errors import TsoError
+from ...geometry.points import Array, normalise_longest_side, sample_surface, spread_subset
+from ...geometry.view import View
+from ...io.cameras import read_camera
+from ...io.clouds import read_cloud
+from ...io.images import read_mask
+from ...io.meshes import read_mesh
+from ...io.shipped import examples_folder
+from ...kernels.dispatch import planned
+from ...losses.silhouette import silhouette_of
+from ...refinement import PRESETS, RefineConfig, refine, refine_batch
+from ...refinement.cloud import Cloud
+from ...refinement.objective import MaskChamferObjective, ViewTargets
+from ...refinement.presets import BEST, STAGES
+from ...refinement.prior import position_prior
+from ...refinement.problem import Problem
+from ...refinement.run import view_ious
+from ...refinement.smooth_field import SmoothField
+from ...refinement.symmetry import find_mirror_plane
+from ...refinement.symmetry_check import verified_symmetry
+from .timing import (
+    FORMS,
+    IMPORT_TORCH,
+    Contestant,
+    Records,
+    Sample,
+    Setting,
+    as_installed,
+    never_run,
+    process,
+    run_process,
+    timed,
+)
+
+# The shipped example of a chair starts from points of this shape.
+START = "q17_ChairHandle.ply"
+# Clouds of up to so many points are spread evenly, like those of data sets: else no mirror plane would be found.
+SPREAD, SAMPLES = 1024, 8192
+DEGREES_BETWEEN_VIEWS = 50.0
+SIZES = (1024, 16384)
+# Numbers of views of the default preset, at the smallest size.
+MORE_VIEWS = (2, 4)
+BATCHES = (16, 64)
+# Of each object of a batch; so many clouds differ.
+POINTS, CLOUDS = 1024, 16
+# Ends with its parent, whatever becomes of that.
+SPIN = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
+TSO = ("-m", "tso_cli")
+FIRST_CALL = "import sys; from tso_cli.lab.bench.timing import first_call; first_call(sys.argv[1])"
+
+
+def cloud(count: int, seed: int = 0) -> Array:
+    """Initial points [count, 3], longest side 1."""
+    mesh = read_mesh(examples_folder() / "meshes" / "chair" / START)
+    samples = sample_surface(mesh.vertices, mesh.faces, max(count, SAMPLES), np.random.default_rng([seed, count]))
+    return normalise_longest_side(samples[spread_subset(samples, count)] if count <= SPREAD else samples[:count])
+
+
+def chair_views(count: int = 1) -> list[View]:
+    """The mask of the shipped chair, and silhouettes of its cloud turned about the vertical axis."""
+    folder = examples_folder() / "chair"
+    mask = read_mask(folder / "mask.png")
+    camera = read_camera(folder / "camera.json", mask.shape[1], mask.shape[0])
+    views = [View(mask, camera)]
+    for number in range(1, count):
+        turn = Rotation.from_euler("y", number * DEGREES_BETWEEN_VIEWS, degrees=True).as_matrix()
+        turned = replace(camera, R=camera.R @ turn)
+        views.append(View(silhouette_of(read_cloud(folder / "target.ply").points, turned), turned))
+    return views
+
+
+def measure_command(setting: Setting) -> Records:
+    """Processes of bare Python, of `import torch` and of `tso` commands; a first run finds no byte code and no compiled loops.
+
+    Raises TsoError if a command fails, InputError if the shipped examples are missing.
+    """
+    plain = {"python": ("-c", "pass"), "tso --version": (*TSO, "--version"), "tso --help": (*TSO, "--help")}
+    contestants = [IMPORT_TORCH, *(Contestant(name, process(name, arguments)) for name, arguments in plain.items())]
+    with tempfile.TemporaryDirectory() as folder:
+        for points in SIZES:
+            path = f"{folder}/{points}.npy"
+            np.save(path, cloud(points, setting.seed))
+            arguments = (*TSO, "refine", "--mode", "points", path, str(examples_folder() / "chair" / "mask.png"))
+            for call, environment in (("steady", as_installed), ("first", never_run)):
+                name = f"tso refine --mode points, {points:,} points" + (", first run" if call == "first" else "")
+                contestants.append(Contestant(name, process(name, arguments, environment), {"points": points, "call": call}))
+        return setting.race("command", contestants, "over_import_torch")
+
+
+@dataclass(frozen=True, eq=False)
+class Call:
+    """One call of `refine` with the loops in one form; ``steady`` here, else in a fresh process.
+
+    ``details`` are what each call says of itself: the seconds of its phases, or the peak memory of its process.
+    """
+
+    arguments: tuple[Any, Any, RefineConfig]
+    form: str
+    steady: bool
+    details: list[dict[str, float]] = field(default_factory=list)
+
+    def __call__(self) -> float:
+        points, views, config = self.arguments
+        if self.steady:
+            return timed(lambda: self.details.append(refine(points, views, config=config).seconds), self.form)()
+        with tempfile.NamedTemporaryFile(suffix=".pickle") as file:
+            file.write(pickle.dumps((*self.arguments, self.form)))
+            file.flush()
+            answer = json.loads(run_process("refine", ("-c", FIRST_CALL, file.name))[1])
+        self.details.append({"peak_memory_bytes": answer["peak_memory_bytes"]})
+        return float(answer["seconds"])
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """Medians of the details, as fields of a record."""
+        medians = {key: float(np.median([detail[key] for detail in self.details])) for key in self.details[0]}
+        return {"phases": medians} if self.steady else medians
+
+
+def measure_object(setting: Setting, sizes: tuple[int, ...] = SIZES, steps: int | None = None) -> Records:
+    """Both presets in both forms of the loops at every size, and the default with more views."""
+    cases = [(preset, points, 1) for points in sizes for preset in PRESETS]
+    cases += [("best", sizes[0], views) for views in MORE_VIEWS]
+    contestants, calls = [IMPORT_TORCH], []
+    for (preset, points, views), form, call in product(cases, FORMS, ("steady", "first")):
+        arguments = cloud(points, setting.seed), chair_views(views), RefineConfig(preset=preset, steps=steps, seed=setting.seed)
+        calls.append(Call(arguments, form, call == "steady"))
+        fields = {"points": points, "preset": preset, "views": views, "form": form, "call": call}
+        name = f"{preset}, {form}" + (", first call" if call == "first" else "")
+        contestants.append(Contestant(name, calls[-1], fields))
+    torch, *records = setting.race("object", contestants, "over_import_torch")
+    return [torch, *(record | call.fields for record, call in zip(records, calls, strict=True))]
+
+
+def measure_parts(setting: Setting, sizes: tuple[int, ...] = SIZES) -> Records:
+    """One call of each part beside a whole refinement, in both forms of the loops."""
+    records = []
+    for points, (form, work) in product(sizes, FORMS.items()):
+        with planned(work, work):
+            fields, parts = {"points": points, "form": form}, samples(points, setting.seed)
+            records += setting.race("parts", [Contestant(name, sample, fields) for name, sample in parts.items()], "of_refine")
+    return records
+
+
+def samples(count: int, seed: int = 0) -> dict[str, Sample]:
+    """Name -> one call, in the form of the loops that is planned; the whole refinement is the first.
+
+    There are two views, since one is not asked about a mirror plane.
+    """
+    views = tuple(chair_views(2))
+    settings = RefineConfig(symmetry="x").settings()
+    problem = Problem.of(Cloud(cloud(count, seed), "points"), views, settings)
+    points, given = problem.cloud.normalised(), problem.cloud.given
+    field, targets = SmoothField(points), ViewTargets.of(problem.resampled, [1.0] * len(problem.resampled))
+    values = np.random.default_rng(seed).normal(size=(len(field.nodes), 3))
+    mask_chamfer = MaskChamferObjective(targets, STAGES[0].robust_scale, targets.resolvability(points, field))
+    works: dict[str, Callable[[], object]] = {
+        "mirror plane search": partial(find_mirror_plane, points),
+        "symmetry check": partial(verified_symmetry, problem, [1.0, 1.0], settings, field),
+        "farthest points and field": partial(SmoothField, points),
+        "one smoothed product": partial(field.smoothed, values, STAGES[0].smoothness),
+        "mask Chamfer loss, value and gradient": partial(mask_chamfer, points),
+        "position prior": partial(position_prior, points, targets, field, BEST),
+        "resampling of the windows": partial(problem.with_views, views, settings),
+        "judging": partial(view_ious, given, given, views, views),
+    }
+
+    def factors() -> float:
+        fresh = SmoothField(points)
+        return timed(lambda: [fresh.smoothed(values, stage.smoothness) for stage in STAGES])()
+
+    whole = timed(partial(refine, given, views))
+    return {"refine": whole, "factors of the three stages": factors} | {name: timed(work) for name, work in works.items()}
+
+
+def measure_batch(
+    setting: Setting, sizes: tuple[int, ...] = BATCHES, steps: int | None = None, most: int | None = None
+) -> Records:
+    """Seconds an object of `refine` and of `refine_batch`, in one process and on all cores (or ``most``)."""
+    neighboured = sizes[min(1, len(sizes) - 1)]
+    clouds, views = [cloud(POINTS, setting.seed + number) for number in range(CLOUDS)], chair_views()
+    contestants = [IMPORT_TORCH]
+    for preset in PRESETS:
+        config = RefineConfig(preset=preset, steps=steps, seed=setting.seed)
+        alone = timed(partial(refine, clouds[0], views, config=config))
+        contestants.append(Contestant("refine", alone, {"preset": preset, "batch": 1, "processes": 1, "busy": False}))
+        for size, count, busy in product(sizes, sorted({1, most or os.cpu_count() or 1}), (False, True)):
+            if busy and size != neighboured:
+                continue
+            work = partial(_refine_all, [(clouds[number % CLOUDS], views) for number in range(size)], config)
+            fields = {"preset": preset, "batch": size, "processes": count, "busy": busy}
+            name = f"refine_batch of {size}" + (", busy neighbour" if busy else "")
+            contestants.append(Contestant(name, on_processes(work, count, busy), fields, calls=size))
+    records = setting.race("batch", contestants, "over_import_torch")
+    alone_seconds = {row["preset"]: row["seconds"]["median"] for row in records if row["name"] == "refine"}
+    for row in records[1:]:
+        row |= {"points": POINTS, "over_refine": row["seconds"]["median"] / alone_seconds[row["preset"]]}
+    return records
+
+
+def _refine_all(scenes: list, config: RefineConfig) -> None:
+    for result in refine_batch(scenes, config):
+        if isinstance(result, TsoError):
+            raise result
+
+
+def on_processes(work: Callable[[], object], count: int, busy: bool = False) -> Sample:
+    """The work in so many processes; with ``busy`` while a process spins on every core."""
+
+    def sample() -> float:
+        with patch.dict(os.environ, OMP_NUM_THREADS=str(count)), busy_neighbour() if busy else nullcontext():
+            return timed(work)()
+
+    return sample
+
+
+@contextmanager
+def busy_neighbour() -> Iterator[list[subprocess.Popen[bytes]]]:
+    """A process that spins on every core inside the block."""
+    spinners = [subprocess.Popen([sys.executable, "-c", SPIN]) for _ in range(os.cpu_count() or 1)]
+    try:
+        yield spinners
+    finally:
+        for spinner in spinners:
+            spinner.kill()
+            spinner.wait()

@@ -1,0 +1,192 @@
+"""The record of `tso bench speed` as tables, chart and page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from ...plots.style import COLOURS, INK, PALE, page
+from ..study import Record, Shown, Table
+
+Records = Sequence[Record]
+Label = Callable[[Record], str]
+Panel = Callable[[Any, Records], None]
+MARKERS = "osD^vP*Xh"
+
+
+def machine_line(record: Record) -> str:
+    """Where and with what the record was made."""
+    machine = record["machine"]
+    versions = ", ".join(f"{name} {version}" for name, version in record["versions"].items() if version)
+    return f"{machine['cpu']}, {machine['cores']} cores; {versions}; seed {record['seed']}, {record['seconds']:.0f} s"
+
+
+def tables(record: Record) -> list[Table]:
+    """Of whatever was measured; the last says what was left out, and where the record was made."""
+
+    def of(what: str) -> Records:
+        return [r for r in record["records"] if r["what"] == what and r["seconds"]]
+
+    objects, batches = ([r for r in of(what) if "preset" in r] for what in ("object", "batch"))
+    commands = [
+        [r["name"], *(f"{r['seconds'][key]:.2f}" for key in ("median", "low", "high")), f"{r['over_import_torch']:.2f}"]
+        for r in of("command")
+    ]
+    left_out: dict[str, list[str]] = {}
+    for r in record["records"]:
+        if "left_out" in r:
+            left_out.setdefault(f"{r['what']}, {r['name']}: {r['left_out']}", []).append(_size(r))
+    measured = [
+        Table(["", "median", "low", "high", "x `import torch`"], commands, "whole processes: s"),
+        _pivot("one object: ms (x `import torch`)", objects, lambda r: f"{_ms(r)} ({_digits(r['over_import_torch'])}x)"),
+        _pivot(
+            "phases of one object, prepare + optimise + judge: ms",
+            [r for r in objects if "phases" in r],
+            lambda r: " + ".join(_digits(1e3 * r["phases"][phase]) for phase in ("prepare", "optimise", "judge")),
+        ),
+        _pivot(
+            "peak memory of a process with one call: MiB",
+            [r for r in objects if r.get("peak_memory_bytes")],
+            lambda r: f"{r['peak_memory_bytes'] / 2**20:,.0f}",
+        ),
+        _pivot(
+            "parts of the default preset: ms (share of a refinement)",
+            of("parts"),
+            lambda r: f"{_ms(r)} ({100.0 * r['of_refine']:.0f} %)",
+            column=lambda r: f"{r['points']:,}, {r['form']}",
+        ),
+        _pivot(
+            "many objects: ms each (x `import torch`, x one `refine`)",
+            batches,
+            lambda r: f"{_ms(r)} ({r['over_import_torch']:.3f}x, {r['over_refine']:.2f}x)",
+            lambda r: f"{r['preset']}, {r['name']}",
+            lambda r: f"processes: {r['processes']}",
+        ),
+        *(
+            _pivot(f"{title}, value and gradient: ms (x tso's)", of(what), lambda r: f"{_ms(r)} ({_digits(r['over_tso'])}x)")
+            for title, what in (("silhouette", "silhouette"), ("Chamfer to the start", "chamfer"))
+        ),
+        _pivot("training: images a second", of("training"), _images, column=lambda r: str(r["precision"])),
+        Table(["left out", "points"], [[label, ", ".join(sizes)] for label, sizes in left_out.items()]),
+        Table(["measured on"], [[machine_line(record)]]),
+    ]
+    return [table for table in measured if table.rows]
+
+
+def _size(record: Record) -> str:
+    side, views = record["side"], record.get("views", 1)
+    return f"{record['points']:,}" + (f"@{side}" if side else "") + (f", {views} views" if views > 1 else "")
+
+
+def _ms(record: Record) -> str:
+    return _digits(1e3 * record["seconds"]["median"])
+
+
+def _images(record: Record) -> str:
+    """Images a second; of a whole step also what projector and losses add, and the share of it that waits for data."""
+    whole = record["name"].endswith("step")
+    shares = f" ({100 * record['added']:+.0f} %, waits {100 * record['waiting']:.1f} %)" if whole else ""
+    return _digits(record["images_per_second"]) + shares
+
+
+def _digits(value: float) -> str:
+    """Three digits, without powers of ten."""
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+
+
+def _pivot(title: str, records: Records, cell: Label, row: Label = lambda r: str(r["name"]), column: Label = _size) -> Table:
+    """A table of cells; ``row`` and ``column`` are their labels, by default a name and a size."""
+    cells: dict[str, dict[str, str]] = {}
+    for record in records:
+        cells.setdefault(row(record), {})[column(record)] = cell(record)
+    columns = list(dict.fromkeys(label for values in cells.values() for label in values))
+    return Table(["", *columns], [[label, *map(values.get, columns)] for label, values in cells.items()], title)
+
+
+def draw_speed(path: Path, record: Record, overwrite: bool = False) -> None:
+    """A panel for each part that was measured but training: lines where sizes grow, dots elsewhere.
+
+    Raises InputError if ``path`` cannot be written to.
+    """
+    measured = [r for r in record["records"] if r["seconds"]]
+    panels = [(panel, rows) for what, panel in PANELS.items() if (rows := [r for r in measured if r["what"] == what])]
+    columns = min(3, len(panels)) or 1
+    rows_of_panels = -(-len(panels) // columns) or 1
+    with page(path, overwrite, (max(7.0, 5.6 * columns), 0.4 + 4.6 * rows_of_panels)) as figure:
+        axes = figure.subplots(rows_of_panels, columns, squeeze=False).flatten()
+        for axis in axes[len(panels) :]:
+            axis.remove()
+        for axis, (panel, rows) in zip(axes, panels, strict=False):
+            panel(axis, rows)
+            axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2, frameon=False, fontsize=8)
+        figure.suptitle(machine_line(record).partition(";")[0], fontsize=11, color=INK)
+
+
+def _lines(title: str) -> Panel:
+    """Each contestant's median and quartiles over the number of points; `import torch`, if there, as a level."""
+
+    def panel(axis: Any, records: Records) -> None:
+        series = [r for r in records if r["points"] and r.get("views", 1) == 1 and r.get("call") != "first"]
+        for i, name in enumerate(dict.fromkeys(r["name"] for r in series)):
+            rows = [r for r in series if r["name"] == name]
+            colour, sizes = [*COLOURS, "#8c6d31", "#7f7f7f", "#9467bd"][i % 9], [r["points"] for r in rows]
+            low, median, high = ([1e3 * r["seconds"][key] for r in rows] for key in ("low", "median", "high"))
+            axis.plot(sizes, median, label=name, color=colour, marker=MARKERS[i % 9], markersize=5, linewidth=1.4 if i else 2.5)
+            axis.fill_between(sizes, low, high, color=colour, alpha=0.15, linewidth=0)
+        for r in records:
+            if not r["points"]:
+                axis.axhline(1e3 * r["seconds"]["median"], label=r["name"], color=PALE, linestyle="--")
+        axis.set(title=title, xlabel="points", ylabel="ms", xscale="log", yscale="log")
+        ticks = dict.fromkeys((r["points"], r["side"]) for r in series)
+        axis.set_xticks([n for n, _ in ticks], [f"{n:,}" + (f"\n{side}²" if side else "") for n, side in ticks], fontsize=8)
+        axis.minorticks_off()
+        axis.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+
+    return panel
+
+
+def _dots(title: str, label: Callable[[Record], str], series: Callable[[Record], str]) -> Panel:
+    """A row for each label, from the top down, with a dot for each series: its median."""
+
+    def panel(axis: Any, records: Records) -> None:
+        labels = list(dict.fromkeys(map(label, records)))
+        for i, name in enumerate(dict.fromkeys(map(series, records))):
+            rows = [r for r in records if series(r) == name]
+            values = [1e3 * r["seconds"]["median"] for r in rows]
+            places = [labels.index(label(r)) for r in rows]
+            axis.plot(values, places, MARKERS[i % 9], color=COLOURS[i % 6], label=name, markersize=6, alpha=0.8)
+        axis.set_yticks(range(len(labels)), labels, fontsize=8)
+        axis.set_ylim(len(labels) - 0.5, -0.5)
+        axis.grid(axis="both", color=PALE, linewidth=0.5, alpha=0.6)
+        axis.set(title=title, xlabel="ms", xscale="log")
+        axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+
+    return panel
+
+
+PANELS: dict[str, Panel] = {
+    "command": _dots(
+        "whole processes", lambda r: r["name"].removesuffix(", first run"), lambda r: f"{r.get('call', 'steady')} run"
+    ),
+    "object": _lines("one object, in process"),
+    "parts": _dots("parts of the default preset", lambda r: r["name"], lambda r: f"{r['points']:,} points, {r['form']}"),
+    "batch": _dots(
+        "many objects, ms each",
+        lambda r: r["name"],
+        lambda r: f"{r['preset']}, processes: {r['processes']}" if "preset" in r else r["name"],
+    ),
+    "silhouette": _lines("silhouette and cross-entropy, value and gradient"),
+    "chamfer": _lines("Chamfer to the start, a step, value and gradient"),
+}
+
+
+STUDY = Shown(
+    name="speed",
+    about="How fast is it, beside other ways and other packages?",
+    parts=("points, paper", "points, best", "training"),
+    tables=tables,
+    draw=draw_speed,
+    reading="Contestants for the same work take turns in one process. Trust ratios before times: two runs on a shared machine "
+    "differ by up to half.",
+)
