@@ -36,7 +36,7 @@ def test_four_lines_say_what_was_written_how_well_it_agrees_how_far_it_moved_and
     lines = run.out.splitlines()
     assert (run.code, run.err, len(lines)) == (0, "", 4)
     assert lines[0] == "initial.refined.ply: 1,024 points"
-    assert re.fullmatch(r"  IoU    0\.\d{3} -> 0\.\d{3} with the mask", lines[1])
+    assert re.fullmatch(r"  IoU    0\.\d{3} -> 0\.\d{3} with the mask \(improved, confidence 0\.\d\d\)", lines[1])
     assert re.fullmatch(r"  moved  \d\.\d % of the object's size on average, \d+\.\d % at most", lines[2])
     assert re.fullmatch(r"  used   camera camera.json; assumed mirror-symmetric, as the cloud is; \d+\.\d s", lines[3])
     assert 0.0 < np.abs(refined("initial.refined.ply") - refined("initial.ply")).max() < 0.2

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from ..errors import InputError
+from ..errors import GateError, InputError
 from . import options
 from .refine_check import check_scene
 from .refine_files import CameraPath, RefineInputs, RefineOutputs
@@ -104,6 +104,7 @@ HEADINGS = {
 @click.option("--image", type=PATH, multiple=True, help="Photo of the mask, for a photometric loss on a cloud with colours.")
 @click.option("-o", "--output", type=PATH, help="Refined cloud, .ply.  [default: SOURCESTEM.refined.ply here]")
 @options.overwrite
+@click.option("--strict", is_flag=True, help="Write nothing where the result is doubtful, and exit with code 3.")
 @click.option("--overlay", type=PATH, help="Picture of mask, silhouette and cloud before and after, .png.")
 @click.option("--check", is_flag=True, help="Only print the camera, the scale and the overlap with the mask.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors and the document of --json.")
@@ -112,7 +113,7 @@ HEADINGS = {
 @options.device
 @options.seed
 @click.pass_context
-def command(ctx: click.Context, check: bool, quiet: bool, verbose: bool, as_json: bool, **chosen: Any) -> None:
+def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose: bool, as_json: bool, **chosen: Any) -> None:
     """Make a point cloud agree with masks and write the refined cloud.
 
     \b
@@ -177,6 +178,8 @@ def command(ctx: click.Context, check: bool, quiet: bool, verbose: bool, as_json
         )
     finally:
         bar.close()
+    if strict and result.verdict == "doubtful":
+        raise GateError(f"{inputs.source}: the result is doubtful: {result.reason}; with --strict nothing is written")
     writing = time.perf_counter()
     outputs.write(result, scene, inputs.masks)
     finished = time.perf_counter()

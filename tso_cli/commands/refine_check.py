@@ -26,10 +26,9 @@ def check_scene(scene: Scene, as_json: bool, quiet: bool, warned: list[str]) -> 
 
     ``warned`` collects the warnings so far and those to come.
     """
-    from ..refinement.cloud import outliers_told
     from ..refinement.assumptions import Agreement
-    from ..refinement.placement import SMALLEST_BOX_IOU, mask_doubts, place
-    from ..refinement.problem import require_overlaps
+    from ..refinement.cloud import outliers_told
+    from ..refinement.placement import SMALLEST_BOX_IOU, mask_doubts, place, require_overlap
 
     placements = [place(scene.moving, view) for view in scene.views]
     doubts = [] if scene.surface else outliers_told(len(scene.points) - len(scene.moving))
@@ -43,7 +42,8 @@ def check_scene(scene: Scene, as_json: bool, quiet: bool, warned: list[str]) -> 
         options.echo_json(_document(scene, placements, overlaps, agreement.suspects if agreement else (), warned))
     elif not quiet:
         _print(scene, placements, overlaps)
-    require_overlaps(scene.moving, scene.views, agreement)
+    for placement, view in zip(placements, scene.views, strict=True):
+        require_overlap(placement, view, advice=str(agreement or ""))
 
 
 def camera_document(camera: Camera, source: str) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from ..geometry.view import View, object_box
 # Cells along the longer side of the mask's box, in which silhouettes are compared, and points that are projected.
 CELLS, POINTS = 16, 1024
 # An assumption is suspected if silhouettes then agree better than as given by this IoU, and at least so far.
-MARGIN, LEAST_IOU = 0.15, 0.4
+MARGIN, LEAST_IOU = 0.16, 0.4
 # Others that fit about as well as the best.
 SIMILAR, MOST_SUSPECTS = 0.03, 3
 
@@ -96,6 +96,9 @@ ASSUMPTIONS = {
     "cloud-xy-swapped": Assumption("x and y of the cloud are exchanged", "y x z"),
     "cloud-yz-swapped": Assumption("y and z of the cloud are exchanged", "x z y"),
     "cloud-xz-swapped": Assumption("x and z of the cloud are exchanged", "z y x"),
+    "cloud-yzx": Assumption("the cloud's axes are y, z, x", "z x y"),
+    "cloud-zxy": Assumption("the cloud's axes are z, x, y", "y z x"),
+    "cloud-inches": Assumption("the cloud is in inches, the camera in metres", camera=_unit(0.0254)),
     "cloud-millimetres": Assumption("the cloud is in millimetres, the camera in metres", camera=_unit(1e-3)),
     "cloud-centimetres": Assumption("the cloud is in centimetres, the camera in metres", camera=_unit(1e-2)),
     "camera-millimetres": Assumption("the camera is in millimetres, the cloud in metres", camera=_unit(1e3)),
@@ -135,7 +138,7 @@ def assumptions_of(names: Sequence[str]) -> list[Assumption]:
 class Agreement:
     """How far the silhouette of a cloud and the masks agree, mean IoU in coarse cells of the views.
 
-    as_given : of the input as it is. best : under the best of `ASSUMPTIONS`. suspects : those that may well be true, best first.
+    as_given : of the input as it is. best : under the best of `ASSUMPTIONS`. suspects : those that may be true, best first.
     """
 
     as_given: float
@@ -174,7 +177,7 @@ class _Cells:
     size: Array  # [2], width and height of the image
 
     @classmethod
-    def of(cls, view: View, mask: str) -> _Cells | None:
+    def of(cls, view: View, mask: str) -> _Cells:
         inside = view.inside if not mask else ~view.inside if view.known is None else ~view.inside & view.known
         left, top, right, bottom = object_box(inside)
         edge = -(-max(right - left, bottom - top) // CELLS)

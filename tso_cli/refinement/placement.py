@@ -95,9 +95,9 @@ def box_iou(a: Box, b: Box) -> float:
     return common / union if union > 0.0 else 0.0
 
 
-def require_overlap(placement: Placement, view: View, warn: bool = True) -> None:
-    """Raise InputError for a cloud and a mask that do not meet; warn of points behind the camera where ``warn``."""
-    advice = (
+def require_overlap(placement: Placement, view: View, warn: bool = True, advice: str = "") -> None:
+    """Raise InputError with ``advice`` for a cloud and a mask that do not meet; warn of points behind it where ``warn``."""
+    advice = advice or (
         "check the camera's axes (OpenCV: x right, y down, z forward; X_camera = R X_world + t) and units, "
         "or look at the numbers with --check"
     )

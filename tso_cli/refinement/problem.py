@@ -46,7 +46,8 @@ class Problem:
         """Raises InputError where the cloud's projection misses a mask, or the mode cannot use depth maps or images."""
         _require_supported(cloud, views, settings)
         agreement = Agreement.of(cloud.initial, views) if settings.mode == "points" else None
-        require_overlaps(cloud.initial, views, agreement)
+        for view in views:
+            require_overlap(place(cloud.initial, view), view, advice=str(agreement or ""))
         symmetry = decide_symmetry(cloud, settings.symmetry)
         if symmetry.outcome == "given":
             _require_plane_through(cloud, views, symmetry, settings.symmetry)
@@ -84,15 +85,6 @@ class Problem:
         return sum(
             weight * (1.0 + flipped + (view.depth is not None)) for weight, view in zip(weights, self.views, strict=True)
         )
-
-
-def require_overlaps(points: Array, views: tuple[View, ...], agreement: Agreement | None) -> None:
-    """Raise InputError where ``points`` [N, 3] miss a mask, with what may be wrong."""
-    for view in views:
-        try:
-            require_overlap(place(points, view), view)
-        except InputError as error:
-            raise InputError("; ".join(filter(None, (str(error), str(agreement or ""))))) from None
 
 
 def _side(box: Box) -> float:

@@ -216,10 +216,11 @@ def _result(
     best_step = 0 if outcome.reverted else descent.best_step
     iou_before, iou_after = np.mean(outcome.ious, 0).tolist()
     lengths = np.linalg.norm(moved.displacements, axis=1)
-    signs, verdict = {}, None
-    if len(descent.stages) == len(STAGES) and problem.agreement:
-        initial = cloud.normalised()
-        signs = signs_of(problem, initial, descent.best, list(descent.stages), outcome.ious, prepared.view_weights.inlier)
+    signs: dict[str, float] = {}
+    verdict: Verdict | None = None
+    if len(descent.stages) == len(STAGES) and prepared.field and problem.agreement:
+        moves = cloud.normalised(), descent.best, descent.stages
+        signs = signs_of(problem, prepared.field, *moves, outcome.ious, prepared.view_weights.inlier)
         verdict = Verdict.of(signs, best_step > 0, str(problem.agreement))
     result = RefineResult(
         points=moved.points,
@@ -255,8 +256,8 @@ def _result(
         surface_samples=len(moved.displacements) if cloud.surface else None,
         outliers=cloud.outliers,
         suspects=problem.agreement.suspects if problem.agreement else (),
-        verdict=verdict and verdict.name,
-        confidence=verdict and verdict.confidence,
+        verdict=verdict.name if verdict else None,
+        confidence=verdict.confidence if verdict else None,
         reason=verdict.reason if verdict else str(problem.agreement or ""),
         signs=signs,
     )

@@ -39,7 +39,7 @@ class SmoothField:
         self._coarser: dict[int, SmoothField] = {}
         # The first of a spread subset are the smaller one, but where the finer field has every point, in their own order.
         known = finer is not None and len(finer.nodes) < len(points)
-        self.nodes = finer.nodes[:nodes] if finer and known else spread_subset(points, nodes)
+        self.nodes: Indices = finer.nodes[:nodes] if finer and known else spread_subset(points, nodes)
         positions = points[self.nodes]
         self.patches = _patches(positions)
         self._adjacent = _adjacent(self.patches)

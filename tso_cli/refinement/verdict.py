@@ -1,16 +1,17 @@
 """Whether a result can be trusted: signs of a refinement that went wrong, and the confidence that they leave.
 
-IoU is no sign: where camera or mask are wrong it rises while the cloud gets worse. What tells is above all how the points moved:
-a camera that is off moves them as one body, a wrong mask moves them far or against one another from stage to stage.
+IoU is no sign: where camera or mask are wrong it rises while the cloud gets worse. How the points moved is one: a camera that
+is off moves them as one body, a wrong mask moves them far, or otherwise from stage to stage.
 """
 
 from __future__ import annotations
 
 import functools
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,10 @@ from ..geometry.camera import Camera
 from ..losses.projection import pixels_under, project
 from .objective import MaskChamferObjective, ViewTargets
 from .placement import place
+from .presets import STAGES
 from .prior import ROBUST_SCALE
 from .problem import Problem
+from .smooth_field import SmoothField
 
 Array = NDArray[np.float64]
 Name = Literal["improved", "unchanged", "doubtful"]
@@ -38,7 +41,10 @@ REASONS = {
     "symmetry": "the mask and its mirror image contradict each other more than a right camera lets them",
     "views": "the views contradict each other",
 }
+# Added to what is taken the logarithm of.
 SMALLEST = 1e-3
+# Of a field without which motion is rough: that of the last stage, whose factors are there.
+SMOOTHNESS = STAGES[-1].smoothness
 
 
 @dataclass(frozen=True)
@@ -65,12 +71,18 @@ class Verdict:
 
 
 def signs_of(
-    problem: Problem, initial: Array, refined: Array, stages: list[Array], ious: list[tuple[float, float]], inlier: list[float]
+    problem: Problem,
+    field: SmoothField,
+    initial: Array,
+    refined: Array,
+    stages: Sequence[Array],
+    ious: list[tuple[float, float]],
+    inlier: list[float],
 ) -> dict[str, float]:
     """What the confidence depends on, named GROUP: SIGN.
 
-    ``problem`` has its last windows; ``initial``, ``refined`` and the best of each stage are [N, 3] of longest side 1; ``ious``
-    of each view before and after, and its ``inlier`` weight.
+    ``problem`` has its last windows; ``field`` is of the start; ``initial``, ``refined`` and the best of each stage are [N, 3],
+    of longest side 1; ``ious`` and ``inlier`` weights are of the views.
     """
     moved = refined - initial
     lengths = np.linalg.norm(moved, axis=1)
@@ -78,7 +90,9 @@ def signs_of(
     camera = problem.resampled[0].camera
     axes = np.sqrt(np.square(moved @ camera.R.T).mean(0))
     signs |= {"motion: along": _log(axes[2]), "motion: across": _log(float(np.hypot(*axes[:2])))}
-    signs |= _explained(initial, refined)
+    of_nodes = moved[field.nodes]
+    rough = np.square(of_nodes - field.smoothed(of_nodes, SMOOTHNESS)).sum() / (np.square(of_nodes).sum() + 1e-12)
+    signs |= {"motion: rough": float(rough), **_explained(initial, refined)}
     for i, j in ((0, 1), (0, 2), (1, 2)):
         signs[f"stages: {i + 1} to {j + 1}"] = _log(np.sqrt(np.square(stages[j] - stages[i]).sum(1).mean()))
 
@@ -134,7 +148,7 @@ def _beside(points: Array, camera: Camera, inside: NDArray[np.bool_]) -> float:
     return 1.0 - np.count_nonzero(within & inside.ravel()[pixel]) / len(points)
 
 
-def _log(value: float) -> float:
+def _log(value: Any) -> float:
     return float(np.log(value + SMALLEST))
 
 

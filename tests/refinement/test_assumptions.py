@@ -1,0 +1,69 @@
+"""What people get wrong in cloud, camera and mask is named, and the option that is named mends it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.scenes import example
+from tso_cli.geometry.camera import Camera
+from tso_cli.refinement.assumptions import ASSUMPTIONS, Agreement, assumptions_of
+
+PLANE = example("airplane")
+# The mistake that an assumption mends, where that is not the same change again.
+OPPOSITE = {
+    **{"cloud-z-up": "cloud-y-up", "cloud-yzx": "cloud-zxy", "K-of-half-size": "K-of-double-size"},
+    **{"cloud-millimetres": "camera-millimetres", "cloud-centimetres": "camera-centimetres"},
+}
+OPPOSITE |= {mistake: mended for mended, mistake in OPPOSITE.items()}
+# In a picture whose middle is the principal point it changes nothing; of a thing seen so nothing that a mask shows.
+UNSEEN = {"principal-point-swapped", "R-transposed"}
+
+
+def _mistaken(name: str):
+    """The aeroplane's cloud and view, wrong so that the assumption is right."""
+    view = PLANE.view
+    if name == "opengl-camera-to-world":
+        R = np.diag([1.0, -1.0, -1.0]) @ view.camera.R
+        t = view.camera.t * [1.0, -1.0, -1.0]
+        return PLANE.target, replace(view, camera=replace(view.camera, R=R.T, t=-R.T @ t))
+    if name == "cloud-inches":
+        return PLANE.target / 0.0254, view
+    mistake = ASSUMPTIONS[OPPOSITE.get(name, name)]
+    return PLANE.target @ mistake.matrix.T, mistake.of_view(view)
+
+
+@pytest.mark.parametrize("name", sorted(set(ASSUMPTIONS) - UNSEEN))
+def test_a_mistake_is_named_before_the_start(name):
+    points, view = _mistaken(name)
+    suspects = [suspect.option for suspect in Agreement.of(points, [view]).suspects]
+    assert f"--assume {name}" in suspects
+
+
+@pytest.mark.parametrize("name", ["chair", "car", "airplane"])
+def test_right_input_is_not_suspected(name):
+    scene = example(name)
+    for points in (scene.points, scene.target):
+        assert Agreement.of(points, [scene.view]).suspects == ()
+
+
+@pytest.mark.parametrize("name", ASSUMPTIONS)
+def test_under_its_assumption_a_mistake_projects_as_the_right_input_does(name):
+    points, view = _mistaken(name)
+    if name == "principal-point-swapped":
+        view = replace(PLANE.view, camera=replace(PLANE.camera, K=PLANE.camera.K + [[0, 0, 9.0], [0, 0, -4.0], [0, 0, 0]]))
+        swapped = ASSUMPTIONS[name].of_view(view).camera.K
+        assert swapped[0, 2] == view.camera.K[1, 2] and swapped[1, 2] == view.camera.K[0, 2]
+        return
+    (assumption,) = assumptions_of([name])
+    meant = assumption.of_view(view)
+    pixels, _ = meant.camera.project(points @ assumption.matrix.T)
+    np.testing.assert_allclose(pixels, PLANE.camera.project(PLANE.target)[0], atol=1e-6)
+    np.testing.assert_array_equal(meant.mask, PLANE.mask)
+
+
+def test_units_of_an_orthographic_camera_are_in_its_k():
+    camera = Camera(np.diag([100.0, 100.0, 1.0]), np.eye(3), np.array([0.0, 0.0, 2.0]), 64, 64, "orthographic")
+    points = np.array([[0.1, 0.2, 0.0]])
+    (metres,) = assumptions_of(["cloud-millimetres"])
+    np.testing.assert_allclose(metres.of_camera(camera).project(1000.0 * points)[0], camera.project(points)[0])

@@ -1,0 +1,70 @@
+"""A result says how far it can be trusted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.scenes import example
+from tso_cli import RefineConfig, View, refine, refine_batch
+from tso_cli.geometry.rotations import from_vectors
+from tso_cli.refinement.verdict import REASONS, _model, signs_of
+
+EXAMPLES = "chair", "car", "airplane"
+
+
+def _yawed(view: View, degrees: float) -> View:
+    turn = from_vectors(np.radians(degrees) * np.array([0.0, 1.0, 0.0]))
+    return replace(view, camera=replace(view.camera, R=view.camera.R @ turn))
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_right_input_is_trusted(name):
+    scene = example(name)
+    result = refine(scene.points, scene.view)
+    assert (result.verdict, result.reason, result.suspects) == ("improved", "", ())
+    assert result.confidence > 0.6 and not result.warnings
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_a_camera_far_off_leaves_less_confidence_though_iou_rises(name):
+    scene = example(name)
+    right, wrong = refine(scene.points, scene.view), refine(scene.points, _yawed(scene.view, 70.0))
+    assert wrong.iou_after > wrong.iou_before and scene.error(wrong.points) > scene.error(scene.points)
+    assert wrong.verdict == "doubtful" and wrong.confidence < right.confidence
+    assert wrong.reason in REASONS.values() or "--assume" in wrong.reason
+    assert any(wrong.reason in warning for warning in wrong.warnings)
+
+
+def test_an_inverted_mask_is_named_and_its_result_doubtful():
+    scene = example("chair")
+    result = refine(scene.points, replace(scene.view, mask=1.0 - scene.mask))
+    assert result.verdict == "doubtful" and result.suspects[0].option == "--assume mask-inverted"
+
+
+def test_what_did_not_move_is_unchanged_and_sure():
+    scene = example("chair")
+    result = refine(scene.points, scene.view, config=RefineConfig(steps=0))
+    assert (result.verdict, result.confidence) == ("unchanged", 1.0)
+
+
+def test_the_papers_preset_is_not_judged_but_its_input_is():
+    scene = example("chair")
+    result = refine(scene.points, replace(scene.view, mask=1.0 - scene.mask), config=RefineConfig(preset="paper", steps=3))
+    assert (result.verdict, result.confidence) == (None, None) and "mask is inverted" in result.reason
+
+
+def test_a_batch_judges_as_a_single_cloud_is_judged():
+    scene = example("chair")
+    (batched,) = refine_batch([(scene.points, scene.view)])
+    alone = refine(scene.points, scene.view)
+    assert (batched.verdict, batched.confidence) == (alone.verdict, pytest.approx(alone.confidence, abs=0.02))
+
+
+def test_the_model_knows_every_sign():
+    scene = example("chair")
+    names, (mean, deviation, hidden, offset, output) = _model()
+    assert names == list(refine(scene.points, scene.view).signs)
+    assert {name.split(":")[0] for name in names} == set(REASONS)
+    assert hidden.shape == (len(names), len(offset)) and len(output) == len(offset) + 1 and (deviation > 0.0).all()
+    assert len(mean) == len(names) and signs_of.__doc__
