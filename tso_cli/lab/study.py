@@ -138,13 +138,17 @@ class Shown:
 
 @dataclass(frozen=True)
 class Study(Shown):
-    """A question to the method: ``plan`` says what to do for ``options``, ``conclude`` what all cases together say."""
+    """A question to the method: ``plan`` says what to do for ``options``, ``conclude`` what all cases together say.
+
+    ``kept`` says how often its record is kept, ``group`` of which group its command is.
+    """
 
     convention: Record
     options: tuple[Option, ...]
     plan: Callable[..., Plan]
     conclude: Callable[[Cases], Record]
     kept: str = "after every shape"
+    group: str = "lab"
 
     def run(self, progress: Progress, **options: Any) -> Record:
         """The record of all cases; those of ``progress.earlier`` are not judged again.

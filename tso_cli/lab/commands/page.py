@@ -16,10 +16,12 @@ from ..studies import QUESTIONS
 from ..study import Record, Shown, page
 from .records import read_record
 
+BENCHES = {"speed": "bench.study", "stability": "stability.study"}
+
 
 def load(name: str) -> Any:
     """The `Study` of that name, or what shows the record of `tso bench speed`."""
-    return import_module(f"tso_cli.lab.{'bench.study' if name == 'speed' else f'studies.{QUESTIONS[name][0]}'}").STUDY
+    return import_module(f"tso_cli.lab.{BENCHES.get(name) or f'studies.{QUESTIONS[name][0]}'}").STUDY
 
 
 def write_page(study: Shown, record: Record, output: Path) -> None:
@@ -37,8 +39,8 @@ def command(records: tuple[Path, ...]) -> None:
     for path in records:
         record = read_record(path)
         name = record.get("study", record.get("bench"))
-        if name not in (*QUESTIONS, "speed"):
-            raise InputError(f"{path}: is of the study {shown(name)}, expected one of {', '.join(QUESTIONS)}, speed")
+        if name not in (*QUESTIONS, *BENCHES):
+            raise InputError(f"{path}: is of the study {shown(name)}, expected one of {', '.join((*QUESTIONS, *BENCHES))}")
         if not record.get("complete", True):
             raise InputError(f"{path}: is not complete, expected a finished record (--resume finishes it)")
         write_page(load(name), record, path)

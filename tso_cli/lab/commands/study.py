@@ -17,7 +17,7 @@ from .records import Reporter, check_outputs, earlier_record, write_record
 
 
 def command_of(study: Study) -> click.Command:
-    """`tso lab NAME`."""
+    """`tso lab NAME`, or `tso bench NAME`."""
 
     def run(output: Path | None, overwrite: bool, as_json: bool, resume: bool = False, **values: Any) -> None:
         check_outputs(output, overwrite, resume)
@@ -77,7 +77,7 @@ def _click_option(option: Option) -> Callable[..., Any]:
 
 def _command_line(study: Study, values: dict[str, Any]) -> str:
     """The command line that makes the record; folders and files of this machine by their last names."""
-    words = [f"tso lab {study.name}"]
+    words = [f"tso {study.group} {study.name}"]
     for option in study.options:
         value = values[option.parameter]
         if option.required:
