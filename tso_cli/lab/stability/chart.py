@@ -13,7 +13,7 @@ from .knees import AXIS, WORSE, fails, speaks
 
 # Colours by the ratio, each up to that one: better, hardly changed, worse, far worse.
 SHADES = {0.7: "#1a9850", 0.95: "#91cf60", WORSE: "#d9ef8b", 1.5: "#fdae61", 3.0: "#f46d43", np.inf: "#d73027"}
-NAMES = ("under 0.7", "0.95", f"{WORSE:g}, as before", "1.5", "3", "above")
+NAMES = ("to 0.7", "to 0.95", f"to {WORSE:g}, as before", "to 1.5", "to 3", "above")
 ROW = 0.19
 """Inches."""
 
@@ -56,7 +56,7 @@ def _draw_cell(axis: Any, x: float, y: float, row: Record) -> None:
     axis.text(x - 0.44, y, f"{row['level']:g}", fontsize=6, va="center", color=light)
     axis.text(x + 0.30, y, text, fontsize=6.5, va="center", ha="right", color=light, weight="bold" if fails(row) else "normal")
     if speaks(row):
-        axis.scatter(x + 0.39, y, s=14, marker="^", color=INK, linewidths=0)
+        axis.scatter(x + 0.39, y, s=16, marker="^", color=light, linewidths=0)
 
 
 def _draw_legend(figure: Any, axis: Any) -> None:

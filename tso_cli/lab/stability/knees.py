@@ -69,19 +69,21 @@ def knee(rows: Cases) -> Record:
 
 
 def _words(axis: Axis, found: Record, levels: list[float], refused: bool) -> str:
-    works_to, speaks_from, fails_at = (found[key] for key in ("works_to", "speaks_from", "fails_at"))
-    failure = "is refused" if refused else "fails"
+    works_to, speaks_from, fails_at = found["works_to"], found["speaks_from"], found["fails_at"]
     if len(axis.levels) == 1:
-        if refused:
-            return failure
-        outcome = "fails" if fails_at else "works" if works_to else "fails at times"
-        return outcome + ("" if speaks_from is None else ", with a warning" if works_to else " with a warning")
-    unit = f" {axis.unit}".replace(" %", " %")
-    parts = ["works throughout" if works_to == levels[-1] else f"works to {works_to:g}{unit}" if works_to is not None else ""]
-    parts[0] = parts[0] or f"does not work at {levels[0]:g}{unit}"
-    parts.append("never warns" if speaks_from is None else f"warns from {speaks_from:g}")
-    parts.append("does not fail" if fails_at is None else f"{failure} at {fails_at:g}")
-    return ", ".join(parts[:2] if works_to == levels[-1] else parts)
+        outcome = "fails" if fails_at is not None else "works" if works_to is not None else "fails at times"
+        warned = ", with a warning" if speaks_from is not None else "" if works_to is not None else ", without a word"
+        return "is refused" if refused else outcome + warned
+    unit = f" {axis.unit}".rstrip()
+    if works_to == levels[-1]:
+        return f"works throughout, {_warns(speaks_from)}"
+    works_words = f"works to {works_to:g}{unit}" if works_to is not None else f"does not work at {levels[0]:g}{unit}"
+    failure = "does not fail" if fails_at is None else f"{'is refused' if refused else 'fails'} at {fails_at:g}"
+    return f"{works_words}, {_warns(speaks_from)}, {failure}"
+
+
+def _warns(speaks_from: float | None) -> str:
+    return "never warns" if speaks_from is None else f"warns from {speaks_from:g}"
 
 
 def between(axis: Axis, rows: Cases) -> list[float]:

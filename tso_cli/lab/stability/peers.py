@@ -23,7 +23,9 @@ RADIUS = 1.5
 
 def _gaussians(points_px: Tensor) -> Tensor:
     cells = torch.arange(CELLS)
-    along_x, along_y = (torch.exp(-0.5 / PAPER_SIGMA_SQ * (cells - places[:, None]) ** 2) for places in points_px.T)
+    powers = (0.5 / PAPER_SIGMA_SQ * (cells - places[:, None]) ** 2 for places in points_px.T)
+    # Under exp(-40) a product of two is denormal: slow, and nothing beside 1e-8.
+    along_x, along_y = (torch.exp(-power.clamp(max=40.0)) for power in powers)
     return torch.tanh(along_y.T @ along_x)
 
 
@@ -52,6 +54,8 @@ def _alpha_points(points_px: Tensor) -> Tensor:
 
 def _descent(silhouette: Callable[[Tensor], Tensor]) -> Callable[[Array, Sequence[View]], Array]:
     def refined(points: Array, views: Sequence[View]) -> Array:
+        # More would wait for one another on a busy machine.
+        torch.set_num_threads(1)
         centre, scale = bounding_box_normalisation(points)
         seen = [resample_view(view, PAPER_SIGMA_SQ, centre, scale, window_of(view, points)) for view in views]
         start = (points - centre) / scale

@@ -30,7 +30,8 @@ AT_ONCE = 3e7
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What became of a run. said : a letter of `knees`; verdict : the first letter of the result's, "?" where it has none."""
+    """What became of a run. said : a letter of `knees`; verdict : the first letter of the
+    result's, "?" where it has none; moved : mean, longest sides; took : seconds."""
 
     said: str
     points: Array | None = None
@@ -39,10 +40,10 @@ class Outcome:
     iou_before: float | None = None
     iou_after: float | None = None
     moved: float | None = None
-    seconds: float | None = None
+    took: float | None = None
 
 
-NUMBERS = ("confidence", "iou_before", "iou_after", "moved", "seconds")
+NUMBERS = ("confidence", "iou_before", "iou_after", "moved", "took")
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +102,7 @@ def _row(axis: Axis, name: str, level: float, outcomes: Sequence[tuple[Outcome, 
     said, verdicts = ("".join(getattr(outcome, key) for outcome, _ in outcomes) for key in ("said", "verdict"))
     numbers = {key: [digits(getattr(outcome, key)) for outcome, _ in outcomes] for key in NUMBERS}
     ratios = [digits(ratio) for _, ratio in outcomes]
-    head = {"axis": axis.name, "variant": name, "level": level, **figures(said, ratios, numbers["seconds"]), "said": said}
+    head = {"axis": axis.name, "variant": name, "level": level, **figures(said, ratios, numbers["took"]), "said": said}
     if verdicts.strip("?"):
         head["verdict"] = verdicts
     return {**head, "ratio": ratios, **{key: values for key, values in numbers.items() if any(v is not None for v in values)}}
@@ -156,4 +157,4 @@ def _of_peer(peer: Peer, points: Array, views: Sequence[View]) -> Outcome:
     except TsoError:
         return Outcome(REFUSED)
     said = SILENT if np.isfinite(moved).all() else NON_FINITE
-    return Outcome(said, moved, seconds=time.perf_counter() - begun)
+    return Outcome(said, moved, took=time.perf_counter() - begun)

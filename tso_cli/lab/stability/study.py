@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from ...scene.load import load_points_scene
 from ..charts.accuracy_pictures import draw_cases
 from ..studies.accuracy import CATEGORIES
 from ..studies.cases import MASKS, Case, CaseBuilder
-from ..studies.refining import DEFAULT, POINTS
+from ..studies.refining import DEFAULT, FOUR_MASKS, POINTS
 from ..studies.shapes import shapes_of_part
 from ..studies.summary import grouped
 from ..study import SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table, part
@@ -31,7 +32,7 @@ from .knees import AXIS, FIGURES, SILENT, WORSE, knee
 from .runs import Bench, Way, outcomes_of
 
 # What other packages, and with --quick other variants, are compared on.
-COMPARED = ("nothing wrong", "mask dilated", "yaw of the camera", "start far off", "outliers")
+COMPARED = ("nothing wrong", "mask dilated", "yaw of the camera", "start far off")
 GROUPS = ("settings", "mask", "camera", "cloud", "image")
 HALVINGS = 3
 # With --quick every second level, without those that take long by themselves: points, pixels, steps.
@@ -39,7 +40,8 @@ MOST = {"points": 20_000, "px": 1024, "steps": 200}
 SHAPES, SIZE, COUNT = 2, 128, 1024
 """Of each category; pixels of a mask each way; points of a cloud."""
 PICTURED = ("mask", "camera", "cloud")
-ROWS_OF_GROUP = 3
+ROWS_OF_GROUP, TITLE = 3, 28
+"""Pictures of each, and characters across one's title."""
 CONVENTION = {
     "ratio": "Chamfer distance after / before, squared distances, mean over points, forward + backward, longest side 1; of the "
     "cloud's own points, without added ones, to the start as it was before it was altered (of another number of points, object "
@@ -47,6 +49,7 @@ CONVENTION = {
     "works": f"median ratio up to {WORSE}, at most 5 % of the runs over {WORSE}; fails: median over {WORSE}, or most refused",
     "warns": "a warning, a doubt or a refusal in at least half of the runs, at this level and all harder ones",
     "said": "of each run: - nothing, w a warning, d doubted by the tool, r refused, n not finite",
+    "took": "seconds; moved: mean of the points, longest sides",
     "runs": "all seeds of the first case, of the second, ...; null: none; verdict: first letter of the result's, if it has one",
     "p95, worst, worse, silent": f"of the runs that were not refused, shares of all: over {WORSE}, and that without a word",
 }
@@ -130,8 +133,10 @@ def fewer_levels(axis: Axis) -> Sequence[float]:
 
 def _ways(axis: Axis, quick: bool) -> dict[str, Way]:
     """The default preset; other variants where nothing else is asked for by the axis, and peers on some."""
-    compared, plain = axis.name in COMPARED, axis.group != "settings" and axis.masks == 1
+    compared, plain = axis.name in (COMPARED[::3] if quick else COMPARED), axis.group != "settings" and axis.masks == 1
     ways: dict[str, Way] = dict(POINTS) if compared or (plain and not quick) else {DEFAULT: POINTS[DEFAULT]}
+    if quick:
+        ways.pop(FOUR_MASKS, None)
     if compared:
         from .peers import PEERS
 
@@ -154,7 +159,8 @@ def _worst(rows: Cases, bench: Bench) -> list[tuple[str, Case, np.ndarray]]:
             altered, config = bench.altered(AXIS[name], level, number, bench.seeds[seed], POINTS[DEFAULT].config)
             (outcome,) = outcomes_of([(altered.initial, altered.views[: AXIS[name].masks])], POINTS[DEFAULT], config)
             if outcome.points is not None:
-                pictured.append((f"{name}, {level:g} {AXIS[name].unit}: {ratio:.3g}, {altered.shape}", altered, outcome.points))
+                title = f"{name}, {level:g} {AXIS[name].unit}: {ratio:.3g}, {altered.shape.split('/')[0]}"
+                pictured.append((fill(title, TITLE), altered, outcome.points))
     return pictured
 
 
