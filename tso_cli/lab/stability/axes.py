@@ -505,7 +505,7 @@ AXES: tuple[Axis, ...] = (
     _start("many points", "points", (2048, 16384, 131072, 1_000_000), _counted, whole=True, from_given=True),
     _start("uneven density", "times as dense", (2.0, 5.0, 20.0, 100.0, 1000.0), _uneven, from_given=True),
     Axis("cloud", "thin object", "times thinner", (2.0, 4.0, 8.0, 16.0, 32.0, 64.0), _thin, from_given=True),
-    Axis("cloud", "holed object", "% of it missing", (10.0, 20.0, 40.0, 60.0, 80.0, 95.0), _holed),
+    Axis("cloud", "holed object", "% of it missing", (10.0, 20.0, 40.0, 60.0, 80.0, 95.0), _holed, from_given=True),
     _settings("sigma^2 too large, paper", _TIMES, _UP, _SIGMA),
     _settings("sigma^2 too small, paper", _TIMES, _DOWN, _SIGMA),
     _settings("gamma too large, paper", _TIMES, _UP, _GAMMA),

@@ -184,7 +184,8 @@ def conclude(cases: Cases) -> Record:
 def tables(record: Record) -> list[Table]:
     """The figures of every level of the default preset, of the other ways all together, the knees, and the silence."""
     rows = [[row["axis"], f"{row['level']:g} {AXIS[row['axis']].unit}", *_figures(row)] for row in _of(record, DEFAULT)]
-    chosen = [row for row in record["cases"] if row["axis"] in COMPARED and row["level"] in fewer_levels(AXIS[row["axis"]])]
+    several = {row["axis"] for row in record["cases"] if row["variant"] != DEFAULT}.intersection(COMPARED)
+    chosen = [row for row in record["cases"] if row["axis"] in several and row["level"] in fewer_levels(AXIS[row["axis"]])]
     chosen.sort(key=lambda row: (COMPARED.index(row["axis"]), row["level"]))
     compared = [[row["axis"], f"{row['level']:g} {AXIS[row['axis']].unit}", row["variant"], *_figures(row)] for row in chosen]
     words = [[AXIS[name].group, name, found["words"]] for name, found in record["knees"][DEFAULT].items()]
