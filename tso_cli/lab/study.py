@@ -134,12 +134,16 @@ class Shown:
 
 @dataclass(frozen=True)
 class Study(Shown):
-    """A question to the method: ``plan`` says what to do for ``options``, ``conclude`` what all cases together say."""
+    """A question to the method: ``plan`` says what to do for ``options``, ``conclude`` what all cases together say.
+
+    ``group`` says of which group its command is.
+    """
 
     convention: Record
     options: tuple[Option, ...]
     plan: Callable[..., Plan]
     conclude: Callable[[Cases], Record]
+    group: str = "lab"
 
     def run(self, progress: Progress, **options: Any) -> Record:
         """The record of all cases; those of ``progress.earlier`` are not judged again.

@@ -1,4 +1,4 @@
-"""`tso bench`: speed on this machine."""
+"""`tso bench`: speed on this machine, and how wrong the input may be."""
 
 from __future__ import annotations
 
@@ -11,11 +11,22 @@ import click
 from ...commands import options
 from ..bench import PARTS
 from . import records
+from .tools import load
 
 
-@click.group("bench")
+class _Bench(click.Group):
+    """`stability` is a study, and has the command of one."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return [*super().list_commands(ctx), "stability"]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        return records.command_of(load(cmd_name)) if cmd_name == "stability" else super().get_command(ctx, cmd_name)
+
+
+@click.group("bench", cls=_Bench)
 def command() -> None:
-    """Measure this machine, and keep the answer as JSON beside a chart and a page."""
+    """Measure speed or stability, and keep the answer as JSON beside a chart and a page."""
 
 
 @command.command("speed")

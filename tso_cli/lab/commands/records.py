@@ -152,7 +152,7 @@ def _click_option(option: Option) -> Callable[..., Any]:
 
 def _command_line(study: Study, values: dict[str, Any]) -> str:
     """The command line that makes the record; folders and files of this machine by their last names."""
-    words = [f"tso lab {study.name}"]
+    words = [f"tso {study.group} {study.name}"]
     for option in study.options:
         value = values[option.parameter]
         if option.required:

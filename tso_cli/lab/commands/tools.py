@@ -18,9 +18,12 @@ from .records import read_record, write_page
 records_argument = click.argument("records", nargs=-1, required=True, type=options.FilePath())
 
 
+BENCHES = {"speed": "bench.shown.STUDY", "stability": "stability.study.STUDY"}
+
+
 def load(name: str) -> Any:
     """The `Study` of that name, or what shows the record of `tso bench speed`."""
-    module, attribute = ("bench.shown.STUDY" if name == "speed" else f"studies.{QUESTIONS[name][0]}").rsplit(".", 1)
+    module, attribute = (BENCHES.get(name) or f"studies.{QUESTIONS[name][0]}").rsplit(".", 1)
     return getattr(import_module(f"tso_cli.lab.{module}"), attribute)
 
 
@@ -31,8 +34,8 @@ def page(records: tuple[Path, ...]) -> None:
     for path in records:
         record = read_record(path)
         name = record.get("study", record.get("bench"))
-        if name not in (*QUESTIONS, "speed"):
-            raise InputError(f"{path}: is of the study {shown(name)}, expected one of {', '.join(QUESTIONS)}, speed")
+        if name not in (*QUESTIONS, *BENCHES):
+            raise InputError(f"{path}: is of the study {shown(name)}, expected one of {', '.join((*QUESTIONS, *BENCHES))}")
         if not record.get("complete", True):
             raise InputError(f"{path}: is not complete, expected a finished record (--resume finishes it)")
         write_page(load(name), record, path)

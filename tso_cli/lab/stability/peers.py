@@ -1,0 +1,91 @@
+"""Other ways of comparing points with a mask, in place of the paper's silhouette in its own descent (50 steps of Adam)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from ...geometry.camera import NEAR, Array
+from ...geometry.points import bounding_box_normalisation
+from ...geometry.view import View
+from ...geometry.window import window_of
+from ...losses.chamfer import ChamferToStart
+from ...refinement.presets import PAPER_GAMMA, PAPER_LEARNING_RATE, PAPER_SIGMA_SQ, PAPER_STEPS
+from ...refinement.resampled_view import CELLS, ResampledView, resample_view
+
+EPSILON = 1e-8
+"""In the logarithms of the cross-entropy, as it is usually written."""
+# Cells of a point's disc, as PyTorch3D draws points.
+RADIUS = 1.5
+
+
+def _gaussians(points_px: Tensor) -> Tensor:
+    cells = torch.arange(CELLS)
+    powers = (0.5 / PAPER_SIGMA_SQ * (cells - places[:, None]) ** 2 for places in points_px.T)
+    # Under exp(-40) a product of two is denormal: slow, and nothing beside 1e-8.
+    along_x, along_y = (torch.exp(-power.clamp(max=40.0)) for power in powers)
+    return torch.tanh(along_y.T @ along_x)
+
+
+def _on_cells(points_px: Tensor, values: Tensor) -> Tensor:
+    """The sums [H, W] of ``values`` [N] in the cells that points fall on."""
+    column, row = points_px.detach().round().long().unbind(-1)
+    inside = (column >= 0) & (column < CELLS) & (row >= 0) & (row < CELLS)
+    flat = torch.zeros(CELLS * CELLS).index_add(0, (row * CELLS + column)[inside], values[inside])
+    return flat.view(CELLS, CELLS)
+
+
+def _discretised(points_px: Tensor) -> Tensor:
+    """1 where a point is rounded to; as that has no derivative, the gradient is the Gaussians'."""
+    soft = _gaussians(points_px)
+    return (_on_cells(points_px, torch.ones(len(points_px))) > 0.0).float() + soft - soft.detach()
+
+
+def _alpha_points(points_px: Tensor) -> Tensor:
+    """Discs of opacity 1 - d^2 / r^2, composited: of one colour, in any order."""
+    reach = torch.arange(-int(RADIUS + 0.5), int(RADIUS + 0.5) + 1)
+    places = points_px.detach().round()[:, None] + torch.cartesian_prod(reach, reach)
+    squared = (places - points_px[:, None]).square().sum(-1)
+    clear = torch.log1p(-(1.0 - squared / RADIUS**2).clamp(0.0, 0.999))
+    return 1.0 - torch.exp(_on_cells(places.flatten(0, 1), clear.flatten()))
+
+
+def _descent(silhouette: Callable[[Tensor], Tensor]) -> Callable[[Array, Sequence[View]], Array]:
+    def refined(points: Array, views: Sequence[View]) -> Array:
+        # More would wait for one another on a busy machine.
+        torch.set_num_threads(1)
+        centre, scale = bounding_box_normalisation(points)
+        seen = [resample_view(view, PAPER_SIGMA_SQ, centre, scale, window_of(view, points)) for view in views]
+        start = (points - centre) / scale
+        to_start, moved = ChamferToStart(start), torch.tensor(start, dtype=torch.float32, requires_grad=True)
+        adam = torch.optim.Adam([moved], lr=PAPER_LEARNING_RATE["points"])
+        for _ in range(PAPER_STEPS):
+            gradient = to_start(moved.detach().double().numpy())[1]
+            loss = sum((_cross_entropy(silhouette, moved, view) for view in seen), torch.zeros(()))
+            (by_masks,) = torch.autograd.grad(loss, moved)
+            moved.grad = by_masks + PAPER_GAMMA["points"] * torch.as_tensor(gradient, dtype=torch.float32)
+            adam.step()
+        moved_back: Array = centre + scale * moved.detach().double().numpy()
+        return moved_back
+
+    return refined
+
+
+def _cross_entropy(silhouette: Callable[[Tensor], Tensor], points: Tensor, view: ResampledView) -> Tensor:
+    K, R, t, mask, background = (
+        torch.as_tensor(values, dtype=torch.float32)
+        for values in (view.camera.K, view.camera.R, view.camera.t, *view.pixel_weights)
+    )
+    camera = points @ R.T + t
+    front = camera[camera[:, 2] > NEAR]
+    drawn = silhouette(front[:, :2] / front[:, 2:] @ K[:2, :2].T + K[:2, 2])
+    return -(mask * torch.log(drawn + EPSILON) + background * torch.log(1.0 - drawn + EPSILON)).sum()
+
+
+PEERS = {
+    "log(tanh + 1e-8)": _descent(_gaussians),
+    "discretised projection": _descent(_discretised),
+    "alpha points": _descent(_alpha_points),
+}

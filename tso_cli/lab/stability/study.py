@@ -1,0 +1,241 @@
+"""`tso bench stability`: how wrong the input may be, and whether the tool says so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+from textwrap import fill
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError
+from ...geometry.rotations import from_vectors
+from ...geometry.view import View
+from ...io.clouds import read_cloud
+from ...io.output import check_output
+from ...io.shipped import examples_folder
+from ...losses.silhouette import silhouette_of
+from ...scene.load import load_points_scene
+from ..charts import draw_cases
+from ..studies.accuracy import CATEGORIES
+from ..studies.cases import MASKS, Case, CaseBuilder
+from ..studies.refining import DEFAULT, FOUR_MASKS, POINTS
+from ..studies.shapes import shapes_of_part
+from ..studies.summary import grouped
+from ..study import SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table, part
+from .axes import AXES, Axis
+from .chart import draw_axes
+from .knees import AXIS, FIGURES, SILENT, WORSE, knee
+from .runs import Bench, Way, outcomes_of
+
+# What other packages, and with --quick other variants, are compared on.
+COMPARED = ("nothing wrong", "mask dilated", "yaw of the camera", "start far off")
+GROUPS = ("settings", "mask", "camera", "cloud", "image")
+HALVINGS = 3
+# With --quick every second level, without those that take long by themselves: points, pixels, steps.
+MOST = {"points": 20_000, "px": 1024, "steps": 200}
+SHAPES, SIZE, COUNT = 2, 128, 1024
+"""Of each category; pixels of a mask each way; points of a cloud."""
+PICTURED = ("mask", "camera", "cloud")
+ROWS_OF_GROUP, TITLE = 3, 28
+"""Pictures of each, and characters across one's title."""
+CONVENTION = {
+    "ratio": "Chamfer distance after / before, squared distances, mean over points, forward + backward, longest side 1; of the "
+    "cloud's own points, without added ones, to the start as it was before it was altered (of another number of points, object "
+    "or frame: the altered one)",
+    "works": f"median ratio up to {WORSE}, at most 5 % of the runs over {WORSE}; fails: median over {WORSE}, or most refused",
+    "warns": "a warning, a doubt or a refusal in at least half of the runs, at this level and all harder ones",
+    "said": "of each run: - nothing, w a warning, d doubted by the tool, r refused, n not finite",
+    "took": "seconds; moved: mean of the points, longest sides",
+    "runs": "all seeds of the first case, of the second, ...; null: none; verdict: first letter of the result's, if it has one",
+    "p95, worst, worse, silent": f"of the runs that were not refused, shares of all: over {WORSE}, and that without a word",
+}
+
+
+def example_cases() -> list[Case]:
+    """The shipped examples; further masks of each are silhouettes of the true cloud from around it."""
+    cases = []
+    for category in ("chair", "car", "airplane"):
+        folder = examples_folder() / category
+        scene, target = load_points_scene(folder / "initial.ply", folder / "mask.png"), read_cloud(folder / "target.ply").points
+        camera = scene.view.camera
+        turns = (from_vectors(np.array([0.0, 2.0 * np.pi * number / MASKS, 0.0])) for number in range(1, MASKS))
+        cameras = [replace(camera, R=camera.R @ turn) for turn in turns]
+        views = (scene.view, *(View(silhouette_of(target, camera), camera) for camera in cameras))
+        cases.append(Case("example", category, category, 0, "initial.ply", scene.points, target, target, views, float("nan")))
+    return cases
+
+
+def plan(
+    progress: Progress,
+    *,
+    quick: bool,
+    meshes: Path | None,
+    split: Path | None,
+    groups: tuple[str, ...],
+    pictures: Path | None,
+    **settings: Any,
+) -> Plan:
+    """Every axis with the default preset; fewer levels and seeds with the other variants, and some axes with peers.
+
+    Raises InputError without ``meshes``, unless ``quick``.
+    """
+    if pictures is not None:
+        check_output(pictures, progress.overwrite)
+    if quick:
+        settings |= {"part": "examples", "categories": [], "seeds": 1}
+        names, cases_of = ["chair", "car", "airplane"], example_cases
+    else:
+        if meshes is None:
+            raise InputError("--meshes is missing, expected a folder of meshes (or --quick, for the shipped examples)")
+        settings["categories"] = list(settings["categories"])
+        shapes = shapes_of_part(meshes, split, settings["part"], settings["categories"], settings["limit"])
+        builder, names = CaseBuilder(meshes, split, 1, SIZE, COUNT, settings["seed"]), [shape.name for shape in shapes]
+
+        def cases_of() -> list[Case]:
+            return [case for shape in shapes for case in builder.cases(shape, "other")]
+
+    settings |= {"quick": quick, "groups": list(groups), "shapes": names}
+
+    @cache
+    def bench(seeds: int) -> Bench:
+        # Cases are rendered once.
+        cases = cases_of() if seeds == settings["seeds"] else bench(settings["seeds"]).cases
+        return Bench(cases, [settings["seed"] + number for number in range(seeds)])
+
+    def judge(axis: Axis, name: str, way: Way) -> Cases:
+        default = name == DEFAULT
+        levels = axis.levels if default and not quick else fewer_levels(axis)
+        halvings = HALVINGS if default and not quick else 0
+        return bench(settings["seeds"] if default else 1).judge(axis, name, way, levels, halvings)
+
+    jobs = [
+        ({"axis": axis.name, "variant": name}, partial(judge, axis, name, way))
+        for axis in AXES
+        if axis.group in groups
+        for name, way in _ways(axis, quick).items()
+    ]
+
+    def draw_worst(record: Record) -> None:
+        if pictures is not None:
+            draw_cases(pictures, _worst(record["cases"], bench(settings["seeds"])), progress.overwrite)
+
+    return Plan(settings, jobs, finish=draw_worst)
+
+
+def fewer_levels(axis: Axis) -> Sequence[float]:
+    """Every second level, or the only one, without those that take long."""
+    return [level for level in axis.levels[1::2] or axis.levels if level <= MOST.get(axis.unit, np.inf)]
+
+
+def _ways(axis: Axis, quick: bool) -> dict[str, Way]:
+    """The default preset; other variants where nothing else is asked for by the axis, and peers on some."""
+    compared, plain = axis.name in (COMPARED[::3] if quick else COMPARED), axis.group != "settings" and axis.masks == 1
+    ways: dict[str, Way] = dict(POINTS) if compared or (plain and not quick) else {DEFAULT: POINTS[DEFAULT]}
+    if quick:
+        ways.pop(FOUR_MASKS, None)
+    if compared:
+        from .peers import PEERS
+
+        ways |= PEERS
+    return ways
+
+
+def _worst(rows: Cases, bench: Bench) -> list[tuple[str, Case, np.ndarray]]:
+    """Of some groups the axes whose silent results are worst, refined once more: (title, altered case, points)."""
+    pictured = []
+    for group in PICTURED:
+        worst: dict[str, tuple[float, float, int]] = {}
+        for row in rows:
+            if row["variant"] == DEFAULT and AXIS[row["axis"]].group == group:
+                found = [(ratio, row["level"], i) for i, ratio in enumerate(row["ratio"]) if ratio and row["said"][i] == SILENT]
+                worst[row["axis"]] = max([*found, worst.get(row["axis"], (0.0, 0.0, 0))])
+        for name in sorted(worst, key=lambda name: -worst[name][0])[:ROWS_OF_GROUP]:
+            ratio, level, run = worst[name]
+            number, seed = divmod(run, len(bench.seeds))
+            altered, config = bench.altered(AXIS[name], level, number, bench.seeds[seed], POINTS[DEFAULT].config)
+            (outcome,) = outcomes_of([(altered.initial, altered.views[: AXIS[name].masks])], POINTS[DEFAULT], config)
+            if outcome.points is not None:
+                title = f"{name}, {level:g} {AXIS[name].unit}: {ratio:.3g}, {altered.shape.split('/')[0]}"
+                pictured.append((fill(title, TITLE), altered, outcome.points))
+    return pictured
+
+
+def conclude(cases: Cases) -> Record:
+    """{"knees": {variant: {axis: knee}}, "silence": of the default preset's runs that got worse, shares without a word}."""
+    knees = {
+        variant: {name: knee(rows) for name, rows in grouped(of_variant, "axis").items()}
+        for variant, of_variant in grouped(cases, "variant").items()
+    }
+    silence = {}
+    for what, gross in (("gross mistakes", True), ("other mistakes", False)):
+        rows = [row for row in cases if row["variant"] == DEFAULT and AXIS[row["axis"]].gross == gross]
+        runs = sum(len(row["said"]) for row in rows)
+        shares = {
+            key: sum(row[key] * len(row["said"]) for row in rows) / max(1, runs) for key in ("refused", "worse", "silent")
+        }
+        silence[what] = {"runs": runs, **{key: round(share, 4) for key, share in shares.items()}}
+    return {"knees": knees, "silence": silence}
+
+
+def tables(record: Record) -> list[Table]:
+    """The figures of every level of the default preset, of the other ways all together, the knees, and the silence."""
+    rows = [[row["axis"], f"{row['level']:g} {AXIS[row['axis']].unit}", *_figures(row)] for row in _of(record, DEFAULT)]
+    several = {row["axis"] for row in record["cases"] if row["variant"] != DEFAULT}.intersection(COMPARED)
+    chosen = [row for row in record["cases"] if row["axis"] in several and row["level"] in fewer_levels(AXIS[row["axis"]])]
+    chosen.sort(key=lambda row: (COMPARED.index(row["axis"]), row["level"]))
+    compared = [[row["axis"], f"{row['level']:g} {AXIS[row['axis']].unit}", row["variant"], *_figures(row)] for row in chosen]
+    words = [[AXIS[name].group, name, found["words"]] for name, found in record["knees"][DEFAULT].items()]
+    silence = [[what, *row.values()] for what, row in record["silence"].items()]
+    return [
+        Table(["axis", "level", *FIGURES], rows, "Default preset", decimals=2),
+        Table(["axis", "level", "by", *FIGURES], compared, "Variants and other ways", decimals=2),
+        Table(["", "axis", "knee"], words, "Knees of the default preset"),
+        Table(["default preset", "runs", "refused", "worse", "worse, without a word"], silence, decimals=3),
+    ]
+
+
+def _of(record: Record, variant: str) -> Cases:
+    return [row for row in record["cases"] if row["variant"] == variant]
+
+
+def _figures(row: Record) -> list[float | None]:
+    return [row[name] for name in FIGURES]
+
+
+def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+    """A row for each axis, by the default preset."""
+    draw_axes(path, grouped(_of(record, DEFAULT), "axis"), record["knees"][DEFAULT], overwrite)
+
+
+STUDY = Study(
+    name="stability",
+    about="How wrong may masks, cameras, clouds and settings be, and does the tool say so? One difficulty at a time, from "
+    "harmless to hopeless: up to where the refinement works, from where it warns, where it fails. In full on the test split; "
+    "--quick takes the shipped examples and every second level.",
+    parts=("pictures", "points, paper", "points, best"),
+    tables=tables,
+    draw=draw,
+    reading="Colours are medians of Chamfer after / before, triangles say where the tool speaks up: red without a triangle is "
+    "harm that nobody is told of. The paper's own failures are among the axes: too wide a sigma^2 and thin objects (narrow "
+    "aeroplanes), a start that is flat along the line of sight (cars deformed in depth).",
+    convention=CONVENTION,
+    options=(
+        Option("--quick", "Shipped examples, every second level, one seed.", bool, False),
+        Option("--meshes", "Folder with CATEGORY/NAME for every name of the split; not with --quick.", Path),
+        SPLIT,
+        part("test", "train", "validation", "test"),
+        Option("--category", "May be repeated.", default=CATEGORIES, multiple=True, name="categories"),
+        Option("--limit", "At most so many shapes of each category.", int, SHAPES, least=1),
+        Option("--only", "Axes of this group alone. May be repeated.", str, GROUPS, GROUPS, multiple=True, name="groups"),
+        Option("--seeds", "Random directions and places of each case.", int, 2, least=1),
+        SEED,
+        Option("--pictures", "Draw results that are worst without a word here (.png).", Path),
+    ),
+    plan=plan,
+    conclude=conclude,
+    group="bench",
+)
