@@ -171,6 +171,19 @@ def cameras() -> str:
     return markdown(["cloud", "median error, degrees", "within 15 degrees", "called sure, of them right"], rows)
 
 
+def confidence() -> str:
+    """How well a low confidence tells results that are worse, by what is wrong with the input."""
+    names = {"all": "anything", "mask": "the mask", "camera": "the camera", "gross": "a common mistake", "cloud": "the cloud"}
+    summary = record("confidence")["summary"]
+    rows = [
+        [text, *(f"{100 * summary[name][key]:.0f} %" for key in ("worse", "flagged_of_worse")), f"{summary[name]['auc']:.2f}"]
+        for name, text in names.items()
+    ]
+    right = summary["right scenes"]
+    note = f"Of {right['results']} right scenes {100 * right['flagged']:.0f} % are called doubtful."
+    return markdown(["wrong is", "results worse by over 5 %", "of these flagged", "AUC"], rows) + f"\n\n{note}"
+
+
 def network() -> str:
     """The shipped network on types that it has not seen."""
     keys = ("network", "mean_view", "mean_aligned", "nearest")
@@ -253,7 +266,7 @@ def stages() -> str:
     return markdown(["stage", *columns], rows)
 
 
-FIGURES = (initial_error, gains, types, starts, choices, variants, depth, cameras, network, photos)
+FIGURES = (initial_error, gains, types, starts, choices, variants, depth, cameras, confidence, network, photos)
 FIGURES += (machine, objects, batches, kernels, stages)
 FILLED: dict[str, Callable[[], str]] = {made.__name__: made for made in FIGURES}
 FILLED |= {f"{name}_targets": partial(targets, name) for name in ("accuracy", "speed")}

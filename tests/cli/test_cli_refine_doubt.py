@@ -1,0 +1,90 @@
+"""What `tso refine` says of input that looks wrong, and of results that are likely worse."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tso_cli.io.clouds import read_cloud
+from tso_cli.refinement.assumptions import ASSUMPTIONS
+
+POINTS = ("initial.ply", "mask.png")
+CONTRACT = {"confidence", "verdict", "reason", "warnings", "suspects"}
+
+
+@pytest.fixture
+def inverted(folder):
+    """The chair's mask, dark on white."""
+    Image.fromarray(255 - np.asarray(Image.open("mask.png").convert("L"))).save("mask.png")
+
+
+@pytest.fixture
+def to_world(folder):
+    """The chair's camera, given as a pose."""
+    with open("camera.json") as file:
+        camera = json.load(file)
+    R, t = np.array(camera["R"]), np.array(camera["t"])
+    camera |= {"R": R.T.tolist(), "t": (-R.T @ t).tolist()}
+    with open("camera.json", "w") as file:
+        json.dump(camera, file)
+
+
+def test_the_json_of_a_result_and_of_a_check_hold_the_same_judgement(folder, refine):
+    result, check = refine(*POINTS, "--json").document, refine(*POINTS, "--check", "--json").document
+    assert set(result) >= CONTRACT and set(check) >= CONTRACT
+    assert (result["verdict"], result["reason"], result["suspects"]) == ("improved", "", [])
+    assert 0.5 < result["confidence"] <= 1.0
+    assert (check["verdict"], check["confidence"], check["suspects"]) == (None, None, [])
+
+
+def test_an_inverted_mask_is_told_with_the_option_that_mends_it(inverted, refine):
+    run = refine(*POINTS)
+    assert (run.code, run.err.count("\n")) == (0, 1)
+    assert "is doubtful" in run.err and "the mask is inverted: try --assume mask-inverted" in run.err
+    assert "(doubtful, confidence" in run.out
+    document = refine(*POINTS, "--check", "--json").document
+    (suspect, *_) = document["suspects"]
+    assert (suspect["what"], suspect["option"]) == ("the mask is inverted", "--assume mask-inverted")
+    assert 0.4 < suspect["score"] <= 1.0 and "mask-inverted" in document["warnings"][0]
+
+
+def test_strict_writes_nothing_where_the_result_is_doubtful(inverted, refine, tmp_path):
+    run = refine(*POINTS, "--strict", "-o", "strict.ply", "--overlay", "strict.png")
+    assert (run.code, run.out) == (3, "") and "with --strict nothing is written" in run.err
+    assert not list(tmp_path.glob("**/strict*"))
+    assert refine(*POINTS, "--strict", "--assume", "mask-inverted", "-o", "strict.ply").code == 0
+
+
+def test_a_pose_is_refused_with_what_it_looks_like_and_taken_under_that_assumption(to_world, refine):
+    run = refine(*POINTS)
+    assert run.code == 2 and "camera-to-world: try --assume camera-to-world" in run.err
+    assert refine(*POINTS, "--assume", "camera-to-world").code == 0
+
+
+def test_a_cloud_in_other_axes_is_refined_as_meant_and_written_in_its_own(folder, refine):
+    from tso_cli.io.clouds import write_cloud
+
+    write_cloud("up.ply", read_cloud("initial.ply").points[:, [0, 2, 1]] * [1.0, -1.0, 1.0])
+    assert refine(*POINTS, "-o", "right.ply").code == 0
+    assert refine("up.ply", "mask.png", "--assume", "cloud-z-up", "-o", "turned.ply").code == 0
+    right, turned = (read_cloud(name).points for name in ("right.ply", "turned.ply"))
+    np.testing.assert_allclose(turned[:, [0, 2, 1]] * [1.0, 1.0, -1.0], right, atol=1e-4)
+
+
+def test_an_unknown_assumption_lists_all(folder, refine):
+    run = refine(*POINTS, "--assume", "upside")
+    assert run.code == 2 and all(name in run.err for name in ASSUMPTIONS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--camera", "fit", "--assume", "opengl"), "--camera fit finds the camera by itself"),
+        (("--mode", "encoder", "--assume", "mask-inverted"), "--assume is for --mode points"),
+    ],
+)
+def test_assumptions_that_have_no_place_are_refused(folder, refine, arguments, message):
+    source = "image.png" if "encoder" in arguments else "initial.ply"
+    run = refine(source, "mask.png", *arguments)
+    assert run.code == 2 and message in run.err
