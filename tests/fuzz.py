@@ -15,7 +15,6 @@ from tests.corruption import assert_one_line
 from tso_cli.errors import InputError
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-HOSTILE = Path(__file__).with_name("hostile")
 CLOUDS = {f"cloud{suffix}": ("io.clouds:read_cloud", suffix) for suffix in (".ply", ".npy", ".xyz")}
 MESHES = {f"mesh{suffix}": ("io.meshes:read_mesh", suffix) for suffix in (".ply", ".obj", ".off", ".stl", ".glb")}
 PICTURES = {f"mask{suffix}": ("io.images:read_mask", suffix) for suffix in (".png", ".tif", ".jpg", ".gif", ".webp", ".npy")}
@@ -99,7 +98,7 @@ def main(name, seconds, *corpus):
         from tso_cli.io import images
 
         read, suffix = reader(name)
-    images.PIXEL_LIMIT = 1 << 25  # a picture takes up to 16 bytes for each pixel
+    images.PIXEL_LIMIT = 1 << 24  # a picture takes up to 16 bytes for each pixel
     path = Path(tempfile.mkdtemp()) / f"victim{suffix}"
 
     def test(data):
