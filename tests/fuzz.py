@@ -4,8 +4,6 @@ A reader must read a file or raise InputError with one line that names it, withi
 it do anything else is left as crash-*. Without READER the readers are listed.
 """
 
-import json
-import os
 import sys
 import tempfile
 import warnings
@@ -14,14 +12,10 @@ from pathlib import Path
 from tests.corruption import assert_one_line
 from tso_cli.errors import InputError
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
-CLOUDS = {f"cloud{suffix}": ("io.clouds:read_cloud", suffix) for suffix in (".ply", ".npy", ".xyz")}
-MESHES = {f"mesh{suffix}": ("io.meshes:read_mesh", suffix) for suffix in (".ply", ".obj", ".off", ".stl", ".glb")}
-PICTURES = {f"mask{suffix}": ("io.images:read_mask", suffix) for suffix in (".png", ".tif", ".jpg", ".gif", ".webp", ".npy")}
 READERS = {
-    **CLOUDS,
-    **MESHES,
-    **PICTURES,
+    **{f"cloud{suffix}": ("io.clouds:read_cloud", suffix) for suffix in (".ply", ".npy", ".xyz")},
+    **{f"mesh{suffix}": ("io.meshes:read_mesh", suffix) for suffix in (".ply", ".obj", ".off", ".stl", ".glb")},
+    **{f"mask{suffix}": ("io.images:read_mask", suffix) for suffix in (".png", ".tif", ".jpg", ".gif", ".webp", ".npy")},
     "faces": ("tests.fuzz:faces", ".ply"),
     "image": ("io.images:read_image", ".bmp"),
     "depth": ("io.images:read_depth", ".png"),
@@ -33,7 +27,7 @@ READERS = {
     "state": ("tests.fuzz:state", ".safetensors"),
     "log": ("io.logs:read_log", ".jsonl"),
     "split": ("datasets.splits:read_split", ".json"),
-    "record": ("tests.fuzz:record", ".json"),
+    "record": ("lab.commands.records:read_record", ".json"),
 }
 
 
@@ -55,19 +49,11 @@ def faces(path):
 
 
 def state(path):
-    """The training state in a file, and the network beside it."""
+    """The training state in a file."""
     from tso_cli.io.checkpoints import load_state, read_metadata
 
-    config, values = read_metadata(path)
-    load_state(path, {"history": (values.get("step", 0), 4)} if isinstance(values.get("step", 0), int) else {})
-    return config
-
-
-def record(path):
-    """A record to be shown."""
-    from tso_cli.lab.commands.records import read_record
-
-    return read_record(path)
+    step = read_metadata(path)[1].get("step")
+    load_state(path, {"history": (step, 4)} if isinstance(step, int) else {})
 
 
 def check(read, path):
@@ -93,9 +79,7 @@ def main(name, seconds, *corpus):
         import PIL.TiffImagePlugin  # noqa: F401
         import trimesh  # noqa: F401
 
-        import tso_cli.io.checkpoints
-        import tso_cli.io.clouds  # noqa: F401
-        from tso_cli.io import images
+        from tso_cli.io import checkpoints, clouds, images  # noqa: F401
 
         read, suffix = reader(name)
     images.PIXEL_LIMIT = 1 << 24  # a picture takes up to 16 bytes for each pixel
@@ -112,7 +96,6 @@ def main(name, seconds, *corpus):
 
 if __name__ == "__main__":
     if len(sys.argv) < 3:
-        print(json.dumps(sorted(READERS)))
+        print(*READERS)
     else:
-        os.environ.setdefault("OMP_NUM_THREADS", "1")
         main(*sys.argv[1:])

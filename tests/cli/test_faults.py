@@ -15,10 +15,9 @@ from PIL import Image
 
 import tso_cli.refinement
 from tests.corruption import assert_refused
-from tests.lab.test_study import TOY, run_toys
+from tests.lab.test_study import run_toys
 from tso_cli.errors import InputError
 from tso_cli.io import output, reading
-from tso_cli.io.clouds import write_cloud
 from tso_cli.io.images import read_depth, read_mask
 from tso_cli.io.output import atomic_output, lock
 from tso_cli.lab.study import Progress
@@ -57,12 +56,6 @@ def test_a_file_that_appears_during_the_work_is_kept_and_nothing_is_written(refi
     at_end_of_refinement(monkeypatch, lambda: Path(name).write_text("mine"))
     assert f"{name}: exists already" in refine(*OUTPUTS).refusal
     assert written(folder) == [name] and Path(name).read_text() == "mine"
-
-
-def test_with_overwrite_it_is_replaced(refine, folder, monkeypatch):
-    at_end_of_refinement(monkeypatch, lambda: Path("out.png").write_text("mine"))
-    assert refine(*OUTPUTS, "--overwrite").code == 0
-    assert written(folder) == sorted(NAMES) and Path("out.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("links", [True, False], ids=["links", "no links"])
@@ -182,13 +175,6 @@ def test_a_damaged_record_is_not_gone_on_from(cases):
         assert re.match(r"the record to go on from is damaged \(.*\), expected", str(error))
 
 
-def test_a_fault_of_a_study_itself_is_not_put_down_to_a_record():
-    from dataclasses import replace
-
-    with pytest.raises(KeyError):
-        run_toys(Progress(), replace(TOY, conclude=lambda cases: {}["bug"]))
-
-
 def test_a_damaged_fingerprint_is_refused(tso, tmp_path, monkeypatch):
     path = tmp_path / "record.json"
     path.write_text('{"study": "pose", "settings": {}, "cases": [], "fingerprint": 3}')
@@ -297,8 +283,3 @@ def test_a_process_that_is_killed_leaves_nothing_that_the_next_does_not_remove(f
     again = started("refine", *OUTPUTS)
     again.communicate()
     assert again.returncode == 0 and written(folder) == sorted(NAMES)
-
-
-def test_a_cloud_may_be_written_to_a_name_just_taken_only_with_overwrite(tmp_path, cloud):
-    write_cloud(tmp_path / "a.ply", cloud)
-    assert_refused("exists already", write_cloud, tmp_path / "a.ply", cloud)

@@ -10,8 +10,7 @@ import trimesh
 from PIL import Image
 
 from tests.corruption import assert_reads_or_refuses, assert_refused
-from tests.fuzz import READERS, check, reader
-from tso_cli.datasets.splits import read_split
+from tests.fuzz import READERS, reader
 from tso_cli.io.logs import read_log
 
 from .test_clouds import a_ply
@@ -62,16 +61,3 @@ def test_every_reader_reads_or_refuses_damaged_files(tmp_path, name):
 def test_a_log_with_odd_names_is_refused_in_one_line(tmp_path, name):
     (tmp_path / "log.jsonl").write_text("\n".join(map(json.dumps, (SETTINGS, {**STEP, name: "x"}))))
     assert_refused("log.jsonl: line 2 has", read_log, tmp_path / "log.jsonl")
-
-
-def test_the_fuzzed_readers_are_checked_as_they_are_fuzzed(tmp_path):
-    (tmp_path / "split.json").write_text('{"train": ["a"]}')
-    check(read_split, tmp_path / "split.json")
-    with pytest.raises(AssertionError, match="does not name the file"):
-        check(lambda path: assert_raises_unnamed(), tmp_path / "split.json")
-
-
-def assert_raises_unnamed():
-    from tso_cli.errors import InputError
-
-    raise InputError("something is wrong")
