@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import io
+import os
+import signal
 import sys
+import threading
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import click
@@ -44,16 +50,60 @@ def tso() -> None:
     """
 
 
+class _Stderr(io.FileIO):
+    """stderr: what cannot be written there (closed, full) is dropped, and the work goes on."""
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except OSError:
+            return len(data)
+
+
+def _open_streams() -> None:
+    """Let no output file take the place of a closed stdin, stdout or stderr, and no line on stderr end the work."""
+    while (spare := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(spare, True)
+    os.close(spare)
+    if sys.stderr is sys.__stderr__:  # not replaced by a caller
+        encoding = sys.stderr.encoding if sys.stderr else "utf-8"
+        raw = _Stderr(os.dup(2), "w")  # so that what C libraries print can be told apart
+        sys.stderr = io.TextIOWrapper(raw, encoding, "backslashreplace", write_through=True)
+
+
+@contextmanager
+def _ended_as_by_ctrl_c() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP do what Ctrl-C does at the time, so that no half file stays and a training is kept."""
+
+    def interrupt(number: int, frame: Any) -> None:
+        handler = signal.getsignal(signal.SIGINT)
+        (handler if callable(handler) else signal.default_int_handler)(number, frame)
+
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        for name in ("SIGTERM", "SIGHUP"):
+            # nohup's SIGHUP stays ignored; Windows has none.
+            if (number := getattr(signal, name, None)) and signal.getsignal(number) is signal.SIG_DFL:
+                before[number] = signal.signal(number, interrupt)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     print(f"tso: warning: {_one_line(str(message))}", file=sys.stderr)
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit: 0 done, 1 failed, 2 unusable input, 3 target missed (GateError), 130 interrupted."""
+    _open_streams()
     warnings.showwarning = _print_warning
     warnings.simplefilter("always", UserWarning)
     try:
-        code = tso.main(arguments, prog_name="tso", standalone_mode=False)
+        with _ended_as_by_ctrl_c():
+            code = tso.main(arguments, prog_name="tso", standalone_mode=False)
     except TsoError as error:
         code = _fail(str(error), error.exit_code)
     except click.UsageError as error:
@@ -61,10 +111,13 @@ def main(arguments: list[str] | None = None) -> None:
         code = _fail(f"{error.format_message()}{hint}", 2)
     except click.ClickException as error:
         code = _fail(error.format_message(), error.exit_code)
-    except ModuleNotFoundError as error:
-        if error.name != "torch":
+    except ImportError as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):  # in a module of C++
+            code = _fail("interrupted", 130)
+        elif error.name != "torch":
             raise
-        code = _fail("networks need torch, which is not installed: pip install torch", 1)
+        else:
+            code = _fail("networks need torch, which is not installed: pip install torch", 1)
     except (click.Abort, KeyboardInterrupt):
         code = _fail("interrupted", 130)
     except BrokenPipeError:

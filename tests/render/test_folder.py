@@ -91,7 +91,7 @@ def test_only_partial_objects_that_no_living_process_writes_are_removed(meshes, 
     (out / "chair" / ".a.0123abcd.partial").symlink_to(foreign[0])
     just_made = out / "chair" / ".b.0123abcd.partial"
     just_made.mkdir()
-    lock = rendered._lock(living)
+    lock = rendered.lock(living)
     assert lock is not None
     render_folder(meshes, out, FAST)
     assert not stale.exists()

@@ -6,9 +6,7 @@ import gc
 import json
 import math
 import os
-import signal
 import sys
-import threading
 import time
 import warnings
 from collections.abc import Iterator, Mapping
@@ -19,7 +17,7 @@ from typing import Any, TypeVar
 
 import click
 
-from ..errors import InputError
+from ..errors import InputError, TsoError
 from ..io.output import check_output
 
 T = TypeVar("T")
@@ -91,16 +89,14 @@ def loading() -> Iterator[None]:
 
 
 @contextmanager
-def terminated_as_interrupted() -> Iterator[None]:
-    """Let SIGTERM end the work as Ctrl-C does, so that no partial output stays."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+def naming(path: Path) -> Iterator[None]:
+    """Name ``path`` where the work on it fails."""
     try:
         yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    except InputError:
+        raise
+    except TsoError as error:
+        raise TsoError(f"{path}: {error}") from None
 
 
 def echo_json(document: Any) -> None:

@@ -166,16 +166,17 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
         bar(step, total, f"steps, loss {loss:.6g}" if verbose else "steps")
 
     try:
-        result = refine(
-            None if scene.network else scene.points,
-            scene.views,
-            config=options.pick(RefineConfig, chosen),
-            network=scene.network,
-            image=scene.image,
-            colours=scene.colours,
-            faces=scene.faces,
-            progress=on_progress if sys.stderr.isatty() and not quiet else None,
-        )
+        with options.naming(inputs.source):
+            result = refine(
+                None if scene.network else scene.points,
+                scene.views,
+                config=options.pick(RefineConfig, chosen),
+                network=scene.network,
+                image=scene.image,
+                colours=scene.colours,
+                faces=scene.faces,
+                progress=on_progress if sys.stderr.isatty() and not quiet else None,
+            )
     finally:
         bar.close()
     if strict and result.verdict == "doubtful":

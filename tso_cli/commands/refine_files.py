@@ -164,10 +164,12 @@ class RefineOutputs:
             if self.overlay is not None:
                 from ..plots.overlay import draw_overlay
 
-                draw_overlay(stack.enter_context(atomic_output(self.overlay)), result, scene.views)
+                draw_overlay(stack.enter_context(atomic_output(self.overlay, self.overwrite)), result, scene.views)
             if self.write_camera is not None:
                 from ..io.cameras import CameraRecord, write_cameras
 
                 records = [CameraRecord(camera, mask) for camera, mask in zip(result.cameras, masks, strict=True)]
-                write_cameras(stack.enter_context(atomic_output(self.write_camera)), records, overwrite=True)
+                temporary = stack.enter_context(atomic_output(self.write_camera, self.overwrite))
+                write_cameras(temporary, records, overwrite=True)
+            self.check([])  # before the first of them takes its name
             write_cloud(self.output, scene.to_output(result.points), like=scene.cloud, overwrite=self.overwrite)

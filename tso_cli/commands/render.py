@@ -62,9 +62,7 @@ def command(source: Path, output: Path, seed: int, as_json: bool, **chosen: Any)
         from ..datasets.splits import read_part
 
         names = read_part(chosen["split"], chosen["part"])
-    with options.terminated_as_interrupted():
-        bar = options.ProgressBar("rendering")
-        summary = render_folder(source, output, settings, seed, chosen["overwrite"], bar, names)
+    summary = render_folder(source, output, settings, seed, chosen["overwrite"], options.ProgressBar("rendering"), names)
     for message in summary.failed.values():
         options.log(message)
     if summary.skipped:

@@ -55,7 +55,7 @@ class CategoryValue(click.ParamType):
             self.fail(f"{value!r} is no category and number, expected such as airplane=0.1", param, ctx)
 
 
-@dataclass(frozen=True)
+@dataclass
 class TrainOutputs:
     """What a training writes, and whether it goes on from what is there."""
 
@@ -78,12 +78,14 @@ class TrainOutputs:
                 raise InputError(f"--log-file {self.log_file}: is the checkpoint or its state, expected a file of its own")
 
     def save(self, state: TrainingState, config: NetworkConfig) -> None:
-        """Write checkpoint, state and log."""
+        """Write checkpoint, state and log; the first time InputError where a file has appeared since `check`."""
         from ..train.state import save_training, write_history
 
-        save_training(self.output, state, config)
+        self.check()
+        save_training(self.output, state, config, self.overwrite or self.resume)
         if self.log_file is not None:
-            write_history(self.log_file, state.history, config)
+            write_history(self.log_file, state.history, config, self.overwrite or self.resume)
+        self.overwrite = True  # now they are our own
 
 
 @click.command("train", cls=options.Command, headings=HEADINGS)
@@ -191,7 +193,8 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
         state = _initial_state(data, config, outputs, chosen["initial"], quiet)
         prepared, first_step = time.perf_counter(), state.step
         bar, saves = options.ProgressBar("train"), {"save": outputs.save, "save_every": chosen["checkpoint_every"]}
-        result = train(data, config, state, masked=masked_data, processes=processes, progress=bar, **saves)
+        with options.naming(outputs.output):
+            result = train(data, config, state, masked=masked_data, processes=processes, progress=bar, **saves)
     if not processes.first:
         return
     trained = time.perf_counter()

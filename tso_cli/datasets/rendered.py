@@ -33,7 +33,7 @@ from ..geometry.camera import Camera
 from ..io.cameras import CameraRecord, read_cameras, write_cameras
 from ..io.clouds import write_cloud
 from ..io.images import write_image
-from ..io.output import atomic_output, reason
+from ..io.output import atomic_output, lock, reason
 from . import common
 from .items import Dataset, ObjectItem, Pixels, ViewItem
 
@@ -96,7 +96,7 @@ def write_object(
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         staging.mkdir()
-        locks.append(_lock(staging))
+        locks.append(lock(staging))
         records = []
         for number, (image, mask, camera) in enumerate(views):
             paths = staging / f"{number:03d}.png", staging / f"{number:03d}.mask.png"
@@ -109,7 +109,7 @@ def write_object(
         with atomic_output(staging / RECORD) as temporary:
             temporary.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
         if folder.exists():
-            locks.append(_lock(folder))
+            locks.append(lock(folder))
             folder.rename(old)
         staging.rename(folder)
     except OSError as error:
@@ -119,9 +119,9 @@ def write_object(
             old.rename(folder)
         for path in (staging, old):
             shutil.rmtree(path, ignore_errors=True)
-        for lock in locks:
-            if lock is not None:
-                os.close(lock)
+        for held in locks:
+            if held is not None:
+                os.close(held)
 
 
 def sweep(folders: Iterable[Path]) -> None:
@@ -135,7 +135,7 @@ def sweep(folders: Iterable[Path]) -> None:
     for parent, objects in names.items():
         for path in sorted(parent.glob(".*")):
             match = _LEFT.fullmatch(path.name)
-            if match is None or match[1] not in objects or path.is_symlink() or (lock := _lock(path)) is None:
+            if match is None or match[1] not in objects or path.is_symlink() or (held := lock(path)) is None:
                 continue
             # Names longer than 40 characters may begin alike.
             replaced = objects[match[1]][0] if len(objects[match[1]]) == 1 else None
@@ -147,23 +147,7 @@ def sweep(folders: Iterable[Path]) -> None:
                     path.rename(replaced)
                 elif not fresh and (match[2] == "partial" or replaced is not None):
                     shutil.rmtree(path, ignore_errors=True)
-            os.close(lock)
-
-
-def _lock(folder: Path) -> int | None:
-    """Lock ``folder``, until what is returned is closed or the process ends; None where it is locked or cannot be."""
-    try:
-        import fcntl
-
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    except (ImportError, OSError):
-        return None
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(handle)
-        return None
-    return handle
+            os.close(held)
 
 
 def _records(folder: Path) -> list[CameraRecord]:

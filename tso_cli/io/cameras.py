@@ -157,7 +157,7 @@ def write_cameras(path: str | Path, records: Sequence[CameraRecord], overwrite: 
         text = _lines(views[0], "")
     else:
         text = '{\n  "views": [\n    ' + ",\n    ".join(_lines(view, "    ") for view in views) + "\n  ]\n}"
-    with atomic_output(path) as temporary:
+    with atomic_output(path, overwrite) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
 
 

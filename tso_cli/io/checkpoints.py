@@ -53,7 +53,7 @@ def save_tensors(
     check_output(path, overwrite)
     about = {"format": FORMAT, "config": dataclasses.asdict(config), **({"training": state} if state else {})}
     metadata = {METADATA_KEY: json.dumps(about, sort_keys=True, allow_nan=False)}
-    with atomic_output(path) as temporary:
+    with atomic_output(path, overwrite) as temporary:
         # Not save_file: it would make the file readable for its owner alone.
         temporary.write_bytes(save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, metadata))
 

@@ -112,7 +112,7 @@ def write_cloud(
     else:
         precise = "float32" if rounding <= 1e-6 * extent else "float64"
         data = new_ply(points, dtype or (like.precision if like is not None else precise))
-    with atomic_output(path) as temporary:
+    with atomic_output(path, overwrite) as temporary:
         temporary.write_bytes(data)
 
 

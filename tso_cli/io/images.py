@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import io
+import os
+import threading
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -13,14 +16,17 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .output import atomic_output, check_output, reason
-from .reading import read_array, read_bytes
+from .reading import read_array, read_bytes, require_memory
 
 if TYPE_CHECKING:
     from PIL import Image
 
 PIXEL_LIMIT = 100_000_000
+BYTES_A_PIXEL = 16  # what a mask takes at its most
+LARGEST_DEPTH = 1e15  # beyond it squares of depths overflow in sums
 FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "GIF", "BMP", "PPM")
 _FILE_LIMIT = 1 << 31
+_one_by_one = threading.Lock()
 Convert = Callable[["Image.Image", Path], NDArray[Any]]
 _WITH_ALPHA = ("RGBA", "LA", "PA", "RGBa", "La")
 
@@ -53,6 +59,9 @@ def read_depth(path: str | Path, scale: float = 1.0) -> NDArray[np.float64]:
         raise InputError(f"{path}: its smallest depth is {least:g}, expected 0 (unknown) or more")
     if least == np.inf:
         raise InputError(f"{path}: holds no depth > 0, expected some (0 means unknown)")
+    largest = float(np.nanmax(depth)) * scale
+    if not largest <= LARGEST_DEPTH:
+        raise InputError(f"{path}: its largest depth, times {scale:g}, is {largest:g}, expected at most {LARGEST_DEPTH:g}")
     return depth * scale
 
 
@@ -77,6 +86,7 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
 def as_colours(image: Image.Image, path: Path) -> NDArray[np.uint8]:
     """A picture opened by Pillow, as `read_image` gives it; InputError where it is too large, or what Pillow raises."""
     _check_size(image.width, image.height, path)
+    _load(image)
     return _colours(image, path)
 
 
@@ -86,13 +96,36 @@ def write_image(path: str | Path, array: NDArray[np.uint8], overwrite: bool = Fa
 
     path = Path(path)
     check_output(path, overwrite)
-    with atomic_output(path) as temporary:
+    with atomic_output(path, overwrite) as temporary:
         Image.fromarray(array).save(temporary, format="PNG")
 
 
 def _check_size(width: int, height: int, path: Path) -> None:
     if width * height > PIXEL_LIMIT:
         raise InputError(f"{path}: is {width}x{height}, {width * height:,} pixels, expected at most {PIXEL_LIMIT:,}")
+    require_memory(path, BYTES_A_PIXEL * width * height)
+
+
+def _load(image: Image.Image) -> None:
+    """Decode a picture that is open; OSError with what libtiff would print of a damaged one, and then go on."""
+    if image.format != "TIFF":
+        image.load()
+        return
+    with _one_by_one:
+        ours, theirs = os.pipe()
+        os.set_blocking(theirs, False)  # what is too long is lost
+        stderr = os.dup(2)
+        os.dup2(theirs, 2)
+        try:
+            image.load()
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+            os.close(theirs)
+            said = os.read(ours, 200)
+            os.close(ours)
+            if said:
+                raise OSError(said.decode("ascii", "replace"))
 
 
 def _decode(data: bytes, path: Path, what: str, convert: Convert) -> NDArray[Any]:
@@ -105,8 +138,9 @@ def _decode(data: bytes, path: Path, what: str, convert: Convert) -> NDArray[Any
             with Image.open(io.BytesIO(data), formats=FORMATS) as image:
                 # The header gives the size; nothing has been decoded yet.
                 _check_size(image.width, image.height, path)
-                image.load()
-                array: NDArray[Any] = convert(ImageOps.exif_transpose(image), path)
+                _load(image)
+                ImageOps.exif_transpose(image, in_place=True)
+                array: NDArray[Any] = convert(image, path)
     except InputError:
         raise
     except Image.UnidentifiedImageError:
@@ -125,10 +159,12 @@ def _decode(data: bytes, path: Path, what: str, convert: Convert) -> NDArray[Any
 
 def _mask_values(image: Image.Image, path: Path) -> NDArray[Any]:
     """[H, W]: bool, uint8, uint16 or float."""
+    from PIL import ImageChops
+
     if image.mode in _WITH_ALPHA or ("transparency" in image.info and image.mode in ("P", "L", "RGB")):
-        pixels = np.asarray(image.convert("RGBA"))
-        if (pixels[..., 3] < 255).any():
-            return pixels[..., 3]
+        alpha = (image if image.mode in ("RGBA", "LA") else image.convert("RGBA")).getchannel("A")
+        if alpha.getextrema() != (255, 255):
+            return np.asarray(alpha)
     if image.mode == "P":
         return _palette_values(image)
     if image.mode in ("1", "L", "F"):
@@ -140,7 +176,7 @@ def _mask_values(image: Image.Image, path: Path) -> NDArray[Any]:
         if values.min() < 0 or values.max() > 65535:
             raise InputError(f"{path}: its values span {values.min()} to {values.max()}, expected 0 to 65535")
         return values.astype(np.uint16)
-    return np.asarray(image.convert("RGB")).max(axis=2)
+    return np.asarray(functools.reduce(ImageChops.lighter, image.convert("RGB").split()))
 
 
 def _depth_values(image: Image.Image, path: Path) -> NDArray[Any]:
@@ -151,12 +187,14 @@ def _depth_values(image: Image.Image, path: Path) -> NDArray[Any]:
 
 def _palette_values(image: Image.Image) -> NDArray[Any]:
     index = np.asarray(image)
-    used = np.unique(index)
-    colours = np.asarray(image.convert("RGB"))
-    grey = (colours == colours[..., :1]).all()
+    used = np.flatnonzero(image.histogram())
+    shown = image.resize((256, 1))
+    shown.putdata(range(256))
+    colours = np.asarray(shown.convert("RGB"))[0, used]
+    grey = (colours == colours[:, :1]).all()
     # A palette that shows different indices alike says nothing: then the indices are the labels.
     if grey and (used.size == 1 or colours.min() != colours.max()):
-        return colours[..., 0]
+        return np.asarray(image.convert("L"))
     return index != 0
 
 
@@ -181,7 +219,7 @@ def _to_unit(array: NDArray[Any], path: Path) -> NDArray[np.float32]:
         full = 255  # numpy makes wide integers by itself; they say nothing about the scale
     if largest > full:
         raise InputError(f"{path}: its largest value is {largest}, expected at most {full}")
-    return (array / np.float64(full)).astype(np.float32)
+    return (np.arange(full + 1) / full).astype(np.float32)[array]
 
 
 def _colours(image: Image.Image, path: Path) -> NDArray[np.uint8]:

@@ -50,7 +50,7 @@ def read_log(path: Path | str) -> TrainingLog:
     if not steps:
         raise InputError(f"{path}: has settings but no step, expected at least one")
     names = list(steps[0])
-    if names[:2] != ["step", "loss"]:
+    if names[:2] != ["step", "loss"] or len(names) > 9 or not all(name.isidentifier() and len(name) < 20 for name in names):
         raise InputError(f"{path}: line 2 has {shown(names)}, expected step, loss and so on")
     for number, row in enumerate(steps, 2):
         if list(row) != names or not all(_is_number(value) for value in row.values()):

@@ -83,9 +83,10 @@ def _parse(path: Path, content: bytes, pictures: Pictures) -> Mesh:
     """All parts of the file, each where the file places it; only that faces name vertices is checked."""
     import trimesh
 
-    # The library logs its own complaints with a traceback; the one line raised below replaces them.
+    # The library and its parts log their own complaints with a traceback; the one line raised below replaces them.
     log = logging.getLogger("trimesh")
-    before, log.disabled = log.disabled, True
+    before = log.level
+    log.setLevel(logging.CRITICAL + 1)
     try:
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -99,7 +100,7 @@ def _parse(path: Path, content: bytes, pictures: Pictures) -> Mesh:
     except Exception as error:
         raise InputError(f"{path}: is not a readable {path.suffix.lower()} mesh ({reason(error)})") from None
     finally:
-        log.disabled = before
+        log.setLevel(before)
     colours = [_face_colours(part, len(triangles)) for part, triangles in zip(parts, faces, strict=True)]
     textures, joined, first_vertex, first_face = [], [np.empty((0, 3), np.int64)], 0, 0
     for part, points, triangles in zip(parts, vertices, faces, strict=True):
@@ -140,5 +141,5 @@ def write_mesh(path: Path | str, mesh: Mesh, overwrite: bool = False) -> None:
     """Write vertices (float32) and faces as binary little-endian PLY; colours are left out."""
     path = Path(path)
     check_output(path, overwrite)
-    with atomic_output(path) as temporary:
+    with atomic_output(path, overwrite) as temporary:
         temporary.write_bytes(new_ply(mesh.vertices, "float32", faces=mesh.faces))

@@ -1,13 +1,20 @@
-"""Output files are written whole or not at all, and never over another file without being asked."""
+"""Output files are written whole or not at all, and never over another file without being asked.
+
+While a file is written it is .NAME.xxxxxxxxxxxx.SUFFIX beside it. Its writer locks it: what is there without a lock is of a run
+that was killed, and the next one to write the same file removes it.
+"""
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..errors import InputError
+
+_written: set[Path] = set()  # temporaries of this process
 
 
 def check_output(path: Path, overwrite: bool) -> None:
@@ -32,19 +39,27 @@ def check_output(path: Path, overwrite: bool) -> None:
 
 
 @contextmanager
-def atomic_output(path: Path) -> Iterator[Path]:
+def atomic_output(path: Path, overwrite: bool = True) -> Iterator[Path]:
     """Yield a temporary path beside ``path``, with its suffix; on success it takes that name, else it is removed.
 
-    A symbolic link stays, and the file it points to is replaced. Raises InputError if writing failed.
+    A symbolic link stays, and the file it points to is replaced. Such a temporary path is itself yielded as it is.
+
+    Raises InputError if writing failed or, without ``overwrite``, if by then another file has the name.
     """
     path = Path(path)
+    if path in _written:
+        yield path
+        return
     try:
         target = Path(os.path.realpath(path))
         temporary = target.with_name(f".{target.stem[:40]}.{os.urandom(6).hex()}{target.suffix}")
+        _sweep(target)
         # Created here, so that the file gets the permissions the user's umask asks for and the name is surely ours.
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be written ({reason(error)})") from None
+    held = lock(temporary)
+    _written.add(temporary)
     try:
         yield temporary
         # A full disk may show only when the data leave the memory.
@@ -53,12 +68,58 @@ def atomic_output(path: Path) -> Iterator[Path]:
             os.fsync(handle)
         finally:
             os.close(handle)
-        temporary.replace(target)
+        if overwrite:
+            temporary.replace(target)
+        else:
+            _take_name(temporary, target)
+    except FileExistsError:
+        raise InputError(f"{path}: exists already, expected a new name or --overwrite") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({reason(error)}), nothing was kept") from None
     finally:
+        _written.discard(temporary)
         with suppress(OSError):
             temporary.unlink()
+        if held is not None:
+            os.close(held)
+
+
+def _take_name(temporary: Path, target: Path) -> None:
+    """Give a file a name that no other has; FileExistsError where one has it."""
+    try:
+        os.link(temporary, target)
+    except FileExistsError:
+        raise
+    except OSError:
+        # A file system without links: an empty file holds the name for the moment.
+        os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        temporary.replace(target)
+
+
+def _sweep(target: Path) -> None:
+    """Remove what killed runs left of ``target``."""
+    name = re.compile(rf"\.{re.escape(target.stem[:40])}\.[0-9a-f]{{12}}{re.escape(target.suffix)}")
+    with suppress(OSError), os.scandir(target.parent) as entries:
+        for entry in entries:
+            if name.fullmatch(entry.name) and entry.is_file(follow_symlinks=False) and (held := lock(Path(entry))) is not None:
+                os.unlink(entry)
+                os.close(held)
+
+
+def lock(path: Path) -> int | None:
+    """Lock a file or folder, until what is returned is closed or the process ends; None where it is locked or cannot be."""
+    try:
+        import fcntl
+
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except (ImportError, OSError):
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(handle)
+        return None
+    return handle
 
 
 def reason(error: BaseException) -> str:

@@ -8,6 +8,7 @@ import math
 import stat
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,8 @@ def read_bytes(path: Path, expected: str, limit: int | None = None, most: int = 
             raise InputError(f"{path}: is empty, expected {expected}")
         if limit is not None and about.st_size > limit:
             raise InputError(f"{path}: holds {about.st_size:,} bytes, expected {expected} of at most {limit:,}")
+        if most < 0:
+            require_memory(path, 2 * about.st_size)
         with path.open("rb") as stream:
             return stream.read(most)
     except (FileNotFoundError, NotADirectoryError):
@@ -46,6 +49,24 @@ def read_bytes(path: Path, expected: str, limit: int | None = None, most: int = 
         raise InputError(f"{path}: does not fit into memory") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read ({reason(error)}), expected {expected}") from None
+
+
+def require_memory(path: Path, needed: int) -> None:
+    """InputError unless so many bytes of memory are free for what is in ``path``."""
+    if needed > (free := free_memory()):
+        found = f"needs about {needed / 2**30:.2g} GiB of memory"
+        raise InputError(f"{path}: {found}, expected at most the {free / 2**30:.2g} that are free")
+
+
+def free_memory() -> float:
+    """Bytes of memory that are free on this machine and, in a container, left to it; infinite where nothing tells."""
+    free = math.inf
+    with suppress(OSError, ValueError, IndexError):
+        free = 1024.0 * int(Path("/proc/meminfo").read_text().partition("MemAvailable:")[2].split()[0])
+        group = Path("/sys/fs/cgroup")
+        left = int((group / "memory.max").read_text()) - int((group / "memory.current").read_text())
+        free = min(free, left)
+    return free
 
 
 def read_json(

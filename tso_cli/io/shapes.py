@@ -26,13 +26,14 @@ from .clouds import SUFFIXES as CLOUD_SUFFIXES
 from .clouds import read_cloud
 from .meshes import read_mesh
 from .ply_header import HEADER_LIMIT
-from .reading import read_array, read_bytes, shown
+from .reading import read_array, read_bytes, require_memory, shown
 
 MESH_SUFFIXES = (".obj", ".off", ".stl", ".glb")
 SUFFIXES = (*CLOUD_SUFFIXES, *MESH_SUFFIXES, ".binvox")
 
 # A grid of 512 a side already takes gigabytes on its way to a surface.
 MAX_VOXELS = 512**3
+BYTES_A_VOXEL = 16
 _FACES = re.compile(rb"[\r\n]element[ \t]+face[ \t]+0*[1-9]")
 _THREE_SIDES = re.compile(rb"\A\x93NUMPY[^\n]{0,200}'shape': *\([0-9]+, *[0-9]+, *[0-9]+,?\)", re.DOTALL)
 
@@ -112,6 +113,7 @@ def _read_binvox(path: Path) -> tuple[NDArray[np.bool_], float]:
     total = depth * height * width
     if min(depth, height, width) < 1 or total > MAX_VOXELS:
         raise InputError(f"{path}: dim is {shown(f'{depth} {height} {width}')}, expected 1 to {MAX_VOXELS:,} voxels")
+    require_memory(path, BYTES_A_VOXEL * total)
     if not 1e-30 < scale < 1e30:
         raise InputError(f"{path}: scale is {scale:g}, expected a size > 0")
     runs = np.frombuffer(content[header.end() :], dtype=np.uint8)

@@ -7,14 +7,18 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import hashlib
 import itertools
 import os
+import pickle
+import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
 from numba import njit
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 # Fewest basic steps of a thread for which waking it pays.
 WORTH_A_THREAD = 1 << 18
@@ -51,17 +55,55 @@ def on_disk(*functions: Any) -> bool:
         return False
 
 
+_told: list[str] = []  # folders that were warned of; once is enough
+
+
+class _CheckedFile(IndexDataCacheFile):
+    """Machine code on disk, behind it its digest: damaged code would run, or end the process."""
+
+    def _dump(self, obj: Any) -> bytes:
+        data: bytes = super()._dump(obj)
+        return data + hashlib.sha256(data).digest()
+
+    def _load_data(self, name: str) -> Any:
+        data = Path(self._data_path(name)).read_bytes()
+        if hashlib.sha256(data[:-32]).digest() != data[-32:]:
+            raise ValueError(f"{name} is damaged")
+        return pickle.loads(data)
+
+
+class _Cache(FunctionCache):
+    """numba's, but what cannot be read is compiled anew, and what cannot be written stays in memory, with a warning."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        locator = self._impl.locator
+        self._cache_file = _CheckedFile(self.cache_path, self._impl.filename_base, locator.get_source_stamp())
+
+    @contextlib.contextmanager
+    def _guard_against_spurious_io_errors(self) -> Iterator[None]:
+        try:
+            yield
+        # Unpickling a damaged index fails in any way there is.
+        except Exception as error:
+            if not _told:
+                _told.append(self.cache_path)
+                text = f"{self.cache_path}: compiled loops cannot be read or kept there ({error!r}), they are compiled anew"
+                warnings.warn(text, stacklevel=2)
+            with contextlib.suppress(OSError):
+                self.flush()
+
+
 def compiled(function: Callable[..., Any], **changes: Any) -> Any:
     """``function`` compiled at its first call; the machine code is kept on disk where a folder can be written.
 
     Sums are reordered within a statement, and multiply-adds rounded once: the same way at every call.
     """
-    settings = SETTINGS | changes
-    try:
-        return njit(cache=True, **settings)(function)
-    except RuntimeError:
-        # neither the package's folder nor the user's cache folder can be written: compile in every process
-        return njit(**settings)(function)
+    dispatcher = njit(**SETTINGS | changes)(function)
+    # RuntimeError: neither the package's folder nor the user's cache folder can be written; compiled in every process.
+    with contextlib.suppress(RuntimeError):
+        dispatcher._cache = _Cache(function)
+    return dispatcher
 
 
 def exactly(function: Callable[..., Any]) -> Any:
@@ -82,14 +124,14 @@ def share(count: int, steps: int, threads: int, function: Callable[..., None], *
     """
     threads = min(threads, count, max(1, steps // WORTH_A_THREAD))
     if threads <= 1:
-        _call(function, 0, count, *arguments)
+        function(0, count, *arguments)
         return
     ranges = min(count, threads * RANGES_PER_THREAD)
     following: Iterator[int] = itertools.count()
 
     def work() -> None:
         while (i := next(following)) < ranges:
-            _call(function, i * count // ranges, (i + 1) * count // ranges, *arguments)
+            function(i * count // ranges, (i + 1) * count // ranges, *arguments)
 
     futures = [_threads().submit(work) for _ in range(threads - 1)]
     try:
@@ -100,14 +142,6 @@ def share(count: int, steps: int, threads: int, function: Callable[..., None], *
         wait(futures)
     for future in futures:
         future.result()
-
-
-def _call(function: Callable[..., None], *arguments: Any) -> None:
-    try:
-        function(*arguments)
-    except OSError:
-        # The machine code could not be written to disk (full, say). It is in memory, and nothing has run yet.
-        function(*arguments)
 
 
 @functools.cache

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
+from ..io.output import reason
 from ..plots.table import Cell, text_table
 from ..version import __version__
 from .studies import QUESTIONS
@@ -152,16 +153,28 @@ class Study(Shown):
         """
         plan = self.plan(progress, **options)
         cases = self._earlier_cases(progress.earlier, plan.settings)
-        record = self._record(plan, cases)
+        record = self._checked_record(plan, cases, progress.earlier)
         progress.keep(record)
         for number, (shared, judge) in enumerate(plan.jobs, 1):
             if not _judged(shared, cases):
                 cases = [*cases, *judge()]
-                record = self._record(plan, cases)
+                record = self._checked_record(plan, cases, progress.earlier)
                 progress.keep(record)
                 plan.after_job()
             progress.report(plan.doing, number, len(plan.jobs))
         plan.finish(record)
+        return record
+
+    def _checked_record(self, plan: Plan, cases: Cases, earlier: Record | None) -> Record:
+        """The record; InputError where cases of an ``earlier`` one cannot be concluded from or shown."""
+        if earlier is None:
+            return self._record(plan, cases)
+        try:
+            record = self._record(plan, cases)
+            for table in self.tables(record) if record["complete"] else ():
+                table.text()
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+            raise InputError(f"the record to go on from is damaged ({reason(error)}), expected the cases as kept") from None
         return record
 
     def _record(self, plan: Plan, cases: Cases) -> Record:

@@ -32,7 +32,7 @@ def page(path: Path, overwrite: bool, size: tuple[float, float], dpi: int = 110,
         axis.spines[["top", "right"]].set_visible(False)
         if not (len(axis.get_xticks()) or len(axis.get_yticks())):
             axis.set_axis_off()
-    with atomic_output(path) as temporary:
+    with atomic_output(path, overwrite) as temporary:
         figure.savefig(temporary, dpi=dpi)
         with Image.open(temporary) as picture:
             small = picture.convert("RGB").quantize(256, dither=Image.Dither.NONE)

@@ -133,6 +133,6 @@ def parse_symmetry(text: str) -> str | tuple[float, float, float, float]:
         a, b, c, d = (float(part) for part in text.split(","))
     except (ValueError, AttributeError):
         raise InputError(f"symmetry is {text!r}, {expected}") from None
-    if not math.isfinite(a + b + c + d) or a * a + b * b + c * c == 0.0:
-        raise InputError(f"symmetry is {text!r}, whose normal has no direction; {expected}")
+    if not (1e-100 < math.hypot(a, b, c) < 1e100 and abs(d) < 1e100):
+        raise InputError(f"symmetry is {text!r}, whose normal has no direction or whose numbers are too large; {expected}")
     return a, b, c, d

@@ -102,6 +102,7 @@ def _begin(work: Callable[[int], Any]) -> None:
     # Ctrl-C reaches all processes; the first one tells the others.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _call(number: int) -> tuple[Any, list[Warning]]:

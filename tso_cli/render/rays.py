@@ -39,6 +39,8 @@ class RayScene:
         try:
             import open3d
         except (ImportError, OSError) as error:
+            if isinstance(error.__cause__, KeyboardInterrupt):  # Ctrl-C during the import
+                raise KeyboardInterrupt from None
             reason = " ".join(str(error).split())
             raise TsoError(
                 f"rendering needs open3d ({reason}): pip install 'tso-cli[render]', "

@@ -18,6 +18,7 @@ from ..geometry.view import View
 from ..io.cameras import check_size, find_camera, pair_with_masks, read_camera
 from ..io.clouds import PointCloud, read_cloud
 from ..io.images import read_depth, read_image, read_mask
+from ..io.reading import require_memory
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from ..refinement.surface import Surface
 
 
+BYTES_A_POINT = 1100  # what a refinement takes at its most
 NO_FILE = "(no camera file was given or found beside the mask)"
 
 
@@ -189,6 +191,7 @@ def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = Fal
             f"--camera fit finds the camera of one mask, found {len(files.masks)} masks; expected one, or a camera file"
         )
     cloud = read_cloud(cloud_file)
+    require_memory(cloud_file, BYTES_A_POINT * len(cloud.points))
     colours = cloud.colours() if files.image else None
     axes = np.eye(3)
     for assumption in files.assumptions:

@@ -72,7 +72,7 @@ def state_path(checkpoint: Path) -> Path:
     return checkpoint.with_name(f"{checkpoint.stem}.training.safetensors")
 
 
-def save_training(checkpoint: Path, state: TrainingState, config: NetworkConfig) -> None:
+def save_training(checkpoint: Path, state: TrainingState, config: NetworkConfig, overwrite: bool = True) -> None:
     """Write the network to ``checkpoint``, and network and state beside it; each file is replaced whole."""
     tensors = dict(state.network.state_dict())
     for name, parameter in state.network.named_parameters():
@@ -83,8 +83,8 @@ def save_training(checkpoint: Path, state: TrainingState, config: NetworkConfig)
         tensors[f"{STATE_PREFIX}average.{name}"] = mean
     tensors[f"{STATE_PREFIX}history"] = torch.tensor(state.history, dtype=torch.float64).reshape(-1, 4)
     values = {"step": state.step, "schedule": dataclasses.asdict(state.schedule), "fingerprint": state.fingerprint}
-    save_tensors(state_path(checkpoint), tensors, config, values, overwrite=True)
-    save_network(checkpoint, state.averaged(), config, overwrite=True)
+    save_tensors(state_path(checkpoint), tensors, config, values, overwrite)
+    save_network(checkpoint, state.averaged(), config, overwrite)
 
 
 def load_training(checkpoint: Path, config: NetworkConfig, fingerprint: str, device: torch.device) -> TrainingState:
@@ -156,12 +156,12 @@ def _require_same(path: Path, stored: NetworkConfig, current: NetworkConfig) -> 
             )
 
 
-def write_history(path: Path, history: History, config: NetworkConfig) -> None:
+def write_history(path: Path, history: History, config: NetworkConfig, overwrite: bool = True) -> None:
     """Write the settings, then the losses of every step, one JSON object a line."""
     terms = {"points": ("forward", "backward"), "masks": ("bce", "affinity", "lambda"), "joint": ("chamfer", "bce", "lambda")}
     names = ("step", "loss", *terms[config.supervision])
     lines = [json.dumps(dataclasses.asdict(config), allow_nan=False)]
     for step, row in enumerate(history, 1):
         lines.append(json.dumps(dict(zip(names, (step, *row), strict=False))))
-    with atomic_output(path) as temporary:
+    with atomic_output(path, overwrite) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -11,7 +11,7 @@ import click
 
 from ...commands import options
 from ...errors import InputError
-from ...io.output import atomic_output, check_output
+from ...io.output import atomic_output, check_output, reason
 from ...io.reading import read_bytes
 from ...io.shipped import named_checkpoint
 from ..study import Option, Progress, Record, Shown, Study, answer, page
@@ -43,7 +43,11 @@ def earlier_record(study: str, output: Path | None, resume: bool) -> dict[str, A
     from ..studies.fingerprint import differences
 
     record = read_record(output)
-    if record.get("study") == study and (changes := differences(record)):
+    try:
+        changes = differences(record) if record.get("study") == study else []
+    except (AttributeError, TypeError, ValueError) as error:
+        raise InputError(f"{output}: its fingerprint is damaged ({reason(error)}), expected a record as it was kept") from None
+    if changes:
         raise InputError(
             f"{output}: was made by another method ({changes[0]}), expected one made by the method as it is (with --overwrite "
             "in place of --resume it is made anew)"

@@ -1,0 +1,285 @@
+"""Whatever goes wrong around a command, it says so in one line, and no file is lost, half written or left over."""
+
+import errno
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import tso_cli.refinement
+from tests.corruption import assert_refused
+from tests.lab.test_study import run_toys
+from tso_cli.errors import InputError
+from tso_cli.io import output, reading
+from tso_cli.io.images import read_depth, read_mask
+from tso_cli.io.output import atomic_output, lock
+from tso_cli.lab.study import Progress
+from tso_cli.refinement.objective import SilhouetteObjective
+
+ROOT = Path(__file__).parents[2]
+NAMES = ("out.ply", "out.png", "out.json")
+OUTPUTS = ("initial.ply", "mask.png", "-o", "out.ply", "--overlay", "out.png", "--write-camera", "out.json")
+
+
+def started(*words, program="from tso_cli.cli import main; main()", **options):
+    """`tso WORDS` as a process of its own."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", **options.pop("environment", {})}
+    words = [sys.executable, "-c", program, *map(str, words)]
+    return subprocess.Popen(words, env=environment, text=True, stdout=subprocess.PIPE, **{"stderr": subprocess.PIPE, **options})
+
+
+def written(folder, known=("initial.ply", "mask.png", "image.png", "camera.json", "target.ply")):
+    return sorted(path.name for path in folder.iterdir() if path.name not in known)
+
+
+def at_end_of_refinement(monkeypatch, action):
+    """Call ``action`` once a refinement is done, before its files are written."""
+    refine = tso_cli.refinement.refine
+
+    def refine_then_act(*arguments, **options):
+        result = refine(*arguments, **options)
+        action()
+        return result
+
+    monkeypatch.setattr(tso_cli.refinement, "refine", refine_then_act)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_file_that_appears_during_the_work_is_kept_and_nothing_is_written(refine, folder, monkeypatch, name):
+    at_end_of_refinement(monkeypatch, lambda: Path(name).write_text("mine"))
+    assert f"{name}: exists already" in refine(*OUTPUTS).refusal
+    assert written(folder) == [name] and Path(name).read_text() == "mine"
+
+
+@pytest.mark.parametrize("links", [True, False], ids=["links", "no links"])
+def test_of_two_writers_of_one_name_one_succeeds(tmp_path, monkeypatch, links):
+    if not links:
+        monkeypatch.setattr(os, "link", lambda *_: (_ for _ in ()).throw(OSError(errno.EPERM, "no links here")))
+    path = tmp_path / "out.txt"
+    with pytest.raises(InputError, match="exists already.*--overwrite"), atomic_output(path, overwrite=False) as slow:
+        slow.write_text("slow")
+        with atomic_output(path, overwrite=False) as fast:
+            fast.write_text("fast")
+    assert path.read_text() == "fast" and list(tmp_path.iterdir()) == [path]
+
+
+def test_what_killed_runs_left_of_a_file_is_removed_but_for_what_a_living_one_writes(tmp_path):
+    names = (".out.0123456789ab.ply", ".out.ba9876543210.ply", ".other.0123456789ab.ply", ".out.0123456789ab.png")
+    stale, living, *others = (tmp_path / name for name in names)
+    for path in (stale, living, *others):
+        path.touch()
+    held = lock(living)
+    with atomic_output(tmp_path / "out.ply") as temporary:
+        assert not stale.exists() and temporary.exists() and living.exists() and all(path.exists() for path in others)
+    os.close(held)
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_signal_while_files_are_written_leaves_none(folder, name):
+    program = (
+        "import os, signal\nfrom tso_cli.cli import main\nfrom tso_cli.plots import overlay\n"
+        f"overlay.draw_overlay = lambda *_: os.kill(os.getpid(), signal.{name})\nmain()"
+    )
+    run = started("refine", *OUTPUTS, program=program)
+    assert run.communicate()[1].splitlines()[-1] == "tso: error: interrupted"
+    assert run.returncode == 130 and written(folder) == []
+
+
+def test_nohup_stays_nohup(folder):
+    program = (
+        "import os, signal\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\nfrom tso_cli.cli import main\n"
+        "from tso_cli.plots import overlay\ndraw = overlay.draw_overlay\n"
+        "overlay.draw_overlay = lambda *a: (os.kill(os.getpid(), signal.SIGHUP), draw(*a))\nmain()"
+    )
+    run = started("refine", *OUTPUTS, program=program)
+    run.communicate()
+    assert run.returncode == 0 and written(folder) == sorted(NAMES)
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_a_closed_stream_does_not_end_the_work(folder, number):
+    run = started(
+        "refine", *OUTPUTS, program=f"import os; os.close({number}); import sys; from tso_cli.cli import main; main()"
+    )
+    run.communicate()
+    assert run.returncode == 0 and written(folder) == sorted(NAMES)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_full_stderr_does_not_end_the_work_or_change_the_exit_code(folder):
+    Image.fromarray(np.eye(9, dtype=np.uint8) * 255).save("coarse.png")
+    with open("/dev/full", "w") as full:
+        warned, failed = (
+            started("refine", "initial.ply", "coarse.png", "--camera", "fit", stderr=full),
+            started("refine", "x.ply", stderr=full),
+        )
+    assert warned.wait() == 0 and failed.wait() == 2
+    assert "initial.refined.ply" in written(folder)
+
+
+DAMAGES = {
+    "empty": lambda path: path.write_bytes(b""),
+    "cut": lambda path: path.write_bytes(path.read_bytes()[:-1]),
+    "changed": lambda path: path.write_bytes(path.read_bytes().replace(b"\x48", b"\x49")),
+    "a folder": lambda path: (path.unlink(), path.mkdir()),
+}
+SQUARE = (
+    "import sys, warnings\nimport numpy as np\nwarnings.showwarning = lambda message, *_, **__: print(message)\n"
+    "from tso_cli.kernels import points_numba\n"
+    "print(points_numba.chamfer(*np.zeros((2, 3, 3)), *np.zeros((2, 3), int), np.zeros((3, 3))))"
+)
+
+
+@pytest.fixture(scope="module")
+def whole_cache(tmp_path_factory):
+    """A folder with machine code, and what its function prints."""
+    folder = tmp_path_factory.mktemp("cache")
+    return folder, started(program=SQUARE, environment={"NUMBA_CACHE_DIR": str(folder)}).communicate()[0]
+
+
+@pytest.fixture
+def cache(whole_cache, tmp_path):
+    """A copy of it to damage."""
+    return shutil.copytree(whole_cache[0], tmp_path / "cache"), whole_cache[1]
+
+
+@pytest.mark.parametrize(("suffix", "damage"), [(".nbi", "empty"), (".nbi", "a folder"), *((".nbc", name) for name in DAMAGES)])
+def test_damaged_machine_code_is_compiled_anew(cache, damage, suffix):
+    folder, before = cache
+    files = list(folder.rglob(f"*{suffix}"))
+    assert files and "compiled anew" not in before
+    for path in files:
+        DAMAGES[damage](path)
+    first, second = (started(program=SQUARE, environment={"NUMBA_CACHE_DIR": str(folder)}).communicate() for _ in range(2))
+    assert "they are compiled anew" in first[0] and first[0].endswith(before) and first[1] == ""
+    assert damage == "a folder" or second == (before, "")
+
+
+@pytest.mark.parametrize(
+    "cases",
+    [[1], [{}], [{"size": "x"}, {"size": 2}], [{"size": 1}, {"size": None}], [{"size": 1}, {"size": 2}, {}], [[]], [None]],
+    ids=str,
+)
+def test_a_damaged_record_is_not_gone_on_from(cases):
+    record = {**run_toys(Progress()), "cases": cases}
+    try:
+        assert all(case["size"] for case in run_toys(Progress(earlier=record))["cases"])
+    except InputError as error:
+        assert re.match(r"the record to go on from is damaged \(.*\), expected", str(error))
+
+
+def test_a_damaged_fingerprint_is_refused(tso, tmp_path, monkeypatch):
+    path = tmp_path / "record.json"
+    path.write_text('{"study": "pose", "settings": {}, "cases": [], "fingerprint": 3}')
+    words = ("lab", "pose", "--meshes", tmp_path, "--resume", "-o", path)
+    assert "record.json: its fingerprint is damaged" in tso(*words).refusal
+
+
+@pytest.mark.parametrize("size", [2, 3, 4, 6, 8, 10])
+@pytest.mark.parametrize("preset", ["best", "paper"])
+def test_masks_of_a_few_pixels_can_be_used(refine, folder, size, preset):
+    pixels = np.zeros((size, size), np.uint8)
+    pixels[: size // 2, : size // 2 + size % 2] = 255
+    Image.fromarray(pixels).save("tiny.png")
+    assert refine("initial.ply", "tiny.png", "--camera", "fit", "--steps", "1", "--preset", preset).code == 0
+
+
+@pytest.mark.parametrize("plane", ["1e200,1e200,0,0", "1e-200,0,0,0", "1,0,0,1e300", "0,0,0,1", "nan,0,0,1", "1,0,0,inf"])
+def test_a_plane_of_impossible_numbers_is_named_as_such(refine, folder, plane):
+    assert refine("initial.ply", "mask.png", "--symmetry", plane).refusal.startswith(f"tso: error: symmetry is '{plane}'")
+
+
+@pytest.mark.parametrize("scale", [1e308, 1e200, float("inf"), float("nan")])
+def test_depths_beyond_all_bounds_are_refused(tmp_path, scale):
+    np.save(tmp_path / "depth.npy", np.full((4, 4), 2.0))
+    assert_refused(
+        r"depth\.npy: its largest depth, times .*, expected at most 1e\+15", read_depth, tmp_path / "depth.npy", scale
+    )
+
+
+def test_a_loss_that_is_not_finite_names_the_file(refine, folder, monkeypatch):
+    monkeypatch.setattr(SilhouetteObjective, "__call__", lambda self, points: (np.nan, points))
+    run = refine("initial.ply", "mask.png", "--preset", "paper")
+    assert (run.code, run.err) == (1, "tso: error: initial.ply: the loss of the start is no finite number\n")
+
+
+@pytest.mark.parametrize("normal", ["a b c", "0 0"])
+def test_an_stl_with_odd_normals_is_read_in_silence(tso, tmp_path, normal, caplog):
+    corners = "".join(f"vertex {corner}\n" for corner in ("0 0 0", "1 0 0", "0 1 0"))
+    path = tmp_path / "odd.stl"
+    path.write_text(f"solid x\nfacet normal {normal}\nouter loop\n{corners}endloop\nendfacet\nendsolid x\n")
+    run = tso("eval", "--chamfer", path, path)
+    assert run.code == 0 and "Traceback" not in run.err and caplog.records == []
+
+
+@pytest.mark.parametrize("compression", ["tiff_lzw", "tiff_deflate", "group4", "jpeg"])
+def test_what_libtiff_says_of_a_damaged_picture_is_the_reason_of_its_refusal(tmp_path, capfd, compression):
+    mask = np.random.default_rng(0).integers(0, 2, (64, 64), np.uint8) * 255
+    Image.fromarray(mask).convert("1" if compression == "group4" else "L").save(tmp_path / "a.tif", compression=compression)
+    data = bytearray((tmp_path / "a.tif").read_bytes())
+    for place in range(20, 200, 7):
+        data[place] ^= 0x5A
+    read_mask(tmp_path / "a.tif")
+    (tmp_path / "a.tif").write_bytes(data)
+    assert_refused(r"a\.tif: is not readable as a mask image \(\w.*: ", read_mask, tmp_path / "a.tif")
+    assert capfd.readouterr().err == ""
+
+
+def test_ctrl_c_while_open3d_is_imported_is_ctrl_c(tso, tmp_path, monkeypatch, folder):
+    class Interrupted:
+        def find_spec(self, name, *_):
+            if name == "open3d":
+                raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    monkeypatch.delitem(sys.modules, "open3d", raising=False)
+    monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
+    mesh = next((ROOT / "examples" / "meshes").rglob("*.ply"))
+    run = tso("render", mesh, "-o", tmp_path / "out")
+    assert (run.code, run.err.splitlines()[-1]) == (130, "tso: error: interrupted")
+
+
+def test_what_does_not_fit_into_memory_is_refused_before_the_work(refine, folder, monkeypatch):
+    monkeypatch.setattr(reading, "free_memory", lambda: 1e6)
+    assert "initial.ply: needs about 0.001 GiB of memory, expected at most the 0.00093 that" in refine(*OUTPUTS).refusal
+    monkeypatch.setattr(reading, "free_memory", lambda: 1e5)
+    assert_refused("mask.png: needs about", read_mask, Path("mask.png"))
+    assert written(folder) == []
+    monkeypatch.undo()
+    assert reading.free_memory() > 1e8
+
+
+def test_a_full_disk_leaves_the_old_files_and_no_other(refine, folder, monkeypatch):
+    assert refine(*OUTPUTS).code == 0
+    before = {name: Path(name).read_bytes() for name in NAMES}
+    for number in (1, 2, 3):
+        calls = iter(range(1, 10))
+        full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        def fsync(_, calls=calls, number=number, full=full):
+            if next(calls) == number:
+                raise full
+
+        with monkeypatch.context() as patch:
+            patch.setattr(output.os, "fsync", fsync)
+            assert "No space left on device" in refine(*OUTPUTS, "--overwrite", "--steps", "3").refusal
+        assert written(folder) == sorted(NAMES) and (number > 1 or before == {n: Path(n).read_bytes() for n in NAMES})
+
+
+def test_a_process_that_is_killed_leaves_nothing_that_the_next_does_not_remove(folder):
+    program = (
+        "import os, signal\nfrom tso_cli.cli import main\nfrom tso_cli.plots import overlay\n"
+        "overlay.draw_overlay = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\nmain()"
+    )
+    killed = started("refine", *OUTPUTS, program=program)
+    killed.communicate()
+    assert killed.returncode == -signal.SIGKILL and len(written(folder)) == 1
+    again = started("refine", *OUTPUTS)
+    again.communicate()
+    assert again.returncode == 0 and written(folder) == sorted(NAMES)

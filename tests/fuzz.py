@@ -1,0 +1,101 @@
+"""Coverage-guided damage to files: `python -m tests.fuzz READER SECONDS [CORPUS]`, with atheris on the path.
+
+A reader must read a file or raise InputError with one line that names it, within 5 seconds and 1 GiB; the first file that makes
+it do anything else is left as crash-*. Without READER the readers are listed.
+"""
+
+import sys
+import tempfile
+import warnings
+from pathlib import Path
+
+from tests.corruption import assert_one_line
+from tso_cli.errors import InputError
+
+READERS = {
+    **{f"cloud{suffix}": ("io.clouds:read_cloud", suffix) for suffix in (".ply", ".npy", ".xyz")},
+    **{f"mesh{suffix}": ("io.meshes:read_mesh", suffix) for suffix in (".ply", ".obj", ".off", ".stl", ".glb")},
+    **{f"mask{suffix}": ("io.images:read_mask", suffix) for suffix in (".png", ".tif", ".jpg", ".gif", ".webp", ".npy")},
+    "faces": ("tests.fuzz:faces", ".ply"),
+    "image": ("io.images:read_image", ".bmp"),
+    "depth": ("io.images:read_depth", ".png"),
+    "depth.npy": ("io.images:read_depth", ".npy"),
+    "grid.npy": ("io.shapes:grid_surface", ".npy"),
+    "grid.binvox": ("io.shapes:grid_surface", ".binvox"),
+    "camera": ("io.cameras:read_cameras", ".json"),
+    "checkpoint": ("io.checkpoints:load_network", ".safetensors"),
+    "state": ("tests.fuzz:state", ".safetensors"),
+    "log": ("io.logs:read_log", ".jsonl"),
+    "split": ("datasets.splits:read_split", ".json"),
+    "record": ("lab.commands.records:read_record", ".json"),
+}
+
+
+def reader(name):
+    """What reads files for ``name``, and their suffix."""
+    place, suffix = READERS[name]
+    module, function = place.split(":")
+    module = module if module.startswith("tests") else f"tso_cli.{module}"
+    return getattr(__import__(module, fromlist=["x"]), function), suffix
+
+
+def faces(path):
+    """A cloud, its colours and its faces."""
+    from tso_cli.io.clouds import read_cloud
+
+    cloud = read_cloud(path)
+    cloud.faces()
+    cloud.colours()
+
+
+def state(path):
+    """The training state in a file."""
+    from tso_cli.io.checkpoints import load_state, read_metadata
+
+    step = read_metadata(path)[1].get("step")
+    load_state(path, {"history": (step, 4)} if isinstance(step, int) else {})
+
+
+def check(read, path):
+    """Read a file, or be refused in one line that names it."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            read(path)
+        except InputError as error:
+            assert path.name in str(error), f"{error} does not name the file"
+            assert_one_line(str(error))
+    for warning in caught:
+        assert warning.category is UserWarning, f"{warning.category.__name__}: {warning.message}"
+        assert_one_line(str(warning.message))
+
+
+def main(name, seconds, *corpus):
+    """Fuzz one reader."""
+    import atheris
+
+    with atheris.instrument_imports(include=["tso_cli", "trimesh", "PIL"]):
+        # What readers import when they are called.
+        import PIL.TiffImagePlugin  # noqa: F401
+        import trimesh  # noqa: F401
+
+        from tso_cli.io import checkpoints, clouds, images  # noqa: F401
+
+        read, suffix = reader(name)
+    images.PIXEL_LIMIT = 1 << 24  # a picture takes up to 16 bytes for each pixel
+    path = Path(tempfile.mkdtemp()) / f"victim{suffix}"
+
+    def test(data):
+        path.write_bytes(data)
+        check(read, path)
+
+    limits = ["-timeout=5", "-rss_limit_mb=1024", "-max_len=20000", f"-max_total_time={seconds}"]
+    atheris.Setup([sys.argv[0], *limits, *corpus], test)
+    atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    if len(sys.argv) < 3:
+        print(*READERS)
+    else:
+        main(*sys.argv[1:])
