@@ -9,22 +9,24 @@ from pathlib import Path
 import click
 
 from ...commands import options
+from ...commands.lazy_group import LazyGroup
 from ..bench import PARTS
 from . import records
 from .tools import load
 
 
-class _Bench(click.Group):
+SPEED = "How fast commands, refinements and their parts are."
+STABILITY = "How wrong the input may be, and whether the tool says so."
+
+
+class _Bench(LazyGroup):
     """`stability` is a study, and has the command of one."""
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return [*super().list_commands(ctx), "stability"]
-
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        return records.command_of(load(cmd_name)) if cmd_name == "stability" else super().get_command(ctx, cmd_name)
+        return records.command_of(load(cmd_name)) if cmd_name == "stability" else self.commands.get(cmd_name)
 
 
-@click.group("bench", cls=_Bench)
+@click.group("bench", cls=_Bench, sections={"Commands": {"speed": ("", SPEED), "stability": ("", STABILITY)}})
 def command() -> None:
     """Measure speed or stability, and keep the answer as JSON beside a chart and a page."""
 

@@ -81,6 +81,10 @@ class Axis:
             return case, self.alter(config, level)
         return self.alter(case, level, rng, *([other] if self.needs_other else [])), config
 
+    def at(self, level: float) -> str:
+        """The level in words; none where it is wrong or not."""
+        return f"{level:g} {self.unit}".strip() if len(self.levels) > 1 or self.unit else ""
+
     def start(self, case: Case, altered: Case) -> Array:
         """The start that a result is compared with, in the frame of the altered case."""
         return altered.initial if self.from_given else case.initial
@@ -110,15 +114,11 @@ def _direction(rng: Rng) -> Array:
 
 
 def _mask(name: str, unit: str, levels: tuple[float, ...], change: Callable[[Bits, float, Rng], Any], **options: Any) -> Axis:
-    return Axis("mask", name, unit, levels, _masked(change), **options)
-
-
-def _masked(change: Callable[[Bits, float, Rng], Any]) -> Alter:
     def alter(case: Case, level: float, rng: Rng) -> Case:
         view = case.views[0]
         return _first(case, replace(view, mask=change(view.mask > 0.5, level, rng).astype(np.float32)))
 
-    return alter
+    return Axis("mask", name, unit, levels, alter, **options)
 
 
 def _size(inside: Bits) -> float:
@@ -341,6 +341,10 @@ def _holed(case: Case, percent: float, rng: Rng) -> Case:
     return replace(case, views=(replace(view, mask=mask),), dense=dense, target=target)
 
 
+def _one_turned(case: Case, degrees: float, rng: Rng) -> Case:
+    return _first(case, _seen(_YAW)(case, degrees, rng).views[0])
+
+
 def _of_thin(change: Fields) -> Alter:
     return lambda case, level, rng: _seen(change)(_thin(case, THIN, rng), level, rng)
 
@@ -418,19 +422,16 @@ AXES: tuple[Axis, ...] = (
     _mask("mask eroded", _SIZE, (0.5, 1.0, 2.0, 4.0, 8.0, 16.0), partial(_edge_moved, outward=-1.0)),
     _mask("holes in the mask", "% of its area", _SHARES, _with_holes),
     _mask(
-        "speckle",
-        "% of the pixels",
-        (0.1, 0.5, 2.0, 5.0, 15.0, 45.0),
-        lambda inside, percent, rng: inside ^ (rng.random(inside.shape) < percent / 100.0),
+        "speckle", "% of the pixels", (0.1, 0.5, 2.0, 5.0, 15.0, 45.0), lambda m, p, rng: m ^ (rng.random(m.shape) < p / 100.0)
     ),
     _mask("threshold too high, 0.5 is right", "", (0.5, 0.6, 0.7, 0.8, 0.9, 0.98), _thresholded),
     _mask("threshold too low, 0.5 is right", "", (0.5, 0.4, 0.3, 0.2, 0.1, 0.01), _thresholded),
     _mask("mask occluded", "% of its area", _SHARES, _occluded),
     Axis("mask", "object cut by the border", "% of its area", _SHARES, _cut),
     _mask("mask shifted", _SIZE, _SIZES, _shifted),
-    _mask("mask flipped left to right", "", _YES, lambda inside, level, rng: inside[:, ::-1], **_MISTAKE),
-    _mask("mask upside down", "", _YES, lambda inside, level, rng: inside[::-1], **_MISTAKE),
-    _mask("mask inverted", "", _YES, lambda inside, level, rng: ~inside, **_MISTAKE),
+    _mask("mask flipped left to right", "", _YES, lambda m, level, rng: m[:, ::-1], **_MISTAKE),
+    _mask("mask upside down", "", _YES, lambda m, level, rng: m[::-1], **_MISTAKE),
+    _mask("mask inverted", "", _YES, lambda m, level, rng: ~m, **_MISTAKE),
     Axis("mask", "mask of another object", "", _YES, _of_other, needs_other=True),
     _mask("mask nearly empty", "% of it left", (80.0, 50.0, 20.0, 5.0, 1.0, 0.01), _nearly_empty),
     _mask("mask nearly full", "% of the rest filled", (2.0, 5.0, 20.0, 50.0, 90.0, 99.0, 100.0), _nearly_full),
@@ -449,25 +450,12 @@ AXES: tuple[Axis, ...] = (
     Axis("camera", "principal point's x and y exchanged", "", _YES, _exchanged, **_MISTAKE),
     _camera("K of twice the size", _TIMES, (2.0,), _FOR_SIZE, **_MISTAKE),
     _camera("K of half the size", _TIMES, (0.5,), _FOR_SIZE, **_MISTAKE),
-    _camera("R transposed", "", _YES, lambda camera, level, rng: {"R": camera.R.T}, **_MISTAKE),
+    _camera("R transposed", "", _YES, lambda c, level, rng: {"R": c.R.T}, **_MISTAKE),
     _camera("axes of OpenGL", "", _YES, _in_axes(1.0, -1.0, -1.0), **_MISTAKE),
     _camera("axes of PyTorch3D", "", _YES, _in_axes(-1.0, -1.0, 1.0), **_MISTAKE),
-    _camera(
-        "camera-to-world for world-to-camera",
-        "",
-        _YES,
-        lambda camera, level, rng: {"R": camera.R.T, "t": camera.position},
-        **_MISTAKE,
-    ),
+    _camera("camera-to-world for world-to-camera", "", _YES, lambda c, level, rng: {"R": c.R.T, "t": c.position}, **_MISTAKE),
     _camera("camera's x mirrored", "", _YES, _in_axes(-1.0, 1.0, 1.0)),
-    Axis(
-        "camera",
-        "yaw of one camera, beside a right one",
-        "degrees",
-        _DEGREES,
-        lambda case, level, rng: _first(case, _seen(_YAW)(case, level, rng).views[0]),
-        masks=2,
-    ),
+    Axis("camera", "yaw of one camera, beside a right one", "degrees", _DEGREES, _one_turned, masks=2),
     Axis("camera", "yaw before a thin object", "degrees", _DEGREES, _of_thin(_YAW), from_given=True),
     Axis("camera", "camera moved aside, thin object", _SIZE, _SIZES, _of_thin(_ASIDE), from_given=True),
     Axis("cloud", "cloud with z up", "", _YES, _framed([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), **_IN_FRAME),
@@ -476,31 +464,17 @@ AXES: tuple[Axis, ...] = (
     Axis("cloud", "cloud of the other handedness", "", _YES, _framed(np.diag([-1, 1, 1])), from_given=True),
     Axis("cloud", "cloud in smaller units", _TIMES, _UNITS, _framed(np.eye(3)), **_IN_FRAME),
     Axis("cloud", "cloud in larger units", _TIMES, _UNITS, _framed(np.eye(3), -1.0), **_IN_FRAME),
-    _start(
-        "start far off",
-        _SIZE,
-        (*_SIZES, 100.0, 1000.0),
-        lambda case, percent, rng: case.initial + percent / 100.0 * _direction(rng),
-    ),
+    _start("start far off", _SIZE, (*_SIZES, 100.0, 1000.0), lambda c, p, rng: c.initial + p / 100.0 * _direction(rng)),
     _start("start partly behind the camera", "% of its points", (0.1, 1.0, 5.0, 20.0, 50.0, 100.0), _behind),
     _start("start flat along the line of sight", "% gone", _GONE, _flat),
     _start("start collinear", "% gone", _GONE, _collinear),
     _start("start shrunk into one pixel", _TIMES, (1.1, 1.5, 2.0, 5.0, 20.0, 1000.0), _shrunk),
     _start("outliers", "% of the points", (0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0), _with_outliers, adds_points=True),
     _start(
-        "one stray point",
-        "sizes away",
-        (1.0, 2.0, 5.0, 10.0, 100.0, 1000.0),
-        lambda case, sizes, rng: _added(case, sizes * _direction(rng)[None]),
-        adds_points=True,
+        "one stray point", "sizes away", (1.0, *_UP), lambda c, r, rng: _added(c, r * _direction(rng)[None]), adds_points=True
     ),
     _start("duplicates", "% of the points", (10.0, 50.0, 100.0, 400.0), _with_duplicates, adds_points=True),
-    _start(
-        "noise",
-        _SIZE,
-        (0.2, 0.5, 1.0, 2.0, 5.0, 20.0),
-        lambda case, percent, rng: case.initial + percent / 100.0 * rng.normal(size=case.initial.shape),
-    ),
+    _start("noise", _SIZE, (0.2, 0.5, *_SIZES[:5]), lambda c, p, rng: c.initial + p / 100.0 * rng.normal(size=c.initial.shape)),
     _start("few points", "points", (512, 256, 64, 16, 4, 2), _counted, whole=True, from_given=True),
     _start("many points", "points", (2048, 16384, 131072, 1_000_000), _counted, whole=True, from_given=True),
     _start("uneven density", "times as dense", (2.0, 5.0, 20.0, 100.0, 1000.0), _uneven, from_given=True),

@@ -11,6 +11,7 @@ from ...geometry.camera import NEAR, Array
 from ...geometry.points import bounding_box_normalisation
 from ...geometry.view import View
 from ...geometry.window import window_of
+from ...kernels.dispatch import planned
 from ...losses.chamfer import ChamferToStart
 from ...refinement.presets import PAPER_GAMMA, PAPER_LEARNING_RATE, PAPER_SIGMA_SQ, PAPER_STEPS
 from ...refinement.resampled_view import CELLS, ResampledView, resample_view
@@ -59,7 +60,10 @@ def _descent(silhouette: Callable[[Tensor], Tensor]) -> Callable[[Array, Sequenc
         centre, scale = bounding_box_normalisation(points)
         seen = [resample_view(view, PAPER_SIGMA_SQ, centre, scale, window_of(view, points)) for view in views]
         start = (points - centre) / scale
-        to_start, moved = ChamferToStart(start), torch.tensor(start, dtype=torch.float32, requires_grad=True)
+        moved = torch.tensor(start, dtype=torch.float32, requires_grad=True)
+        # In compiled loops.
+        with planned(PAPER_STEPS, PAPER_STEPS * len(points) * 10**6):
+            to_start = ChamferToStart(start)
         adam = torch.optim.Adam([moved], lr=PAPER_LEARNING_RATE["points"])
         for _ in range(PAPER_STEPS):
             gradient = to_start(moved.detach().double().numpy())[1]

@@ -159,7 +159,7 @@ def _worst(rows: Cases, bench: Bench) -> list[tuple[str, Case, np.ndarray]]:
             altered, config = bench.altered(AXIS[name], level, number, bench.seeds[seed], POINTS[DEFAULT].config)
             (outcome,) = outcomes_of([(altered.initial, altered.views[: AXIS[name].masks])], POINTS[DEFAULT], config)
             if outcome.points is not None:
-                title = f"{name}, {level:g} {AXIS[name].unit}: {ratio:.3g}, {altered.shape.split('/')[0]}"
+                title = f"{name} {AXIS[name].at(level)}: {ratio:.3g}, {altered.category}"
                 pictured.append((fill(title, TITLE), altered, outcome.points))
     return pictured
 
@@ -183,11 +183,11 @@ def conclude(cases: Cases) -> Record:
 
 def tables(record: Record) -> list[Table]:
     """The figures of every level of the default preset, of the other ways all together, the knees, and the silence."""
-    rows = [[row["axis"], f"{row['level']:g} {AXIS[row['axis']].unit}", *_figures(row)] for row in _of(record, DEFAULT)]
+    rows = [[row["axis"], AXIS[row["axis"]].at(row["level"]), *_figures(row)] for row in _of(record, DEFAULT)]
     several = {row["axis"] for row in record["cases"] if row["variant"] != DEFAULT}.intersection(COMPARED)
     chosen = [row for row in record["cases"] if row["axis"] in several and row["level"] in fewer_levels(AXIS[row["axis"]])]
     chosen.sort(key=lambda row: (COMPARED.index(row["axis"]), row["level"]))
-    compared = [[row["axis"], f"{row['level']:g} {AXIS[row['axis']].unit}", row["variant"], *_figures(row)] for row in chosen]
+    compared = [[row["axis"], AXIS[row["axis"]].at(row["level"]), row["variant"], *_figures(row)] for row in chosen]
     words = [[AXIS[name].group, name, found["words"]] for name, found in record["knees"][DEFAULT].items()]
     silence = [[what, *row.values()] for what, row in record["silence"].items()]
     return [
