@@ -127,19 +127,6 @@ def choices() -> str:
     return markdown(header, [[have, setting, *pooled(kind, variant)] for have, setting, kind, variant in rows])
 
 
-def variants() -> str:
-    """The paper's three variants under its protocol, here and in the paper."""
-    study = record("tso")
-    summary, printed = study["summary"]["all"], study["paper"]
-    rows = []
-    for name in ("encoder", "encoder-decoder", "points"):
-        row, paper = summary["capnet"][name], printed[name][2] / printed["before"][2]
-        interval = "{:.3f} to {:.3f}".format(*row["interval"])
-        worse = f"{row['worse']} of {summary['cases']}"
-        rows.append([f"`{name}`", f"{row['ratio_of_means']:.3f}", interval, f"{paper:.3f}", worse])
-    return markdown(["variant", "after / before", "95 % interval", "the paper", "made worse"], rows)
-
-
 def depth() -> str:
     """What a depth map and a second mask bring, without and with a mirror plane."""
     rows = {
@@ -266,7 +253,7 @@ def stages() -> str:
     return markdown(["stage", *columns], rows)
 
 
-FIGURES = (initial_error, gains, types, starts, choices, variants, depth, cameras, confidence, network, photos)
+FIGURES = (initial_error, gains, types, starts, choices, depth, cameras, confidence, network, photos)
 FIGURES += (machine, objects, batches, kernels, stages)
 FILLED: dict[str, Callable[[], str]] = {made.__name__: made for made in FIGURES}
 FILLED |= {f"{name}_targets": partial(targets, name) for name in ("accuracy", "speed")}

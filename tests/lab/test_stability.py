@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +19,7 @@ from tso_cli.lab.stability.peers import PEERS
 from tso_cli.lab.stability.runs import Bench, outcomes_of
 from tso_cli.lab.studies.refining import POINTS, Variant
 from tso_cli.refinement import RefineConfig, refine
+from tso_cli.refinement.assumptions import Suspect
 
 
 @pytest.fixture(scope="module")
@@ -144,6 +144,7 @@ def rows(name, *ratios, said=None):
         ((0.5, 0.6, 0.9, 1.2, 2.0), "---ww", "works to 5 degrees, warns from 10, fails at 10"),
         ((0.5, 0.6, 1.2, 1.2, None), "----r", "works to 2 degrees, warns from 20, fails at 5"),
         ((0.5, 0.6, 0.7), "w--", "works throughout, never warns"),
+        ((0.5, 1.2, 0.9), "-w-", "works to 1 degrees, warns from 2, fails at 2"),
         ((1.5, None, None), "drr", "does not work at 1 degrees, warns from 1, fails at 1"),
         ((0.5, None), "-r", "works to 1 degrees, warns from 2, is refused at 2"),
         ((0.5, None), "-n", "works to 1 degrees, never warns, fails at 2"),
@@ -175,8 +176,8 @@ def test_figures_tell_harm_without_a_word_from_harm_with_one():
 
 def test_what_a_result_says_of_itself_is_kept(cases, monkeypatch):
     result = refine(cases[0].initial, cases[0].views[0], config=RefineConfig(steps=1))
-    doubtful = SimpleNamespace(**{**vars(result), "verdict": "doubtful", "confidence": 0.25})
-    suspect = SimpleNamespace(**{**vars(result), "verdict": "improved", "suspects": (SimpleNamespace(what="camera"),)})
+    doubtful = replace(result, verdict="doubtful", confidence=0.25)
+    suspect = replace(result, verdict="improved", suspects=(Suspect("the camera is another", "--assume opengl", 0.8),))
     warned, refused = replace(result, warnings=("read this",)), InputError("no object")
     monkeypatch.setattr(runs, "refine_batch", lambda scenes, config: [doubtful, suspect, warned, refused, result])
     scenes = [(cases[0].initial, cases[0].views[:1])] * 5

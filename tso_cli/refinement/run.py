@@ -22,7 +22,7 @@ from .config import Settings
 from .objective import SilhouetteObjective, ViewTargets
 from .optimise import Descent, Parameters, Progress, Term, descend, sum_of
 from .parameters import PointParameters
-from .presets import STAGES, Stage
+from .presets import BEST_STEPS, STAGES, Stage
 from .problem import Problem
 from .result import RefineResult, StopReason, result_warnings
 from .smooth_field import SmoothField
@@ -32,6 +32,8 @@ from .view_weights import ViewWeights
 
 # A start of lower IoU hardly touches its mask, as a pole beside its own: coming nearer need not raise the IoU.
 FEEBLE_IOU = 0.1
+# Results of fewer steps are not judged.
+FEWEST_STEPS = BEST_STEPS["points"] // 4
 
 
 class Stopwatch:
@@ -218,10 +220,12 @@ def _result(
     lengths = np.linalg.norm(moved.displacements, axis=1)
     signs: dict[str, float] = {}
     verdict: Verdict | None = None
-    if len(descent.stages) == len(STAGES) and prepared.field and problem.agreement:
+    if prepared.field and problem.agreement and len(descent.stages) == len(STAGES):
         moves = cloud.normalised(), descent.best, descent.stages
         signs = signs_of(problem, prepared.field, *moves, outcome.ious, prepared.view_weights.inlier)
-        verdict = Verdict.of(signs, best_step > 0, str(problem.agreement))
+        # What a few steps leave undone looks like a mistake.
+        if settings.steps >= FEWEST_STEPS or not best_step:
+            verdict = Verdict.of(signs, best_step > 0, str(problem.agreement))
     result = RefineResult(
         points=moved.points,
         initial=cloud.given,

@@ -14,7 +14,6 @@ from ..bench import PARTS
 from . import records
 from .tools import load
 
-
 SPEED = "How fast commands, refinements and their parts are."
 STABILITY = "How wrong the input may be, and whether the tool says so."
 

@@ -54,13 +54,16 @@ def works(row: Record) -> bool:
 
 
 def knee(rows: Cases) -> Record:
-    """Up to where an axis works, from where the tool speaks up to the end, and where it fails; None where it does not.
+    """Up to where an axis works, from where the tool speaks up where it fails, and where it fails; None where it does not.
 
     ``rows`` are those of all levels, from harmless to hopeless.
     """
     levels, flags = [row["level"] for row in rows], {test: [test(row) for row in rows] for test in (works, speaks, fails)}
     working = flags[works].index(False) if False in flags[works] else len(rows)
-    speaking = len(rows) - (flags[speaks][::-1].index(False) if False in flags[speaks] else len(rows))
+    judged = flags[fails] if True in flags[fails] else [True] * len(rows)
+    silent = [place for place in range(len(rows)) if judged[place] and not flags[speaks][place]]
+    told = [place for place in range(max(silent, default=-1) + 1, len(rows)) if flags[speaks][place]]
+    speaking = min(told, default=len(rows))
     failing = flags[fails].index(True) if True in flags[fails] else len(rows)
     places = {"works_to": working - 1, "speaks_from": speaking, "fails_at": failing}
     found: Record = {key: levels[i] if 0 <= i < len(rows) else None for key, i in places.items()}

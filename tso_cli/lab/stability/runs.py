@@ -132,9 +132,9 @@ def outcomes_of(scenes: Sequence[tuple[Array, Sequence[View]]], way: Way, config
 def _of_result(result: Any, warned: bool) -> Outcome:
     if isinstance(result, TsoError):
         return Outcome(REFUSED)
-    verdict = getattr(uninterrupted(result), "verdict", None)
+    verdict = uninterrupted(result).verdict
     said = WARNED if warned or result.warnings else SILENT
-    if verdict == "doubtful" or getattr(result, "suspects", ()):
+    if verdict == "doubtful" or result.suspects:
         said = DOUBTFUL
     if not np.isfinite(result.points).all() or result.stop_reason == "non_finite":
         said = NON_FINITE
@@ -142,7 +142,7 @@ def _of_result(result: Any, warned: bool) -> Outcome:
         said,
         result.points,
         (verdict or "?")[0],
-        getattr(result, "confidence", None),
+        result.confidence,
         result.iou_before,
         result.iou_after,
         result.moved_mean,

@@ -47,7 +47,7 @@ CONVENTION = {
     "cloud's own points, without added ones, to the start as it was before it was altered (of another number of points, object "
     "or frame: the altered one)",
     "works": f"median ratio up to {WORSE}, at most 5 % of the runs over {WORSE}; fails: median over {WORSE}, or most refused",
-    "warns": "a warning, a doubt or a refusal in at least half of the runs, at this level and all harder ones",
+    "warns": "a warning, a doubt or a refusal in at least half of the runs, at this level and at all harder ones that fail",
     "said": "of each run: - nothing, w a warning, d doubted by the tool, r refused, n not finite",
     "took": "seconds; moved: mean of the points, longest sides",
     "runs": "all seeds of the first case, of the second, ...; null: none; verdict: first letter of the result's, if it has one",
