@@ -213,15 +213,14 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 
 STUDY = Study(
     name="stability",
-    about="How wrong may masks, cameras, clouds and settings be, and does the tool say so? One difficulty at a time, from "
-    "harmless to hopeless: up to where the refinement works, from where it warns, where it fails. In full on the test split; "
-    "--quick takes the shipped examples and every second level.",
+    about="How wrong may masks, cameras, clouds and settings be, and does the tool say so?",
     parts=("pictures", "points, paper", "points, best"),
     tables=tables,
     draw=draw,
-    reading="Colours are medians of Chamfer after / before, triangles say where the tool speaks up: red without a triangle is "
-    "harm that nobody is told of. The paper's own failures are among the axes: too wide a sigma^2 and thin objects (narrow "
-    "aeroplanes), a start that is flat along the line of sight (cars deformed in depth).",
+    reading="One difficulty at a time, from harmless to hopeless: in full on the test split; --quick takes the shipped "
+    "examples and every second level. Colours are medians of Chamfer after / before, triangles say where the tool speaks up: "
+    "red without a triangle is harm that nobody is told of. The paper's own failures are among the axes: too wide a sigma^2 "
+    "and thin objects (narrow aeroplanes), a start that is flat along the line of sight (cars deformed in depth).",
     convention=CONVENTION,
     options=(
         Option("--quick", "Shipped examples, every second level, one seed.", bool, False),
