@@ -150,7 +150,7 @@ def result_warnings(result: RefineResult, views: Sequence[View], steps: int) -> 
     elif result.moved_max < SMALL_DISPLACEMENT:
         messages.append(f"hardly anything moved: no point by more than {100.0 * SMALL_DISPLACEMENT:g} % of the object's size")
     if result.reason:
-        sure = "" if result.confidence is None else f" (confidence {result.confidence:.2f} of 1)"
+        sure = "" if result.confidence is None else f" (confidence {result.confidence:.2f})"
         messages.append(f"the result is doubtful{sure}: {result.reason}")
     messages += outliers_told(int(result.outliers.sum()))
     for view in views:
