@@ -45,6 +45,7 @@ def test_an_inverted_mask_is_told_with_the_option_that_mends_it(inverted, refine
     assert "(doubtful, confidence" in run.out
     document = refine(*POINTS, "--check", "--json").document
     (suspect, *_) = document["suspects"]
+    assert (document["verdict"], document["confidence"]) == ("doubtful", None)
     assert (suspect["what"], suspect["option"]) == ("the mask is inverted", "--assume mask-inverted")
     assert 0.4 < suspect["score"] <= 1.0 and "mask-inverted" in document["warnings"][0]
 
@@ -53,6 +54,8 @@ def test_strict_writes_nothing_where_the_result_is_doubtful(inverted, refine, tm
     run = refine(*POINTS, "--strict", "-o", "strict.ply", "--overlay", "strict.png")
     assert (run.code, run.out) == (3, "") and "with --strict nothing is written" in run.err
     assert not list(tmp_path.glob("**/strict*"))
+    document = json.loads(refine(*POINTS, "--strict", "--json").out)
+    assert (document["verdict"], document["output"], document["assume"]) == ("doubtful", None, [])
     assert refine(*POINTS, "--strict", "--assume", "mask-inverted", "-o", "strict.ply").code == 0
 
 
@@ -70,6 +73,12 @@ def test_a_cloud_in_other_axes_is_refined_as_meant_and_written_in_its_own(folder
     assert refine("up.ply", "mask.png", "--assume", "cloud-z-up", "-o", "turned.ply").code == 0
     right, turned = (read_cloud(name).points for name in ("right.ply", "turned.ply"))
     np.testing.assert_allclose(turned[:, [0, 2, 1]] * [1.0, 1.0, -1.0], right, atol=1e-4)
+    document = refine("up.ply", "mask.png", "--assume", "cloud-z-up", "-o", "again.ply", "--json").document
+    plane = np.array(refine(*POINTS, "-o", "plane.ply", "--json").document["symmetry"])[[0, 2, 1]] * [1.0, -1.0, 1.0]
+    assert abs(plane @ document["symmetry"][:3]) == pytest.approx(1.0, abs=1e-9) and document["assume"] == ["cloud-z-up"]
+    for option in (("--write-camera", "camera2.json"), ("--symmetry", "x")):
+        run = refine("up.ply", "mask.png", "--assume", "cloud-z-up", "-o", "never.ply", *option)
+        assert run.code == 2 and option[0] in run.err
 
 
 def test_an_unknown_assumption_lists_all(folder, refine):

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from tests.scenes import example
+from tso_cli import View
 from tso_cli.geometry.camera import Camera
+from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.refinement.assumptions import ASSUMPTIONS, Agreement, assumptions_of
 
 PLANE = example("airplane")
@@ -67,3 +69,25 @@ def test_units_of_an_orthographic_camera_are_in_its_k():
     points = np.array([[0.1, 0.2, 0.0]])
     (metres,) = assumptions_of(["cloud-millimetres"])
     np.testing.assert_allclose(metres.of_camera(camera).project(1000.0 * points)[0], camera.project(points)[0])
+
+
+def test_the_order_of_the_points_does_not_matter():
+    """Of an organised cloud, points at equal steps are of one column."""
+    side = np.linspace(-0.5, 0.5, 1024)
+    grid = np.stack([np.repeat(side, 1024), np.tile(side, 1024), np.zeros(1024 * 1024)], 1)
+    view = PLANE.view
+    shuffled = np.random.default_rng(0).permutation(grid)
+    assert Agreement.of(grid, [view]).as_given == pytest.approx(Agreement.of(shuffled, [view]).as_given, abs=0.05)
+
+
+def test_points_on_unknown_pixels_are_no_disagreement():
+    known = np.ones(PLANE.mask.shape, bool)
+    known[:, : known.shape[1] // 2] = False
+    given = Agreement.of(PLANE.target, [replace(PLANE.view, known=known)]).as_given
+    assert given > 0.9 * Agreement.of(PLANE.target, [PLANE.view]).as_given
+
+
+def test_an_object_that_the_border_truncates_does_not_pass_for_an_inverted_mask():
+    camera = replace(PLANE.camera, K=PLANE.camera.K * [[3.0, 1.0, 1.0], [1.0, 3.0, 1.0], [1.0, 1.0, 1.0]])
+    near = View(silhouette_of(PLANE.target, camera), camera)
+    assert not any("inverted" in suspect.option for suspect in Agreement.of(PLANE.points, [near]).suspects)

@@ -8,7 +8,7 @@ import pytest
 from tests.scenes import example
 from tso_cli import RefineConfig, View, refine, refine_batch
 from tso_cli.geometry.rotations import from_vectors
-from tso_cli.refinement.verdict import REASONS, _model, signs_of
+from tso_cli.refinement.verdict import REASONS, _model
 
 EXAMPLES = "chair", "car", "airplane"
 
@@ -48,10 +48,19 @@ def test_what_did_not_move_is_unchanged_and_sure():
     assert (result.verdict, result.confidence) == ("unchanged", 1.0)
 
 
-def test_the_papers_preset_is_not_judged_but_its_input_is():
+@pytest.mark.parametrize("config", [RefineConfig(preset="paper", steps=3), RefineConfig(steps=1)])
+def test_without_a_confidence_wrong_input_is_doubtful_and_right_input_is_not_judged(config):
     scene = example("chair")
-    result = refine(scene.points, replace(scene.view, mask=1.0 - scene.mask), config=RefineConfig(preset="paper", steps=3))
-    assert (result.verdict, result.confidence) == (None, None) and "mask is inverted" in result.reason
+    wrong = refine(scene.points, replace(scene.view, mask=1.0 - scene.mask), config=config)
+    assert (wrong.verdict, wrong.confidence) == ("doubtful", None) and "mask is inverted" in wrong.reason
+    right = refine(scene.points, scene.view, config=config)
+    assert (right.verdict, right.confidence, right.reason) == (None, None, "")
+
+
+def test_suspect_input_is_told_also_where_nothing_moves():
+    scene = example("chair")
+    result = refine(scene.points, replace(scene.view, mask=1.0 - scene.mask), config=RefineConfig(steps=0))
+    assert result.verdict == "unchanged" and any("--assume mask-inverted" in text for text in result.warnings)
 
 
 def test_a_batch_judges_as_a_single_cloud_is_judged():
@@ -67,4 +76,4 @@ def test_the_model_knows_every_sign():
     assert names == list(refine(scene.points, scene.view).signs)
     assert {name.split(":")[0] for name in names} == set(REASONS)
     assert hidden.shape == (len(names), len(offset)) and len(output) == len(offset) + 1 and (deviation > 0.0).all()
-    assert len(mean) == len(names) and signs_of.__doc__
+    assert len(mean) == len(names)

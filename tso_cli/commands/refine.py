@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -141,6 +142,11 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
             raise InputError(
                 f"{name} is for --mode points, found --mode {inputs.mode}, which places its cloud before the camera itself"
             )
+    if any(name.startswith("cloud-") for name in inputs.assume):
+        # Both are of the scene's axes, the cloud is not.
+        for name, used in (("--write-camera", write_camera), ("--symmetry", chosen["symmetry"] not in (None, "auto", "none"))):
+            if used:
+                raise InputError(f"{name} knows the cloud's axes as they are, expected no --assume {' '.join(inputs.assume)}")
     chosen["output"] = chosen["output"] or Path(f"{inputs.source.stem}.refined.ply")
     outputs = options.pick(RefineOutputs, chosen)
     if not check:
@@ -155,6 +161,8 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
         return
     read = time.perf_counter() - started
     with options.loading():
+        import numpy as np
+
         from ..refinement import RefineConfig, refine
     if chosen["sigma_sq"] is None:
         chosen["sigma_sq"] = scene.sigma_sq
@@ -179,18 +187,24 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
             )
     finally:
         bar.close()
-    if strict and result.verdict == "doubtful":
-        raise GateError(f"{inputs.source}: the result is doubtful: {result.reason}; with --strict nothing is written")
+    if inputs.assume and result.symmetry:
+        # In the axes of the file, as the points are written.
+        (normal,) = scene.to_output(np.array([result.symmetry[:3]]))
+        result = replace(result, symmetry=(*normal.tolist(), result.symmetry[3]))
     writing = time.perf_counter()
-    outputs.write(result, scene, inputs.masks)
+    refused = strict and result.verdict == "doubtful"
+    if not refused:
+        outputs.write(result, scene, inputs.masks)
     finished = time.perf_counter()
     seconds = {"read": read, **result.seconds, "write": finished - writing, "total": finished - started}
     for text in result.warnings:
         warnings.warn(text, stacklevel=1)
     report = RefineReport(result, scene, inputs, outputs, refine_camera, seconds)
     if as_json:
-        options.echo_json(report.document(warned))
-    elif not quiet:
+        options.echo_json(report.document(warned, written=not refused))
+    if refused:
+        raise GateError(f"{inputs.source}: the result is doubtful: {result.reason}; with --strict nothing is written")
+    if not as_json and not quiet:
         report.print_summary()
         if verbose:
             report.print_details()

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..geometry.camera import Camera
-    from ..refinement.assumptions import Suspect
+    from ..refinement.assumptions import Agreement, Suspect
     from ..refinement.placement import Placement
     from ..scene.load import Scene
 
@@ -36,14 +36,18 @@ def check_scene(scene: Scene, as_json: bool, quiet: bool, warned: list[str]) -> 
         warnings.warn(doubt, stacklevel=1)
     overlaps = [placement.box_iou > SMALLEST_BOX_IOU for placement in placements]
     agreement = None if scene.network else Agreement.of(scene.moving, scene.views)
-    if agreement and agreement.suspects and all(overlaps):
-        warnings.warn(str(agreement), stacklevel=1)
+    suspicion = str(agreement or "")
+    if suspicion and all(overlaps):
+        warnings.warn(suspicion, stacklevel=1)
+    elif suspicion:
+        # The error to come says it too.
+        warned.append(suspicion)
     if as_json:
-        options.echo_json(_document(scene, placements, overlaps, agreement.suspects if agreement else (), warned))
+        options.echo_json(_document(scene, placements, overlaps, agreement, warned))
     elif not quiet:
         _print(scene, placements, overlaps)
     for placement, view in zip(placements, scene.views, strict=True):
-        require_overlap(placement, view, advice=str(agreement or ""))
+        require_overlap(placement, view, advice=suspicion)
 
 
 def camera_document(camera: Camera, source: str) -> dict[str, Any]:
@@ -53,7 +57,7 @@ def camera_document(camera: Camera, source: str) -> dict[str, Any]:
 
 
 def verdict_document(
-    confidence: float | None, verdict: str | None, reason: str | None, warned: list[str], suspects: Sequence[Suspect]
+    confidence: float | None, verdict: str | None, reason: str, warned: list[str], suspects: Sequence[Suspect]
 ) -> dict[str, Any]:
     """What a user of many objects looks at first."""
     return {
@@ -66,9 +70,9 @@ def verdict_document(
 
 
 def _document(
-    scene: Scene, placements: list[Placement], overlaps: list[bool], suspects: Sequence[Suspect], warned: list[str]
+    scene: Scene, placements: list[Placement], overlaps: list[bool], agreement: Agreement | None, warned: list[str]
 ) -> dict[str, Any]:
-    views = []
+    views, suspects = [], agreement.suspects if agreement else ()
     for view, source, placement, overlap in zip(scene.views, scene.camera_sources, placements, overlaps, strict=True):
         camera = camera_document(view.camera, source)
         views.append({"mask": view.name, "camera": camera, "placement": vars(placement), "meets": overlap})
@@ -81,7 +85,7 @@ def _document(
         "placement": views[0]["placement"],
         "meets": all(overlaps),
         "views": views,
-        **verdict_document(None, None, None, warned, suspects),
+        **verdict_document(None, "doubtful" if str(agreement or "") else None, str(agreement or ""), warned, suspects),
         "version": __version__,
     }
 

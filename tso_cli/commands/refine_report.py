@@ -41,8 +41,8 @@ class RefineReport:
     refine_camera: bool
     seconds: dict[str, float]
 
-    def document(self, warnings: list[str]) -> dict[str, Any]:
-        """The JSON document."""
+    def document(self, warnings: list[str], written: bool = True) -> dict[str, Any]:
+        """The JSON document; ``written`` : whether the outputs are."""
         from ..evaluation.footprint import IOU_MEANS
 
         result, scene = self.result, self.scene
@@ -56,8 +56,9 @@ class RefineReport:
         document = {
             **{name: getattr(result, name) for name in FROM_RESULT},
             "checkpoint": self.inputs.checkpoint,
-            "output": self.outputs.output,
-            "overlay": self.outputs.overlay,
+            "assume": list(self.inputs.assume),
+            "output": self.outputs.output if written else None,
+            "overlay": self.outputs.overlay if written else None,
             "camera": views[0]["camera"],
             "views": views,
             "frame": scene.frame,

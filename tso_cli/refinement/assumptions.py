@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.camera import Array, Camera
 from ..geometry.view import View, object_box
+from ..losses.projection import pixels_under
 
 # Cells along the longer side of the mask's box, in which silhouettes are compared, and points that are projected.
 CELLS, POINTS = 16, 1024
@@ -19,6 +20,9 @@ CELLS, POINTS = 16, 1024
 MARGIN, LEAST_IOU = 0.16, 0.4
 # Others that fit about as well as the best.
 SIMILAR, MOST_SUSPECTS = 0.03, 3
+# An inverted mask is foreground along at least so much of the picture's border.
+BORDER = 0.6
+GOLDEN = (5.0**0.5 - 1.0) / 2.0
 
 
 @dataclass(frozen=True)
@@ -148,10 +152,12 @@ class Agreement:
     @classmethod
     def of(cls, points: Array, views: Sequence[View]) -> Agreement:
         """Of ``points`` [N, 3]; a few milliseconds."""
-        points = points[:: -(-len(points) // POINTS)]
+        # Points of organised clouds at equal steps may all be of one column: those at multiples of the golden ratio are not.
+        points = points[(len(points) * (np.arange(min(len(points), POINTS)) * GOLDEN % 1.0)).astype(np.int64)]
         targets = [{mask: _Cells.of(view, mask) for mask in ("", "inverted")} for view in views]
         as_given = _agreement(Assumption(""), points, views, targets)
-        scores = {name: _agreement(assumption, points, views, targets) for name, assumption in ASSUMPTIONS.items()}
+        possible = {name: assumption for name, assumption in ASSUMPTIONS.items() if _possible(assumption, views)}
+        scores = {name: _agreement(assumption, points, views, targets) for name, assumption in possible.items()}
         best = max(scores.values())
         likely = []
         if best >= max(as_given + MARGIN, LEAST_IOU):
@@ -167,6 +173,14 @@ class Agreement:
         return f"it looks as if {self.suspects[0].what}: try {self.suspects[0].option}{others}"
 
 
+def _possible(assumption: Assumption, views: Sequence[View]) -> bool:
+    """False for masks that cannot be inverted: an object that the border truncates, or a speck, would pass for one."""
+    if assumption.mask != "inverted":
+        return True
+    borders = [np.concatenate([*view.inside[[0, -1]], *view.inside[:, [0, -1]].T]) for view in views]
+    return bool(np.mean([border.mean() for border in borders]) >= BORDER)
+
+
 @dataclass(frozen=True, eq=False)
 class _Cells:
     """A mask in coarse cells."""
@@ -174,7 +188,7 @@ class _Cells:
     low: Array  # [2], column and row of the first cell's corner, px
     edge: int  # of a cell, px
     inside: NDArray[np.bool_]  # [rows, columns]
-    size: Array  # [2], width and height of the image
+    view: View
 
     @classmethod
     def of(cls, view: View, mask: str) -> _Cells:
@@ -185,13 +199,14 @@ class _Cells:
         padded = np.zeros((rows * edge, columns * edge), bool)
         padded[: bottom - top, : right - left] = inside[top:bottom, left:right]
         cells = padded.reshape(rows, edge, columns, edge).mean((1, 3)) > 0.1
-        return cls(np.array([left, top]) - 0.5, edge, cells, np.array([view.camera.width, view.camera.height]))
+        return cls(np.array([left, top]) - 0.5, edge, cells, view)
 
     def iou(self, pixels: Array) -> float:
-        """With the cells that ``pixels`` [N, 2] fall in, but for those outside the image."""
-        visible = np.isfinite(pixels).all(1)
-        pixels = pixels[visible]
-        pixels = pixels[((pixels >= -0.5) & (pixels <= self.size - 0.5)).all(1)]
+        """With the cells that ``pixels`` [N, 2] fall in, but for those outside the image or unknown."""
+        camera, known = self.view.camera, self.view.known
+        finite = np.asarray(np.isfinite(pixels).all(1))
+        pixel, visible = pixels_under(pixels, finite, camera.height, camera.width)
+        pixels = pixels[visible if known is None else visible & known.ravel()[pixel]]
         column, row = np.floor((pixels - self.low) / self.edge).astype(np.int64).T
         height, width = self.inside.shape
         within = (column >= 0) & (row >= 0) & (column < width) & (row < height)

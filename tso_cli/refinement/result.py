@@ -54,9 +54,9 @@ class RefineResult:
     symmetry_outcome : "used" (a plane that was found), "given", or without a plane "not_asked", "none_found" (the cloud has
         none) or "contradicted" (the cloud has one, the views contradict it). symmetry_reason : the measurement, in words.
     suspects : what may be wrong with the input, likeliest first.
-    verdict : "improved", "unchanged", or "doubtful": likely worse than the start, for the ``reason``. confidence : in [0, 1],
-        that the points are not worse than the start by over 5 % in Chamfer distance; of the default alone, else both are None.
-        signs : what it is from.
+    verdict : "improved", "unchanged", or "doubtful": likely worse than the start, for the ``reason``; None where only the
+        default would be judged. confidence : in [0, 1], that the points are not worse than the start by over 5 % in Chamfer
+        distance; None as before. signs : what it is from.
     sigma_sq : squared cells.
     view_windows : left, top, right, bottom edges of the window of each mask, px, that the cloud was compared with at last,
         and cells along its side.
@@ -137,8 +137,8 @@ def why_unmoved(result: RefineResult) -> str | None:
     }[result.stop_reason]
 
 
-def result_warnings(result: RefineResult, views: Sequence[View], steps: int) -> tuple[str, ...]:
-    """The ``warnings`` of a result that lacks them; ``steps`` : how many were asked for."""
+def result_warnings(result: RefineResult, views: Sequence[View], steps: int, suspicion: str) -> tuple[str, ...]:
+    """The ``warnings`` of a result that lacks them; ``steps`` : how many were asked for; ``suspicion`` : of the input."""
     messages = []
     if reason := why_unmoved(result):
         what = "nothing to do" if result.stop_reason == "nothing_to_do" else "nothing moved"
@@ -149,9 +149,11 @@ def result_warnings(result: RefineResult, views: Sequence[View], steps: int) -> 
         messages.append(f"the loss was no number after step {result.steps}: the result is the best before that")
     elif result.moved_max < SMALL_DISPLACEMENT:
         messages.append(f"hardly anything moved: no point by more than {100.0 * SMALL_DISPLACEMENT:g} % of the object's size")
-    if result.reason:
+    if result.verdict == "doubtful":
         sure = "" if result.confidence is None else f" (confidence {result.confidence:.2f})"
         messages.append(f"the result is doubtful{sure}: {result.reason}")
+    elif suspicion:
+        messages.append(suspicion)
     messages += outliers_told(int(result.outliers.sum()))
     for view in views:
         messages += mask_doubts(view, result.surface_samples or len(result.judged[0]))

@@ -32,8 +32,8 @@ from .view_weights import ViewWeights
 
 # A start of lower IoU hardly touches its mask, as a pole beside its own: coming nearer need not raise the IoU.
 FEEBLE_IOU = 0.1
-# Results of fewer steps are not judged.
-FEWEST_STEPS = BEST_STEPS["points"] // 4
+# Results of fewer steps or points are not judged.
+FEWEST_STEPS, FEWEST_POINTS = BEST_STEPS["points"] // 4, 16
 
 
 class Stopwatch:
@@ -219,13 +219,11 @@ def _result(
     iou_before, iou_after = np.mean(outcome.ious, 0).tolist()
     lengths = np.linalg.norm(moved.displacements, axis=1)
     signs: dict[str, float] = {}
-    verdict: Verdict | None = None
-    if prepared.field and problem.agreement and len(descent.stages) == len(STAGES):
+    # What a few steps leave undone looks like a mistake.
+    if prepared.field and problem.agreement and len(descent.stages) == len(STAGES) and settings.steps >= FEWEST_STEPS:
         moves = cloud.normalised(), descent.best, descent.stages
         signs = signs_of(problem, prepared.field, *moves, outcome.ious, prepared.view_weights.inlier)
-        # What a few steps leave undone looks like a mistake.
-        if settings.steps >= FEWEST_STEPS or not best_step:
-            verdict = Verdict.of(signs, best_step > 0, str(problem.agreement))
+    verdict = Verdict.of(signs if len(cloud.initial) >= FEWEST_POINTS else {}, best_step > 0, str(problem.agreement or ""))
     result = RefineResult(
         points=moved.points,
         initial=cloud.given,
@@ -260,12 +258,12 @@ def _result(
         surface_samples=len(moved.displacements) if cloud.surface else None,
         outliers=cloud.outliers,
         suspects=problem.agreement.suspects if problem.agreement else (),
-        verdict=verdict.name if verdict else None,
-        confidence=verdict.confidence if verdict else None,
-        reason=verdict.reason if verdict else str(problem.agreement or ""),
+        verdict=verdict.name,
+        confidence=verdict.confidence,
+        reason=verdict.reason,
         signs=signs,
     )
-    return replace(result, warnings=result_warnings(result, problem.views, settings.steps))
+    return replace(result, warnings=result_warnings(result, problem.views, settings.steps, str(problem.agreement or "")))
 
 
 def _stop_reason(finite: bool, interrupted: bool, best_step: int, first_loss: float, steps: int) -> StopReason:

@@ -51,21 +51,23 @@ SMOOTHNESS = STAGES[-1].smoothness
 class Verdict:
     """What to think of a result.
 
-    name : "unchanged" where the result is the start; "doubtful" where it may well be worse than the start; else "improved".
-    confidence : that it is not worse by over 5 %, in [0, 1]. reason : why it is doubtful, else "".
+    name : "unchanged" where the result is the start; "doubtful" where it may well be worse; "improved"; None if not judged.
+    confidence : that it is not worse by over 5 %, in [0, 1]; None if not judged. reason : why it is doubtful, else "".
     """
 
-    name: Name
-    confidence: float
+    name: Name | None
+    confidence: float | None
     reason: str
 
     @classmethod
     def of(cls, signs: dict[str, float], moved: bool, suspicion: str) -> Verdict:
-        """Of a default refinement with ``signs``; ``suspicion`` : what the input looks like, if not as it should."""
+        """Of a refinement with ``signs``, empty for want of a model; ``suspicion`` : what looks wrong with the input."""
         if not moved:
             return cls("unchanged", 1.0, "")
+        if not signs:
+            return cls("doubtful" if suspicion else None, None, suspicion)
         confidence, group = _judged(signs)
-        if suspicion or confidence < LEAST_CONFIDENCE:
+        if confidence < LEAST_CONFIDENCE:
             return cls("doubtful", confidence, suspicion or REASONS[group])
         return cls("improved", confidence, "")
 
@@ -165,4 +167,6 @@ def _judged(signs: dict[str, float]) -> tuple[float, str]:
     groups = np.array([name.split(":")[0] for name in names])
     rows = np.stack([standard, *(np.where(groups == group, 0.0, standard) for group in REASONS)])
     doubt = np.tanh(rows @ hidden + offset) @ output[:-1] + output[-1]
-    return float(1.0 / (1.0 + np.exp(doubt[0]))), list(REASONS)[int(doubt[1:].argmin())]
+    # Rounded down, so that what is shown as 0.50 is not doubtful.
+    confidence = np.floor(1e4 / (1.0 + np.exp(doubt[0]))) / 1e4
+    return float(confidence), list(REASONS)[int(doubt[1:].argmin())]

@@ -166,7 +166,7 @@ def conclude(cases: Cases) -> Record:
     chosen |= grouped(cases, "group") | {f"{name}, any": rows for name, rows in grouped(cases, "category").items()}
     chosen["right scenes"] = [case for case in cases if case["axis"] == RIGHT.name]
     summary = {name: _figures(rows) for name, rows in chosen.items() if rows}
-    confidence, worse, flagged = (np.array([case[key] for case in cases]) for key in ("confidence", "ratio", "flagged"))
+    confidence, worse = (np.array([case[key] for case in cases]) for key in ("confidence", "ratio"))
     worse = worse > WORSE
     bins = np.minimum((confidence * BINS).astype(int), BINS - 1)
     reliability = [
