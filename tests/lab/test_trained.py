@@ -33,9 +33,8 @@ def cars(split: Path) -> Material:
 def compare(split: Path, progress: Progress | None = None, **changes: Any) -> dict[str, Any]:
     """Three networks."""
     settings = [Setting(f"V = {count}", "car", masks("car", views=count)) for count in (1, 2, 3)]
-    compared = replace(
-        supervision.VIEWS, plan=Comparison(2, ("car",), lambda categories: settings).plan, conclude=lambda cases: {}
-    )
+    plan = Comparison(2, ("car",), lambda categories: settings).plan
+    compared = replace(supervision.VIEWS, plan=plan, conclude=lambda cases: {}, tables=lambda record: [])
     options = {"meshes": MESHES, "part": "test", "categories": (), "limit": 32, "steps": None}
     options |= {"batch_size": 2, "frame": "canonical", "seed": 0, "device": "cpu"}
     return compared.run(progress or Progress(), **{**options, "split": split, **changes})
