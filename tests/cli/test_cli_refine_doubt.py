@@ -42,7 +42,9 @@ def test_an_inverted_mask_is_told_with_the_option_that_mends_it(inverted, refine
     run = refine(*POINTS)
     assert (run.code, run.err.count("\n")) == (0, 1)
     assert "is doubtful" in run.err and "the mask is inverted: try --assume mask-inverted" in run.err
-    assert "(doubtful, confidence" in run.out
+    assert "(doubtful, confidence" in run.out and "nothing: the step is doubtful (--accept-doubtful" in run.out
+    assert (read_cloud("initial.refined.ply").points == read_cloud("initial.ply").points).all()
+    assert refine(*POINTS, "--accept-doubtful", "-o", "all.ply", "--json").document["step_taken"] == 1.0
     document = refine(*POINTS, "--check", "--json").document
     (suspect, *_) = document["suspects"]
     assert (document["verdict"], document["confidence"]) == ("doubtful", None)

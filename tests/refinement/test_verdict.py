@@ -8,6 +8,7 @@ import pytest
 from tests.scenes import example
 from tso_cli import RefineConfig, View, refine, refine_batch
 from tso_cli.geometry.rotations import from_vectors
+from tso_cli.refinement import verdict
 from tso_cli.refinement.verdict import REASONS, _model
 
 EXAMPLES = "chair", "car", "airplane"
@@ -29,11 +30,34 @@ def test_right_input_is_trusted(name):
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_a_camera_far_off_leaves_less_confidence_though_iou_rises(name):
     scene = example(name)
-    right, wrong = refine(scene.points, scene.view), refine(scene.points, _yawed(scene.view, 70.0))
+    config = RefineConfig(accept_doubtful=True)
+    right, wrong = (refine(scene.points, view, config=config) for view in (scene.view, _yawed(scene.view, 70.0)))
     assert wrong.iou_after > wrong.iou_before and scene.error(wrong.points) > scene.error(scene.points)
     assert wrong.verdict == "doubtful" and wrong.confidence < right.confidence
     assert wrong.reason in REASONS.values() or "--assume" in wrong.reason
     assert any(wrong.reason in warning for warning in wrong.warnings)
+
+
+def test_a_step_of_no_confidence_is_not_taken_unless_accepted():
+    scene = example("chair")
+    view = _yawed(scene.view, 70.0)
+    careful, accepted = refine(scene.points, view), refine(scene.points, view, config=RefineConfig(accept_doubtful=True))
+    assert (careful.points == careful.initial).all() and careful.iou_after == careful.iou_before
+    assert (careful.stop_reason, careful.best_step, careful.step_taken, careful.moved_max) == ("doubtful", 0, 0.0, 0.0)
+    assert "so the cloud is left as it was" in careful.warnings[0] and careful.loss_after == careful.loss_before
+    assert (accepted.verdict, accepted.confidence) == (careful.verdict, careful.confidence)
+    assert accepted.step_taken == 1.0 and accepted.moved_mean > 0.01
+
+
+def test_a_step_of_little_confidence_is_taken_in_part(monkeypatch):
+    scene = example("chair")
+    whole = refine(scene.points, scene.view)
+    monkeypatch.setattr(verdict, "_judged", lambda signs: (0.4, "camera"))
+    part = refine(scene.points, scene.view)
+    np.testing.assert_allclose(part.points, 0.5 * (whole.initial + whole.points), atol=1e-12)
+    assert part.step_taken == pytest.approx(0.5) and part.verdict == "doubtful" and "only 50 % of the step" in part.warnings[0]
+    assert whole.loss_after < part.loss_after < part.loss_before and part.iou_before < part.iou_after < whole.iou_after
+    assert part.moved_mean == pytest.approx(0.5 * whole.moved_mean)
 
 
 def test_an_inverted_mask_is_named_and_its_result_doubtful():

@@ -105,6 +105,7 @@ HEADINGS = {
 @click.option("--image", type=PATH, multiple=True, help="Photo of the mask, for a photometric loss on a cloud with colours.")
 @click.option("-o", "--output", type=PATH, help="Refined cloud, .ply.  [default: SOURCESTEM.refined.ply here]")
 @options.overwrite
+@click.option("--accept-doubtful", is_flag=True, help="Take the whole step also where it is doubtful, not a part or nothing.")
 @click.option("--strict", is_flag=True, help="Write nothing where the result is doubtful, and exit with code 3.")
 @click.option("--overlay", type=PATH, help="Picture of mask, silhouette and cloud before and after, .png.")
 @click.option("--check", is_flag=True, help="Only print the camera, the scale and the overlap with the mask.")

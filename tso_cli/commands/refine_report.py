@@ -65,6 +65,7 @@ class RefineReport:
             "points": len(result.points),
             "outliers": int(result.outliers.sum()),
             **verdict_document(result.confidence, result.verdict, result.reason, warnings, result.suspects),
+            "step_taken": result.step_taken,
             "convention": {
                 "moved": "way of a point from its start, as a share of the object's size, the longest side of the start's box",
                 "chamfer_to_initial": "squared distances, mean over points, both directions summed, longest side 1",
@@ -72,8 +73,9 @@ class RefineReport:
                 "trust": "in a view: 1, or less where the other views contradict it",
                 "surface_samples": "points of a mesh's faces, which moved and chamfer_to_initial are of; null for a cloud",
                 "outliers": "points far from all others, which stay where they are",
-                "confidence": "that the points are not worse than the start by over 5 % in Chamfer distance (a rising IoU is "
-                "no proof); null but for the default preset of points mode",
+                "confidence": "that the whole step does not make the cloud worse by over 5 % in Chamfer distance (a rising IoU "
+                "is no proof); null but for the default preset of points mode",
+                "step_taken": "share of the step that was taken, under 1 where it is doubtful",
                 "weight": "of a view in the loss: its trust, divided among the views that show the same",
                 "loss": result.objective + "; the mask's part is a sum over views, each times its weight",
                 "symmetry": "a, b, c, d of the mirror plane ax + by + cz = d in the frame of the input, null for none",

@@ -79,6 +79,11 @@ class Problem:
             return self
         return replace(self, resampled=tuple(resampled))
 
+    @property
+    def suspicion(self) -> str:
+        """What may be wrong with the input, in words; nothing where all looks right."""
+        return str(self.agreement or "")
+
     def evidence(self, weights: list[float]) -> float:
         """Weighted number of masks and depth maps; a flipped mask counts a quarter."""
         flipped = 0.0 if self.symmetry.plane is None else FLIPPED_EVIDENCE

@@ -27,7 +27,7 @@ MOST_UPDATES, CONVERGED = 40, 1e-9
 # sampling of the same surface would lie as far off): their mean, and their 97 % quantile.
 MEAN_MISFIT, FAR_MISFIT, FAR_QUANTILE = 0.6, 1.2, 0.97
 # Largest ratio of losses, with the flipped views over without, per view, at which a found plane is kept.
-MOST_LOSS_RATIO = 1.1
+MOST_LOSS_RATIO = 1.15
 
 
 @dataclass(frozen=True, eq=False)
