@@ -9,7 +9,8 @@ from tests.scenes import example
 from tso_cli import View
 from tso_cli.geometry.camera import Camera
 from tso_cli.losses.silhouette import silhouette_of
-from tso_cli.refinement.assumptions import ASSUMPTIONS, Agreement, assumptions_of
+from tso_cli.refinement.agreement import Agreement
+from tso_cli.refinement.assumptions import ASSUMPTIONS, assumptions_of
 
 PLANE = example("airplane")
 # The mistake that an assumption mends, where that is not the same change again.

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..geometry.camera import Camera
-    from ..refinement.assumptions import Agreement, Suspect
+    from ..refinement.agreement import Agreement
+    from ..refinement.assumptions import Suspect
     from ..refinement.placement import Placement
     from ..scene.load import Scene
 
@@ -26,7 +27,7 @@ def check_scene(scene: Scene, as_json: bool, quiet: bool, warned: list[str]) -> 
 
     ``warned`` collects the warnings so far and those to come.
     """
-    from ..refinement.assumptions import Agreement
+    from ..refinement.agreement import Agreement
     from ..refinement.cloud import outliers_told
     from ..refinement.placement import SMALLEST_BOX_IOU, mask_doubts, place, require_overlap
 
