@@ -91,7 +91,7 @@ HEADINGS = {
     multiple=True,
     metavar="NAME",
     help="What the input is, if not as tso expects: camera-to-world, opengl, cloud-z-up, cloud-millimetres, mask-flipped, ...; "
-    "warnings name the likely one, an unknown NAME lists all.",
+    "warnings name the likely one, an unknown NAME lists all; NAME@MASK for one mask of several.",
 )
 @click.option("--invert-mask", is_flag=True, help="The object is dark in the mask.")
 @click.option("--ignore", type=PATH, multiple=True, help="Image whose bright pixels are unknown: left out of the loss.")
