@@ -78,9 +78,33 @@ def test_a_cloud_in_other_axes_is_refined_as_meant_and_written_in_its_own(folder
     document = refine("up.ply", "mask.png", "--assume", "cloud-z-up", "-o", "again.ply", "--json").document
     plane = np.array(refine(*POINTS, "-o", "plane.ply", "--json").document["symmetry"])[[0, 2, 1]] * [1.0, -1.0, 1.0]
     assert abs(plane @ document["symmetry"][:3]) == pytest.approx(1.0, abs=1e-9) and document["assume"] == ["cloud-z-up"]
-    for option in (("--write-camera", "camera2.json"), ("--symmetry", "x")):
-        run = refine("up.ply", "mask.png", "--assume", "cloud-z-up", "-o", "never.ply", *option)
-        assert run.code == 2 and option[0] in run.err
+    # A camera of the cloud as it is, and planes of its own axes: its x is the scene's.
+    refine("up.ply", "mask.png", "--assume", "cloud-z-up", "-o", "x.ply", "--symmetry", "x", "--write-camera", "up.json")
+    assert refine("up.ply", "mask.png", "--camera", "up.json", "-o", "up-again.ply").code == 0
+    np.testing.assert_allclose(read_cloud("up-again.ply").points, turned, atol=1e-4)
+
+
+def test_no_camera_is_written_of_a_cloud_with_left_handed_axes(folder, refine, tmp_path):
+    from tso_cli.io.clouds import write_cloud
+
+    write_cloud("left.ply", read_cloud("initial.ply").points[:, [1, 0, 2]])
+    assume = ("--assume", "cloud-xy-swapped")
+    run = refine("left.ply", "mask.png", *assume, "--write-camera", "left.json")
+    assert run.code == 2 and "left-handed" in run.err and run.err.count("\n") == 1 and not (tmp_path / "left.json").exists()
+    document = refine("left.ply", "mask.png", *assume, "--json").document
+    assert document["iou_after"] > document["iou_before"] and "mirrored" in document["camera"]["source"]
+
+
+@pytest.mark.parametrize("option", [("--invert-mask",), ("--assume", "mask-inverted"), ("--assume", "cloud-z-up")])
+def test_what_is_given_is_never_advised_again(folder, refine, option):
+    (suspect, *_) = suspects = refine(*POINTS, *option, "--check", "--json").document["suspects"]
+    assert suspect["option"] == f"without {' '.join(option)}" and suspect["what"] == f"{' '.join(option)} is wrong"
+    assert all(suspect["option"].startswith("without") for suspect in suspects)
+
+
+def test_an_assumption_about_a_mask_that_is_not_there_is_refused(folder, refine):
+    run = refine(*POINTS, "--assume", "mask-flipped@other.png")
+    assert run.code == 2 and "--assume mask-flipped@other.png: there is no such mask, expected one of mask.png" in run.err
 
 
 def test_an_unknown_assumption_lists_all(folder, refine):

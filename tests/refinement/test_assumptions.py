@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.scenes import example
+from tests.scenes import example, seen, turned
 from tso_cli import View
 from tso_cli.geometry.camera import Camera
 from tso_cli.losses.silhouette import silhouette_of
-from tso_cli.refinement.assumptions import ASSUMPTIONS, Agreement, assumptions_of
+from tso_cli.refinement.agreement import Agreement
+from tso_cli.refinement.assumptions import ASSUMPTIONS, about, assumptions_of, in_axes_of_cloud
 
 PLANE = example("airplane")
 # The mistake that an assumption mends, where that is not the same change again.
@@ -62,6 +63,31 @@ def test_under_its_assumption_a_mistake_projects_as_the_right_input_does(name):
     pixels, _ = meant.camera.project(points @ assumption.matrix.T)
     np.testing.assert_allclose(pixels, PLANE.camera.project(PLANE.target)[0], atol=1e-6)
     np.testing.assert_array_equal(meant.mask, PLANE.mask)
+
+
+@pytest.mark.parametrize("name", sorted(name for name in ASSUMPTIONS if ASSUMPTIONS[name].axes != "x y z"))
+def test_a_camera_in_the_axes_of_the_cloud_sees_it_as_the_scene_was_seen(name):
+    axes = ASSUMPTIONS[name].matrix
+    depth = np.where(PLANE.mask > 0.5, np.arange(1.0, 1.0 + PLANE.mask.shape[1]), np.nan)
+    view = in_axes_of_cloud(replace(PLANE.view, depth=depth), axes)
+    pixels, _ = view.camera.project(PLANE.target @ axes)
+    expected, _ = PLANE.camera.project(PLANE.target)
+    if np.linalg.det(axes) < 0.0:
+        expected = [PLANE.camera.width - 1.0, 0.0] + expected * [-1.0, 1.0]
+        view = replace(view, mask=view.mask[:, ::-1], depth=view.depth[:, ::-1])
+    np.testing.assert_allclose(pixels, expected, atol=1e-9)
+    np.testing.assert_array_equal(view.mask, PLANE.mask)
+    np.testing.assert_array_equal(view.depth, depth)
+
+
+@pytest.mark.parametrize("name", ["mask-inverted", "mask-upside-down", "opengl", "camera-to-world"])
+def test_a_mistake_in_one_view_of_several_is_named_with_the_view(name):
+    views = [replace(seen(PLANE.target, turned(PLANE.camera, 40.0 * i)), name=f"{i}.png") for i in range(3)]
+    assert str(Agreement.of(PLANE.points, views)) == ""
+    agreement = Agreement.of(PLANE.points, [*views[:2], ASSUMPTIONS[name].of_view(views[2])])
+    assert agreement.suspects == () and [one.option for one in agreement.of_views] == [f"--assume {name}@2.png"]
+    assert f"for 2.png alone {ASSUMPTIONS[name].what}: try --assume {name}@2.png" in str(agreement)
+    assert about(views[1], assumptions_of([f"{name}@2.png"])) == []
 
 
 def test_units_of_an_orthographic_camera_are_in_its_k():

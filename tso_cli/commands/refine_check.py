@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..geometry.camera import Camera
-    from ..refinement.assumptions import Agreement, Suspect
+    from ..refinement.agreement import Agreement
+    from ..refinement.assumptions import Suspect
     from ..refinement.placement import Placement
     from ..scene.load import Scene
 
@@ -26,7 +27,7 @@ def check_scene(scene: Scene, as_json: bool, quiet: bool, warned: list[str]) -> 
 
     ``warned`` collects the warnings so far and those to come.
     """
-    from ..refinement.assumptions import Agreement
+    from ..refinement.agreement import Agreement
     from ..refinement.cloud import outliers_told
     from ..refinement.placement import SMALLEST_BOX_IOU, mask_doubts, place, require_overlap
 
@@ -72,7 +73,7 @@ def verdict_document(
 def _document(
     scene: Scene, placements: list[Placement], overlaps: list[bool], agreement: Agreement | None, warned: list[str]
 ) -> dict[str, Any]:
-    views, suspects = [], agreement.suspects if agreement else ()
+    views, suspects = [], (agreement.suspects or agreement.of_views) if agreement else ()
     for view, source, placement, overlap in zip(scene.views, scene.camera_sources, placements, overlaps, strict=True):
         camera = camera_document(view.camera, source)
         views.append({"mask": view.name, "camera": camera, "placement": vars(placement), "meets": overlap})

@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.view import View
 from ..geometry.window import Array, Box, window_of
-from .assumptions import Agreement
+from .agreement import Agreement
 from .cloud import Cloud
 from .config import Settings
 from .placement import place, require_overlap
