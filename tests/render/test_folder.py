@@ -1,5 +1,6 @@
 """Rendering into folders: layout, resuming, refusals, and the command `tso render`."""
 
+import errno
 import itertools
 import json
 import os
@@ -11,6 +12,7 @@ import pytest
 from tests.corruption import assert_refused
 from tso_cli.datasets import rendered
 from tso_cli.datasets.rendered import open_rendered
+from tso_cli.errors import TsoError
 from tso_cli.render import RenderSettings, render_folder
 
 FAST = RenderSettings(views=3, size=(24, 24), samples=200, points=50)
@@ -74,6 +76,19 @@ def test_a_terminated_command_cleans_up_as_after_ctrl_c(tso_render, meshes, tmp_
     stopped = tso_render(meshes, tmp_path / "out", *WORDS)
     assert stopped.code == 130 and stopped.err.splitlines()[-1] == "tso: error: interrupted"
     assert hidden(tmp_path / "out") == []
+
+
+def test_a_full_disk_leaves_no_folder_that_was_not_there_before(meshes, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    (tmp_path / "mine").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    monkeypatch.setattr(rendered, "write_image", full)
+    for name in ("out", "mine"):
+        with pytest.raises(TsoError, match="No space left on device"):
+            render_folder(meshes, tmp_path / name, FAST, only={"chair/a"})
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def left_behind(out, name):

@@ -176,13 +176,11 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
     try:
         with options.naming(inputs.source):
             result = refine(
-                None if scene.network else scene.points,
+                scene.start,
                 scene.views,
                 config=options.pick(RefineConfig, chosen),
                 network=scene.network,
                 image=scene.image,
-                colours=scene.colours,
-                faces=scene.faces,
                 progress=on_progress if sys.stderr.isatty() and not quiet else None,
             )
     finally:

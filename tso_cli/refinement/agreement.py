@@ -56,6 +56,11 @@ class Agreement:
         of_views = () if suspects else _of_views(outlines, others, ious, as_given)
         return cls(float(as_given.mean()), float(scores.max()), suspects, of_views)
 
+    @property
+    def named(self) -> tuple[Suspect, ...]:
+        """Suspects of the input as a whole, else of single views."""
+        return self.suspects or self.of_views
+
     def __str__(self) -> str:
         """The suspects in words, nothing without any."""
         if not self.suspects:

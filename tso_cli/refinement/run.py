@@ -203,7 +203,7 @@ def _result(
         surface=(cloud.judged, moved.judged) if cloud.surface else None,
         surface_samples=len(moved.displacements) if cloud.surface else None,
         outliers=cloud.outliers,
-        suspects=problem.agreement.suspects if problem.agreement else (),
+        suspects=problem.agreement.named if problem.agreement else (),
         verdict=outcome.verdict.name,
         confidence=outcome.verdict.confidence,
         reason=outcome.verdict.reason,

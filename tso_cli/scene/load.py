@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +22,7 @@ from ..io.reading import require_memory
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork
     from ..refinement.assumptions import Assumption
-    from ..refinement.surface import Surface
+    from ..refinement.cloud import Cloud
 
 
 BYTES_A_POINT = 1100  # what a refinement takes at its most
@@ -42,7 +41,7 @@ class Scene:
     views : masks, and the cameras that project `points` onto them (network modes: one, of the network's crop).
     camera_sources : for each view, where its camera is from; camera_summary : the same for all views, shorter.
     frame : of the output: "input" (that of the cloud), "view", "canonical" or "world"; to_output maps points to it.
-    cloud, colours, faces : of points mode: the file, [N, 3] (None unless the views have images), [F, 3] (None for a cloud).
+    cloud, start : of points mode: the file, and what is refined; with colours if the views have images.
     network, image, sigma_sq : of the network modes: the network, its input [3, 64, 64], and the variance of its training.
     """
 
@@ -55,8 +54,7 @@ class Scene:
     network: BaseNetwork | None = None
     image: NDArray[np.float32] | None = None
     sigma_sq: float | None = None
-    colours: Array | None = None
-    faces: NDArray[np.int64] | None = None
+    start: Cloud | None = None
     to_output: Callable[[Array], Array] = lambda points: points
 
     @property
@@ -64,25 +62,10 @@ class Scene:
         """The first view; the only one in the network modes."""
         return self.views[0]
 
-    @cached_property
-    def surface(self) -> Surface | None:
-        """The surface of a mesh; None for a cloud, and, with a warning, for faces without area."""
-        if self.cloud is None or self.faces is None:
-            return None
-        from ..refinement.surface import Surface
-
-        return Surface.of(self.points, self.faces, str(self.cloud.path))
-
-    @cached_property
+    @property
     def moving(self) -> Array:
         """What a refinement moves, [N, 3]: the points but outliers, or the samples of a surface."""
-        if self.surface:
-            return self.surface.samples
-        if self.cloud is None:
-            return self.points
-        from ..refinement.cloud import outliers
-
-        return self.points[~outliers(self.points)]
+        return self.start.initial if self.start else self.points
 
 
 @dataclass(frozen=True)
@@ -217,6 +200,7 @@ def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = Fal
             f"--camera fit finds the camera of one mask, found {len(files.masks)} masks; expected one, or a camera file"
         )
     from ..refinement.assumptions import mirrored
+    from ..refinement.cloud import Cloud
 
     masks = [str(mask) for mask in files.masks]
     for assumption in files.assumptions:
@@ -225,7 +209,8 @@ def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = Fal
     cloud = read_cloud(cloud_file)
     require_memory(cloud_file, BYTES_A_POINT * len(cloud.points))
     colours = cloud.colours() if files.image else None
-    scene = Scene(cloud.points, (), (), "", "input", cloud=cloud, colours=colours, faces=cloud.faces())
+    start = Cloud(cloud.points, str(cloud_file), colours, cloud.faces())
+    scene = Scene(start.given, (), (), "", "input", cloud=cloud, start=start)
     if fit:
         return _with_fitted_camera(scene, files)
     views, sources = load_views(files)
