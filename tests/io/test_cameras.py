@@ -71,14 +71,6 @@ def test_what_is_written_reads_back_exactly(tmp_path):
             assert a is b is None or a.resolve() == b.resolve()
 
 
-def test_an_existing_camera_file_is_not_replaced_unasked(save):
-    path = save(GOOD)
-    record = CameraRecord(Camera.canonical(8, 8))
-    assert_refused("--overwrite", write_cameras, path, [record])
-    write_cameras(path, [record], overwrite=True)
-    assert read_cameras(path)[0].camera.width == 8
-
-
 def test_the_masks_own_camera_comes_before_the_folders(save, tmp_path):
     mask = tmp_path / "front.mask.png"
     assert find_camera(mask) is None

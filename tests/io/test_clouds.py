@@ -214,7 +214,6 @@ BAD_PLY = {
     "one point": (HEAD.format(1) + "0 0 0\n", "1 point, expected at least 2"),
     "cut line": (HEAD.format(2) + "0 0 0\n1 1", "line 9 has 2 values, expected 3"),
     "too many": (HEAD.format(2) + "0 0 0\n1 1 1\n2 2 2\n", "has 3 lines of data, the header accounts for 2"),
-    "huge count": (HEAD.format(10**18) + "0 0 0\n1 1 1\n", "ends after 2 of 1000000000000000000"),
     "impossible count": (HEAD.format(10**30) + "0 0 0\n1 1 1\n", "expected a name and a count"),
     "words": (HEAD.format(2) + "0 0 0\n1 one 1\n", "line 9 has 'one', expected a number"),
     "not finite": (HEAD.format(4) + "0 0 0\n1 1 1\n1 nan 1\n2 inf 2\n", "2 of 4 points .*not finite.* point 2 "),
@@ -305,9 +304,7 @@ def test_nothing_is_written_for_points_that_cannot_be(save, tmp_path):
         with pytest.raises(error, match=message):
             write_cloud(tmp_path / "b.ply", points, like=cloud)
     assert_refused(r"expected \.ply", write_cloud, tmp_path / "b.xyz", POINTS)
-    assert_refused("exists already", write_cloud, tmp_path / "a.ply", POINTS, like=cloud)
     assert [p.name for p in tmp_path.iterdir()] == ["a.ply"]
-    write_cloud(tmp_path / "a.ply", POINTS, like=cloud, overwrite=True)
 
 
 DAMAGED = {
