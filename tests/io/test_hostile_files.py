@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from tests.corruption import assert_reads_or_refuses, assert_refused
-from tests.fuzz import reader
+from tests.fuzz import READERS, reader
 from tso_cli.io.logs import read_log
 
 from .test_clouds import a_ply
@@ -35,6 +35,10 @@ def test_damaged_files_of_other_kinds_are_read_or_refused(tmp_path, save, name):
     else:
         save(path.name, good)
     assert_reads_or_refuses(read, path, 40)
+
+
+def test_every_reader_that_can_be_fuzzed_is_there():
+    assert all(callable(reader(name)[0]) for name in READERS)
 
 
 @pytest.mark.parametrize("name", ["los\x7fs", "x" * 1000, "a b", ""])
