@@ -86,6 +86,11 @@ def assert_one_line(text: str) -> None:
     assert len(text) < 600, f"{len(text)} characters: {text[:100]!r}..."
 
 
+def full_disk(*_: Any, **__: Any) -> None:
+    """Stands for a function that writes."""
+    raise OSError(28, "No space left on device")
+
+
 def repair_png(data: bytes) -> bytes:
     """``data`` with the checksums of its chunks made right, as far as its chunks can be followed."""
     out = bytearray(data)

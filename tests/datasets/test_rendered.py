@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.corruption import assert_refused
+from tests.corruption import assert_refused, full_disk
 from tso_cli import Camera, InputError, TsoError
 from tso_cli.datasets import rendered
 from tso_cli.datasets.rendered import open_rendered, stored_record, write_object
@@ -48,11 +48,8 @@ def test_unfinished_objects_are_left_out_and_one_object_is_a_data_set_of_one(fol
 
 
 def test_an_object_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
-    def full(*_, **__):
-        raise OSError(28, "No space left on device")
-
     write(tmp_path / "a", 1)
-    monkeypatch.setattr(rendered, "write_cameras", full)
+    monkeypatch.setattr(rendered, "write_cameras", full_disk)
     for name in ("a", "b"):
         with pytest.raises(TsoError, match="No space left on device"):
             write(tmp_path / name, 2, overwrite=True)

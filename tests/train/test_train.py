@@ -8,7 +8,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from tests.corruption import assert_refused
+from tests.corruption import assert_refused, full_disk
 from tso_cli.errors import TsoError
 from tso_cli.io.checkpoints import load_network
 from tso_cli.network.model import build_network
@@ -169,12 +169,8 @@ def test_a_full_disk_leaves_the_previous_checkpoint(thin, data, tmp_path, monkey
     path = tmp_path / "base.safetensors"
     train_into(path, data, config(steps=2))
     before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
-
-    def full(self, content):
-        raise OSError(28, "No space left on device")
-
     with monkeypatch.context() as patch, pytest.raises(TsoError, match="No space left on device"):
-        patch.setattr(type(path), "write_bytes", full)
+        patch.setattr(type(path), "write_bytes", full_disk)
         train_into(path, data, config(steps=4), resume(path, data, config()))
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
 
