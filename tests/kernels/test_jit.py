@@ -9,6 +9,7 @@ import pytest
 import torch
 from numba import njit
 
+from tests.corruption import full_disk
 from tso_cli.kernels import jit, simd
 from tso_cli.kernels.jit import forget_stale, share
 from tso_cli.kernels.splat import splat
@@ -48,10 +49,7 @@ def test_without_a_writable_folder_the_loops_are_compiled_in_every_process(monke
 
 
 def test_a_full_disk_does_not_stop_the_work(monkeypatch):
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(jit._CheckedFile, "save", full)
+    monkeypatch.setattr(jit._CheckedFile, "save", full_disk)
     monkeypatch.setattr(jit, "_told", [])
     with pytest.warns(UserWarning, match="No space left on device.*compiled anew"):
         assert jit.compiled(lambda x: 2.0 * x)(2.0) == 4.0

@@ -142,10 +142,9 @@ def test_an_object_is_locked_while_it_is_written(meshes, tmp_path, monkeypatch):
         kept.append(path.exists())
 
     monkeypatch.setattr(rendered, "write_image", swept)
-    render_folder(meshes / "c.ply", out, FAST)
-    render_folder(meshes / "c.ply", out, FAST, overwrite=True)
-    assert kept == [True] * 12
-    assert hidden(out) == []
+    for overwrite in (False, True):
+        render_folder(meshes / "c.ply", out, FAST, overwrite=overwrite)
+    assert kept == [True] * 12 and hidden(out) == []
 
 
 def test_a_folder_of_other_settings_is_only_changed_with_overwrite(meshes, tmp_path):
@@ -155,8 +154,7 @@ def test_a_folder_of_other_settings_is_only_changed_with_overwrite(meshes, tmp_p
     assert_refused(r"views 3, now it is 2.*--overwrite", render_folder, meshes, out, replace(FAST, views=2))
     assert contents(out) == before
     assert len(render_folder(meshes, out, replace(FAST, views=2), overwrite=True).written) == 3
-    assert not (out / "c/002.png").exists()
-    assert {path.name for path in out.iterdir()} == {"c", "chair"}
+    assert set(contents(out)) == {name for name in before if "/002." not in name} and hidden(out) == []
 
 
 def test_a_folder_of_something_else_is_never_replaced(meshes, tmp_path):
@@ -174,8 +172,8 @@ def test_a_bad_mesh_is_named_and_the_others_are_rendered(tso_render, meshes, tmp
     assert list(summary.failed) == ["chair/broken"] and "broken.ply" in summary.failed["chair/broken"]
     assert not (tmp_path / "out/chair/broken").exists()
     again = tso_render(meshes, tmp_path / "out", *WORDS)
-    assert again.code == 2 and "1 mesh" in again.err and "broken.ply" in again.err
-    assert "3 rendered before, skipped" in again.err
+    assert again.code == 2
+    assert all(words in again.err for words in ("1 mesh", "broken.ply", "3 rendered before, skipped"))
 
 
 def test_a_bad_mesh_alone_or_a_bad_output_is_an_error_and_writes_nothing(meshes, tmp_path):

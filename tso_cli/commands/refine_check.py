@@ -73,7 +73,7 @@ def verdict_document(
 def _document(
     scene: Scene, placements: list[Placement], overlaps: list[bool], agreement: Agreement | None, warned: list[str]
 ) -> dict[str, Any]:
-    views, suspects = [], (agreement.suspects or agreement.of_views) if agreement else ()
+    views, suspects = [], agreement.named if agreement else ()
     for view, source, placement, overlap in zip(scene.views, scene.camera_sources, placements, overlaps, strict=True):
         camera = camera_document(view.camera, source)
         views.append({"mask": view.name, "camera": camera, "placement": vars(placement), "meets": overlap})
