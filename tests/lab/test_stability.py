@@ -180,10 +180,10 @@ def test_what_a_result_says_of_itself_is_kept(cases, monkeypatch):
     suspect = replace(result, verdict="improved", suspects=(Suspect("the camera is another", "--assume opengl", 0.8),))
     warned, refused = replace(result, warnings=("read this",)), InputError("no object")
     monkeypatch.setattr(runs, "refine_batch", lambda scenes, config: [doubtful, suspect, warned, refused, result])
-    scenes = [(cases[0].initial, cases[0].views[:1])] * 5
-    found = outcomes_of(scenes, POINTS["best"], RefineConfig())
+    bench = Bench(cases[:1], [0])
+    found = list(outcomes_of([bench.run(AXIS["nothing wrong"], 1.0, 0, 0)] * 5, POINTS["best"]))
     assert "".join(outcome.said for outcome in found) == "ddwr-"
-    assert [(outcome.verdict, outcome.confidence) for outcome in found[:3]] == [("d", 0.25), ("i", None), ("?", None)]
+    assert [outcome.result for outcome in found] == [doubtful, suspect, warned, None, result]
 
 
 def test_points_behind_the_camera_are_warned_of_on_the_way(cases):

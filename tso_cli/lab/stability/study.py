@@ -156,11 +156,10 @@ def _worst(rows: Cases, bench: Bench) -> list[tuple[str, Case, np.ndarray]]:
         for name in sorted(worst, key=lambda name: -worst[name][0])[:ROWS_OF_GROUP]:
             ratio, level, run = worst[name]
             number, seed = divmod(run, len(bench.seeds))
-            altered, config = bench.altered(AXIS[name], level, number, bench.seeds[seed], POINTS[DEFAULT].config)
-            (outcome,) = outcomes_of([(altered.initial, altered.views[: AXIS[name].masks])], POINTS[DEFAULT], config)
-            if outcome.points is not None:
-                title = f"{name} {AXIS[name].at(level)}: {ratio:.3g}, {altered.category}"
-                pictured.append((fill(title, TITLE), altered, outcome.points))
+            (outcome,) = outcomes_of([bench.run(AXIS[name], level, number, bench.seeds[seed])], POINTS[DEFAULT])
+            if outcome.altered is not None and outcome.points is not None:
+                title = f"{name} {AXIS[name].at(level)}: {ratio:.3g}, {outcome.altered.category}"
+                pictured.append((fill(title, TITLE), outcome.altered, outcome.points))
     return pictured
 
 
