@@ -18,11 +18,12 @@ from ...io.clouds import read_cloud
 from ...io.output import check_output
 from ...io.shipped import examples_folder
 from ...losses.silhouette import silhouette_of
+from ...refinement import RefineConfig
 from ...scene.load import load_points_scene
 from ..charts import draw_cases
 from ..studies.accuracy import CATEGORIES
 from ..studies.cases import MASKS, Case, CaseBuilder
-from ..studies.refining import DEFAULT, FOUR_MASKS, POINTS
+from ..studies.refining import DEFAULT, FOUR_MASKS, POINTS, Variant
 from ..studies.shapes import shapes_of_part
 from ..studies.summary import grouped
 from ..study import SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table, part
@@ -33,6 +34,7 @@ from .runs import Bench, Way, outcomes_of
 
 # What other packages, and with --quick other variants, are compared on.
 COMPARED = ("nothing wrong", "mask dilated", "yaw of the camera", "start far off")
+CORRECTED_ON = ("nothing wrong", "yaw of the camera")
 GROUPS = ("settings", "mask", "camera", "cloud", "image")
 HALVINGS = 3
 # With --quick every second level, without those that take long by themselves: points, pixels, steps.
@@ -137,6 +139,8 @@ def _ways(axis: Axis, quick: bool) -> dict[str, Way]:
     ways: dict[str, Way] = dict(POINTS) if compared or (plain and not quick) else {DEFAULT: POINTS[DEFAULT]}
     if quick:
         ways.pop(FOUR_MASKS, None)
+    if axis.name in CORRECTED_ON:
+        ways["best, camera corrected"] = Variant(RefineConfig(refine_camera=True))
     if compared:
         from .peers import PEERS
 

@@ -28,7 +28,8 @@ from .summary import grouped
 CATEGORIES, KINDS = ("chair", "airplane", "car", "sofa", "table"), ("other", "near", "right")
 SIZE, POINTS = 128, 1024
 """Pixels of the masks each way, points of the clouds."""
-RIGHT, ALTERED = AXES[0], tuple(axis for axis in AXES if axis.group != "settings")
+# How many masks there are is drawn besides.
+RIGHT, ALTERED = AXES[0], tuple(axis for axis in AXES if axis.group != "settings" and axis.masks <= 2)
 MOST = {"many points": 16384, "large picture": 2048}
 """Levels beyond which only the time changes."""
 MASKS = (1, 1, 1, 1, 1, 2, 4)
