@@ -21,7 +21,7 @@ from ..studies.cases import Case
 from ..studies.refining import Variant, uninterrupted
 from ..study import Cases
 from .axes import Axis
-from .knees import DOUBTFUL, NON_FINITE, REFUSED, SILENT, WARNED, between, digits, figures, hardest_last
+from .knees import DOUBTFUL, NON_FINITE, REFUSED, SILENT, WARNED, digits, figures
 
 Peer = Callable[[Array, Sequence[View]], Array]
 Way = Variant | Peer
@@ -75,33 +75,19 @@ class Outcome:
         return after / before
 
 
-@dataclass(frozen=True, eq=False)
-class Bench:
-    """The cases and seeds that every axis is judged on."""
+def run_of(cases: Sequence[Case], axis: Axis, level: float, number: int, seed: int, masks: int = 1) -> Run:
+    """Case ``number`` at that level, beside another of them; one seed gives all levels the same random numbers."""
+    case, other = cases[number], cases[(number + max(1, len(cases) // 2)) % len(cases)]
+    rng = np.random.default_rng([seed, zlib.crc32(axis.name.encode()), zlib.crc32(case.shape.encode()), case.view])
+    return Run(axis, level, case, other, rng, masks)
 
-    cases: Sequence[Case]
-    seeds: Sequence[int]
 
-    def run(self, axis: Axis, level: float, number: int, seed: int, masks: int = 1) -> Run:
-        """Case ``number`` at that level; one seed gives all levels the same random numbers."""
-        case, other = self.cases[number], self.cases[(number + max(1, len(self.cases) // 2)) % len(self.cases)]
-        rng = np.random.default_rng([seed, zlib.crc32(axis.name.encode()), zlib.crc32(case.shape.encode()), case.view])
-        return Run(axis, level, case, other, rng, masks)
-
-    def judge(self, axis: Axis, name: str, way: Way, levels: Sequence[float], halvings: int = 0) -> Cases:
-        """A row for each of ``levels``, and for those in which ``halvings`` bisections of each knee end."""
-        rows = self._rows(axis, name, way, levels)
-        for _ in range(halvings if axis.continuous else 0):
-            by_level = {row["level"]: row for row in [*rows, *self._rows(axis, name, way, between(axis, rows))]}
-            rows = [by_level[level] for level in hardest_last(axis, set(by_level))]
-        return rows
-
-    def _rows(self, axis: Axis, name: str, way: Way, levels: Sequence[float]) -> Cases:
-        masks, numbers = way.masks if isinstance(way, Variant) else 1, range(len(self.cases))
-        runs = (self.run(axis, *place, masks) for place in product(levels, numbers, self.seeds))
-        told = [_told(outcome) for outcome in outcomes_of(runs, way)]
-        count = len(self.cases) * len(self.seeds)
-        return [_row(axis, name, level, told[i * count : (i + 1) * count]) for i, level in enumerate(levels)]
+def judge(cases: Sequence[Case], seeds: Sequence[int], axis: Axis, name: str, way: Way, levels: Sequence[float]) -> Cases:
+    """A row for each level, of all seeds of each case."""
+    masks = way.masks if isinstance(way, Variant) else 1
+    runs = (run_of(cases, axis, *place, masks) for place in product(levels, range(len(cases)), seeds))
+    told, count = [_told(outcome) for outcome in outcomes_of(runs, way)], len(cases) * len(seeds)
+    return [_row(axis, name, level, told[i * count : (i + 1) * count]) for i, level in enumerate(levels)]
 
 
 def _told(outcome: Outcome) -> dict[str, Any]:

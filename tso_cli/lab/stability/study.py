@@ -30,13 +30,12 @@ from ..study import SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, T
 from .axes import AXES, Axis
 from .chart import draw_axes
 from .knees import AXIS, FIGURES, SILENT, WORSE, knee
-from .runs import Bench, Way, outcomes_of
+from .runs import Way, judge, outcomes_of, run_of
 
 # What other packages, and with --quick other variants, are compared on.
 COMPARED = ("nothing wrong", "mask dilated", "yaw of the camera", "start far off")
 CORRECTED_ON = ("nothing wrong", "yaw of the camera")
 GROUPS = ("settings", "mask", "camera", "cloud", "image")
-HALVINGS = 3
 # With --quick every second level, without those that take long by themselves: points, pixels, steps.
 MOST = {"points": 20_000, "px": 1024, "steps": 200}
 SHAPES, SIZE, COUNT = 2, 128, 1024
@@ -57,6 +56,7 @@ CONVENTION = {
 }
 
 
+@cache
 def example_cases() -> list[Case]:
     """The shipped examples; further masks of each are silhouettes of the true cloud from around it."""
     cases = []
@@ -97,25 +97,20 @@ def plan(
         shapes = shapes_of_part(meshes, split, settings["part"], settings["categories"], settings["limit"])
         builder, names = CaseBuilder(meshes, split, 1, SIZE, COUNT, settings["seed"]), [shape.name for shape in shapes]
 
+        @cache
         def cases_of() -> list[Case]:
             return [case for shape in shapes for case in builder.cases(shape, "other")]
 
     settings |= {"quick": quick, "groups": list(groups), "shapes": names}
+    seeds = [settings["seed"] + number for number in range(settings["seeds"])]
 
-    @cache
-    def bench(seeds: int) -> Bench:
-        # Cases are rendered once.
-        cases = cases_of() if seeds == settings["seeds"] else bench(settings["seeds"]).cases
-        return Bench(cases, [settings["seed"] + number for number in range(seeds)])
-
-    def judge(axis: Axis, name: str, way: Way) -> Cases:
-        default = name == DEFAULT
-        levels = axis.levels if default and not quick else fewer_levels(axis)
-        halvings = HALVINGS if default and not quick else 0
-        return bench(settings["seeds"] if default else 1).judge(axis, name, way, levels, halvings)
+    def judge_axis(axis: Axis, name: str, way: Way) -> Cases:
+        in_full = name == DEFAULT and not quick
+        levels = axis.levels if in_full else fewer_levels(axis)
+        return judge(cases_of(), seeds if name == DEFAULT else seeds[:1], axis, name, way, levels)
 
     jobs = [
-        ({"axis": axis.name, "variant": name}, partial(judge, axis, name, way))
+        ({"axis": axis.name, "variant": name}, partial(judge_axis, axis, name, way))
         for axis in AXES
         if axis.group in groups
         for name, way in _ways(axis, quick).items()
@@ -123,7 +118,7 @@ def plan(
 
     def draw_worst(record: Record) -> None:
         if pictures is not None:
-            draw_cases(pictures, _worst(record["cases"], bench(settings["seeds"])), progress.overwrite)
+            draw_cases(pictures, _worst(record["cases"], cases_of(), seeds), progress.overwrite)
 
     return Plan(settings, jobs, finish=draw_worst)
 
@@ -148,7 +143,7 @@ def _ways(axis: Axis, quick: bool) -> dict[str, Way]:
     return ways
 
 
-def _worst(rows: Cases, bench: Bench) -> list[tuple[str, Case, np.ndarray]]:
+def _worst(rows: Cases, cases: Sequence[Case], seeds: Sequence[int]) -> list[tuple[str, Case, np.ndarray]]:
     """Of some groups the axes whose silent results are worst, refined once more: (title, altered case, points)."""
     pictured = []
     for group in PICTURED:
@@ -159,8 +154,8 @@ def _worst(rows: Cases, bench: Bench) -> list[tuple[str, Case, np.ndarray]]:
                 worst[row["axis"]] = max([*found, worst.get(row["axis"], (0.0, 0.0, 0))])
         for name in sorted(worst, key=lambda name: -worst[name][0])[:ROWS_OF_GROUP]:
             ratio, level, run = worst[name]
-            number, seed = divmod(run, len(bench.seeds))
-            (outcome,) = outcomes_of([bench.run(AXIS[name], level, number, bench.seeds[seed])], POINTS[DEFAULT])
+            number, seed = divmod(run, len(seeds))
+            (outcome,) = outcomes_of([run_of(cases, AXIS[name], level, number, seeds[seed])], POINTS[DEFAULT])
             if outcome.altered is not None and outcome.points is not None:
                 title = f"{name} {AXIS[name].at(level)}: {ratio:.3g}, {outcome.altered.category}"
                 pictured.append((fill(title, TITLE), outcome.altered, outcome.points))
