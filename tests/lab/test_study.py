@@ -226,7 +226,7 @@ def test_each_command_writes_record_chart_and_page_and_resumes_to_the_same_cases
     row = refining.Variant(RefineConfig(steps=3), 4)
     rows = {"whole": (evidence.unaltered, row), "part": (partial(evidence.without, part="side"), row)}
     monkeypatch.setattr(
-        evidence, "QUESTIONS", {"missing": evidence.Question("Parts missing", ("other",), rows, ("car", "chair"))}
+        evidence, "QUESTIONS", {"missing": evidence.Question("Parts missing", ("other",), rows, ("chair", "car"))}
     )
     output = tmp_path / "record.json"
     arguments = ("lab", name, "--meshes", studying.MESHES, "--split", split, *arguments, "-o", output)
