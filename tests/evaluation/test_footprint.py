@@ -14,7 +14,7 @@ from tso_cli.evaluation.footprint import RIM, common_window, footprint, in_windo
 from tso_cli.geometry.resampling import area_resize
 from tso_cli.geometry.window import window_of
 from tso_cli.io.meshes import read_mesh
-from tso_cli.refinement.run import view_ious
+from tso_cli.refinement.judge import view_ious
 from tso_cli.render import RayScene, RenderSettings, fitting_distance, ground_truth, look_at, normalise, render_view
 
 NAMES = ("chair", "car", "airplane")

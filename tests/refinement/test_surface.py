@@ -16,7 +16,7 @@ from tso_cli.io.clouds import read_cloud
 from tso_cli.losses.chamfer import spacings
 from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.refinement.cloud import Cloud
-from tso_cli.refinement.run import view_ious
+from tso_cli.refinement.judge import view_ious
 from tso_cli.refinement.surface import SAMPLES, Surface
 
 CORNERS = np.array([[x, y, z] for x in (-0.25, 0.25) for y in (-0.2, 0.2) for z in (-0.15, 0.15)])

@@ -63,11 +63,13 @@ def judged(
     # Corrected cameras may lower the IoU rightly.
     compared = settings.staged and problem.views == given_views
     if descent.best_step == 0 or (compared and _agrees_less(problem, outcome.ious, view_weights.loss)):
-        return replace(_after(problem, given_views, np.zeros_like(step)), verdict=UNCHANGED, taken=0.0, unmoved="not_improved")
+        unmoved = problem.cloud.moved(np.zeros_like(step))
+        ious = [(before, before if descent.best_step else after) for before, after in outcome.ious]
+        return Outcome(unmoved, ious, UNCHANGED, taken=0.0, unmoved="not_improved")
     signs: dict[str, float] = {}
     # What a few steps leave undone looks like a mistake.
     enough = len(descent.stages) == len(STAGES) and settings.steps >= FEWEST_STEPS and len(step) >= FEWEST_POINTS
-    if field and enough:
+    if field and enough and _masks_alone(problem):
         signs = signs_of(problem, field, descent, outcome.ious, view_weights.inlier)
     verdict = Verdict.of(signs, problem.suspicion)
     taken = 1.0 if settings.accept_doubtful else verdict.step
@@ -91,12 +93,16 @@ def view_ious(initial: Array, refined: Array, given: Sequence[View], corrected: 
     return ious
 
 
+def _masks_alone(problem: Problem) -> bool:
+    return all(view.depth is None and view.image is None for view in problem.views)
+
+
 def _agrees_less(problem: Problem, ious: list[tuple[float, float]], weights: list[float]) -> bool:
     """Whether masks are all there is, and the IoU fell.
 
     The mask Chamfer loss counts distances, and may fall while the IoU falls too, as for a right start and a coarse mask.
     """
-    if any(view.depth is not None or view.image is not None for view in problem.views):
+    if not _masks_alone(problem):
         return False
     before, after = np.average(ious, axis=0, weights=weights)
     return bool(after < before and before >= FEEBLE_IOU)

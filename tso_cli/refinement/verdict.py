@@ -31,8 +31,10 @@ Name = Literal["improved", "unchanged", "doubtful"]
 MODEL = Path(__file__).with_name("confidence.json")
 # A result of less confidence is doubtful.
 LEAST_CONFIDENCE = 0.5
-# At so little, and less, its step is not taken; between the two, a part of it.
-NO_CONFIDENCE = 0.3
+# At so little, and less, its step is not taken; from so much on the whole one; between them a part of it. Of validation
+# shapes refined with wrong cameras and masks these leave little harm, and right ones lose nothing; a cloud far off its mask
+# looks as a wrong camera does, and most such clouds are moved at last.
+NO_STEP, WHOLE_STEP = 0.1, 0.3
 # What is said where signs of this group took most of the confidence.
 REASONS = {
     "camera": "the points moved as one body, as a camera that is off would move them; is the camera right? (--refine-camera)",
@@ -70,8 +72,8 @@ class Verdict:
             return cls("doubtful", None, suspicion) if suspicion else UNJUDGED
         confidence, group = _judged(signs)
         if confidence < LEAST_CONFIDENCE:
-            step = (confidence - NO_CONFIDENCE) / (LEAST_CONFIDENCE - NO_CONFIDENCE)
-            return cls("doubtful", confidence, suspicion or REASONS[group], max(step, 0.0))
+            step = float(np.clip((confidence - NO_STEP) / (WHOLE_STEP - NO_STEP), 0.0, 1.0))
+            return cls("doubtful", confidence, suspicion or REASONS[group], step)
         return cls("improved", confidence)
 
 
