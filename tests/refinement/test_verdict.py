@@ -9,6 +9,7 @@ from tests.scenes import example
 from tso_cli import RefineConfig, View, refine, refine_batch
 from tso_cli.geometry.rotations import from_vectors
 from tso_cli.refinement import verdict
+from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.verdict import REASONS, _model
 
 EXAMPLES = "chair", "car", "airplane"
@@ -27,20 +28,25 @@ def test_right_input_is_trusted(name):
     assert result.confidence > 0.6 and not result.warnings
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_a_camera_far_off_leaves_less_confidence_though_iou_rises(name):
+@pytest.mark.parametrize(
+    ("name", "degrees", "verdict"), [("chair", 45, "doubtful"), ("car", 70, None), ("airplane", 45, "doubtful")]
+)
+def test_a_camera_far_off_leaves_less_confidence_though_iou_rises(name, degrees, verdict):
+    """A car turned to its side is taken for a wide car."""
     scene = example(name)
-    config = RefineConfig(accept_doubtful=True)
-    right, wrong = (refine(scene.points, view, config=config) for view in (scene.view, _yawed(scene.view, 70.0)))
+    right, wrong = (refine(scene.points, view) for view in (scene.view, _yawed(scene.view, float(degrees))))
     assert wrong.iou_after > wrong.iou_before and scene.error(wrong.points) > scene.error(scene.points)
-    assert wrong.verdict == "doubtful" and wrong.confidence < right.confidence
+    assert wrong.confidence < right.confidence - 0.3
+    if verdict is None:
+        return
+    assert wrong.verdict == verdict and wrong.step_taken == 1.0
     assert wrong.reason in REASONS.values() or "--assume" in wrong.reason
     assert any(wrong.reason in warning for warning in wrong.warnings)
 
 
 def test_a_step_of_no_confidence_is_not_taken_unless_accepted():
     scene = example("chair")
-    view = _yawed(scene.view, 70.0)
+    view = replace(scene.view, mask=1.0 - scene.mask)
     careful, accepted = refine(scene.points, view), refine(scene.points, view, config=RefineConfig(accept_doubtful=True))
     assert (careful.points == careful.initial).all() and careful.iou_after == careful.iou_before
     assert (careful.stop_reason, careful.best_step, careful.step_taken, careful.moved_max) == ("doubtful", 0, 0.0, 0.0)
@@ -49,10 +55,12 @@ def test_a_step_of_no_confidence_is_not_taken_unless_accepted():
     assert accepted.step_taken == 1.0 and accepted.moved_mean > 0.01
 
 
-def test_a_step_of_little_confidence_is_taken_in_part(monkeypatch):
+def test_a_step_of_little_confidence_is_taken_in_part_where_a_mistake_is_suspected(monkeypatch):
     scene = example("chair")
     whole = refine(scene.points, scene.view)
     monkeypatch.setattr(verdict, "_judged", lambda signs: (0.4, "camera"))
+    assert refine(scene.points, scene.view).step_taken == 1.0
+    monkeypatch.setattr(Problem, "suspicion", "it looks as if the camera is another")
     part = refine(scene.points, scene.view)
     np.testing.assert_allclose(part.points, 0.5 * (whole.initial + whole.points), atol=1e-12)
     assert part.step_taken == pytest.approx(0.5) and part.verdict == "doubtful" and "only 50 % of the step" in part.warnings[0]

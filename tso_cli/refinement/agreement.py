@@ -172,4 +172,4 @@ class _Cells(NamedTuple):
         """With the cells that ``pixels`` [N, 2] fall in."""
         column, row = np.floor((pixels - self.low) / self.edge).astype(np.int64).T
         covered = set((row * ROW + column).tolist())
-        return len(covered & self.inside) / len(covered | self.inside)
+        return len(covered & self.inside) / max(1, len(covered | self.inside))

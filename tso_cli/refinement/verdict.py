@@ -31,10 +31,9 @@ Name = Literal["improved", "unchanged", "doubtful"]
 MODEL = Path(__file__).with_name("confidence.json")
 # A result of less confidence is doubtful.
 LEAST_CONFIDENCE = 0.5
-# At so little, and less, its step is not taken; from so much on the whole one; between them a part of it. Of validation
-# shapes refined with wrong cameras and masks these leave little harm, and right ones lose nothing; a cloud far off its mask
-# looks as a wrong camera does, and most such clouds are moved at last.
-NO_STEP, WHOLE_STEP = 0.1, 0.3
+# Where a common mistake is suspected as well, no step up to the first confidence is taken, and a part of it up to the second.
+# Without a suspicion a cloud far off its mask looks as a wrong camera does: of such clouds half would be left where they are.
+SUSPECT_STEP = (0.3, 0.5)
 # What is said where signs of this group took most of the confidence.
 REASONS = {
     "camera": "the points moved as one body, as a camera that is off would move them; is the camera right? (--refine-camera)",
@@ -72,7 +71,7 @@ class Verdict:
             return cls("doubtful", None, suspicion) if suspicion else UNJUDGED
         confidence, group = _judged(signs)
         if confidence < LEAST_CONFIDENCE:
-            step = float(np.clip((confidence - NO_STEP) / (WHOLE_STEP - NO_STEP), 0.0, 1.0))
+            step = float(np.interp(confidence, SUSPECT_STEP, (0.0, 1.0))) if suspicion else 1.0
             return cls("doubtful", confidence, suspicion or REASONS[group], step)
         return cls("improved", confidence)
 
