@@ -28,18 +28,13 @@ def test_right_input_is_trusted(name):
     assert result.confidence > 0.6 and not result.warnings
 
 
-@pytest.mark.parametrize(
-    ("name", "degrees", "verdict"), [("chair", 45, "doubtful"), ("car", 70, None), ("airplane", 45, "doubtful")]
-)
-def test_a_camera_far_off_leaves_less_confidence_though_iou_rises(name, degrees, verdict):
-    """A car turned to its side is taken for a wide car."""
+@pytest.mark.parametrize("name", ["chair", "airplane"])
+def test_a_camera_far_off_leaves_less_confidence_though_iou_rises(name):
     scene = example(name)
-    right, wrong = (refine(scene.points, view) for view in (scene.view, _yawed(scene.view, float(degrees))))
+    right, wrong = (refine(scene.points, view) for view in (scene.view, _yawed(scene.view, 45.0)))
     assert wrong.iou_after > wrong.iou_before and scene.error(wrong.points) > scene.error(scene.points)
-    assert wrong.confidence < right.confidence - 0.3
-    if verdict is None:
-        return
-    assert wrong.verdict == verdict and wrong.step_taken == 1.0
+    assert wrong.confidence < right.confidence - 0.3 and wrong.verdict == "doubtful"
+    assert wrong.step_taken == 1.0
     assert wrong.reason in REASONS.values() or "--assume" in wrong.reason
     assert any(wrong.reason in warning for warning in wrong.warnings)
 
