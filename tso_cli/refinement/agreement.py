@@ -13,6 +13,7 @@ from ..geometry.camera import Array
 from ..geometry.view import View, object_box
 from ..losses.projection import pixels_under
 from .assumptions import ASSUMPTIONS, AssumedView, Assumption, Suspect, about, axes_of, mirrored
+from .occlusion import occluded
 
 # Cells along the longer side of the mask's box, in which silhouettes are compared, and points that are projected.
 CELLS, POINTS = 16, 1024
@@ -53,7 +54,7 @@ class Agreement:
         ious = np.array([[outline.iou(points, other.assumptions) for outline in outlines] for other in others])
         scores = ious.mean(1)
         suspects = _suspects(others, scores, as_given.mean())
-        of_views = () if suspects else _of_views(outlines, others, ious, as_given)
+        of_views = () if suspects else (*_of_views(outlines, others, ious, as_given), *_hidden(points, views))
         return cls(float(as_given.mean()), float(scores.max()), suspects, of_views)
 
     @property
@@ -115,6 +116,22 @@ def _of_views(outlines: Sequence[_Outline], others: list[_Other], ious: Array, a
     return tuple(suspects)
 
 
+def _hidden(points: Array, views: Sequence[View]) -> tuple[Suspect, ...]:
+    """Views in which something seems to be in front of the object."""
+    suspects = []
+    for view in views:
+        score = occluded(_told(view.camera.project(points)[0], view), view)
+        if score is not None:
+            suspects.append(Suspect(f"something hides a part of the object in {view.name}", "--ignore", score))
+    return tuple(suspects)
+
+
+def _told(pixels: Array, view: View) -> Array:
+    """Those of ``pixels`` [N, 2] inside the image and not unknown: others say nothing."""
+    pixel, visible = pixels_under(pixels, np.asarray(np.isfinite(pixels).all(1)), *view.mask.shape)
+    return pixels[visible if view.known is None else visible & view.known.ravel()[pixel]]
+
+
 class _Outline:
     """A mask in coarse cells, to be compared with what a camera sees of a cloud."""
 
@@ -131,7 +148,7 @@ class _Outline:
 
     def iou(self, points: Array, assumptions: Sequence[Assumption]) -> float:
         """With the cells that ``points`` [N, 3] fall in under these assumptions, in place of those given."""
-        view, known, given = self.view, self.view.known, about(self.view, self.given)
+        view, given = self.view, about(self.view, self.given)
         assumptions, camera = about(view, assumptions), self.camera
         for assumption in assumptions:
             camera = assumption.of_camera(camera)
@@ -146,9 +163,7 @@ class _Outline:
             pixels[:, 0] = camera.width - 1.0 - pixels[:, 0]
         if down:
             pixels[:, 1] = camera.height - 1.0 - pixels[:, 1]
-        pixel, visible = pixels_under(pixels, np.asarray(np.isfinite(pixels).all(1)), camera.height, camera.width)
-        # Points outside the image, or on unknown pixels, say nothing.
-        return self.cells[inverted].iou(pixels[visible if known is None else visible & known.ravel()[pixel]])
+        return self.cells[inverted].iou(_told(pixels, view))
 
 
 class _Cells(NamedTuple):
