@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.camera import Array
+from ..geometry.points import longest_side
 from ..geometry.view import View
 
 # Of the mask's longer side: the least length of the edge, and cells that silhouettes are compared in.
@@ -23,7 +24,7 @@ def occluded(pixels: Array, view: View) -> float | None:
     """
     rows, columns = np.nonzero(view.inside)
     outline = np.stack([columns, rows], axis=1).astype(np.float64)
-    size = np.ptp(outline, axis=0).max() + 1.0
+    size = longest_side(outline) + 1.0
     if size < 2 * CELLS or not len(pixels):
         return None
     corners = _hull(view.inside)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.camera import Array, Camera
+from ..geometry.points import longest_side
 from ..geometry.view import View
 from ..io.cameras import check_size, find_camera, pair_with_masks, read_camera
 from ..io.clouds import PointCloud, read_cloud
@@ -253,7 +254,7 @@ def camera_source(camera_file: Path | None) -> str:
 def _warn_of_scale(points: Array, view: View, cloud_file: Path) -> None:
     """Warn of a cloud that is implausibly near or far for its size: its unit may differ from the camera's."""
     camera = view.camera
-    size = float(np.ptp(points, axis=0).max())
+    size = longest_side(points)
     distance = float((camera.R @ ((points.min(0) + points.max(0)) / 2.0) + camera.t)[2])
     if camera.model == "perspective" and distance > 0.0 and not 0.2 < distance / size < 1000.0:
         warnings.warn(
