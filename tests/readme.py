@@ -245,6 +245,7 @@ def stages() -> str:
     columns = {
         "smoothness lambda": "smoothness",
         "robust scale r": "robust_scale",
+        "learning-rate scale": "learning_rate_scale",
         "nodes": "nodes",
         "averaging weight": "averaging_weight",
     }

@@ -68,7 +68,7 @@ class CoarseToFine:
                 resolvability = targets.resolvability(points, finest) if config.use_resolvability else None
                 mask_chamfer = MaskChamferObjective(targets, stage.robust_scale, resolvability)
                 objective = sum_of([mask_chamfer, prior, *self.further_terms(points, stage)])
-                optimiser = (UniformAdam if config.uniform_adam else Adam)(self.learning_rate)
+                optimiser = (UniformAdam if config.uniform_adam else Adam)(stage.learning_rate_scale * self.learning_rate)
                 parameters = FieldParameters(points, finest.with_nodes(stage.nodes), stage.smoothness, optimiser)
                 end = round(steps * number / len(stages))
                 report = on_progress and offset_progress(on_progress, done, steps)

@@ -31,6 +31,7 @@ class Stage:
     ----------
     smoothness : lambda of `SmoothField`.
     robust_scale : of the mask Chamfer loss, px of a window of 64.
+    learning_rate_scale : times the learning rate; a slower last stage is what cars and sofas gain by.
     nodes : of the displacement field.
     averaging_weight : of this stage's best iterate in the result, which is a mean over the stages.
     blur : standard deviation of the photometric loss's blur, px of a window of 64.
@@ -39,6 +40,7 @@ class Stage:
 
     smoothness: float
     robust_scale: float
+    learning_rate_scale: float = 1.0
     nodes: int = FIELD_NODES
     averaging_weight: float = 1.0
     blur: float = 0.5
@@ -49,9 +51,9 @@ class Stage:
 # Where stages disagree, the later one is wrong about as often as it is right. Their mean is about as accurate as the last
 # stage, and is less often worse than the start.
 STAGES = (
-    Stage(100.0, 6.0, 256, 1.0, blur=2.0),
-    Stage(10.0, 3.0, 512, 2.0, blur=1.0),
-    Stage(1.0, 3.0, FIELD_NODES, 3.0, fine_grid=True),
+    Stage(100.0, 6.0, 1.0, 256, 1.0, blur=2.0),
+    Stage(10.0, 3.0, 1.0, 512, 2.0, blur=1.0),
+    Stage(1.0, 3.0, 0.35, FIELD_NODES, 3.0, fine_grid=True),
 )
 
 

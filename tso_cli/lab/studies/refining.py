@@ -51,6 +51,7 @@ ABLATION = {
     "no smoothing": _best_with(stages=tuple(replace(stage, smoothness=0.0, nodes=FIELD_NODES) for stage in BEST.stages)),
     "one stage": _best_with(stages=(Stage(10.0, 3.0, fine_grid=True),)),
     "stages averaged alike": _best_with(stages=tuple(replace(stage, averaging_weight=1.0) for stage in BEST.stages)),
+    "one learning rate": _best_with(stages=tuple(replace(stage, learning_rate_scale=1.0) for stage in BEST.stages)),
     "at most 512 nodes": _best_with(stages=tuple(replace(stage, nodes=min(stage.nodes, 512)) for stage in BEST.stages)),
     "64 cells in the last stage too": _best_with(stages=tuple(replace(stage, fine_grid=False) for stage in BEST.stages)),
     "prior by the error of the whole cloud alone": _best_with(local_prior=False),
