@@ -63,6 +63,21 @@ def test_a_step_of_little_confidence_is_taken_in_part_where_a_mistake_is_suspect
     assert part.moved_mean == pytest.approx(0.5 * whole.moved_mean)
 
 
+def test_a_suspected_mistake_is_never_called_an_improvement(monkeypatch):
+    scene = example("chair")
+    monkeypatch.setattr(Problem, "suspicion", "it looks as if the camera is another")
+    result = refine(scene.points, scene.view)
+    assert result.confidence > 0.9 and (result.verdict, result.step_taken) == ("doubtful", 1.0)
+    assert result.reason == "it looks as if the camera is another"
+
+
+def test_a_result_of_a_depth_map_is_not_judged():
+    scene = example("chair")
+    depth = np.where(scene.mask > 0.5, np.median(scene.camera.project(scene.target)[1]), np.nan)
+    result = refine(scene.points, replace(scene.view, depth=depth))
+    assert (result.verdict, result.confidence, result.signs) == (None, None, {})
+
+
 def test_an_inverted_mask_is_named_and_its_result_doubtful():
     scene = example("chair")
     result = refine(scene.points, replace(scene.view, mask=1.0 - scene.mask))

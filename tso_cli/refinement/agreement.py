@@ -76,14 +76,18 @@ class _Other(NamedTuple):
     what: str
     option: str
     assumptions: tuple[Assumption, ...]
+    fewer: bool  # than given
 
 
 def _others(given: tuple[Assumption, ...]) -> list[_Other]:
     """All with one more than given, and all with one less. Nobody is told to give again what is given."""
-    less = [_Other(f"{one.option} is wrong", f"without {one.option}", tuple(o for o in given if o is not one)) for one in given]
+    less = [
+        _Other(f"{one.option} is wrong", f"without {one.option}", tuple(o for o in given if o is not one), True)
+        for one in given
+    ]
     told = [one.option for one in given] + ["--assume mask-inverted" for one in given if one.option == "--invert-mask"]
     options = {f"--assume {name}": assumption for name, assumption in ASSUMPTIONS.items()}
-    return less + [_Other(one.what, option, (*given, one)) for option, one in options.items() if option not in told]
+    return less + [_Other(one.what, option, (*given, one), False) for option, one in options.items() if option not in told]
 
 
 def _suspects(others: list[_Other], scores: Array, as_given: float) -> tuple[Suspect, ...]:
@@ -91,7 +95,7 @@ def _suspects(others: list[_Other], scores: Array, as_given: float) -> tuple[Sus
     if scores.max() < max(as_given + MARGIN, LEAST_IOU):
         return ()
     likely = [i for i in np.argsort(-scores, kind="stable") if scores[i] >= scores.max() - SIMILAR]
-    fewer = [i for i in likely if others[i].option.startswith("without")]
+    fewer = [i for i in likely if others[i].fewer]
     return tuple(Suspect(others[i].what, others[i].option, float(scores[i])) for i in (fewer or likely)[:MOST_SUSPECTS])
 
 
@@ -100,19 +104,23 @@ def _of_views(outlines: Sequence[_Outline], others: list[_Other], ious: Array, a
     suspects = []
     for i, outline in enumerate(outlines):
         rest = np.arange(len(outlines)) != i
-        if not rest.any() or as_given[rest].mean() < as_given[i] + LEFT_OUT:
+        # Another bad view among the rest hides none.
+        if not rest.any() or np.median(as_given[rest]) < as_given[i] + LEFT_OUT:
             continue
         scores = [
-            ious[k, i]
-            if "--assume cloud" not in other.option and ious[k, rest].mean() < as_given[rest].mean() + SIMILAR
-            else 0.0
+            # The cloud is the same for all views.
+            0.0
+            if other.option.startswith("--assume cloud-") or ious[k, rest].mean() >= as_given[rest].mean() + SIMILAR
+            else ious[k, i]
             for k, other in enumerate(others)
         ]
         best = int(np.argmax(scores))
         if scores[best] >= max(as_given[i] + MARGIN, LEAST_IOU):
-            name = outline.view.name
-            what = f"for {name} alone {others[best].what}"
-            suspects.append(Suspect(what, f"{others[best].option}@{name}", float(scores[best])))
+            name, other = outline.view.name, others[best]
+            option = f"{other.option}@{name}"
+            if other.fewer:
+                option = other.option if "@" in other.option else f"{other.option} for {name}"
+            suspects.append(Suspect(f"for {name} alone {other.what}", option, float(scores[best])))
     return tuple(suspects)
 
 
@@ -141,7 +149,9 @@ class _Outline:
         self.camera = isinstance(view, AssumedView) and view.camera_read or view.camera
         inside = view.inside
         # Of an object that the border truncates, or a speck, the background would pass for an inverted mask.
-        self.may_be_inverted = np.concatenate([*inside[[0, -1]], *inside[:, [0, -1]].T]).mean() >= BORDER
+        border = np.ones(inside.shape, bool) if view.known is None else view.known.copy()
+        border[1:-1, 1:-1] = False
+        self.may_be_inverted = border.any() and inside[border].mean() >= BORDER
         self.cells = {False: _Cells.of(inside)}
         if self.may_be_inverted:
             self.cells[True] = _Cells.of(~inside if view.known is None else ~inside & view.known)

@@ -130,11 +130,15 @@ def assumptions_of(texts: Sequence[str]) -> list[Assumption]:
     """The assumptions of NAME, or of NAME@MASK for the view of that mask alone; InputError for another name."""
     assumptions = []
     for text in texts:
-        name, _, mask = text.partition("@")
-        if name not in ASSUMPTIONS:
+        name, at, mask = text.partition("@")
+        if name not in ASSUMPTIONS or (at and not mask):
             raise InputError(
                 f"--assume is {text!r}, expected one of {', '.join(ASSUMPTIONS)}, or NAME@MASK for one mask of several"
             )
+        if at and name.startswith("cloud-"):
+            raise InputError(f"--assume is {text!r}, expected {name} alone: the cloud is the same for all masks")
+        if texts.count(text) > 1:
+            raise InputError(f"--assume {text} is given twice, expected once")
         assumptions.append(replace(ASSUMPTIONS[name], option=f"--assume {text}", view=str(Path(mask)) if mask else ""))
     return assumptions
 

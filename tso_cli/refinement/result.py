@@ -130,6 +130,7 @@ def why_unmoved(result: RefineResult) -> str | None:
     """Why no point moved, in words; None where points did."""
     if result.best_step:
         return None
+    doubted = result.verdict == "doubtful" and not result.step_taken
     shows = "the mask shows" if len(result.cameras) == 1 else "the masks show"
     return {
         "max_steps": "no steps were asked for",
@@ -138,7 +139,7 @@ def why_unmoved(result: RefineResult) -> str | None:
         "nothing_to_do": f"the cloud already agrees with all that {shows}",
         "not_improved": f"none of {result.steps} steps agrees better with what {shows} than the start does",
         "doubtful": "the step is doubtful (--accept-doubtful takes it all the same)",
-    }[result.stop_reason]
+    }["doubtful" if doubted else result.stop_reason]
 
 
 def result_warnings(result: RefineResult, views: Sequence[View], steps: int, suspicion: str) -> tuple[str, ...]:
@@ -149,7 +150,8 @@ def result_warnings(result: RefineResult, views: Sequence[View], steps: int, sus
         what = "nothing to do" if result.stop_reason == "nothing_to_do" else "nothing moved"
         messages.append(f"{what}: {reason}; the cloud is as it was")
     elif result.stop_reason == "interrupted":
-        messages.append(f"interrupted at step {result.steps} of {steps}: the result is the best so far")
+        best = "start" if reason else "best so far"
+        messages.append(f"interrupted at step {result.steps} of {steps}: the result is the {best}")
     elif result.stop_reason == "non_finite":
         messages.append(f"the loss was no number after step {result.steps}: the result is the best before that")
     elif not reason and result.moved_max < SMALL_DISPLACEMENT:

@@ -54,7 +54,8 @@ SMOOTHNESS = STAGES[-1].smoothness
 class Verdict:
     """What to think of a result.
 
-    name : "unchanged" where the result is the start; "doubtful" where it may well be worse; "improved"; None if not judged.
+    name : "unchanged" where the result is the start; "doubtful" where it may well be worse, or a mistake in the input is
+        suspected; "improved"; None if not judged.
     confidence : that it is not worse by over 5 %, in [0, 1]; None if not judged. reason : why it is doubtful, else "".
     step : share of it that should be taken.
     """
@@ -70,7 +71,7 @@ class Verdict:
         if not signs:
             return cls("doubtful", None, suspicion) if suspicion else UNJUDGED
         confidence, group = _judged(signs)
-        if confidence < LEAST_CONFIDENCE:
+        if confidence < LEAST_CONFIDENCE or suspicion:
             step = float(np.interp(confidence, SUSPECT_STEP, (0.0, 1.0))) if suspicion else 1.0
             return cls("doubtful", confidence, suspicion or REASONS[group], step)
         return cls("improved", confidence)
