@@ -144,6 +144,13 @@ def test_a_wrong_assumption_about_one_view_is_named_as_it_was_given():
     assert suspect.option == f"without --assume mask-inverted@{views[1].name}"
 
 
+@pytest.mark.parametrize(("name", "named"), [("mask-inverted", True), ("mask-upside-down", False)])
+def test_of_two_views_either_may_be_the_wrong_one_but_a_mask_that_fills_the_border(name, named):
+    views = _around()[:2]
+    agreement = Agreement.of(PLANE.target, [views[0], ASSUMPTIONS[name].of_view(views[1])])
+    assert bool(agreement.of_views) == named
+
+
 def test_two_wrong_views_of_four_are_both_named():
     views = _around()
     for number in (1, 2):

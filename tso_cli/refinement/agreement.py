@@ -108,10 +108,7 @@ def _of_views(outlines: Sequence[_Outline], others: list[_Other], ious: Array, a
         if not rest.any() or np.median(as_given[rest]) < as_given[i] + LEFT_OUT:
             continue
         scores = [
-            # The cloud is the same for all views.
-            0.0
-            if other.option.startswith("--assume cloud-") or ious[k, rest].mean() >= as_given[rest].mean() + SIMILAR
-            else ious[k, i]
+            0.0 if _of_all(other, rest.sum()) or ious[k, rest].mean() >= as_given[rest].mean() + SIMILAR else ious[k, i]
             for k, other in enumerate(others)
         ]
         best = int(np.argmax(scores))
@@ -122,6 +119,11 @@ def _of_views(outlines: Sequence[_Outline], others: list[_Other], ious: Array, a
                 option = other.option if "@" in other.option else f"{other.option} for {name}"
             suspects.append(Suspect(f"for {name} alone {other.what}", option, float(scores[best])))
     return tuple(suspects)
+
+
+def _of_all(other: _Other, rest: int) -> bool:
+    """Whether it cannot be said of one view alone: the cloud is the same for all, and of two views either may be the wrong one."""
+    return other.option.startswith("--assume cloud-") or (rest < 2 and "mask-inverted" not in other.option)
 
 
 def _hidden(points: Array, views: Sequence[View]) -> tuple[Suspect, ...]:
