@@ -122,7 +122,7 @@ def _of_views(outlines: Sequence[_Outline], others: list[_Other], ious: Array, a
 
 
 def _of_all(other: _Other, rest: int) -> bool:
-    """Whether it cannot be said of one view alone: the cloud is the same for all, and of two views either may be the wrong one."""
+    """Whether it cannot be said of one view: the cloud is the same for all, and of two views either may be the wrong one."""
     return other.option.startswith("--assume cloud-") or (rest < 2 and "mask-inverted" not in other.option)
 
 
