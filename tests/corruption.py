@@ -34,35 +34,43 @@ def corruptions(data: bytes, count: int) -> Iterator[bytes]:
 def assert_reads_or_refuses(
     read: Callable[[Path], Any], path: Path, count: int, repair: Callable[[bytes], bytes] | None = None
 ) -> tuple[int, int]:
-    """Damage the good file ``path`` ``count`` times; ``read`` must read it or raise InputError with one line naming it.
+    """Damage the good file ``path`` ``count`` times; ``read`` must keep the promise of `is_read` every time.
 
-    No other exception may leave ``read``, and no warning but a UserWarning of one line. ``repair`` (checksums, say) is
-    applied to every second damaged copy, so that the damage reaches what the checksums protect. Returns how many were read
-    and how many were refused.
+    ``repair`` (checksums, say) is applied to every second damaged copy, so that the damage reaches what the checksums
+    protect. Returns how many were read and how many were refused.
     """
     good = path.read_bytes()
     victim = path.with_name("damaged" + path.suffix)
-    was_read = refused = 0
+    was_read = 0
     for i, data in enumerate(corruptions(good, count)):
         # A new file each time: some file systems wait for the disk when a file is written over.
         victim.unlink(missing_ok=True)
         victim.write_bytes(repair(data) if repair is not None and i % 2 else data)
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            try:
-                read(victim)
-                was_read += 1
-            except InputError as error:
-                refused += 1
-                text = str(error)
-                assert victim.name in text, f"damage {i}: {text!r} does not name the file"
-                assert_one_line(text)
-            except BaseException as error:
-                raise AssertionError(f"damage {i}: {type(error).__name__}: {error}") from error
-        for warning in caught:
-            assert warning.category is UserWarning, f"damage {i}: {warning.category.__name__}: {warning.message}"
-            assert_one_line(str(warning.message))
-    return was_read, refused
+        try:
+            was_read += is_read(read, victim)
+        except BaseException as error:
+            raise AssertionError(f"damage {i}: {type(error).__name__}: {error}") from error
+    return was_read, count - was_read
+
+
+def is_read(read: Callable[[Path], Any], path: Path) -> bool:
+    """Whether ``read`` reads a file; else it raises InputError with one line that names the file.
+
+    No other exception may leave ``read``, and no warning but a UserWarning of one line.
+    """
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            read(path)
+            refusal = ""
+        except InputError as error:
+            refusal = str(error)
+            assert path.name in refusal, f"{refusal!r} does not name the file"
+            assert_one_line(refusal)
+    for warning in caught:
+        assert warning.category is UserWarning, f"{warning.category.__name__}: {warning.message}"
+        assert_one_line(str(warning.message))
+    return not refusal
 
 
 def assert_refused(message: str, read: Callable[..., Any], *arguments: Any, **options: Any) -> None:
@@ -76,6 +84,11 @@ def assert_one_line(text: str) -> None:
     """A message fit for a terminal: printable, short, without a line break."""
     assert text.isprintable(), f"{text!r} is not one printable line"
     assert len(text) < 600, f"{len(text)} characters: {text[:100]!r}..."
+
+
+def full_disk(*_: Any, **__: Any) -> None:
+    """Stands for a function that writes."""
+    raise OSError(28, "No space left on device")
 
 
 def repair_png(data: bytes) -> bytes:

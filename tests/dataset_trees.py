@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
-from scipy import ndimage
 
 from tests.io.test_shapes import binvox_bytes
 from tests.scenes import about
+from tso_cli import View
 from tso_cli.datasets.items import ObjectItem
+from tso_cli.evaluation.footprint import window_iou
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.points import farthest_point_sample, sample_surface
 from tso_cli.io.images import write_image
@@ -53,15 +54,11 @@ def pictured(vertices: np.ndarray, faces: np.ndarray, focal: float, size: tuple[
     return view.image, view.mask
 
 
-def iou(points: np.ndarray, camera: Camera, mask: np.ndarray) -> float:
-    """Of a mask and the pixels where points fall, with the gaps between them closed."""
-    pixels = np.rint(camera.project(points.astype(np.float64))[0])
-    size = np.array([camera.width, camera.height])
-    columns, rows = pixels[((pixels >= 0) & (pixels < size)).all(axis=1)].astype(int).T
-    hit = np.zeros((camera.height, camera.width), dtype=bool)
-    hit[rows, columns] = True
-    covered = ndimage.binary_closing(np.pad(hit, 4), np.ones((3, 3)), iterations=2)[4:-4, 4:-4]
-    return float((covered & (mask > 0.5)).sum() / (covered | (mask > 0.5)).sum())
+def write_cut_out(path: Path, vertices: np.ndarray, focal: float, size: int) -> np.ndarray:
+    """Write a square picture of the object, with its mask as the alpha channel; the mask is also returned."""
+    image, mask = pictured(vertices, lopsided().faces, focal, (size, size))
+    write_image(path, np.dstack([np.where(mask[..., None] > 0, image, 0), mask]))
+    return mask
 
 
 def agreement(item: ObjectItem) -> float:
@@ -72,7 +69,7 @@ def agreement(item: ObjectItem) -> float:
         image, mask = view.load()
         assert image.dtype == np.uint8 and mask.dtype == np.float32
         assert image.shape == (view.camera.height, view.camera.width, 3) == (*mask.shape, 3)
-        values.append(iou(points, view.camera, mask))
+        values.append(window_iou(points.astype(np.float64), View(mask, view.camera)))
     return min(values)
 
 
@@ -94,7 +91,7 @@ def authors_points(points: np.ndarray, azimuth: float, elevation: float) -> np.n
 
 
 def write_shapenet(
-    root: Path, models: tuple[str, ...] = ("abc",), size: int = 64, clouds: str | None = "ShapeNet_pcl", columns: int = 4
+    root: Path, models: tuple[str, ...] = ("abc",), size: int = 64, clouds: str = "ShapeNet_pcl", columns: int = 4
 ) -> Path:
     for model in models:
         folder = root / "ShapeNet_rendered" / CHAIR / model
@@ -102,16 +99,13 @@ def write_shapenet(
         rows = []
         for k, (azimuth, elevation) in enumerate(ANGLES):
             x = authors_points(lopsided().vertices, azimuth, elevation)
-            seen = np.stack([x[:, 1], x[:, 0], -x[:, 2]], axis=1)
-            image, mask = pictured(seen, lopsided().faces, 120.0 * size / 64, (size, size))
-            write_image(folder / f"render_{k}.png", np.dstack([np.where(mask[..., None] > 0, image, 0), mask]))
+            mask = write_cut_out(folder / f"render_{k}.png", x[:, [1, 0, 2]] * [1.0, 1.0, -1.0], 120.0 * size / 64, size)
             depth = np.where(mask > 0, round(2.0 / 10.0 * 65535), 65535).astype(np.uint16)
             Image.fromarray(depth).save(folder / f"depth_{k}.png")
             (folder / f"camera_{k}.mat").write_bytes(b"MATLAB 5.0 MAT-file, never read")
             rows.append(" ".join(map(str, (int(azimuth), int(elevation), 0, 2.0)[:columns])))
         (folder / "view.txt").write_text("\n".join(rows) + "\n")
-    if clouds is not None:
-        write_clouds(root, *models, folder=clouds)
+    write_clouds(root, *models, folder=clouds)
     return root
 
 
@@ -145,10 +139,9 @@ def write_r2n2(
             matrix = carrier @ about("y", 90.0) @ about("z", 90.0)
             place = carrier @ np.array([1.75 * ratio, 0.0, 0.0])
             seen = through_blender_camera(blender_points(lopsided().vertices), matrix, place)
-            image, mask = pictured(seen, lopsided().faces, 35.0 / 32.0 * size, (size, size))
-            write_image(folder / f"{k:02d}.png", np.dstack([np.where(mask[..., None] > 0, image, 0), mask]))
-            rows.append(f"{azimuth} {elevation} {rotation} {ratio} 25")
             names.append(f"{k:02d}.png")
+            write_cut_out(folder / names[-1], seen, 35.0 / 32.0 * size, size)
+            rows.append(f"{azimuth} {elevation} {rotation} {ratio} 25")
         (folder / "rendering_metadata.txt").write_text("\n".join(rows) + "\n")
         if listed:
             (folder / "renderings.txt").write_text("\n".join(names) + "\n")

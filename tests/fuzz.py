@@ -6,11 +6,9 @@ it do anything else is left as crash-*. Without READER the readers are listed.
 
 import sys
 import tempfile
-import warnings
 from pathlib import Path
 
-from tests.corruption import assert_one_line
-from tso_cli.errors import InputError
+from tests.corruption import is_read
 
 READERS = {
     **{f"cloud{suffix}": ("io.clouds:read_cloud", suffix) for suffix in (".ply", ".npy", ".xyz")},
@@ -56,20 +54,6 @@ def state(path):
     load_state(path, {"history": (step, 4)} if isinstance(step, int) else {})
 
 
-def check(read, path):
-    """Read a file, or be refused in one line that names it."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
-            read(path)
-        except InputError as error:
-            assert path.name in str(error), f"{error} does not name the file"
-            assert_one_line(str(error))
-    for warning in caught:
-        assert warning.category is UserWarning, f"{warning.category.__name__}: {warning.message}"
-        assert_one_line(str(warning.message))
-
-
 def main(name, seconds, *corpus):
     """Fuzz one reader."""
     import atheris
@@ -87,7 +71,7 @@ def main(name, seconds, *corpus):
 
     def test(data):
         path.write_bytes(data)
-        check(read, path)
+        is_read(read, path)
 
     limits = ["-timeout=5", "-rss_limit_mb=1024", "-max_len=20000", f"-max_total_time={seconds}"]
     atheris.Setup([sys.argv[0], *limits, *corpus], test)

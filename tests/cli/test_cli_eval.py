@@ -3,11 +3,11 @@ import shutil
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from tests.corruption import assert_refused
 from tests.dataset_trees import lopsided, write_binvox
 from tests.io.test_shapes import SQUARE_OFF, SQUARE_PLY
+from tests.scenes import block
 from tso_cli.evaluation.compare import EvalConfig, evaluate
 from tso_cli.evaluation.footprint import IOU_MEANS
 from tso_cli.evaluation.metrics import chamfer, emd, iou
@@ -16,7 +16,7 @@ from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.points import farthest_point_sample, normalise_longest_side, sample_surface
 from tso_cli.io.cameras import CameraRecord, write_cameras
 from tso_cli.io.clouds import read_cloud, write_cloud
-from tso_cli.io.images import read_mask
+from tso_cli.io.images import read_mask, write_image
 from tso_cli.io.meshes import read_mesh, write_mesh
 from tso_cli.io.shipped import examples_folder
 from tso_cli.losses.silhouette import silhouette_of
@@ -86,8 +86,7 @@ def test_the_table_shows_thousandfold_values_and_names_its_convention(cloud, run
     result = run(a, b)
     value = chamfer(points_of(1), points_of(2)).chamfer
     assert f"{1000 * value:.3f}" in result.out.splitlines()[2].split()
-    assert "Chamfer x1000: squared distances" in result.out
-    assert "seed 0" in result.out
+    assert "Chamfer x1000: squared distances" in result.out and "seed 0" in result.out
     assert result.err == ""
     assert document(a, b) == document("--chamfer", a, b)
 
@@ -293,17 +292,12 @@ def test_options_that_make_no_sense_are_refused(cloud, options, message, refusal
 @pytest.fixture
 def pictured(cloud, tmp_path):
     """A folder with a dense cloud in the left half of the picture, as `cloud.ply`, and its mask and camera."""
-    across = np.linspace(-0.25, 0.25, 40)
-    x, y = np.meshgrid(across, across)
-    points = np.stack([x.ravel() - 0.25, y.ravel(), 0 * x.ravel()], 1)
+    points = np.stack(np.meshgrid(np.linspace(-0.5, 0.0, 40), np.linspace(-0.25, 0.25, 40), 0.0), -1).reshape(-1, 3)
     write_cloud(tmp_path / "cloud.ply", points)
-    camera = Camera.canonical(32, 32)
-    mask = np.zeros((32, 32), np.uint8)
-    pixel = np.rint(camera.project(points)[0]).astype(int)
-    mask[pixel[:, 1], pixel[:, 0]] = 255
-    Image.fromarray(mask).save(tmp_path / "mask.png")
-    Image.fromarray(255 - mask).save(tmp_path / "inverse.png")
-    write_cameras(tmp_path / "camera.json", [CameraRecord(camera)])
+    mask = block(np.s_[8:24, 1:16], (32, 32)) > 0.5
+    write_image(tmp_path / "mask.png", mask)
+    write_image(tmp_path / "inverse.png", ~mask)
+    write_cameras(tmp_path / "camera.json", [CameraRecord(Camera.canonical(32, 32))])
     return tmp_path
 
 
@@ -337,11 +331,11 @@ def test_iou_is_the_mean_over_the_views_of_a_camera_file(pictured, document):
 def test_masks_and_cameras_of_a_folder_are_found_by_name(pictured, tmp_path, document, refusal):
     for folder in ("clouds", "masks", "cameras"):
         (tmp_path / folder).mkdir()
-    for name, mask in (("one", "mask.png"), ("two", "inverse.png")):
-        shutil.copy(pictured / "cloud.ply", tmp_path / "clouds" / f"{name}.ply")
-        shutil.copy(pictured / mask, tmp_path / "masks" / f"{name}.png")
-        shutil.copy(pictured / "camera.json", tmp_path / "cameras" / f"{name}.camera.json")
     clouds, masks, cameras = tmp_path / "clouds", tmp_path / "masks", tmp_path / "cameras"
+    for name, mask in (("one", "mask.png"), ("two", "inverse.png")):
+        shutil.copy(pictured / "cloud.ply", clouds / f"{name}.ply")
+        shutil.copy(pictured / mask, masks / f"{name}.png")
+        shutil.copy(pictured / "camera.json", cameras / f"{name}.camera.json")
     found = document(clouds, clouds, "--iou", "--mask", masks, "--camera", cameras)
     assert found["pairs"][0]["iou"] > 0.85 > 0.15 > found["pairs"][1]["iou"]
     assert found == document(clouds, clouds, "--iou", "--mask", masks, "--camera", pictured / "camera.json")

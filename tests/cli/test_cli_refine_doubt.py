@@ -1,12 +1,14 @@
 """What `tso refine` says of input that looks wrong, and of results that are likely worse."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from tso_cli.io.clouds import read_cloud
+from tso_cli.io.cameras import CameraRecord, read_camera, write_cameras
+from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.refinement.assumptions import ASSUMPTIONS
 
 POINTS = ("initial.ply", "mask.png")
@@ -22,12 +24,9 @@ def inverted(folder):
 @pytest.fixture
 def to_world(folder):
     """The chair's camera, given as a pose."""
-    with open("camera.json") as file:
-        camera = json.load(file)
-    R, t = np.array(camera["R"]), np.array(camera["t"])
-    camera |= {"R": R.T.tolist(), "t": (-R.T @ t).tolist()}
-    with open("camera.json", "w") as file:
-        json.dump(camera, file)
+    camera = read_camera("camera.json", 256, 256)
+    pose = replace(camera, R=camera.R.T, t=camera.position)
+    write_cameras("camera.json", [CameraRecord(pose)], overwrite=True)
 
 
 def test_the_json_of_a_result_and_of_a_check_hold_the_same_judgement(folder, refine):
@@ -42,7 +41,9 @@ def test_an_inverted_mask_is_told_with_the_option_that_mends_it(inverted, refine
     run = refine(*POINTS)
     assert (run.code, run.err.count("\n")) == (0, 1)
     assert "is doubtful" in run.err and "the mask is inverted: try --assume mask-inverted" in run.err
-    assert "(doubtful, confidence" in run.out
+    assert "(doubtful, confidence" in run.out and "nothing: the step is doubtful (--accept-doubtful" in run.out
+    assert (read_cloud("initial.refined.ply").points == read_cloud("initial.ply").points).all()
+    assert refine(*POINTS, "--accept-doubtful", "-o", "all.ply", "--json").document["step_taken"] == 1.0
     document = refine(*POINTS, "--check", "--json").document
     (suspect, *_) = document["suspects"]
     assert (document["verdict"], document["confidence"]) == ("doubtful", None)
@@ -66,19 +67,38 @@ def test_a_pose_is_refused_with_what_it_looks_like_and_taken_under_that_assumpti
 
 
 def test_a_cloud_in_other_axes_is_refined_as_meant_and_written_in_its_own(folder, refine):
-    from tso_cli.io.clouds import write_cloud
-
     write_cloud("up.ply", read_cloud("initial.ply").points[:, [0, 2, 1]] * [1.0, -1.0, 1.0])
-    assert refine(*POINTS, "-o", "right.ply").code == 0
-    assert refine("up.ply", "mask.png", "--assume", "cloud-z-up", "-o", "turned.ply").code == 0
+    up = ("up.ply", "mask.png", "--assume", "cloud-z-up", "-o")
+    given, document = (refine(*words, "--json").document for words in ((*POINTS, "-o", "right.ply"), (*up, "turned.ply")))
     right, turned = (read_cloud(name).points for name in ("right.ply", "turned.ply"))
     np.testing.assert_allclose(turned[:, [0, 2, 1]] * [1.0, 1.0, -1.0], right, atol=1e-4)
-    document = refine("up.ply", "mask.png", "--assume", "cloud-z-up", "-o", "again.ply", "--json").document
-    plane = np.array(refine(*POINTS, "-o", "plane.ply", "--json").document["symmetry"])[[0, 2, 1]] * [1.0, -1.0, 1.0]
+    plane = np.array(given["symmetry"])[[0, 2, 1]] * [1.0, -1.0, 1.0]
     assert abs(plane @ document["symmetry"][:3]) == pytest.approx(1.0, abs=1e-9) and document["assume"] == ["cloud-z-up"]
-    for option in (("--write-camera", "camera2.json"), ("--symmetry", "x")):
-        run = refine("up.ply", "mask.png", "--assume", "cloud-z-up", "-o", "never.ply", *option)
-        assert run.code == 2 and option[0] in run.err
+    # A camera of the cloud as it is, and planes of its own axes: its x is the scene's.
+    refine("up.ply", "mask.png", "--assume", "cloud-z-up", "-o", "x.ply", "--symmetry", "x", "--write-camera", "up.json")
+    assert refine("up.ply", "mask.png", "--camera", "up.json", "-o", "up-again.ply").code == 0
+    np.testing.assert_allclose(read_cloud("up-again.ply").points, turned, atol=1e-4)
+
+
+def test_no_camera_is_written_of_a_cloud_with_left_handed_axes(folder, refine, tmp_path):
+    write_cloud("left.ply", read_cloud("initial.ply").points[:, [1, 0, 2]])
+    assume = ("--assume", "cloud-xy-swapped")
+    run = refine("left.ply", "mask.png", *assume, "--write-camera", "left.json")
+    assert run.code == 2 and "left-handed" in run.err and run.err.count("\n") == 1 and not (tmp_path / "left.json").exists()
+    document = refine("left.ply", "mask.png", *assume, "--json").document
+    assert document["iou_after"] > document["iou_before"] and "mirrored" in document["camera"]["source"]
+
+
+@pytest.mark.parametrize("option", [("--invert-mask",), ("--assume", "mask-inverted"), ("--assume", "cloud-z-up")])
+def test_what_is_given_is_never_advised_again(folder, refine, option):
+    (suspect, *_) = suspects = refine(*POINTS, *option, "--check", "--json").document["suspects"]
+    assert suspect["option"] == f"without {' '.join(option)}" and suspect["what"] == f"{' '.join(option)} is wrong"
+    assert all(suspect["option"].startswith("without") for suspect in suspects)
+
+
+def test_an_assumption_about_a_mask_that_is_not_there_is_refused(folder, refine):
+    run = refine(*POINTS, "--assume", "mask-flipped@other.png")
+    assert run.code == 2 and "--assume mask-flipped@other.png: there is no such mask, expected one of mask.png" in run.err
 
 
 def test_an_unknown_assumption_lists_all(folder, refine):
@@ -89,11 +109,9 @@ def test_an_unknown_assumption_lists_all(folder, refine):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--camera", "fit", "--assume", "opengl"), "--camera fit finds the camera by itself"),
-        (("--mode", "encoder", "--assume", "mask-inverted"), "--assume is for --mode points"),
+        ("initial.ply mask.png --camera fit --assume opengl", "--camera fit finds the camera by itself"),
+        ("image.png mask.png --mode encoder --assume mask-inverted", "--assume is for --mode points"),
     ],
 )
 def test_assumptions_that_have_no_place_are_refused(folder, refine, arguments, message):
-    source = "image.png" if "encoder" in arguments else "initial.ply"
-    run = refine(source, "mask.png", *arguments)
-    assert run.code == 2 and message in run.err
+    assert message in refine(*arguments.split()).refusal

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from scipy.ndimage import minimum_filter
 
 from tests.painted import MASK, photo, sheet
 from tso_cli.io.clouds import read_cloud
@@ -13,12 +14,10 @@ from tso_cli.io.clouds import read_cloud
 def depth_map(folder, chair):
     """depth.png: depths of the target's nearest points, each drawn 9 px wide; 0 where there is none."""
     _, mask, camera, target = chair
-    (columns, rows), depth = (part.T for part in camera.project(target))
+    pixels, depth = camera.project(target)
     nearest = np.full(mask.shape, np.inf)
-    for by_row, by_column in np.ndindex(9, 9):
-        row, column = rows.round().astype(int) + by_row - 4, columns.round().astype(int) + by_column - 4
-        inside = (row >= 0) & (row < camera.height) & (column >= 0) & (column < camera.width)
-        np.minimum.at(nearest, (row[inside], column[inside]), depth[inside])
+    np.minimum.at(nearest, tuple(pixels.round().astype(int).T[::-1]), depth)
+    nearest = minimum_filter(nearest, 9)
     depth = np.where(np.isfinite(nearest) & (mask > 0.5), nearest, 0.0)
     Image.fromarray((1e4 * depth).round().astype(np.uint16)).save("depth.png")
 

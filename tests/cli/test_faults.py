@@ -1,6 +1,7 @@
 """Whatever goes wrong around a command, it says so in one line, and no file is lost, half written or left over."""
 
 import errno
+import json
 import os
 import re
 import shutil
@@ -19,7 +20,7 @@ from tests.lab.test_study import run_toys
 from tso_cli.errors import InputError
 from tso_cli.io import output, reading
 from tso_cli.io.images import read_depth, read_mask
-from tso_cli.io.output import atomic_output, lock
+from tso_cli.io.output import atomic_output, lock, sole_writer
 from tso_cli.lab.study import Progress
 from tso_cli.refinement.objective import SilhouetteObjective
 
@@ -175,11 +176,70 @@ def test_a_damaged_record_is_not_gone_on_from(cases):
         assert re.match(r"the record to go on from is damaged \(.*\), expected", str(error))
 
 
-def test_a_damaged_fingerprint_is_refused(tso, tmp_path, monkeypatch):
+WHOLE = json.loads((ROOT / "docs" / "records" / "pose.json").read_text())
+
+
+@pytest.mark.parametrize(
+    ("damage", "found"),
+    [
+        ({"fingerprint": 3}, "fingerprint is 3, expected an object"),
+        ({"fingerprint": {"camera fit": [1]}}, "the fingerprint of 'camera fit' is [1], expected an object"),
+        ({"fingerprint": {"camera fit": {"IoU": "x"}}}, "the fingerprint of 'camera fit', 'IoU' is 'x', expected a number"),
+        ({"settings": None}, "settings is None, expected an object"),
+        ({"cases": "none"}, "cases is 'none', expected a list"),
+        ({"cases": [{}, 1]}, "cases[1] is 1, expected an object"),
+        ({"claims": [None]}, "claims[0] is None, expected an object"),
+    ],
+    ids=str,
+)
+def test_a_damaged_record_is_refused_by_its_name_and_what_it_holds(tso, tmp_path, damage, found):
     path = tmp_path / "record.json"
-    path.write_text('{"study": "pose", "settings": {}, "cases": [], "fingerprint": 3}')
-    words = ("lab", "pose", "--meshes", tmp_path, "--resume", "-o", path)
-    assert "record.json: its fingerprint is damaged" in tso(*words).refusal
+    path.write_text(json.dumps({**WHOLE, **damage}))
+    resume = ("lab", "pose", "--meshes", ROOT / "examples" / "meshes", "--resume", "-o", path)
+    for words in (resume, ("lab", "page", path), ("lab", "fingerprint", path)):
+        assert tso(*words).refusal == f"tso: error: {path}: {found} as it was kept"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("cases", "found"),
+    [([{}], "'cloud' is missing"), ([{**WHOLE["cases"][0], "degrees": "seven"}], r".*")],
+    ids=["no cloud", "a word"],
+)
+def test_cases_that_cannot_be_shown_are_refused_and_no_page_is_written(tso, tmp_path, cases, found):
+    path = tmp_path / "record.json"
+    path.write_text(json.dumps({**WHOLE, "cases": cases}))
+    message = rf"{re.escape(str(path))}: the record is damaged \({found}\), expected the cases as kept"
+    assert re.search(message, tso("lab", "page", path).refusal)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_record_that_cannot_be_gone_on_from_is_named(tso, tmp_path):
+    path = tmp_path / "record.json"
+    path.write_text(json.dumps({"study": "stability", "settings": {"quick": False}, "cases": [], "fingerprint": {"x": {}}}))
+    words = ("bench", "stability", "--quick", "--resume", "-o", path)
+    assert f"{path}: the record to go on from has " in tso(*words).refusal
+
+
+HOLD = (
+    "import os, sys\nfrom pathlib import Path\nfrom tso_cli.io.output import sole_writer\n"
+    "with sole_writer(Path(sys.argv[1])):\n    os.fork() or sys.exit(sys.stdin.read())\n    print(flush=True)\n    os.wait()"
+)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no forks, and no locks, here")
+def test_a_record_that_another_process_writes_is_refused_until_that_ends_or_is_killed(tso, tmp_path):
+    path = tmp_path / "record.json"
+    other = started(path, program=HOLD, stdin=subprocess.PIPE)
+    other.stdout.readline()
+    for words in (("speed",), ("speed", "--overwrite"), ("stability", "--quick", "--resume")):
+        assert f"{path}: another process is writing it" in tso("bench", *words, "-o", path).refusal
+    other.kill()
+    other.wait()  # what it forked lives on
+    with sole_writer(path):
+        pass
+    assert list(tmp_path.iterdir()) == []
+    other.stdin.close()
 
 
 @pytest.mark.parametrize("size", [2, 3, 4, 6, 8, 10])

@@ -47,9 +47,18 @@ def test_the_help_of_a_command_imports_no_torch(tmp_path):
     assert not _imported(tmp_path, *(f"{command} --help" for command in commands)) & set(HEAVY)
 
 
-def test_without_torch_a_command_that_needs_it_says_so_in_one_line(tmp_path):
-    for line in (f"refine {CHAIR / 'image.png'} {CHAIR / 'mask.png'} --mode encoder", "train shapes -o net.safetensors"):
-        code = f"import sys; sys.modules['torch'] = None\nfrom tso_cli.cli import main\nmain({line.split()!r})"
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
-        expected = "tso: error: networks need torch, which is not installed: pip install torch\n"
-        assert (done.returncode, done.stderr) == (1, expected)
+NO_TORCH = "tso: error: networks need torch, which is not installed: pip install torch\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "error"),
+    [
+        (f"refine {CHAIR / 'image.png'} {CHAIR / 'mask.png'} --mode encoder", 1, NO_TORCH),
+        ("train shapes -o net.safetensors", 1, NO_TORCH),
+        ("refine no.ply no.png", 2, "tso: error: no.ply: does not exist, expected a point cloud\n"),
+    ],
+)
+def test_without_torch_an_error_is_one_line_and_a_command_that_needs_it_says_so(tmp_path, line, code, error):
+    script = f"import sys; sys.modules['torch'] = None\nfrom tso_cli.cli import main\nmain({line.split()!r})"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (code, error)

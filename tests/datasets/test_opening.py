@@ -35,11 +35,6 @@ def test_every_layout_is_recognised(tmp_path, make, inside, name):
     assert data.select([name], "split.json").objects[0].name == name
 
 
-def test_the_folder_above_the_renders_of_3d_r2n2_will_do(tmp_path):
-    write_r2n2(tmp_path / "ShapeNetRendering")
-    assert len(open_dataset(tmp_path).objects) == len(open_dataset(tmp_path / "ShapeNetRendering").objects) == 1
-
-
 def test_an_unknown_layout_is_one_line_that_names_those_known(tmp_path):
     (tmp_path / "a/b").mkdir(parents=True)
     for path, message in ((tmp_path, "has no layout known here"), (tmp_path / "none", "does not exist")):

@@ -23,7 +23,7 @@ def test_the_cloud_seen_by_the_cameras_covers_the_masks(tmp_path, rotation):
     trees.write_clouds(tmp_path, "abc")
     (item,) = open_r2n2(root).objects
     assert (item.name, item.category, len(item.views)) == (f"{trees.CHAIR}/abc", "chair", 3)
-    assert trees.agreement(item) > 0.75
+    assert trees.agreement(item) > 0.85
     assert trees.agreement_of_surface(item, trees.lopsided()) > 0.98
 
 
@@ -32,7 +32,7 @@ def test_voxels_are_a_target_in_the_frame_of_the_cameras(tmp_path, in_the_middle
     trees.write_r2n2(tmp_path / "ShapeNetRendering")
     trees.write_binvox(tmp_path / "ShapeNetVox32" / trees.CHAIR / "abc" / "model.binvox", in_the_middle)
     (item,) = open_r2n2(tmp_path).objects
-    assert trees.agreement(item) > 0.7
+    assert trees.agreement(item) > 0.8
     points = item.target()
     assert points.shape == (1024, 3)
     np.testing.assert_array_equal(points, item.target())
@@ -68,12 +68,11 @@ def test_the_mask_is_the_alpha_channel_soft_edges_and_all(root):
 
 def test_lines_of_the_table_belong_to_the_listed_names_else_to_the_numbers(tmp_path):
     root = trees.write_r2n2(tmp_path, listed=False)
-    by_number = {view.name[-6:]: view.camera for view in open_r2n2(root).objects[0].views}
-    (pictures(root) / "renderings.txt").write_text("02.png\n00.png\n01.png\n")
-    by_list = {view.name[-6:]: view.camera for view in open_r2n2(root).objects[0].views}
-    for line, (number, name) in enumerate(zip(("00.png", "01.png", "02.png"), ("02.png", "00.png", "01.png"), strict=True)):
-        np.testing.assert_allclose(by_number[number].R, r2n2_camera(*trees.ANGLES[line], 1.0, (64, 64)).R)
-        np.testing.assert_array_equal(by_number[number].R, by_list[name].R)
+    for names in (["00.png", "01.png", "02.png"], ["02.png", "00.png", "01.png"]):
+        cameras = {view.name[-6:]: view.camera for view in open_r2n2(root).objects[0].views}
+        for name, angles in zip(names, trees.ANGLES, strict=True):
+            np.testing.assert_allclose(cameras[name].R, r2n2_camera(*angles, 1.0, (64, 64)).R)
+        (pictures(root) / "renderings.txt").write_text("02.png\n00.png\n01.png\n")
 
 
 def test_the_focal_length_is_35_of_a_sensor_of_32_whatever_the_field_of_view_says():

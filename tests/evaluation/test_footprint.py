@@ -14,7 +14,7 @@ from tso_cli.evaluation.footprint import RIM, common_window, footprint, in_windo
 from tso_cli.geometry.resampling import area_resize
 from tso_cli.geometry.window import window_of
 from tso_cli.io.meshes import read_mesh
-from tso_cli.refinement.run import view_ious
+from tso_cli.refinement.judge import view_ious
 from tso_cli.render import RayScene, RenderSettings, fitting_distance, ground_truth, look_at, normalise, render_view
 
 NAMES = ("chair", "car", "airplane")
@@ -24,12 +24,19 @@ FLAT = Camera(np.diag([100.0, 100.0, 1.0]), np.eye(3), np.zeros(3), 100, 100, "o
 
 def _example(name):
     """The true cloud and the view of an example."""
-    return example(name).target, example(name).view
+    scene = example(name)
+    return scene.target, scene.view
 
 
 def _resized(view, size):
     cover, _ = area_resize(view.mask, (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5), size, size)
     return View(np.float32(cover > 0.5), view.camera.resized(size, size))
+
+
+def _straight(focal, column, row, width, height):
+    """A camera at the origin; x to the right, y down."""
+    K = np.array([[focal, 0.0, column], [0.0, focal, row], [0.0, 0.0, 1.0]])
+    return Camera(K, np.eye(3), np.zeros(3), width, height)
 
 
 def _plate(step=0.02, last=0.88):
@@ -116,14 +123,13 @@ def test_a_hole_wider_than_two_spacings_stays_open_and_the_gaps_between_points_a
 def test_strays_lower_the_score_and_fill_nothing():
     rng = np.random.default_rng(0)
     points, view = _example("chair")
-    low, high = points.min(0), points.max(0)
-    score = window_iou(points, view)
-    assert window_iou(np.concatenate([points, rng.uniform(low, high, (50, 3))]), view) < score - 0.01
+    strays = rng.uniform(points.min(0), points.max(0), (50, 3))
+    assert window_iou(np.concatenate([points, strays]), view) < window_iou(points, view) - 0.01
+    assert window_iou(strays[:20], view) < 0.3
     upper = points[:, 1] > 0.0
     half = window_iou(points[upper], view)
     assert half < 0.82
     assert window_iou(np.concatenate([points[upper], points[~upper][::12]]), view) < half + 0.02
-    assert window_iou(rng.uniform(low, high, (20, 3)), view) < 0.3
 
 
 def test_what_the_mask_does_not_know_says_nothing():
@@ -143,9 +149,8 @@ def test_points_beyond_the_border_close_gaps_within():
 
 
 def test_points_at_the_camera_take_no_part():
-    points = _plate() + [-0.5, -0.5, 2.0]
-    camera = Camera(np.array([[200.0, 0.0, 59.5], [0.0, 200.0, 59.5], [0.0, 0.0, 1.0]]), np.eye(3), np.zeros(3), 300, 120)
-    close = np.array([[1e-3, 0.0, 1e-3]])
+    points, close = _plate() + [-0.5, -0.5, 2.0], np.array([[1e-3, 0.0, 1e-3]])
+    camera = _straight(200.0, 59.5, 59.5, 300, 120)
     np.testing.assert_allclose(camera.project(close)[0], [[259.5, 59.5]])
     np.testing.assert_array_equal(footprint(np.concatenate([points, close]), camera), footprint(points, camera))
 
@@ -182,12 +187,11 @@ def test_the_disc_is_as_wide_as_the_spacing_is_seen_at_its_depth():
     near, far = _plate() - [0.78, 0.49, -1.0], _plate(last=1.3) + [0.4, -0.7, 3.0]
     middle = np.array([1.1, 0.0, 3.0])
     far = far[(np.abs(far - middle) > 0.05).any(1)]
-    camera = Camera(np.array([[300.0, 0.0, 214.5], [0.0, 300.0, 129.5], [0.0, 0.0, 1.0]]), np.eye(3), np.zeros(3), 400, 260)
-    found = footprint(np.concatenate([near, far]), camera)
+    found = footprint(np.concatenate([near, far]), _straight(300.0, 214.5, 129.5, 400, 260))
     assert found[20:240, 20:240].all()
-    row, column = 129, 324
-    assert not found[row - 2 : row + 3, column - 2 : column + 3].any()
-    assert found[row - 50 : row - 10, column - 50 : column + 50].all()
+    # Around the pixel of that middle, 324 and 129.
+    assert not found[127:132, 322:327].any()
+    assert found[79:119, 274:374].all()
 
 
 @pytest.mark.parametrize("count", [300, 30_000])
@@ -202,31 +206,29 @@ def test_the_spacing_is_that_of_the_points_on_their_surface_and_random_points_ne
 
 def test_scans_far_from_the_origin_and_very_large_or_small_units_change_nothing():
     points, view = _example("car")
+    score = pytest.approx(window_iou(points, view), abs=1e-3)
     for unit, shift in ((1.0, [4e6, -3e6, 5e6]), (1e-30, np.zeros(3)), (1e30, np.zeros(3))):
         camera = replace(view.camera, t=unit * view.camera.t - view.camera.R @ shift)
-        assert window_iou(unit * points + shift, replace(view, camera=camera)) == pytest.approx(
-            window_iou(points, view), abs=1e-3
-        )
+        assert window_iou(unit * points + shift, replace(view, camera=camera)) == score
+
+
+DEGENERATE = {
+    "one point": [[0.0, 0.0, 0.0]],
+    "equal points": [[0.1, 0.1, 0.1]] * 50,
+    "points behind the camera": [[0.1, 0.1, 2.5], [0.2, 0.0, 3.0], [0.0, 0.0, 4.0]],
+    "a point at the camera": [[0.1, 0.1, 2.0], [0.0, 0.0, 0.0]],
+    "points far outside": [[0.0, 0.0, 0.0], [1e12, 0.0, 0.0], [0.0, 1e12, 0.0]],
+}
 
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("model", ["perspective", "orthographic"])
-@pytest.mark.parametrize(
-    "points",
-    [
-        [[0.0, 0.0, 0.0]],
-        [[0.1, 0.1, 0.1]] * 50,
-        [[0.1, 0.1, 2.5], [0.2, 0.0, 3.0], [0.0, 0.0, 4.0]],
-        [[0.1, 0.1, 2.0], [0.0, 0.0, 0.0]],
-        [[0.0, 0.0, 0.0], [1e12, 0.0, 0.0], [0.0, 1e12, 0.0]],
-    ],
-    ids=["one", "equal", "behind", "at the camera", "far outside"],
-)
-def test_degenerate_clouds_get_a_number_and_no_warning(points, model):
+@pytest.mark.parametrize("cloud", DEGENERATE)
+def test_degenerate_clouds_get_a_number_and_no_warning(cloud, model):
     camera = replace(Camera.canonical(60, 40), model=model)
     if model == "orthographic":
-        camera = replace(camera, K=np.array([[40.0, 0.0, 29.5], [0.0, 40.0, 19.5], [0.0, 0.0, 1.0]]))
-    assert 0.0 <= window_iou(np.array(points), View(block(np.s_[5:30, 20:50], (40, 60)), camera)) < 0.1
+        camera = replace(camera, K=_straight(40.0, 29.5, 19.5, 60, 40).K)
+    assert 0.0 <= window_iou(np.array(DEGENERATE[cloud]), View(block(np.s_[5:30, 20:50], (40, 60)), camera)) < 0.1
 
 
 def test_a_window_whose_cells_miss_all_that_is_known_scores_0():

@@ -80,13 +80,10 @@ def test_emd_is_the_best_of_all_permutations(count, seed, squared, coarse):
     assert emd(a, b, squared) == pytest.approx(best, abs=1e-12)
 
 
-def test_emd_bounds_chamfer_from_above_and_measures_a_translation():
-    a, b = np.random.default_rng(5).normal(size=(2, 60, 3))
-    result = chamfer(a, b)
-    assert emd(a, b, squared=True) >= max(result.forward, result.backward)
-    assert emd(a, b) == pytest.approx(emd(b, a))
+def test_emd_measures_a_translation():
+    points = np.random.default_rng(5).normal(size=(60, 3))
     for squared, length in ((False, 0.5), (True, 0.25)):
-        assert emd(a, a + np.array([0.0, 0.3, 0.4]), squared) == pytest.approx(length)
+        assert emd(points, points + [0.0, 0.3, 0.4], squared) == pytest.approx(length)
 
 
 def test_emd_refuses_clouds_of_different_or_excessive_size_with_advice(monkeypatch):

@@ -3,7 +3,6 @@
 import os
 import re
 import struct
-import warnings
 
 import numpy as np
 import pytest
@@ -140,12 +139,11 @@ def test_numbers_that_signal_are_not_finite_like_any_other(save):
     assert_refused("1 of 2 points have a coordinate that is not finite", read_cloud, path)
 
 
+@pytest.mark.filterwarnings("error")
 def test_text_is_written_in_the_digits_of_its_type_or_in_as_many_as_it_has(save, tmp_path):
-    head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty double z\nend_header\n"
+    head = HEAD.format(2).replace("float z", "double z")
     cloud = read_cloud(save("a.ply", head + "0.5 1 2\n0.25 1.50 3"))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        write_cloud(tmp_path / "b.ply", cloud.points + np.array([0.1, 0, 0.1]), like=cloud)
+    write_cloud(tmp_path / "b.ply", cloud.points + [0.1, 0, 0.1], like=cloud)
     assert (tmp_path / "b.ply").read_text() == head + "0.6 1 2.1\n0.35 1.50 3.1"
     cloud = read_cloud(save("scan.ply", head + "4000000.123456 1 2\n4000001.123456 1 2\n"))
     moved = cloud.points + np.array([0.000001, 0, 0])
@@ -154,16 +152,14 @@ def test_text_is_written_in_the_digits_of_its_type_or_in_as_many_as_it_has(save,
     assert np.array_equal(read_cloud(tmp_path / "c.ply").points, moved)
 
 
+@pytest.mark.filterwarnings("error")
 def test_old_normals_stay_with_a_warning(save, tmp_path):
-    names = ("x", "y", "z", "nx", "ny", "nz")
-    head = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {name}\n" for name in names)
-    cloud = read_cloud(save("n.ply", head + "end_header\n0 0 0 0 0 1\n1 1 1 0 1 0\n"))
+    head = HEAD.format(2).replace("end_header", XYZ.replace("float ", "float n") + "end_header")
+    cloud = read_cloud(save("n.ply", head + "0 0 0 0 0 1\n1 1 1 0 1 0\n"))
     with pytest.warns(UserWarning, match=r"b\.ply: the normals are those of .*n\.ply"):
         write_cloud(tmp_path / "b.ply", cloud.points + 1.0, like=cloud)
     assert b" 0 0 1\n" in (tmp_path / "b.ply").read_bytes()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        write_cloud(tmp_path / "c.ply", cloud.points, like=cloud)
+    write_cloud(tmp_path / "c.ply", cloud.points, like=cloud)
 
 
 def test_a_new_cloud_is_written_in_the_precision_of_its_source_or_as_asked(save, tmp_path):
@@ -193,8 +189,8 @@ def test_arrays_and_tables_are_clouds_too(save, tmp_path):
         assert np.array_equal(read_cloud(save("six.xyz", "1 2 3 255 0 0\n4 5 6 255 0 0\n")).points, [[1, 2, 3], [4, 5, 6]])
 
 
-HEAD = "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
 XYZ = "property float x\nproperty float y\nproperty float z\n"
+HEAD = f"ply\nformat ascii 1.0\nelement vertex {{}}\n{XYZ}end_header\n"
 BAD_PLY = {
     "empty": ("", "is empty"),
     "not a ply": ("solid cube\nfacet", "not a PLY file"),
@@ -214,7 +210,6 @@ BAD_PLY = {
     "one point": (HEAD.format(1) + "0 0 0\n", "1 point, expected at least 2"),
     "cut line": (HEAD.format(2) + "0 0 0\n1 1", "line 9 has 2 values, expected 3"),
     "too many": (HEAD.format(2) + "0 0 0\n1 1 1\n2 2 2\n", "has 3 lines of data, the header accounts for 2"),
-    "huge count": (HEAD.format(10**18) + "0 0 0\n1 1 1\n", "ends after 2 of 1000000000000000000"),
     "impossible count": (HEAD.format(10**30) + "0 0 0\n1 1 1\n", "expected a name and a count"),
     "words": (HEAD.format(2) + "0 0 0\n1 one 1\n", "line 9 has 'one', expected a number"),
     "not finite": (HEAD.format(4) + "0 0 0\n1 1 1\n1 nan 1\n2 inf 2\n", "2 of 4 points .*not finite.* point 2 "),
@@ -251,18 +246,20 @@ def test_a_count_that_lies_allocates_nothing(save, form):
 def test_files_that_cannot_be_opened_are_refused(save, tmp_path):
     (tmp_path / "folder.ply").mkdir()
     os.mkfifo(tmp_path / "pipe.ply")
-    for path, message in {
-        tmp_path / "none.ply": r"none\.ply: does not exist",
-        tmp_path / "folder.ply": r"folder\.ply: is a folder",
-        tmp_path: "is a folder",
-        save("file", b"x") / "a.ply": "does not exist",
-        save("cloud.las", b"x"): r"'\.las' .*expected \.ply, \.npy, \.xyz, \.txt",
-        tmp_path / ("a" * 3000 + ".ply"): "cannot be read",
-        tmp_path / "nul\0.ply": "cannot be read",
-        tmp_path / "pipe.ply": "not a regular file",
+    save("file", b"x")
+    save("cloud.las", b"x")
+    for name, message in {
+        "none.ply": r"none\.ply: does not exist",
+        "folder.ply": r"folder\.ply: is a folder",
+        "": "is a folder",
+        "file/a.ply": "does not exist",
+        "cloud.las": r"'\.las' .*expected \.ply, \.npy, \.xyz, \.txt",
+        "a" * 3000 + ".ply": "cannot be read",
+        "nul\0.ply": "cannot be read",
+        "pipe.ply": "not a regular file",
     }.items():
         with pytest.raises(InputError, match=message):
-            read_cloud(path)
+            read_cloud(tmp_path / name)
 
 
 def npy(kind, shape, size):
@@ -305,9 +302,7 @@ def test_nothing_is_written_for_points_that_cannot_be(save, tmp_path):
         with pytest.raises(error, match=message):
             write_cloud(tmp_path / "b.ply", points, like=cloud)
     assert_refused(r"expected \.ply", write_cloud, tmp_path / "b.xyz", POINTS)
-    assert_refused("exists already", write_cloud, tmp_path / "a.ply", POINTS, like=cloud)
     assert [p.name for p in tmp_path.iterdir()] == ["a.ply"]
-    write_cloud(tmp_path / "a.ply", POINTS, like=cloud, overwrite=True)
 
 
 DAMAGED = {

@@ -5,6 +5,7 @@ import struct
 
 import numpy as np
 import pytest
+from trimesh import Trimesh, triangles
 
 from tests.corruption import assert_reads_or_refuses, assert_refused
 from tso_cli.io.meshes import SUFFIXES, Mesh, find_meshes, read_mesh, write_mesh
@@ -33,9 +34,7 @@ def tetrahedron(path):
         triangles = b"".join(struct.pack("<12fH", 0, 0, 0, *VERTICES[f].ravel(), 0) for f in FACES)
         path.write_bytes(bytes(80) + struct.pack("<I", len(FACES)) + triangles)
     elif path.suffix == ".glb":
-        import trimesh
-
-        trimesh.Trimesh(VERTICES, FACES, process=False).export(path)
+        Trimesh(VERTICES, FACES, process=False).export(path)
     else:
         write_mesh(path, Mesh(VERTICES, FACES))
     return path
@@ -50,12 +49,9 @@ def test_every_format_gives_the_same_triangles(tmp_path, suffix):
 
 
 def test_a_quadrilateral_becomes_two_triangles(tmp_path):
-    path = tmp_path / "a.obj"
-    path.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
-    mesh = read_mesh(path)
-    corners = mesh.vertices[mesh.faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
-    assert len(mesh.faces) == 2 and area == pytest.approx(1.0)
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
+    mesh = read_mesh(tmp_path / "a.obj")
+    assert len(mesh.faces) == 2 and triangles.area(mesh.vertices[mesh.faces]).sum() == pytest.approx(1.0)
 
 
 def test_materials_colour_their_own_faces_and_parts_stay_in_place(tmp_path):
@@ -69,12 +65,10 @@ def test_materials_colour_their_own_faces_and_parts_stay_in_place(tmp_path):
 
 def test_vertex_colours_are_averaged_over_a_face(tmp_path):
     path = tmp_path / "a.ply"
-    header = ply(counts="3 1").split("end_header")[0]
     colours = "".join(f"property uchar {c}\n" for c in ("red", "green", "blue"))
-    header = header.replace("property float z\n", "property float z\n" + colours)
-    path.write_text(header + "end_header\n0 0 0 90 0 0\n1 0 0 0 90 0\n0 1 0 0 0 90\n3 0 1 2\n")
-    mesh = read_mesh(path)
-    assert np.abs(mesh.colours.astype(int) - 30).max() <= 1
+    text = ply("0 0 0 90 0 0\n1 0 0 0 90 0\n0 1 0 0 0 90\n", "3 0 1 2\n", "3 1")
+    path.write_text(text.replace("element face", f"{colours}element face"))
+    assert np.abs(read_mesh(path).colours.astype(int) - 30).max() <= 1
 
 
 def test_writing_and_reading_gives_the_same_mesh(tmp_path):
@@ -82,7 +76,6 @@ def test_writing_and_reading_gives_the_same_mesh(tmp_path):
     mesh = read_mesh(tmp_path / "a.ply")
     np.testing.assert_array_equal(mesh.vertices, VERTICES)
     np.testing.assert_array_equal(mesh.faces, FACES)
-    assert_refused("exists", write_mesh, tmp_path / "a.ply", Mesh(VERTICES, FACES))
 
 
 BAD = {

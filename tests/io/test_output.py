@@ -5,11 +5,27 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from tests.corruption import assert_refused
 from tso_cli.errors import InputError
+from tso_cli.geometry.camera import Camera
+from tso_cli.io.cameras import CameraRecord, write_cameras
+from tso_cli.io.checkpoints import save_network
+from tso_cli.io.clouds import write_cloud
+from tso_cli.io.images import write_image
+from tso_cli.io.meshes import Mesh, write_mesh
 from tso_cli.io.output import atomic_output, check_output, reason
+from tso_cli.network.model import NetworkConfig, build_network
+
+WRITERS = {
+    "cloud.ply": lambda path, **options: write_cloud(path, np.eye(3), **options),
+    "mesh.ply": lambda path, **options: write_mesh(path, Mesh(np.eye(3), np.array([[0, 1, 2]])), **options),
+    "picture.png": lambda path, **options: write_image(path, np.eye(8, dtype=np.uint8), **options),
+    "camera.json": lambda path, **options: write_cameras(path, [CameraRecord(Camera.canonical(8, 8))], **options),
+    "network.safetensors": lambda path, **options: save_network(path, build_network(4), NetworkConfig(points=4), **options),
+}
 
 
 @pytest.mark.parametrize(
@@ -26,10 +42,16 @@ def test_what_cannot_be_an_output_is_refused(tmp_path, name, message):
     assert_refused(message, check_output, tmp_path / name, overwrite=True)
 
 
-def test_an_existing_file_needs_overwrite(tmp_path):
-    (tmp_path / "old.ply").touch()
-    assert_refused(r"old\.ply: exists already.*--overwrite", check_output, tmp_path / "old.ply", overwrite=False)
-    check_output(tmp_path / "old.ply", overwrite=True)
+@pytest.mark.usefixtures("tiny_network")
+@pytest.mark.parametrize("name", WRITERS)
+def test_an_existing_file_is_not_replaced_unasked(tmp_path, name):
+    path = tmp_path / name
+    path.write_text("old")
+    assert_refused(f"{name}: exists already.*--overwrite", WRITERS[name], path)
+    assert path.read_text() == "old"
+    WRITERS[name](path, overwrite=True)
+    assert path.read_bytes() != b"old"
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_name_that_cannot_be_is_refused_in_one_line(tmp_path):

@@ -9,6 +9,7 @@ import pytest
 import torch
 from numba import njit
 
+from tests.corruption import full_disk
 from tso_cli.kernels import jit, simd
 from tso_cli.kernels.jit import forget_stale, share
 from tso_cli.kernels.splat import splat
@@ -27,6 +28,18 @@ def test_machine_code_older_than_any_source_is_removed(tmp_path):
     forget_stale(tmp_path / "absent")
 
 
+def test_what_a_killed_process_left_beside_the_machine_code_is_removed_a_minute_later(tmp_path):
+    stale, living, *others = paths = [
+        tmp_path / name for name in ("a.1.nbc.tmp.0", "a.nbi.tmp.1", "a.1.nbc", "a.nbi", "notes.tmp.0")
+    ]
+    for path in paths:
+        path.touch()
+        if path != living:
+            os.utime(path, (1e9, 1e9))
+    jit.sweep(str(tmp_path))
+    assert not stale.exists() and all(path.exists() for path in (living, *others))
+
+
 def test_without_a_writable_folder_the_loops_are_compiled_in_every_process(monkeypatch):
     def no_folder(function):
         raise RuntimeError("cannot cache function: no locator available")
@@ -36,10 +49,7 @@ def test_without_a_writable_folder_the_loops_are_compiled_in_every_process(monke
 
 
 def test_a_full_disk_does_not_stop_the_work(monkeypatch):
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(jit._CheckedFile, "save", full)
+    monkeypatch.setattr(jit._CheckedFile, "save", full_disk)
     monkeypatch.setattr(jit, "_told", [])
     with pytest.warns(UserWarning, match="No space left on device.*compiled anew"):
         assert jit.compiled(lambda x: 2.0 * x)(2.0) == 4.0

@@ -17,17 +17,19 @@ def _cloud(seed: int, count: int, size: int, dtype: torch.dtype = torch.float64)
 
 
 def _assert_agree(points: torch.Tensor, height: int, width: int, sigma_sq: float, atol: float) -> None:
-    """Both kernels give one silhouette, and one gradient of a random weighted sum of it."""
-    valid = torch.ones(points.shape[:2], dtype=torch.bool)
-    weight = torch.randn(len(points), height, width, generator=torch.Generator().manual_seed(1), dtype=points.dtype)
-    results = []
-    for kernel in ("exact", "compiled"):
-        leaf = points.clone().requires_grad_()
-        silhouette = torch.tanh(splat(leaf, valid, height, width, sigma_sq, kernel))
-        (silhouette * weight).sum().backward()
-        results.append((silhouette.detach(), leaf.grad))
+    """Both kernels give the same sums and gradient."""
+    results = (_sums_and_gradient(points, height, width, sigma_sq, kernel) for kernel in ("exact", "compiled"))
     for exact, fast in zip(*results, strict=True):
         assert (exact - fast).abs().max() <= 1e-5 * exact.abs().max() + atol
+
+
+def _sums_and_gradient(points: torch.Tensor, height: int, width: int, sigma_sq: float, kernel: str):
+    """Sums of Gaussians, and the gradient of a randomly weighted sum of the silhouette."""
+    weight = torch.randn(len(points), height, width, generator=torch.Generator().manual_seed(1), dtype=points.dtype)
+    leaf = points.clone().requires_grad_()
+    sums = splat(leaf, torch.ones(points.shape[:2], dtype=torch.bool), height, width, sigma_sq, kernel)
+    (torch.tanh(sums) * weight).sum().backward()
+    return sums.detach(), leaf.grad
 
 
 @pytest.mark.parametrize("sigma_sq", [1e-4, 0.05, 0.4, 1.6, 6.4, 100.0])
@@ -78,9 +80,7 @@ def test_invalid_points_add_nothing_and_get_no_gradient(kernel):
     sums = splat(points, valid, 8, 8, 0.4, kernel)
     torch.testing.assert_close(sums, splat(points[:, :1], valid[:, :1], 8, 8, 0.4, kernel))
     (sums.square().sum() + sums[0, 4, 5]).backward()
-    assert points.grad is not None
-    assert points.grad[0, 1].abs().max() == 0.0
-    assert points.grad[0, 0].abs().max() > 0.0
+    assert points.grad[0, 0].any() and not points.grad[0, 1].any()
 
 
 @KERNELS
@@ -88,9 +88,7 @@ def test_points_at_huge_coordinates_add_nothing_and_break_nothing(kernel):
     points = torch.tensor([[[1e30, 3.0], [-1e12, 4.0], [3.0, 3e9], [2.0, 2.0]]], requires_grad=True)
     sums = splat(points, torch.ones(1, 4, dtype=torch.bool), 6, 6, 0.4, kernel)
     sums.sum().backward()
-    assert torch.isfinite(sums).all()
-    assert points.grad is not None
-    assert torch.isfinite(points.grad).all()
+    assert torch.isfinite(sums).all() and torch.isfinite(points.grad).all()
     assert sums[0, 2, 2].item() == pytest.approx(1.0)
 
 
@@ -99,12 +97,4 @@ def test_sums_and_gradients_do_not_depend_on_the_number_of_threads_by_one_bit(
     assert_same_on_threads, images, count, height, width
 ):
     points = torch.cat([_cloud(seed, count, width, torch.float32)[:1] for seed in range(images)])
-    weight = torch.randn(images, height, width, generator=torch.Generator().manual_seed(1))
-
-    def sums_and_gradient():
-        leaf = points.clone().requires_grad_()
-        sums = splat(leaf, torch.ones(images, count, dtype=torch.bool), height, width, 0.7, "compiled")
-        (sums * weight).sum().backward()
-        return sums.detach(), leaf.grad
-
-    assert_same_on_threads(sums_and_gradient)
+    assert_same_on_threads(lambda: _sums_and_gradient(points, height, width, 0.7, "compiled"))

@@ -14,9 +14,9 @@ from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.rotations import angle_between
 from tso_cli.lab.stability import runs, study
 from tso_cli.lab.stability.axes import AXES
-from tso_cli.lab.stability.knees import AXIS, FIGURES, between, figures, knee
+from tso_cli.lab.stability.knees import AXIS, FIGURES, figures, knee
 from tso_cli.lab.stability.peers import PEERS
-from tso_cli.lab.stability.runs import Bench, outcomes_of
+from tso_cli.lab.stability.runs import judge, outcomes_of, run_of
 from tso_cli.lab.studies.refining import POINTS, Variant
 from tso_cli.refinement import RefineConfig, refine
 from tso_cli.refinement.assumptions import Suspect
@@ -159,11 +159,6 @@ def test_a_mistake_is_made_or_not(ratio, said, words):
     assert knee(rows("mask inverted", ratio, said=said))["words"] == words
 
 
-def test_levels_between_are_halfway_of_each_knee():
-    assert between(AXIS["yaw of the camera"], rows("yaw of the camera", 0.5, 0.6, 1.2, 2.0, said="---w")) == [3.2, 7.1]
-    assert between(AXIS["few points"], rows("few points", 0.5, 0.6, 2.0)) == [128.0]
-
-
 def test_figures_tell_harm_without_a_word_from_harm_with_one():
     found = figures("-w-rn", [0.5, 1.2, 1.3, None, None], [0.1, 0.2, 0.3, None, None])
     shares = dict(worse=0.6, non_finite=0.2, refused=0.2, spoke=0.4, silent=0.4)
@@ -180,22 +175,20 @@ def test_what_a_result_says_of_itself_is_kept(cases, monkeypatch):
     suspect = replace(result, verdict="improved", suspects=(Suspect("the camera is another", "--assume opengl", 0.8),))
     warned, refused = replace(result, warnings=("read this",)), InputError("no object")
     monkeypatch.setattr(runs, "refine_batch", lambda scenes, config: [doubtful, suspect, warned, refused, result])
-    scenes = [(cases[0].initial, cases[0].views[:1])] * 5
-    found = outcomes_of(scenes, POINTS["best"], RefineConfig())
+    found = list(outcomes_of([run_of(cases[:1], AXIS["nothing wrong"], 1.0, 0, 0)] * 5, POINTS["best"]))
     assert "".join(outcome.said for outcome in found) == "ddwr-"
-    assert [(outcome.verdict, outcome.confidence) for outcome in found[:3]] == [("d", 0.25), ("i", None), ("?", None)]
+    assert [outcome.result for outcome in found] == [doubtful, suspect, warned, None, result]
 
 
 def test_points_behind_the_camera_are_warned_of_on_the_way(cases):
-    bench = Bench(cases[:1], [0])
-    way = Variant(RefineConfig(steps=2))
-    assert bench.judge(AXIS["start partly behind the camera"], "best", way, [5.0])[0]["said"] == "w"
-    assert bench.judge(AXIS["start far off"], "best", way, [1.0])[0]["said"] == "-"
+    for name, said in (("start partly behind the camera", "w"), ("start far off", "-")):
+        (row,) = judge(cases[:1], [0], AXIS[name], "best", Variant(RefineConfig(steps=2)), [5.0])
+        assert row["said"] == said
 
 
 @pytest.mark.slow
 def test_a_yaw_of_40_degrees_makes_the_chair_worse_and_one_of_2_does_not(cases):
-    good, bad = Bench(cases[:1], [0, 1]).judge(AXIS["yaw of the camera"], "best", POINTS["best"], [2.0, 40.0])
+    good, bad = judge(cases[:1], [0, 1], AXIS["yaw of the camera"], "best", POINTS["best"], [2.0, 40.0])
     assert max(good["ratio"]) < 0.7
     assert min(bad["ratio"]) > 1.05
 
@@ -203,7 +196,7 @@ def test_a_yaw_of_40_degrees_makes_the_chair_worse_and_one_of_2_does_not(cases):
 @pytest.mark.slow
 def test_the_plain_cross_entropy_does_what_the_paper_does_near_the_mask_and_stays_where_it_is_far_from_it(cases):
     ways = {"paper": POINTS["paper"], **PEERS}
-    near = {name: Bench(cases[:1], [0]).judge(AXIS["nothing wrong"], name, way, [1.0])[0] for name, way in ways.items()}
+    near = {name: judge(cases[:1], [0], AXIS["nothing wrong"], name, way, [1.0])[0] for name, way in ways.items()}
     assert near["log(tanh + 1e-8)"]["median"] == pytest.approx(near["paper"]["median"], abs=0.01)
     assert all(0.9 < row["median"] < 1.0 for row in near.values())
     far = replace(cases[0], initial=cases[0].initial + [0.0, 10.0, 0.0])
@@ -232,7 +225,7 @@ def test_the_command_writes_record_chart_page_and_pictures_and_goes_on_where_it_
     assert all(len(row["ratio"]) == len(row["said"]) == 3 for row in record["cases"])
     for suffix in (".png", ".md", ".pictures.png"):
         assert output.with_suffix(suffix).stat().st_size > 1000
-    monkeypatch.setattr(Bench, "judge", None)
+    monkeypatch.setattr(study, "judge", None)
     assert tso(*arguments, "--resume") == 0
     assert json.loads(output.read_text())["cases"] == record["cases"]
 

@@ -190,7 +190,7 @@ TINY = ("--steps", 1, "--batch-size", 2)
 # Study -> its arguments, the number of cases of its first job, and words of its page.
 COMMANDS: dict[str, tuple[tuple[Any, ...], int, tuple[str, ...]]] = {
     "accuracy": ((*CARS, "--kind", "other", "--kind", "right", "--views", 1), 1, ("made worse", "floor")),
-    "evidence": (("--question", "wrong", "--views", 1), 1, ("four right views; paper", "Wrong views")),
+    "evidence": (("--views", 1), 1, ("whole", "Parts missing")),
     "tso": ((*CARS, *CHAIRS, "--views", 1, "--steps", 1), 1, ("4.64", "-5.82", "E and D", "occluded", "chair", "hold")),
     "pose": (("--views", 1), 3, (pose.TRUE,)),
     "network": ((*CARS, *CHAIRS), 3, ("validation", "Chamfer x1000")),
@@ -224,8 +224,10 @@ def test_each_command_writes_record_chart_and_page_and_resumes_to_the_same_cases
     monkeypatch.setattr(pose, "CATEGORIES", ("car",))
     monkeypatch.setattr(pose, "kinds_of", lambda category, kinds: ["other"])
     row = refining.Variant(RefineConfig(steps=3), 4)
-    rows = {"four right views; paper": (evidence.unaltered, row), "part": (partial(evidence.without, part="side"), row)}
-    monkeypatch.setattr(evidence, "QUESTIONS", {"wrong": evidence.Question("Wrong views", ("other",), rows, ("car", "chair"))})
+    rows = {"whole": (evidence.unaltered, row), "part": (partial(evidence.without, part="side"), row)}
+    monkeypatch.setattr(
+        evidence, "QUESTIONS", {"missing": evidence.Question("Parts missing", ("other",), rows, ("chair", "car"))}
+    )
     output = tmp_path / "record.json"
     arguments = ("lab", name, "--meshes", studying.MESHES, "--split", split, *arguments, "-o", output)
     assert tso(*arguments) == 0

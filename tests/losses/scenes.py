@@ -1,6 +1,7 @@
 """A camera with skew in general position, and points that it sees at chosen pixels."""
 
 import numpy as np
+from hypothesis import strategies as st
 
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.rotations import from_vectors
@@ -19,6 +20,16 @@ def points_at(pixels: np.ndarray, camera: Camera, depth: np.ndarray) -> np.ndarr
     plane = np.linalg.solve(camera.K, np.concatenate([pixels, np.ones((len(pixels), 1))], 1).T).T
     plane[:, :2] *= 1.0 if camera.model == "orthographic" else depth[:, None]
     return (np.concatenate([plane[:, :2], depth[:, None]], 1) - camera.t) @ camera.R
+
+
+# Columns and rows in and around the image, and depths before and behind the camera.
+PLACES = st.lists(st.tuples(st.floats(-9, 40), st.floats(-9, 40), st.floats(-1, 3)), min_size=1, max_size=12)
+
+
+def points_of(places: list[tuple[float, float, float]], camera: Camera) -> np.ndarray:
+    """Points off the borders of pixels and none as near as another: there both forms may round differently."""
+    column, row, depth = (np.round(places, 3) + np.random.default_rng(4).uniform(1e-4, 9e-4, (len(places), 3))).T
+    return points_at(np.stack([column, row], 1), camera, depth)
 
 
 def scattered(count: int = 60, seed: int = 1) -> np.ndarray:

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from tests import oracles
 from tso_cli.geometry.camera import Camera
@@ -12,7 +11,7 @@ from tso_cli.losses.depth import TOLERANCE, DepthTarget, depth_loss
 from tso_cli.losses.projection import project
 
 from .common import COMPILED, FORMS, NUMPY, assert_equal, assert_gradient, by_autograd, in_form
-from .scenes import HEIGHT, WIDTH, camera_of, points_at, scattered
+from .scenes import HEIGHT, PLACES, WIDTH, camera_of, points_at, points_of, scattered
 
 SIZE = 64
 CANONICAL = Camera.canonical(SIZE, SIZE)
@@ -92,10 +91,9 @@ def test_the_gradient_is_that_of_finite_differences(form):
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.lists(st.tuples(st.floats(-9, 40), st.floats(-9, 40), st.floats(-1, 3)), min_size=1, max_size=9))
+@given(PLACES)
 def test_any_points_cost_the_same_in_both_forms(places):
-    column, row, depth = (np.round(places, 3) + np.random.default_rng(4).uniform(1e-4, 9e-4, (len(places), 3))).T
-    points = points_at(np.stack([column, row], 1), camera_of(), depth)
+    points = points_of(places, camera_of())
     assert_equal(*(in_form(form, loss, points, _uneven(), 3.0, camera_of()) for form in (COMPILED, NUMPY)))
 
 

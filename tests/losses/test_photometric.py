@@ -21,34 +21,32 @@ def loss(points: np.ndarray, colours: np.ndarray, image: np.ndarray) -> float:
     return term(colours, image, points)(points)[0]
 
 
+POINTS, COLOURS = sheet()
+ASIDE = POINTS + [0.02, 0.01, 0.0]
+
+
 def test_the_loss_of_points_that_lie_on_their_colours_is_next_to_nothing():
-    points, colours = sheet()
-    assert loss(points, colours, photo()) < 1e-6
-    assert loss(points + [0.05, 0.0, 0.0], colours, photo()) > 1000.0
+    assert loss(POINTS, COLOURS, photo()) < 1e-6
+    assert loss(POINTS + [0.05, 0.0, 0.0], COLOURS, photo()) > 1000.0
 
 
 def test_the_loss_ignores_exposure_and_grows_with_the_weight_of_the_view():
-    points, colours = sheet()
-    aside = points + [0.02, 0.01, 0.0]
-    expected = loss(aside, colours, photo())
-    assert loss(aside, colours, photo(0.6)) == pytest.approx(expected, rel=1e-5)
-    assert term(colours, photo(), aside, weight=0.3)(aside)[0] == pytest.approx(0.3 * expected)
+    expected = loss(ASIDE, COLOURS, photo())
+    assert loss(ASIDE, COLOURS, photo(0.6)) == pytest.approx(expected, rel=1e-5)
+    assert term(COLOURS, photo(), ASIDE, weight=0.3)(ASIDE)[0] == pytest.approx(0.3 * expected)
 
 
 def test_points_hidden_or_beside_the_mask_add_nothing():
-    points, colours = sheet()
-    aside = points + [0.02, 0.01, 0.0]
-    hidden, beside = aside * 0.9 - [0.0, 0.0, 0.1], np.array([[0.0, 0.49, 0.0]])
-    more = np.concatenate([aside, hidden, beside])
-    of_more = np.concatenate([colours, 1.0 - colours, [[1.0, 0.0, 1.0]]])
-    expected = loss(aside, colours, photo()) * len(points) / len(more)
+    hidden, beside = ASIDE * 0.9 - [0.0, 0.0, 0.1], np.array([[0.0, 0.49, 0.0]])
+    more = np.concatenate([ASIDE, hidden, beside])
+    of_more = np.concatenate([COLOURS, 1.0 - COLOURS, [[1.0, 0.0, 1.0]]])
+    expected = loss(ASIDE, COLOURS, photo()) * len(POINTS) / len(more)
     assert loss(more, of_more, photo()) == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_loss_vanishes_where_the_paint_is_another():
-    points, colours = sheet()
-    assert loss(points, 1.0 - colours, photo()) == 0.0
-    assert loss(points, np.full_like(colours, 0.5), photo()) < 1e-3
+    assert loss(POINTS, 1.0 - COLOURS, photo()) == 0.0
+    assert loss(POINTS, np.full_like(COLOURS, 0.5), photo()) < 1e-3
 
 
 @pytest.fixture

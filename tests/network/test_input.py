@@ -65,8 +65,7 @@ def test_the_cropped_camera_projects_points_to_their_pixels_in_the_crop():
         light = crop.image[0].astype(float)
         centre = np.array([(light * columns).sum(), (light * rows).sum()]) / light.sum()
         np.testing.assert_allclose(centre, crop.camera.project(point[None])[0][0], atol=1e-2)
-    np.testing.assert_array_equal(crop.camera.R, camera.R)
-    np.testing.assert_array_equal(crop.camera.t, camera.t)
+    np.testing.assert_array_equal([*crop.camera.R, crop.camera.t], [*camera.R, camera.t])
     assert (crop.camera.width, crop.camera.height) == (64, 64)
 
 
@@ -80,31 +79,21 @@ def test_the_background_follows_the_mask(background, value):
     np.testing.assert_allclose(crop.image[:, crop.mask == 0.0], value, atol=1e-6)
 
 
-def test_soft_mask_values_are_kept():
-    view = rectangle(64, 64, np.s_[20:44, 20:44])
-    view.mask[20:44, 30:34] = 0.7
-    assert np.isclose(network_input(np.zeros((64, 64, 3), np.uint8), view).mask, 0.7).any()
-
-
 def test_what_lies_outside_the_photo_is_unknown_and_has_the_background_colour():
     view = rectangle(40, 40, np.s_[:, :20])
     crop = network_input(np.full((40, 40, 3), 255, np.uint8), view, crop_share=0.8, background="white")
-    assert not crop.known[0].any() and not crop.known[:, 0].any()
-    assert crop.known[32, 32]
+    assert not crop.known[0].any() and not crop.known[:, 0].any() and crop.known[32, 32]
     np.testing.assert_array_equal(crop.mask[~crop.known], 0.0)
     np.testing.assert_allclose(crop.image, 1.0, atol=1e-6)
     assert crop.view().known is crop.known
 
 
 def test_ignored_pixels_stay_unknown_in_the_crop():
-    view = rectangle(64, 64, np.s_[16:48, 16:48])
-    known = np.ones((64, 64), bool)
-    known[:, 40:44] = False
-    crop = network_input(np.zeros((64, 64, 3), np.uint8), View(view.mask, view.camera, known))
-    columns = np.flatnonzero(~crop.known.all(0))
+    view, known = rectangle(64, 64, np.s_[16:48, 16:48]), block(np.s_[:, 40:44]) == 0.0
+    crop = network_input(np.zeros((64, 64, 3), np.uint8), replace(view, known=known))
     left, _, right, _ = crop.box
-    centres = left + (columns + 0.5) * (right - left) / 64
-    assert len(columns) > 0 and centres.min() > 39.0 and centres.max() < 44.0
+    centres = left + (np.flatnonzero(~crop.known.all(0)) + 0.5) * (right - left) / 64
+    assert len(centres) > 0 and centres.min() > 39.0 and centres.max() < 44.0
 
 
 def test_an_alpha_channel_counts_only_where_the_photo_is_kept():
@@ -115,14 +104,17 @@ def test_an_alpha_channel_counts_only_where_the_photo_is_kept():
     assert network_input(image, view, background="keep").image.max() == 0.0
 
 
-def test_a_photo_enlarged_gives_the_same_input():
+def test_a_photo_enlarged_gives_the_same_input_and_soft_mask_values_are_kept():
     small = rectangle(32, 32, np.s_[8:24, 8:24])
+    small.mask[8:24, 15:18] = 0.7
     image = np.random.default_rng(0).integers(0, 256, (32, 32, 3)).astype(np.uint8)
     mask = np.kron(small.mask, np.ones((5, 5), np.float32))
     big = network_input(image.repeat(5, 0).repeat(5, 1), View(mask, small.camera.resized(160, 160)))
     one = network_input(image, small)
     np.testing.assert_allclose(one.image, big.image, atol=1e-6)
+    np.testing.assert_allclose(one.mask, big.mask, atol=1e-6)
     np.testing.assert_allclose(one.camera.K, big.camera.K, atol=1e-9)
+    assert np.isclose(one.mask, 0.7).any()
 
 
 def test_wrong_sizes_and_settings_are_refused():
@@ -137,13 +129,11 @@ def test_wrong_sizes_and_settings_are_refused():
 @pytest.mark.parametrize("size", [0.3, 0.9])
 def test_a_crop_of_share_0_keeps_the_size_of_the_object(size):
     """The larger of two objects at one distance fills more of the input; the canonical picture is not cropped."""
-    camera = Camera.canonical(128, 128)
-    edge = 120.0 * 2.0 * size / 2.0 / 2.0  # half of its side, in pixels of 128
-    axis = np.abs(np.arange(128) - 63.5)
-    mask = ((axis[:, None] <= edge) & (axis[None] <= edge)).astype(np.float32)
-    crop = network_input(np.zeros((128, 128, 3), np.uint8), View(mask, camera), crop_share=0.0)
+    half = round(60.0 * size)  # of its side, in pixels of 128
+    view = rectangle(128, 128, np.s_[64 - half : 64 + half, 64 - half : 64 + half])
+    crop = network_input(np.zeros((128, 128, 3), np.uint8), view, crop_share=0.0)
     np.testing.assert_allclose(crop.box, (-0.5, -0.5, 127.5, 127.5))
-    assert crop.mask.sum() == pytest.approx((60.0 * size) ** 2, rel=0.06)
+    assert crop.mask.sum() == pytest.approx(half**2, rel=0.06)
 
 
 def test_a_crop_of_share_0_does_not_depend_on_resolution_or_distance():
@@ -152,10 +142,9 @@ def test_a_crop_of_share_0_does_not_depend_on_resolution_or_distance():
     point = np.array([[0.2, -0.1, 0.0]])
     pixels = []
     for camera in (near, far):
-        mask = np.zeros((camera.height, camera.width), np.float32)
         u, v = np.rint(camera.project(np.zeros((1, 3)))[0][0]).astype(int)
-        mask[v - 3 : v + 4, u - 3 : u + 4] = 1.0
-        crop = network_input(np.zeros((camera.height, camera.width, 3), np.uint8), View(mask, camera), crop_share=0.0)
+        mask = block(np.s_[v - 3 : v + 4, u - 3 : u + 4], (camera.height, camera.width))
+        crop = network_input(np.zeros((*mask.shape, 3), np.uint8), View(mask, camera), crop_share=0.0)
         pixels.append(crop.camera.project(point)[0][0])
     np.testing.assert_allclose(pixels[0], pixels[1], atol=1e-9)
 

@@ -1,15 +1,12 @@
 """The picture of a refinement shows what is near, and shows it where it is."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from PIL import Image
 
-from tests.scenes import block
+from tests.scenes import block, in_photo, seen
 from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.evaluation.footprint import Seen
-from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.plots import overlay
 from tso_cli.plots.overlay import PANEL, compare, draw_overlay
 
@@ -43,16 +40,20 @@ def test_an_image_fills_its_panel_and_keeps_its_shape(height):
     assert (image.getpixel((0, 3)), image.getpixel((PANEL - 1, 3))) == ((0, 0, 0), (255, 128, 0))
 
 
+POINTS = np.random.default_rng(0).uniform(-0.3, 0.3, (400, 3))
+
+
+def _drawn(folder, views):
+    """The picture of a cloud and its views."""
+    draw_overlay(folder / "picture.png", refine(POINTS, views, config=RefineConfig(steps=0)), views)
+    with Image.open(folder / "picture.png") as picture:
+        return np.asarray(picture)
+
+
 @pytest.mark.parametrize(("count", "rows"), [(1, 2), (3, 3), (8, 6)])
 def test_one_view_gets_a_row_before_and_one_after_and_several_a_row_each(count, rows, tmp_path):
-    points = np.random.default_rng(0).uniform(-0.3, 0.3, (60, 3))
-    views = []
-    for size in range(20, 20 + count):
-        camera = Camera.canonical(size, 20)
-        views.append(View(silhouette_of(1.1 * points, camera), camera))
-    draw_overlay(tmp_path / "picture.png", refine(points, views, config=RefineConfig(steps=0)), views)
-    with Image.open(tmp_path / "picture.png") as picture:
-        assert picture.size[1] // PANEL == rows
+    views = [seen(1.1 * POINTS, Camera.canonical(size, 20)) for size in range(20, 20 + count)]
+    assert len(_drawn(tmp_path, views)) // PANEL == rows
 
 
 def test_mask_and_silhouette_are_told_apart_by_colour():
@@ -63,11 +64,7 @@ def test_mask_and_silhouette_are_told_apart_by_colour():
 
 @pytest.mark.parametrize("times", [1, 8])
 def test_the_object_fills_its_panel_in_a_photo_of_any_size(times, tmp_path):
-    points = np.random.default_rng(0).uniform(-0.3, 0.3, (400, 3))
-    camera = replace(Camera.canonical(64, 64), width=64 * times, height=64 * times)
-    view = View(block(np.s_[20:46, 20:46], (64 * times, 64 * times)), camera)
-    draw_overlay(tmp_path / "picture.png", refine(points, view, config=RefineConfig(steps=0)), [view])
-    with Image.open(tmp_path / "picture.png") as picture:
-        panel = np.asarray(picture)[overlay.TITLE : overlay.TITLE + PANEL, overlay.GAP : overlay.GAP + PANEL]
+    photo = in_photo(View(block(np.s_[20:46, 20:46]), Camera.canonical(64, 64)), times, 0, 0)
+    panel = _drawn(tmp_path, [photo])[overlay.TITLE : overlay.TITLE + PANEL, overlay.GAP : overlay.GAP + PANEL]
     agreed = (panel == np.rint(255.0 * np.array(overlay.AGREED))).all(2).mean()
     assert 0.25 < agreed < 0.8

@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.scenes import example
+from tests.corruption import assert_refused
+from tests.scenes import example, seen, turned
 from tso_cli import View
 from tso_cli.geometry.camera import Camera
 from tso_cli.losses.silhouette import silhouette_of
-from tso_cli.refinement.assumptions import ASSUMPTIONS, Agreement, assumptions_of
+from tso_cli.refinement.agreement import Agreement
+from tso_cli.refinement.assumptions import ASSUMPTIONS, AssumedView, about, assumptions_of, in_axes_of_cloud
 
 PLANE = example("airplane")
 # The mistake that an assumption mends, where that is not the same change again.
@@ -64,6 +66,37 @@ def test_under_its_assumption_a_mistake_projects_as_the_right_input_does(name):
     np.testing.assert_array_equal(meant.mask, PLANE.mask)
 
 
+@pytest.mark.parametrize("name", sorted(name for name in ASSUMPTIONS if ASSUMPTIONS[name].axes != "x y z"))
+def test_a_camera_in_the_axes_of_the_cloud_sees_it_as_the_scene_was_seen(name):
+    axes = ASSUMPTIONS[name].matrix
+    depth = np.where(PLANE.mask > 0.5, np.arange(1.0, 1.0 + PLANE.mask.shape[1]), np.nan)
+    photo = np.stack([np.nan_to_num(depth, nan=0.0)] * 3, axis=2).astype(np.float32) / np.float32(256.0)
+    view = in_axes_of_cloud(replace(PLANE.view, depth=depth, image=photo), axes)
+    pixels, _ = view.camera.project(PLANE.target @ axes)
+    expected, _ = PLANE.camera.project(PLANE.target)
+    if np.linalg.det(axes) < 0.0:
+        expected = [PLANE.camera.width - 1.0, 0.0] + expected * [-1.0, 1.0]
+        view = replace(view, mask=view.mask[:, ::-1], depth=view.depth[:, ::-1], image=view.image[:, ::-1])
+    np.testing.assert_allclose(pixels, expected, atol=1e-9)
+    np.testing.assert_array_equal(view.mask, PLANE.mask)
+    np.testing.assert_array_equal(view.depth, depth)
+    np.testing.assert_array_equal(view.image, photo)
+
+
+def _around() -> list[View]:
+    return [replace(seen(PLANE.target, turned(PLANE.camera, 40.0 * i)), name=f"{i}.png") for i in range(4)]
+
+
+@pytest.mark.parametrize("name", ["mask-inverted", "mask-upside-down", "opengl", "camera-to-world"])
+def test_a_mistake_in_one_view_of_several_is_named_with_the_view(name):
+    views = _around()[:3]
+    assert str(Agreement.of(PLANE.points, views)) == ""
+    agreement = Agreement.of(PLANE.points, [*views[:2], ASSUMPTIONS[name].of_view(views[2])])
+    assert agreement.suspects == () and [one.option for one in agreement.of_views] == [f"--assume {name}@2.png"]
+    assert f"for 2.png alone {ASSUMPTIONS[name].what}: try --assume {name}@2.png" in str(agreement)
+    assert about(views[1], assumptions_of([f"{name}@2.png"])) == []
+
+
 def test_units_of_an_orthographic_camera_are_in_its_k():
     camera = Camera(np.diag([100.0, 100.0, 1.0]), np.eye(3), np.array([0.0, 0.0, 2.0]), 64, 64, "orthographic")
     points = np.array([[0.1, 0.2, 0.0]])
@@ -91,3 +124,48 @@ def test_an_object_that_the_border_truncates_does_not_pass_for_an_inverted_mask(
     camera = replace(PLANE.camera, K=PLANE.camera.K * [[3.0, 1.0, 1.0], [1.0, 3.0, 1.0], [1.0, 1.0, 1.0]])
     near = View(silhouette_of(PLANE.target, camera), camera)
     assert not any("inverted" in suspect.option for suspect in Agreement.of(PLANE.points, [near]).suspects)
+
+
+def test_the_unknown_part_of_a_border_does_not_hide_that_a_mask_is_inverted():
+    view = PLANE.view
+    known = np.ones(view.mask.shape, bool)
+    known[:, : known.shape[1] // 2 - 20] = False
+    inverted = replace(view, mask=np.where(known, 1.0 - view.mask, 0.0).astype(np.float32), known=known)
+    (suspect, *_) = Agreement.of(PLANE.target, [inverted]).suspects
+    assert suspect.option == "--assume mask-inverted"
+
+
+def test_a_wrong_assumption_about_one_view_is_named_as_it_was_given():
+    views = _around()
+    given = tuple(assumptions_of([f"mask-inverted@{views[1].name}"]))
+    views = [AssumedView(v.mask, v.camera, None, v.name, given=given, camera_read=v.camera) for v in views]
+    views[1] = given[0].of_view(views[1])
+    (suspect,) = Agreement.of(PLANE.target, views).named
+    assert suspect.option == f"without --assume mask-inverted@{views[1].name}"
+
+
+@pytest.mark.parametrize(("name", "named"), [("mask-inverted", True), ("mask-upside-down", False)])
+def test_of_two_views_either_may_be_the_wrong_one_but_a_mask_that_fills_the_border(name, named):
+    views = _around()[:2]
+    agreement = Agreement.of(PLANE.target, [views[0], ASSUMPTIONS[name].of_view(views[1])])
+    assert bool(agreement.of_views) == named
+
+
+def test_two_wrong_views_of_four_are_both_named():
+    views = _around()
+    for number in (1, 2):
+        views[number] = ASSUMPTIONS["mask-inverted"].of_view(views[number])
+    options = {suspect.option for suspect in Agreement.of(PLANE.target, views).named}
+    assert options == {f"--assume mask-inverted@{views[number].name}" for number in (1, 2)}
+
+
+@pytest.mark.parametrize(
+    ("texts", "message"),
+    [
+        (["mask-inverted@"], "expected one of"),
+        (["cloud-z-up@a.png"], "expected cloud-z-up alone: the cloud is the same for all masks"),
+        (["opengl", "opengl"], "--assume opengl is given twice"),
+    ],
+)
+def test_assumptions_that_say_nothing_are_refused(texts, message):
+    assert_refused(message, assumptions_of, texts)

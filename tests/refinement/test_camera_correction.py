@@ -14,6 +14,7 @@ from tso_cli.refinement.objective import silhouette_loss
 from tso_cli.refinement.resampled_view import ResampledView, resample_view
 
 PRESETS = pytest.mark.parametrize("preset", ["best", "paper"])
+PLANE = example("airplane").target
 CLOUD = np.random.default_rng(0).uniform(-0.4, 0.4, (15, 3))
 TURNS_AND_SHIFTS = np.array([[0.02, -0.03, 0.01], [0.01, 0.02, -0.01], [0.4, -0.5, 0.9], [0.0, -0.02, 0.03]])
 
@@ -73,48 +74,44 @@ def _view(points, azimuth, wrong=0.0):
 
 @PRESETS
 def test_a_wrong_camera_is_corrected_and_a_right_one_kept(preset):
-    points = example("airplane").target
-    (wrong, right), (good, _) = _view(points, 40.0, 8.0), _view(points, 120.0)
-    result = refine(points, [wrong, good], config=RefineConfig(preset=preset, refine_camera=True))
+    (wrong, right), (good, _) = _view(PLANE, 40.0, 8.0), _view(PLANE, 120.0)
+    result = refine(PLANE, [wrong, good], config=RefineConfig(preset=preset, refine_camera=True))
     assert angle_between(result.cameras[0].R, right.R) < 6.0
     np.testing.assert_array_equal(result.cameras[0].K, right.K)
     assert result.cameras[1] is good.camera
-    without = refine(points, [wrong, good], config=RefineConfig(preset=preset, steps=0))
+    without = refine(PLANE, [wrong, good], config=RefineConfig(preset=preset, steps=0))
     # IoU is measured in a window around both clouds, which differs.
     assert result.iou_before == pytest.approx(without.iou_before, abs=0.005)
     # The projector's masks are a pixel wider than the cloud: the IoU of the true cloud is 0.69.
     assert result.iou_after > result.iou_before + 0.03
-    uncorrected = refine(points, [wrong, good], config=RefineConfig(preset=preset))
+    uncorrected = refine(PLANE, [wrong, good], config=RefineConfig(preset=preset))
     assert result.loss_after < 0.7 * uncorrected.loss_after
 
 
 @PRESETS
 def test_right_cameras_of_a_right_cloud_are_kept(preset):
-    points = example("airplane").target
-    view, _ = _view(points, 30.0)
-    moved = refine(points, view, config=RefineConfig(preset=preset, refine_camera=True))
+    view, _ = _view(PLANE, 30.0)
+    moved = refine(PLANE, view, config=RefineConfig(preset=preset, refine_camera=True))
     assert moved.cameras == (view.camera,)
-    np.testing.assert_array_equal(moved.points, refine(points, view, config=RefineConfig(preset=preset)).points)
+    np.testing.assert_array_equal(moved.points, refine(PLANE, view, config=RefineConfig(preset=preset)).points)
 
 
 @PRESETS
 def test_flipped_views_and_weights_are_those_of_the_corrected_cameras(preset):
-    points = example("airplane").target
-    views = [_view(points, 40.0, 8.0)[0], _view(points, 120.0)[0], _view(points, 200.0)[0]]
+    views = [_view(PLANE, 40.0, 8.0)[0], _view(PLANE, 120.0)[0], _view(PLANE, 200.0)[0]]
     # The last mask is of another object.
     views[2] = replace(views[2], mask=np.roll(views[2].mask, 12, 1))
     config = RefineConfig(preset=preset, symmetry="x", steps=6)
-    result = refine(points, views, config=replace(config, refine_camera=True))
+    result = refine(PLANE, views, config=replace(config, refine_camera=True))
     assert result.cameras[0] is not views[0].camera
     corrected = [replace(view, camera=camera) for view, camera in zip(views, result.cameras, strict=True)]
-    expected = refine(points, corrected, config=config)
+    expected = refine(PLANE, corrected, config=config)
     np.testing.assert_allclose(result.points, expected.points, atol=1e-6)
     assert result.view_weights == pytest.approx(expected.view_weights)
-    assert result.view_weights != pytest.approx(refine(points, views, config=config).view_weights) or preset == "paper"
+    assert result.view_weights != pytest.approx(refine(PLANE, views, config=config).view_weights) or preset == "paper"
 
 
 @pytest.mark.parametrize("config", [RefineConfig(steps=2), RefineConfig(steps=0, refine_camera=True)])
 def test_without_refine_camera_or_steps_the_camera_is_kept(config):
-    points = example("airplane").target
-    view, _ = _view(points, 40.0, 8.0)
-    assert refine(points, view, config=config).cameras == (view.camera,)
+    view, _ = _view(PLANE, 40.0, 8.0)
+    assert refine(PLANE, view, config=config).cameras == (view.camera,)

@@ -64,9 +64,9 @@ def test_as_evidence_a_flipped_mask_counts_a_quarter_and_a_depth_map_as_a_mask(c
 
 def _truncated(view: View) -> View:
     """The view without its upper half: the border truncates the object."""
-    camera, half = view.camera, view.mask.shape[0] // 2
-    lower = replace(camera, K=camera.K - [[0.0, 0.0, 0.0], [0.0, 0.0, half], [0.0, 0.0, 0.0]], height=camera.height - half)
-    return View(view.mask[half:], lower)
+    lower = view.mask[view.mask.shape[0] // 2 :]
+    height, width = lower.shape
+    return View(lower, view.camera.cropped((-0.5, height - 0.5, width - 0.5, 2 * height - 0.5), width, height))
 
 
 @pytest.mark.parametrize(("truncated", "expected"), [((True, True), 1.0), ((True, False), 2.0), ((False, False), 2.0)])

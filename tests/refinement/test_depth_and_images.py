@@ -1,5 +1,7 @@
 """Refinements by depth maps and by photos, beside the mask."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -37,8 +39,8 @@ def test_a_depth_map_is_resampled_without_averaging_across_edges():
 def test_a_resampled_image_averages_the_known_foreground_alone():
     mask = block(np.s_[64:192, 66:192], (256, 256))
     image = np.where(mask[..., None] > 0.5, [0.2, 0.4, 0.6], 1.0)
-    known = np.ones((256, 256), bool)
-    image[100:110, 100:110], known[100:110, 100:110] = 0.0, False
+    known = block(np.s_[100:110, 100:110], (256, 256)) == 0.0
+    image[~known] = 0.0
     resampled = resample_view(View(mask, Camera.canonical(256, 256), known, image=image), 0.4, np.zeros(3), 1.0)
     assert resampled.image.shape == (64, 64, 3)
     assert np.allclose(resampled.image[resampled.target.inside], [0.2, 0.4, 0.6])
@@ -54,7 +56,7 @@ def test_a_depth_map_brings_a_cloud_nearer_than_its_mask_alone():
 
 def test_views_with_and_without_a_depth_map_add_up_by_their_weights():
     start = _plain_sheet(0.0)
-    plain = View(MASK.T.copy(), Camera(CAMERA.K, np.eye(3), CAMERA.t, SIZE, SIZE))
+    plain = View(MASK.T.copy(), replace(CAMERA, R=np.eye(3)))
 
     def total(weights: list[float], *views: View) -> float:
         resampled = [resample_view(view, 0.4, np.zeros(3), 1.0) for view in views]
@@ -100,16 +102,13 @@ def test_a_flipped_view_has_a_flipped_depth_map_and_no_flipped_photo():
     assert [photo.weight for photo in _photos(problem, [0.7])] == [0.7]
 
 
-ORTHOGRAPHIC = Camera(CAMERA.K, CAMERA.R, CAMERA.t, SIZE, SIZE, "orthographic")
-
-
 @pytest.mark.parametrize(
     ("parts", "words"),
     [
         (dict(depth=np.ones((3, 3))), r"depth map has shape \[3, 3\], the mask is 64x64"),
         (dict(depth=-np.ones((SIZE, SIZE))), "smallest depth is -1, expected 0"),
         (dict(depth=np.where(MASK > 0.5, 0.0, 2.0)), "no foreground pixel has a depth"),
-        (dict(depth=np.ones((SIZE, SIZE)), camera=ORTHOGRAPHIC), "orthographic, expected perspective"),
+        (dict(depth=MASK, camera=replace(CAMERA, model="orthographic")), "orthographic, expected perspective"),
         (dict(image=np.ones((3, 3, 3))), r"image has shape \[3, 3, 3\], the mask is 64x64 .*|expected \[64, 64, 3\]"),
         (dict(image=np.full((SIZE, SIZE, 3), [0.0, 255.0, 0.0])), "image's values span 0 to 255, expected 0 to 1"),
     ],

@@ -5,7 +5,7 @@ import pytest
 
 from tests.scenes import example
 from tso_cli.evaluation.metrics import chamfer
-from tso_cli.refinement import RefineConfig, refine, refine_batch, run
+from tso_cli.refinement import RefineConfig, judge, refine, refine_batch
 
 NAMES = pytest.mark.parametrize("name", ["chair", "airplane", "car"])
 
@@ -38,7 +38,7 @@ def test_where_the_iou_would_fall_the_start_is_returned(chair, monkeypatch, ious
     def measured(initial, *others):
         return [ious if len(initial) == len(points) else (0.5, 0.6)]
 
-    monkeypatch.setattr(run, "view_ious", measured)
+    monkeypatch.setattr(judge, "view_ious", measured)
     result, smaller = refine_batch([(points, view), (points[::2], view)], RefineConfig(steps=6, symmetry="none"))
     assert (result.stop_reason == "not_improved") == ("agrees better" in str(result.warnings)) == reverted
     assert smaller.moved_mean > 0.01

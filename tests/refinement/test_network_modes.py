@@ -14,21 +14,26 @@ from tso_cli.refinement.resampled_view import resample_view
 MODES = pytest.mark.parametrize("mode", ["encoder", "encoder-decoder", "latent"])
 
 
+MASK = block(np.s_[22:42, 25:40])
+IMAGE = torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0))
+
+
 @pytest.fixture
-def photo():
-    """A small network, its input image and a mask."""
-    image = torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0))
-    return build_network(points=64), image, block(np.s_[22:42, 25:40])
+def network():
+    return build_network(points=64)
+
+
+def _refine(network, mode, **settings):
+    return refine(None, MASK, config=RefineConfig(mode, **settings), network=network, image=IMAGE)
 
 
 @MODES
-def test_a_mode_optimises_its_parameters_alone_on_a_copy_of_the_network(mode, photo):
-    network, image, mask = photo
+def test_a_mode_optimises_its_parameters_alone_on_a_copy_of_the_network(mode, network):
     before = {name: value.clone() for name, value in network.state_dict().items()}
-    result = refine(None, mask, config=RefineConfig(mode, steps=3, preset="paper"), network=network, image=image)
+    result = _refine(network, mode, steps=3, preset="paper")
     assert result.loss_after < result.loss_before
     assert result.gamma == (0.0 if mode == "encoder" else 1e6)
-    moving = NetworkParameters(network, image, mode, "cpu", 1e-3)._optimiser.parameters
+    moving = NetworkParameters(network, IMAGE, mode, "cpu", 1e-3)._optimiser.parameters
     encoder, decoder = (sum(p.numel() for p in half.parameters()) for half in (network.encoder, network.decoder))
     expected = {"encoder": encoder, "encoder-decoder": encoder + decoder, "latent": 128}[mode]
     assert sum(parameter.numel() for parameter in moving) == expected
@@ -37,33 +42,30 @@ def test_a_mode_optimises_its_parameters_alone_on_a_copy_of_the_network(mode, ph
     assert all(weight.requires_grad and weight.grad is None for weight in network.parameters())
 
 
-def test_the_latent_vector_starts_at_the_encoders_and_is_decoded_in_each_step(photo):
-    network, image, _ = photo
-    parameters = NetworkParameters(network, image, "latent", "cpu", 1e-3)
+def test_the_latent_vector_starts_at_the_encoders_and_is_decoded_in_each_step(network):
+    parameters = NetworkParameters(network, IMAGE, "latent", "cpu", 1e-3)
     (latent,) = parameters._optimiser.parameters
     assert latent.shape == (1, 128)
     with torch.no_grad():
-        np.testing.assert_allclose(parameters.cloud.initial, network(image[None])[0], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(parameters.cloud.initial, network(IMAGE[None])[0], rtol=0, atol=1e-6)
         latent += 0.1
         expected = (network.decoder(latent)[0].double().numpy() - parameters.cloud.centre) / parameters.cloud.scale
     np.testing.assert_allclose(parameters.forward(), expected, atol=1e-6)
 
 
-def test_the_latent_mode_runs_the_encoder_once(photo, monkeypatch):
-    network, image, mask = photo
+def test_the_latent_mode_runs_the_encoder_once(network, monkeypatch):
     calls, true_forward = [], Encoder.forward
     monkeypatch.setattr(Encoder, "forward", lambda encoder, images: calls.append(1) or true_forward(encoder, images))
-    refine(None, mask, config=RefineConfig("latent", steps=4), network=network, image=image)
+    _refine(network, "latent", steps=4)
     assert len(calls) == 1
 
 
 @MODES
-def test_the_gradient_by_the_parameters_is_that_of_finite_differences(mode, photo):
-    network, image, mask = photo
-    parameters = NetworkParameters(network, image, mode, "cpu", 1e-3)
+def test_the_gradient_by_the_parameters_is_that_of_finite_differences(mode, network):
+    parameters = NetworkParameters(network, IMAGE, mode, "cpu", 1e-3)
     parameters._predict.double()
     parameters._input.data = parameters._input.data.double()
-    view = resample_view(View(mask, Camera.canonical(64, 64)), 0.4, parameters.cloud.centre, parameters.cloud.scale)
+    view = resample_view(View(MASK, Camera.canonical(64, 64)), 0.4, parameters.cloud.centre, parameters.cloud.scale)
     objective, gradients = SilhouetteObjective([view], [1.0]), []
     parameters._optimiser.apply = gradients.extend
     parameters.step(objective(parameters.forward())[1])
@@ -79,8 +81,6 @@ def test_the_gradient_by_the_parameters_is_that_of_finite_differences(mode, phot
         values[place] += 1e-6
 
 
-def test_a_network_whose_first_step_diverges_is_an_error(photo):
-    network, image, mask = photo
-    config = RefineConfig("encoder", steps=5, learning_rate=1e4)
+def test_a_network_whose_first_step_diverges_is_an_error(network):
     with pytest.raises(TsoError, match="a smaller learning rate"):
-        refine(None, mask, config=config, network=network, image=image)
+        _refine(network, "encoder", steps=5, learning_rate=1e4)

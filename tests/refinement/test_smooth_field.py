@@ -14,10 +14,6 @@ def _cloud(count: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-0.5, 0.5, (count, 3))
 
 
-def _moved(field: SmoothField, weight: float, values: np.ndarray) -> np.ndarray:
-    return field.spread(field.smoothed(values, weight))
-
-
 @FORMS
 @pytest.mark.parametrize("weight", [1.0, 100.0])
 @pytest.mark.parametrize("apart", [0.0, 5.0])
@@ -84,7 +80,7 @@ def test_points_of_a_large_cloud_follow_their_nodes():
     field = SmoothField(points)
     assert field.nodes.shape == (FIELD_NODES,) and field.patches.shape == (FIELD_NODES, 12)
     np.testing.assert_array_equal(field.patches[:, 0], np.arange(FIELD_NODES))
-    moved = _moved(field, 10.0, np.eye(FIELD_NODES)[:, :1].repeat(3, 1))[:, 0]
+    moved = field.spread(field.smoothed(np.eye(FIELD_NODES)[:, :1].repeat(3, 1), 10.0))[:, 0]
     order = np.linalg.norm(points - points[moved.argmax()], axis=1).argsort()
     assert moved[order[:50]].mean() > 5.0 * moved[order[2500:]].mean()
 
@@ -101,4 +97,5 @@ def test_interpolation_weights_sum_to_one_and_fall_to_nothing_at_the_last_node()
 def test_tiny_clouds_and_coinciding_points_have_fields(count, form):
     for points in (_cloud(count), np.zeros((count, 3))):
         field = in_form(form, SmoothField, points)
-        assert np.isfinite(in_form(form, _moved, field, 10.0, np.ones((len(field.nodes), 3)))).all()
+        smoothed = in_form(form, field.smoothed, np.ones((len(field.nodes), 3)), 10.0)
+        assert np.isfinite(in_form(form, field.spread, smoothed)).all()

@@ -8,6 +8,8 @@ import pytest
 from tests.scenes import example
 from tso_cli import RefineConfig, View, refine, refine_batch
 from tso_cli.geometry.rotations import from_vectors
+from tso_cli.refinement import verdict
+from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.verdict import REASONS, _model
 
 EXAMPLES = "chair", "car", "airplane"
@@ -26,14 +28,54 @@ def test_right_input_is_trusted(name):
     assert result.confidence > 0.6 and not result.warnings
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", ["chair", "airplane"])
 def test_a_camera_far_off_leaves_less_confidence_though_iou_rises(name):
     scene = example(name)
-    right, wrong = refine(scene.points, scene.view), refine(scene.points, _yawed(scene.view, 70.0))
+    right, wrong = (refine(scene.points, view) for view in (scene.view, _yawed(scene.view, 45.0)))
     assert wrong.iou_after > wrong.iou_before and scene.error(wrong.points) > scene.error(scene.points)
-    assert wrong.verdict == "doubtful" and wrong.confidence < right.confidence
+    assert wrong.confidence < right.confidence - 0.3 and wrong.verdict == "doubtful"
+    assert wrong.step_taken == 1.0
     assert wrong.reason in REASONS.values() or "--assume" in wrong.reason
     assert any(wrong.reason in warning for warning in wrong.warnings)
+
+
+def test_a_step_of_no_confidence_is_not_taken_unless_accepted():
+    scene = example("chair")
+    view = replace(scene.view, mask=1.0 - scene.mask)
+    careful, accepted = refine(scene.points, view), refine(scene.points, view, config=RefineConfig(accept_doubtful=True))
+    assert (careful.points == careful.initial).all() and careful.iou_after == careful.iou_before
+    assert (careful.stop_reason, careful.best_step, careful.step_taken, careful.moved_max) == ("doubtful", 0, 0.0, 0.0)
+    assert "so the cloud is left as it was" in careful.warnings[0] and careful.loss_after == careful.loss_before
+    assert (accepted.verdict, accepted.confidence) == (careful.verdict, careful.confidence)
+    assert accepted.step_taken == 1.0 and accepted.moved_mean > 0.01
+
+
+def test_a_step_of_little_confidence_is_taken_in_part_where_a_mistake_is_suspected(monkeypatch):
+    scene = example("chair")
+    whole = refine(scene.points, scene.view)
+    monkeypatch.setattr(verdict, "_judged", lambda signs: (0.4, "camera"))
+    assert refine(scene.points, scene.view).step_taken == 1.0
+    monkeypatch.setattr(Problem, "suspicion", "it looks as if the camera is another")
+    part = refine(scene.points, scene.view)
+    np.testing.assert_allclose(part.points, 0.5 * (whole.initial + whole.points), atol=1e-12)
+    assert part.step_taken == pytest.approx(0.5) and part.verdict == "doubtful" and "only 50 % of the step" in part.warnings[0]
+    assert whole.loss_after < part.loss_after < part.loss_before and part.iou_before < part.iou_after < whole.iou_after
+    assert part.moved_mean == pytest.approx(0.5 * whole.moved_mean)
+
+
+def test_a_suspected_mistake_is_never_called_an_improvement(monkeypatch):
+    scene = example("chair")
+    monkeypatch.setattr(Problem, "suspicion", "it looks as if the camera is another")
+    result = refine(scene.points, scene.view)
+    assert result.confidence > 0.9 and (result.verdict, result.step_taken) == ("doubtful", 1.0)
+    assert result.reason == "it looks as if the camera is another"
+
+
+def test_a_result_of_a_depth_map_is_not_judged():
+    scene = example("chair")
+    depth = np.where(scene.mask > 0.5, np.median(scene.camera.project(scene.target)[1]), np.nan)
+    result = refine(scene.points, replace(scene.view, depth=depth))
+    assert (result.verdict, result.confidence, result.signs) == (None, None, {})
 
 
 def test_an_inverted_mask_is_named_and_its_result_doubtful():

@@ -6,6 +6,7 @@ import torch
 
 from tests import oracles
 from tests.losses.common import by_autograd
+from tests.scenes import block
 from tso_cli.kernels.splat import splat
 from tso_cli.silhouette.affinity import affinity
 from tso_cli.silhouette.chamfer import chamfer
@@ -13,7 +14,7 @@ from tso_cli.silhouette.chamfer import chamfer
 SIGMA_SQ = 0.4
 
 
-def disc(size: int = 64, radius: float = 12.0) -> torch.Tensor:
+def disc(size: int, radius: float) -> torch.Tensor:
     axis = torch.arange(size, dtype=torch.float64) - (size - 1) / 2.0
     return ((axis[:, None] ** 2 + axis[None] ** 2) < radius**2).double()
 
@@ -24,11 +25,9 @@ def _affinity(points: torch.Tensor, mask: torch.Tensor, form: str) -> torch.Tens
 
 
 def test_points_outside_the_image_are_not_background():
-    mask = disc()
-    inside = torch.tensor([[31.0, 31.0]], dtype=torch.float64)
-    outside = torch.tensor([[-20.0, 30.0]], dtype=torch.float64)
-    with_outside = _affinity(torch.cat([inside, outside]), mask, "points")
-    assert with_outside.item() == pytest.approx(_affinity(inside, mask, "points").item())
+    points = torch.tensor([[31.0, 31.0], [-20.0, 30.0]], dtype=torch.float64)
+    with_outside, without = (_affinity(some, disc(64, 12.0), "points").item() for some in (points, points[:1]))
+    assert with_outside == pytest.approx(without)
 
 
 def test_the_printed_affinity_of_a_batch_is_that_of_each_image():
@@ -46,8 +45,7 @@ def test_the_printed_affinity_of_a_batch_is_that_of_each_image():
 
 def test_over_all_nonzero_pixels_the_printed_loss_of_an_uncovered_mask_would_nearly_vanish():
     """The rim of a Gaussian is not zero, and the least product is there: hence values over 0.5 alone."""
-    mask = torch.zeros(40, 40, dtype=torch.float64)
-    mask[20, 30] = 1.0
+    mask = torch.tensor(block(np.s_[20, 30], (40, 40))).double()
     point = torch.tensor([[[8.0, 20.0]]], dtype=torch.float64)
     silhouette = torch.tanh(splat(point, torch.ones(1, 1, dtype=torch.bool), 40, 40, SIGMA_SQ))[0]
     rows, columns = torch.nonzero(silhouette, as_tuple=True)
@@ -80,10 +78,7 @@ def test_an_unknown_form_is_refused():
 
 def test_chamfer_is_that_of_all_pairs_and_its_gradient_that_of_finite_differences():
     generator = torch.Generator().manual_seed(5)
-    a = torch.rand(2, 30, 3, generator=generator, dtype=torch.float64, requires_grad=True)
-    b = torch.rand(2, 20, 3, generator=generator, dtype=torch.float64, requires_grad=True)
-    forward, backward = chamfer(a, b)
-    for i in range(2):
-        expected = oracles.chamfer(a[i], b[i])
-        assert (forward[i].item(), backward[i].item()) == pytest.approx((expected[0].item(), expected[1].item()))
+    a, b = (torch.rand(2, n, 3, generator=generator, dtype=torch.float64, requires_grad=True) for n in (30, 20))
+    expected = [torch.stack(oracles.chamfer(*pair)) for pair in zip(a, b, strict=True)]
+    torch.testing.assert_close(torch.stack(chamfer(a, b), 1), torch.stack(expected))
     assert torch.autograd.gradcheck(lambda x, y: sum(chamfer(x, y)), (a, b), eps=1e-7, atol=1e-6)

@@ -50,8 +50,7 @@ def test_points_at_or_behind_the_camera_are_marked_and_get_no_gradient():
     projected = project(points, batch)
     assert projected.valid.tolist() == [[[True, False, False]]]
     silhouette_sums(projected, batch, 0.4).square().sum().backward()
-    assert torch.isfinite(points.grad).all()
-    assert points.grad[0, 1:].abs().max() == 0.0
+    assert torch.isfinite(points.grad).all() and not points.grad[0, 1:].any()
 
 
 def test_a_camera_that_moves_gets_its_gradient_too():

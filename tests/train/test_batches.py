@@ -57,14 +57,11 @@ def test_a_view_aligned_batch_has_the_axes_and_the_crop_of_its_picture(data):
 
 
 def test_a_training_set_without_objects_or_views_or_with_orthographic_cameras_is_refused():
-    item = make_objects(count=1, views=1)[0]
+    (item,) = make_objects(count=1, views=1)
     orthographic = replace(item.views[0], camera=replace(item.views[0].camera, model="orthographic"))
-    for objects, message in (
-        ([], "no object"),
-        ([replace(item, views=[])], "box0: has no view"),
-        ([replace(item, views=[orthographic])], "orthographic, expected perspective"),
-    ):
-        assert_refused(message, TrainingData, objects, "one")
+    assert_refused("no object", TrainingData, [], "one")
+    for views, message in ([], "box0: has no view"), ([orthographic], "orthographic, expected perspective"):
+        assert_refused(message, TrainingData, [replace(item, views=views)], "one")
 
 
 # Random draws
@@ -113,9 +110,8 @@ def test_augmentation_mirrors_half_of_the_pictures_in_the_view_frame_alone(data)
 def test_recolouring_changes_the_object_and_not_its_surroundings(data):
     picture = data.prepared(0, 0)
     changed = recoloured(picture, np.random.default_rng(0))
-    outside = picture.mask == 0.0
-    np.testing.assert_array_equal(changed[:, outside], picture.image[:, outside])
-    assert np.abs(changed - picture.image)[:, picture.mask == 1.0].mean() > 0.01
+    change = np.abs(changed - picture.image)
+    assert not change[:, picture.mask == 0.0].any() and change[:, picture.mask == 1.0].mean() > 0.01
     assert changed.min() >= 0.0 and changed.max() <= 1.0
 
 
@@ -167,11 +163,8 @@ def test_an_object_with_unreadable_points_is_warned_of_once_and_replaced():
 def test_ten_unusable_pictures_are_warned_of_and_all_are_listed():
     objects = [broken(item) for item in make_objects(5, 4)]
     data = TrainingData(objects, "boxes")
-    with (
-        pytest.warns(UserWarning, match="left out") as warned,
-        pytest.raises(InputError, match="no picture can be used, the first: box1 view 1.png"),
-    ):
-        assemble(data, [Draw(1, 1)], "view")
+    with pytest.warns(UserWarning, match="left out") as warned:
+        assert_refused("no picture can be used, the first: box1 view 1.png", assemble, data, [Draw(1, 1)], "view")
     assert len(warned) == 10 and len(data.unusable) == 20
 
 
@@ -203,15 +196,11 @@ def test_backgrounds_are_crops_of_photos_and_an_unreadable_one_is_warned_of_once
         crops = np.stack([backgrounds.sample(np.random.default_rng(seed)) for seed in range(9)])
     np.testing.assert_allclose(crops, np.broadcast_to([[[1.0]], [[0.0]], [[0.0]]], (9, 3, 64, 64)), atol=1e-6)
     assert len(warned) == 1 and list(backgrounds.unusable) == [str(tmp_path / "broken.png")]
-    with pytest.raises(InputError, match="broken.png"):
-        for seed in range(9):
-            Backgrounds(str(tmp_path), strict=True).sample(np.random.default_rng(seed))
     (tmp_path / "red.png").unlink()
-    with (
-        pytest.warns(UserWarning, match="broken.png"),
-        pytest.raises(InputError, match="no photo can be used, the first: .*broken.png"),
-    ):
-        Backgrounds(str(tmp_path)).sample(np.random.default_rng(0))
+    draw = np.random.default_rng(0)
+    assert_refused("broken.png: is not a readable image", Backgrounds(str(tmp_path), strict=True).sample, draw)
+    with pytest.warns(UserWarning, match="broken.png"):
+        assert_refused("no photo can be used, the first: .*broken.png", Backgrounds(str(tmp_path)).sample, draw)
 
 
 # Sources
@@ -223,9 +212,10 @@ def test_the_fingerprint_changes_with_the_pictures_of_the_same_objects():
         return replace(view, load=lambda: (image // 2, mask))
 
     first, second = make_objects(2)
-    changed = TrainingData([first, replace(second, views=[dark(second.views[0]), *second.views[1:]])], "two")
-    same = TrainingData(make_objects(2), "two").fingerprint()
-    assert TrainingData([first, second], "two").fingerprint() == same != changed.fingerprint()
+    changed = replace(second, views=[dark(second.views[0]), *second.views[1:]])
+    objects = [first, second], make_objects(2), [first, changed]
+    one, same, other = (TrainingData(items, "two").fingerprint() for items in objects)
+    assert one == same != other
 
 
 def test_a_rendered_folder_gives_the_same_batches_as_its_pictures_in_memory(folder):

@@ -25,16 +25,15 @@ def test_trains_on_a_folder_and_reports_it(tso_train, folder, tmp_path):
     lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
     assert lines[0]["settings"]["views"] == 2 and len(lines) == 5
     assert list(lines[4]) == ["step", "loss", "bce", "affinity", "lambda"]
-    assert {path.name for path in tmp_path.iterdir()} == {
-        "base.safetensors", "base.training.safetensors", "boxes", "log.jsonl",
-    }  # fmt: skip
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["base.safetensors", "base.training.safetensors", "boxes", "log.jsonl"]
 
 
 def test_joint_training_takes_each_data_set_by_its_own_split(tso_train, folder, tmp_path):
-    splits = tmp_path / "split.json", tmp_path / "masks.json"
-    for path, names in zip(splits, (["box0"], ["box1"]), strict=True):
-        path.write_text(json.dumps({"train": names, "validation": [], "test": []}))
-    joint = ("--supervision", "joint", "--split", splits[0], "--mask-data", folder, "--mask-split", splits[1])
+    for number in (0, 1):
+        (tmp_path / f"{number}.json").write_text(json.dumps({"train": [f"box{number}"], "validation": [], "test": []}))
+    splits = ("--split", tmp_path / "0.json", "--mask-data", folder, "--mask-split", tmp_path / "1.json")
+    joint = ("--supervision", "joint", *splits)
     document = tso_train(folder, *joint, "--json").document
     assert document["training_set"] == "boxes: 1 objects" and document["supervision"] == "joint"
     assert load_network(tmp_path / "base.safetensors")[1].settings["views"] == 1
@@ -49,8 +48,8 @@ def test_objects_without_a_3d_file_train_masks_only_and_are_not_evaluated(tso_tr
     points = tso_train(tmp_path, "--overwrite", "--json")
     document = points.document
     assert (document["objects"], document["not_judged"], list(document["left_out"])) == (1, {}, [f"{CHAIR}/def"])
-    assert "pcl_1024_fps_trimesh.npy: does not exist" in points.err
-    assert "pcl_1024_fps_trimesh.npy: does not exist" in tso_train(tmp_path, "--overwrite", "--strict").refusal
+    for said in (points.err, tso_train(tmp_path, "--overwrite", "--strict").refusal):
+        assert "pcl_1024_fps_trimesh.npy: does not exist" in said
 
 
 def test_a_damaged_3d_file_does_not_stop_training_by_masks(tso_train, tmp_path):
@@ -93,9 +92,8 @@ def test_distances_are_reported_with_their_scale(tso_train, folder, tmp_path):
     root = tmp_path / "r2n2"
     write_r2n2(root / "ShapeNetRendering")
     write_clouds(root, "abc")
-    for data, share, scale in (
-        (folder, 0, "unit diagonal"), (root, 0.9, "longest side 1"), (root, 0, "units of the data set")
-    ):  # fmt: skip
+    cases = (folder, 0, "unit diagonal"), (root, 0.9, "longest side 1"), (root, 0, "units of the data set")
+    for data, share, scale in cases:
         done = tso_train(data, "--crop-share", share, "--overwrite")
         assert f"mean over points, {scale}; N 32" in done.out
         assert load_network(tmp_path / "base.safetensors")[1].crop_share == share

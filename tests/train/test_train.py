@@ -8,7 +8,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from tests.corruption import assert_refused
+from tests.corruption import assert_refused, full_disk
 from tso_cli.errors import TsoError
 from tso_cli.io.checkpoints import load_network
 from tso_cli.network.model import build_network
@@ -169,12 +169,8 @@ def test_a_full_disk_leaves_the_previous_checkpoint(thin, data, tmp_path, monkey
     path = tmp_path / "base.safetensors"
     train_into(path, data, config(steps=2))
     before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
-
-    def full(self, content):
-        raise OSError(28, "No space left on device")
-
     with monkeypatch.context() as patch, pytest.raises(TsoError, match="No space left on device"):
-        patch.setattr(type(path), "write_bytes", full)
+        patch.setattr(type(path), "write_bytes", full_disk)
         train_into(path, data, config(steps=4), resume(path, data, config()))
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
 
@@ -215,16 +211,17 @@ def test_a_damaged_training_state_is_refused(thin, data, tmp_path):
     tensors, raw = load_file(file), file.read_bytes()
     whole = json.loads(json.loads(raw[8 : 8 + int.from_bytes(raw[:8], "little")])["__metadata__"]["tso"])
     state, weight, moment = whole["training"], "encoder.convolutions.0.weight", "training.exp_avg.encoder.latent.weight"
-    cases = [
-        ({"schedule": 3}, tensors, file.name),
-        ({"schedule": {**state["schedule"], "window": "x"}}, tensors, file.name),
-        ({"step": 7}, tensors, file.name),
-        ({}, {name: tensor for name, tensor in tensors.items() if name != moment}, "exp_avg.encoder.latent.weight is missing"),
-        ({}, {**tensors, weight: torch.zeros(8, 3, 3, 3)}, rf"{weight} has shape \[8, 3, 3, 3\], expected \[4, 3, 3, 3\]"),
-    ]
-    for change, stored, message in cases:
+
+    def refused(message, stored, **change):
         save_file(stored, file, {"tso": json.dumps({**whole, "training": {**state, **change}})})
         assert_refused(message, resume, path, data, config())
+
+    for change in ({"schedule": 3}, {"schedule": {**state["schedule"], "window": "x"}}, {"step": 7}):
+        refused(file.name, tensors, **change)
+    wide = {**tensors, weight: torch.zeros(8, 3, 3, 3)}
+    refused(rf"{weight} has shape \[8, 3, 3, 3\], expected \[4, 3, 3, 3\]", wide)
+    del tensors[moment]
+    refused("exp_avg.encoder.latent.weight is missing", tensors)
 
 
 # How it is evaluated

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import time
 import warnings
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +91,7 @@ HEADINGS = {
     multiple=True,
     metavar="NAME",
     help="What the input is, if not as tso expects: camera-to-world, opengl, cloud-z-up, cloud-millimetres, mask-flipped, ...; "
-    "warnings name the likely one, an unknown NAME lists all.",
+    "warnings name the likely one, an unknown NAME lists all; NAME@MASK for one mask of several.",
 )
 @click.option("--invert-mask", is_flag=True, help="The object is dark in the mask.")
 @click.option("--ignore", type=PATH, multiple=True, help="Image whose bright pixels are unknown: left out of the loss.")
@@ -105,6 +104,7 @@ HEADINGS = {
 @click.option("--image", type=PATH, multiple=True, help="Photo of the mask, for a photometric loss on a cloud with colours.")
 @click.option("-o", "--output", type=PATH, help="Refined cloud, .ply.  [default: SOURCESTEM.refined.ply here]")
 @options.overwrite
+@click.option("--accept-doubtful", is_flag=True, help="Take the whole step also where it is doubtful, not a part or nothing.")
 @click.option("--strict", is_flag=True, help="Write nothing where the result is doubtful, and exit with code 3.")
 @click.option("--overlay", type=PATH, help="Picture of mask, silhouette and cloud before and after, .png.")
 @click.option("--check", is_flag=True, help="Only print the camera, the scale and the overlap with the mask.")
@@ -142,11 +142,6 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
             raise InputError(
                 f"{name} is for --mode points, found --mode {inputs.mode}, which places its cloud before the camera itself"
             )
-    if any(name.startswith("cloud-") for name in inputs.assume):
-        # Both are of the scene's axes, the cloud is not.
-        for name, used in (("--write-camera", write_camera), ("--symmetry", chosen["symmetry"] not in (None, "auto", "none"))):
-            if used:
-                raise InputError(f"{name} knows the cloud's axes as they are, expected no --assume {' '.join(inputs.assume)}")
     chosen["output"] = chosen["output"] or Path(f"{inputs.source.stem}.refined.ply")
     outputs = options.pick(RefineOutputs, chosen)
     if not check:
@@ -156,13 +151,18 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
         if inputs.checkpoint is not None:
             options.log(f"tso: checkpoint: {inputs.checkpoint}")
         options.log(f"tso: camera: {', '.join(dict.fromkeys(scene.camera_sources))}")
+    from ..refinement.assumptions import mirrored
+
     if check:
         check_scene(scene, as_json, quiet, warned)
         return
+    if write_camera and any(map(mirrored, scene.views)):
+        raise InputError(
+            f"--write-camera {write_camera}: the cloud has left-handed axes, which no camera has; found --assume "
+            f"{' '.join(inputs.assume)}, expected a cloud with right-handed axes"
+        )
     read = time.perf_counter() - started
     with options.loading():
-        import numpy as np
-
         from ..refinement import RefineConfig, refine
     if chosen["sigma_sq"] is None:
         chosen["sigma_sq"] = scene.sigma_sq
@@ -176,21 +176,15 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
     try:
         with options.naming(inputs.source):
             result = refine(
-                None if scene.network else scene.points,
+                scene.start,
                 scene.views,
                 config=options.pick(RefineConfig, chosen),
                 network=scene.network,
                 image=scene.image,
-                colours=scene.colours,
-                faces=scene.faces,
                 progress=on_progress if sys.stderr.isatty() and not quiet else None,
             )
     finally:
         bar.close()
-    if inputs.assume and result.symmetry:
-        # In the axes of the file, as the points are written.
-        (normal,) = scene.to_output(np.array([result.symmetry[:3]]))
-        result = replace(result, symmetry=(*normal.tolist(), result.symmetry[3]))
     writing = time.perf_counter()
     refused = strict and result.verdict == "doubtful"
     if not refused:

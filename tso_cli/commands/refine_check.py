@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..geometry.camera import Camera
-    from ..refinement.assumptions import Agreement, Suspect
+    from ..refinement.agreement import Agreement
+    from ..refinement.assumptions import Suspect
     from ..refinement.placement import Placement
     from ..scene.load import Scene
 
@@ -26,12 +27,12 @@ def check_scene(scene: Scene, as_json: bool, quiet: bool, warned: list[str]) -> 
 
     ``warned`` collects the warnings so far and those to come.
     """
-    from ..refinement.assumptions import Agreement
+    from ..refinement.agreement import Agreement
     from ..refinement.cloud import outliers_told
     from ..refinement.placement import SMALLEST_BOX_IOU, mask_doubts, place, require_overlap
 
     placements = [place(scene.moving, view) for view in scene.views]
-    doubts = [] if scene.surface else outliers_told(len(scene.points) - len(scene.moving))
+    doubts = outliers_told(int(scene.start.outliers.sum()) if scene.start else 0)
     for doubt in (*doubts, *(doubt for view in scene.views for doubt in mask_doubts(view, len(scene.moving)))):
         warnings.warn(doubt, stacklevel=1)
     overlaps = [placement.box_iou > SMALLEST_BOX_IOU for placement in placements]
@@ -72,7 +73,7 @@ def verdict_document(
 def _document(
     scene: Scene, placements: list[Placement], overlaps: list[bool], agreement: Agreement | None, warned: list[str]
 ) -> dict[str, Any]:
-    views, suspects = [], agreement.suspects if agreement else ()
+    views, suspects = [], agreement.named if agreement else ()
     for view, source, placement, overlap in zip(scene.views, scene.camera_sources, placements, overlaps, strict=True):
         camera = camera_document(view.camera, source)
         views.append({"mask": view.name, "camera": camera, "placement": vars(placement), "meets": overlap})
@@ -80,8 +81,8 @@ def _document(
         "camera": views[0]["camera"],
         "frame": scene.frame,
         "extent": (scene.moving.max(0) - scene.moving.min(0)).tolist(),
-        "outliers": 0 if scene.surface else len(scene.points) - len(scene.moving),
-        "surface_samples": len(scene.moving) if scene.surface else None,
+        "outliers": int(scene.start.outliers.sum()) if scene.start else 0,
+        "surface_samples": len(scene.moving) if scene.start and scene.start.surface else None,
         "placement": views[0]["placement"],
         "meets": all(overlaps),
         "views": views,
@@ -92,7 +93,7 @@ def _document(
 
 def _print(scene: Scene, placements: list[Placement], overlaps: list[bool]) -> None:
     size = scene.moving.max(0) - scene.moving.min(0)
-    if scene.surface:
+    if scene.start and scene.start.surface:
         click.echo(f"mesh        {len(scene.points):,} vertices; points sampled on its faces stand for it as a cloud")
     for number, (view, placement) in enumerate(zip(scene.views, placements, strict=True)):
         if len(placements) > 1:

@@ -65,6 +65,7 @@ class RefineReport:
             "points": len(result.points),
             "outliers": int(result.outliers.sum()),
             **verdict_document(result.confidence, result.verdict, result.reason, warnings, result.suspects),
+            "step_taken": result.step_taken,
             "convention": {
                 "moved": "way of a point from its start, as a share of the object's size, the longest side of the start's box",
                 "chamfer_to_initial": "squared distances, mean over points, both directions summed, longest side 1",
@@ -72,8 +73,9 @@ class RefineReport:
                 "trust": "in a view: 1, or less where the other views contradict it",
                 "surface_samples": "points of a mesh's faces, which moved and chamfer_to_initial are of; null for a cloud",
                 "outliers": "points far from all others, which stay where they are",
-                "confidence": "that the points are not worse than the start by over 5 % in Chamfer distance (a rising IoU is "
-                "no proof); null but for the default preset of points mode",
+                "confidence": "that the whole step does not make the cloud worse by over 5 % in Chamfer distance (a rising IoU "
+                "is no proof); 1 where nothing moved, else null but for the default preset of points mode",
+                "step_taken": "share of the step that was taken: under 1 where it is doubtful, 0 where nothing moved",
                 "weight": "of a view in the loss: its trust, divided among the views that show the same",
                 "loss": result.objective + "; the mask's part is a sum over views, each times its weight",
                 "symmetry": "a, b, c, d of the mirror plane ax + by + cz = d in the frame of the input, null for none",
@@ -113,7 +115,8 @@ class RefineReport:
         result, count = self.result, len(self.scene.views)
         follow = f"vertices, which follow {result.surface_samples:,} points of the faces" if result.surface else "points"
         masks = f"masks, mean of {count}" if count > 1 else "mask"
-        verdict = f" ({result.verdict}, confidence {result.confidence:.2f})" if result.confidence is not None else ""
+        sure = "" if result.confidence is None else f", confidence {result.confidence:.2f}"
+        verdict = f" ({result.verdict}{sure})" if result.verdict else ""
         used = [self.inputs.network, self._cameras(), self._symmetry(), self._discounted(), f"{self.seconds['total']:.1f} s"]
         click.echo(f"{self.outputs.output}: {len(result.points):,} {follow}")
         click.echo(f"  IoU    {result.iou_before:.3f} -> {result.iou_after:.3f} with the {masks}{verdict}")

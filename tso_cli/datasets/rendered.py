@@ -92,7 +92,7 @@ def write_object(
     staging, old = (folder.with_name(f".{folder.name[:40]}.{token}.{kind}") for kind in ("partial", "old"))
     if stored_record(folder) is not None and not overwrite:
         raise InputError(f"{folder}: exists already, expected a new name or --overwrite")
-    locks = []
+    made, locks = [parent for parent in folder.parents if not parent.exists()], []
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         staging.mkdir()
@@ -119,6 +119,10 @@ def write_object(
             old.rename(folder)
         for path in (staging, old):
             shutil.rmtree(path, ignore_errors=True)
+        # Those that hold an object stay.
+        with suppress(OSError):
+            for path in made:
+                path.rmdir()
         for held in locks:
             if held is not None:
                 os.close(held)

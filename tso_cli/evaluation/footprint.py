@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.camera import NEAR, Camera
-from ..geometry.points import quantile
+from ..geometry.points import longest_side, quantile
 from ..geometry.view import View
 from ..geometry.window import Array, Box, window_of
 from .metrics import iou
@@ -97,7 +97,7 @@ def spacing(points: Array) -> tuple[float, float]:
 
     They are 1 / sqrt(points per area), the median over the cloud, and 1 to 1.4 times that; 0 if all points are equal.
     """
-    unit = float(np.ptp(points, axis=0).max())
+    unit = longest_side(points)
     if unit == 0.0:
         return 0.0, 0.0
     cloud = _subset(points, CLOUD)
@@ -137,7 +137,7 @@ def footprint(points: Array, camera: Camera) -> Bools:
     visible = (np.abs(pixels - (size - 1.0) / 2.0) < size / 2.0 + 2.0 * widest).all(1)
     scale = np.full(len(points), np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
     if camera.model == "perspective":
-        visible &= depth > NEAR * np.ptp(points, axis=0).max()
+        visible &= depth > NEAR * longest_side(points)
         scale[visible] /= depth[visible]
     silhouette = np.zeros((camera.height, camera.width), dtype=bool)
     if not visible.any():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .camera import NEAR
-from .points import quantile
+from .points import longest_side, quantile
 from .resampling import Array, Box
 from .view import View
 
@@ -28,7 +28,7 @@ def window_of(view: View, points: Array | None = None) -> Box:
         pixels, depth = view.camera.project(points)
         front = np.isfinite(pixels).all(1)
         if view.camera.model == "perspective":
-            front &= depth > NEAR * np.ptp(points, axis=0).max()
+            front &= depth > NEAR * longest_side(points)
         if front.any():
             first, last = (quantile(pixels[front], share) for share in (STRAYS, 1.0 - STRAYS))
             low, high = np.minimum(low, first), np.maximum(high, last)

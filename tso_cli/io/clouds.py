@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, TsoError
+from ..geometry.points import longest_side
 from .output import atomic_output, check_output
 from .ply import PlyFile, new_ply
 from .reading import TextTable, read_array, read_bytes
@@ -95,7 +96,7 @@ def write_cloud(
         raise InputError(f"{path}: {len(points)} points to write, expected {len(like.points)} as in {like.path}")
     with np.errstate(over="ignore", invalid="ignore"):
         rounding = np.abs(points.astype(np.float32) - points).max(initial=0.0)
-    extent = np.ptp(points, axis=0).max() if len(points) else 0.0
+    extent = longest_side(points) if len(points) else 0.0
     if like is not None and like.ply is not None:
         if "f4" in like.ply.kinds:
             if np.isinf(rounding):
@@ -154,5 +155,5 @@ def _check(points: Points, path: Path, extended: bool) -> None:
     largest = np.abs(points).max()
     if largest > _LARGEST:
         raise InputError(f"{path}: a coordinate of {largest:g}, expected at most {_LARGEST:g}")
-    if extended and np.ptp(points, axis=0).max() <= 1.0 / _LARGEST:
+    if extended and longest_side(points) <= 1.0 / _LARGEST:
         raise InputError(f"{path}: all {count} points are the same {points[0].tolist()}, expected different ones")

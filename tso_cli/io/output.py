@@ -1,7 +1,8 @@
 """Output files are written whole or not at all, and never over another file without being asked.
 
 While a file is written it is .NAME.xxxxxxxxxxxx.SUFFIX beside it. Its writer locks it: what is there without a lock is of a run
-that was killed, and the next one to write the same file removes it.
+that was killed, and the next one to write the same file removes it. Long work that writes a file again and again holds
+.NAME.lock beside it.
 """
 
 from __future__ import annotations
@@ -104,6 +105,39 @@ def _sweep(target: Path) -> None:
             if name.fullmatch(entry.name) and entry.is_file(follow_symlinks=False) and (held := lock(Path(entry))) is not None:
                 os.unlink(entry)
                 os.close(held)
+
+
+@contextmanager
+def sole_writer(path: Path) -> Iterator[None]:
+    """Work on ``path`` for as long as this lasts; InputError where another process does. Where no lock can be had, both do.
+
+    A killed process keeps nobody out, nor do processes that it forked.
+    """
+    target = Path(os.path.realpath(path))
+    place, held = target.with_name(f".{target.name}.lock"), None
+    try:
+        import fcntl
+
+        while held is None:
+            held = os.open(place, os.O_CREAT | os.O_RDWR, 0o666)
+            # In contrast to that of `lock`, this lock is no child's.
+            fcntl.lockf(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if not os.fstat(held).st_nlink:  # the one before removed it in between
+                os.close(held)
+                held = None
+    except BlockingIOError:
+        assert held is not None
+        os.close(held)
+        raise InputError(f"{path}: another process is writing it, expected another name, or to wait for it") from None
+    except (ImportError, OSError, ValueError):
+        pass
+    try:
+        yield
+    finally:
+        if held is not None:
+            with suppress(OSError):
+                place.unlink()
+            os.close(held)
 
 
 def lock(path: Path) -> int | None:

@@ -11,6 +11,7 @@ import hashlib
 import itertools
 import os
 import pickle
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -42,6 +43,18 @@ def forget_stale(folder: Path) -> None:
 
 
 forget_stale(Path(__file__).parent)
+
+
+@functools.cache
+def sweep(folder: str) -> None:
+    """Once for each process, remove the temporaries that killed processes left in numba's ``folder``.
+
+    One is there for milliseconds; a process that finds its own gone, as it was stopped for a minute, says so and goes on.
+    """
+    with contextlib.suppress(OSError):
+        for path in Path(folder).glob("*.nb[ci].tmp.*"):
+            if time.time() - path.stat().st_mtime > 60.0:
+                path.unlink(missing_ok=True)
 
 
 def on_disk(*functions: Any) -> bool:
@@ -78,6 +91,7 @@ class _Cache(FunctionCache):
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         locator = self._impl.locator
+        sweep(self.cache_path)
         self._cache_file = _CheckedFile(self.cache_path, self._impl.filename_base, locator.get_source_stamp())
 
     @contextlib.contextmanager

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -87,7 +88,8 @@ class Progress:
     """What a study resumes from, and where it reports to.
 
     ``earlier`` is the record to resume, ``keep`` is called with the record so far, ``unfinished`` is the checkpoint of a
-    network in training, and ``overwrite`` says whether files that the study itself writes may be replaced.
+    network in training, and ``overwrite`` says whether files that the study itself writes may be replaced. ``source`` is what
+    messages call the earlier record.
     """
 
     report: Report = lambda what, done, total: None
@@ -95,6 +97,17 @@ class Progress:
     keep: Callable[[Record], None] = lambda record: None
     unfinished: Path | None = None
     overwrite: bool = False
+    source: str = "the record to go on from"
+
+
+@contextmanager
+def undamaged(source: str) -> Iterator[None]:
+    """InputError where the cases of the record that messages call ``source`` cannot be concluded from or shown."""
+    try:
+        yield
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        found = f"{error} is missing" if isinstance(error, KeyError) else reason(error)
+        raise InputError(f"{source} is damaged ({found}), expected the cases as kept") from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,29 +165,27 @@ class Study(Shown):
         Raises InputError if the earlier record is of another study or of other settings.
         """
         plan = self.plan(progress, **options)
-        cases = self._earlier_cases(progress.earlier, plan.settings)
-        record = self._checked_record(plan, cases, progress.earlier)
+        cases = self._earlier_cases(progress, plan.settings)
+        record = self._checked_record(plan, cases, progress)
         progress.keep(record)
         for number, (shared, judge) in enumerate(plan.jobs, 1):
             if not _judged(shared, cases):
                 cases = [*cases, *judge()]
-                record = self._checked_record(plan, cases, progress.earlier)
+                record = self._checked_record(plan, cases, progress)
                 progress.keep(record)
                 plan.after_job()
             progress.report(plan.doing, number, len(plan.jobs))
         plan.finish(record)
         return record
 
-    def _checked_record(self, plan: Plan, cases: Cases, earlier: Record | None) -> Record:
-        """The record; InputError where cases of an ``earlier`` one cannot be concluded from or shown."""
-        if earlier is None:
+    def _checked_record(self, plan: Plan, cases: Cases, progress: Progress) -> Record:
+        """The record; InputError where cases of an earlier one cannot be concluded from or shown."""
+        if progress.earlier is None:
             return self._record(plan, cases)
-        try:
+        with undamaged(progress.source):
             record = self._record(plan, cases)
             for table in self.tables(record) if record["complete"] else ():
                 table.text()
-        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-            raise InputError(f"the record to go on from is damaged ({reason(error)}), expected the cases as kept") from None
         return record
 
     def _record(self, plan: Plan, cases: Cases) -> Record:
@@ -183,11 +194,11 @@ class Study(Shown):
         conclusions = self.conclude(cases) if complete else {}
         return {**head, "settings": plan.settings, **conclusions, "cases": cases}
 
-    def _earlier_cases(self, earlier: Record | None, settings: Record) -> Cases:
-        if earlier is None:
+    def _earlier_cases(self, progress: Progress, settings: Record) -> Cases:
+        if progress.earlier is None:
             return []
-        name, before, cases = (earlier.get(key) for key in ("study", "settings", "cases"))
-        text = "the record to go on from"
+        name, before, cases = (progress.earlier.get(key) for key in ("study", "settings", "cases"))
+        text = progress.source
         if name != self.name or not isinstance(before, dict) or not isinstance(cases, list):
             raise InputError(f"{text} is of the study {name!r}, expected one of tso lab {self.name}")
         for key, value in settings.items():

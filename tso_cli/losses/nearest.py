@@ -13,8 +13,8 @@ Indices = NDArray[np.int64]
 
 # Distances computed at once; bounds memory.
 PAIRS_AT_ONCE = 1 << 21
-# With more pairs a k-d tree, whose import takes a quarter of a second, is faster than the matrix and than loops over all.
-MOST_PAIRS = 1 << 22
+# With more pairs a k-d tree, whose import takes a quarter of a second, is faster than the matrix, or than compiled loops.
+MOST_PAIRS, MOST_COMPILED = 1 << 22, 1 << 25
 
 
 def nearest(queries: Array, data: Array) -> Indices:
@@ -30,9 +30,10 @@ def nearest(queries: Array, data: Array) -> Indices:
 
 def nearest_few(queries: Array, data: Array, count: int) -> Indices:
     """[Q, count] indices of the nearest points of ``data``, by increasing distance; ``count`` is few, at most N."""
-    if len(queries) * len(data) > MOST_PAIRS:
+    compiled = use_compiled() and data.shape[1] == 3
+    if len(queries) * len(data) > (MOST_COMPILED if compiled else MOST_PAIRS):
         return _by_tree(queries, data, count).reshape(-1, count)
-    if use_compiled() and data.shape[1] == 3:
+    if compiled:
         from ..kernels import points_numba
 
         few = np.empty((len(queries), count), np.int64)

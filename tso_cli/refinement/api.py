@@ -42,7 +42,8 @@ def refine(
 
     Parameters
     ----------
-    points : [N, 3] array or tensor; None in the network modes, where the network's prediction is the start.
+    points : [N, 3] array or tensor, or a `Cloud`, which has its colours and faces; None in the network modes, where the
+        network's prediction is the start.
     masks : one [H, W] array in [0, 1], a sequence of them, or `View` objects.
     cameras : one for each mask; None for the canonical camera, and for views, which have their own.
     network : for the modes "encoder", "encoder-decoder" and "latent"; it is copied, never changed.
@@ -72,7 +73,7 @@ def refine(
         if settings.mode == "points":
             if points is None:
                 raise InputError("mode points needs points, found none")
-            cloud = Cloud(points, "points", colours, faces)
+            cloud = points if isinstance(points, Cloud) else Cloud(points, "points", colours, faces)
         else:
             from .network_parameters import NetworkParameters
 

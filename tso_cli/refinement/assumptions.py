@@ -1,28 +1,19 @@
-"""What people commonly get wrong in cloud, camera and mask: named assumptions, and which of them would make the input fit."""
+"""What people commonly get wrong in cloud, camera and mask: named assumptions, and views as they are meant under them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.camera import Array, Camera
-from ..geometry.view import View, object_box
-from ..losses.projection import pixels_under
-
-# Cells along the longer side of the mask's box, in which silhouettes are compared, and points that are projected.
-CELLS, POINTS = 16, 1024
-# An assumption is suspected if silhouettes then agree better than as given by this IoU, and at least so far.
-MARGIN, LEAST_IOU = 0.16, 0.4
-# Others that fit about as well as the best.
-SIMILAR, MOST_SUSPECTS = 0.03, 3
-# An inverted mask is foreground along at least so much of the picture's border.
-BORDER = 0.6
-GOLDEN = (5.0**0.5 - 1.0) / 2.0
+from ..geometry.view import View
+from .symmetry import MirrorPlane
 
 
 @dataclass(frozen=True)
@@ -30,22 +21,24 @@ class Assumption:
     """How the input is meant, if not as the conventions have it.
 
     what : in words. axes : the x, y and z of the scene in those of the cloud. camera : from the camera of the file. mask :
-    "inverted", "left-right" or "upside-down".
+    "inverted", "left-right" or "upside-down". option : that gave it. view : name of the only view that it is about, or "".
     """
 
     what: str
     axes: str = "x y z"
     camera: Callable[[Camera], Camera] | None = None
     mask: str = ""
+    option: str = ""
+    view: str = ""
 
-    @property
+    @cached_property
     def matrix(self) -> Array:
         """[3, 3], from points of the cloud to points of the scene; orthogonal."""
         rows = [np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0) for axis in self.axes.split()]
         return np.stack(rows)
 
     def of_view(self, view: View) -> View:
-        """The view as it is meant."""
+        """The view with mask and camera as they are meant. Its depth map and photo are taken as right."""
         mask, known = view.mask, view.known
         if self.mask == "inverted":
             mask = np.float32(1.0) - mask
@@ -122,111 +115,69 @@ ASSUMPTIONS = {
 """By the name that `tso refine --assume` takes."""
 
 
+INVERT_MASK = replace(ASSUMPTIONS["mask-inverted"], option="--invert-mask")
+
+
 class Suspect(NamedTuple):
-    """An assumption that would make the input fit: ``what`` in words, the ``option`` that makes it, the IoU then."""
+    """What may be wrong with the input: ``what`` in words, the ``option`` that mends it, the IoU then."""
 
     what: str
     option: str
     score: float
 
 
-def assumptions_of(names: Sequence[str]) -> list[Assumption]:
-    """The assumptions of these names; InputError for another name."""
-    for name in names:
-        if name not in ASSUMPTIONS:
-            raise InputError(f"--assume is {name!r}, expected one of {', '.join(ASSUMPTIONS)}")
-    return [ASSUMPTIONS[name] for name in names]
-
-
-@dataclass(frozen=True)
-class Agreement:
-    """How far the silhouette of a cloud and the masks agree, mean IoU in coarse cells of the views.
-
-    as_given : of the input as it is. best : under the best of `ASSUMPTIONS`. suspects : those that may be true, best first.
-    """
-
-    as_given: float
-    best: float
-    suspects: tuple[Suspect, ...]
-
-    @classmethod
-    def of(cls, points: Array, views: Sequence[View]) -> Agreement:
-        """Of ``points`` [N, 3]; a few milliseconds."""
-        # Points of organised clouds at equal steps may all be of one column: those at multiples of the golden ratio are not.
-        points = points[(len(points) * (np.arange(min(len(points), POINTS)) * GOLDEN % 1.0)).astype(np.int64)]
-        targets = [{mask: _Cells.of(view, mask) for mask in ("", "inverted")} for view in views]
-        as_given = _agreement(Assumption(""), points, views, targets)
-        possible = {name: assumption for name, assumption in ASSUMPTIONS.items() if _possible(assumption, views)}
-        scores = {name: _agreement(assumption, points, views, targets) for name, assumption in possible.items()}
-        best = max(scores.values())
-        likely = []
-        if best >= max(as_given + MARGIN, LEAST_IOU):
-            likely = sorted((name for name in scores if scores[name] >= best - SIMILAR), key=lambda name: -scores[name])
-        suspects = [Suspect(ASSUMPTIONS[name].what, f"--assume {name}", scores[name]) for name in likely[:MOST_SUSPECTS]]
-        return cls(as_given, best, tuple(suspects))
-
-    def __str__(self) -> str:
-        """The suspects in words, nothing without any."""
-        if not self.suspects:
-            return ""
-        others = "".join(f", or {suspect.option}" for suspect in self.suspects[1:])
-        return f"it looks as if {self.suspects[0].what}: try {self.suspects[0].option}{others}"
-
-
-def _possible(assumption: Assumption, views: Sequence[View]) -> bool:
-    """False for masks that cannot be inverted: an object that the border truncates, or a speck, would pass for one."""
-    if assumption.mask != "inverted":
-        return True
-    borders = [np.concatenate([*view.inside[[0, -1]], *view.inside[:, [0, -1]].T]) for view in views]
-    return bool(np.mean([border.mean() for border in borders]) >= BORDER)
+def assumptions_of(texts: Sequence[str]) -> list[Assumption]:
+    """The assumptions of NAME, or of NAME@MASK for the view of that mask alone; InputError for another name."""
+    assumptions = []
+    for text in texts:
+        name, at, mask = text.partition("@")
+        if name not in ASSUMPTIONS or (at and not mask):
+            raise InputError(
+                f"--assume is {text!r}, expected one of {', '.join(ASSUMPTIONS)}, or NAME@MASK for one mask of several"
+            )
+        if at and name.startswith("cloud-"):
+            raise InputError(f"--assume is {text!r}, expected {name} alone: the cloud is the same for all masks")
+        if texts.count(text) > 1:
+            raise InputError(f"--assume {text} is given twice, expected once")
+        assumptions.append(replace(ASSUMPTIONS[name], option=f"--assume {text}", view=str(Path(mask)) if mask else ""))
+    return assumptions
 
 
 @dataclass(frozen=True, eq=False)
-class _Cells:
-    """A mask in coarse cells."""
+class AssumedView(View):
+    """A view read under assumptions: ``given`` ones, and the ``camera_read``, of the file."""
 
-    low: Array  # [2], column and row of the first cell's corner, px
-    edge: int  # of a cell, px
-    inside: NDArray[np.bool_]  # [rows, columns]
-    view: View
-
-    @classmethod
-    def of(cls, view: View, mask: str) -> _Cells:
-        inside = view.inside if not mask else ~view.inside if view.known is None else ~view.inside & view.known
-        left, top, right, bottom = object_box(inside)
-        edge = -(-max(right - left, bottom - top) // CELLS)
-        rows, columns = -(-(bottom - top) // edge), -(-(right - left) // edge)
-        padded = np.zeros((rows * edge, columns * edge), bool)
-        padded[: bottom - top, : right - left] = inside[top:bottom, left:right]
-        cells = padded.reshape(rows, edge, columns, edge).mean((1, 3)) > 0.1
-        return cls(np.array([left, top]) - 0.5, edge, cells, view)
-
-    def iou(self, pixels: Array) -> float:
-        """With the cells that ``pixels`` [N, 2] fall in, but for those outside the image or unknown."""
-        camera, known = self.view.camera, self.view.known
-        finite = np.asarray(np.isfinite(pixels).all(1))
-        pixel, visible = pixels_under(pixels, finite, camera.height, camera.width)
-        pixels = pixels[visible if known is None else visible & known.ravel()[pixel]]
-        column, row = np.floor((pixels - self.low) / self.edge).astype(np.int64).T
-        height, width = self.inside.shape
-        within = (column >= 0) & (row >= 0) & (column < width) & (row < height)
-        covered = np.zeros_like(self.inside)
-        covered[row[within], column[within]] = True
-        beside = len(np.unique(column[~within] * (1 << 32) + row[~within]))
-        common = np.count_nonzero(covered & self.inside)
-        return common / (np.count_nonzero(covered | self.inside) + beside)
+    given: tuple[Assumption, ...] = ()
+    camera_read: Camera | None = None
 
 
-def _agreement(assumption: Assumption, points: Array, views: Sequence[View], targets: list[dict[str, _Cells]]) -> float:
-    """Mean IoU over the views."""
-    points, ious = points @ assumption.matrix.T, []
-    for view, cells in zip(views, targets, strict=True):
-        camera = assumption.of_camera(view.camera)
-        pixels, _ = camera.project(points)
-        # The mask flipped is the cloud's picture flipped.
-        if assumption.mask == "left-right":
-            pixels[:, 0] = camera.width - 1.0 - pixels[:, 0]
-        elif assumption.mask == "upside-down":
-            pixels[:, 1] = camera.height - 1.0 - pixels[:, 1]
-        ious.append(cells["inverted" if assumption.mask == "inverted" else ""].iou(pixels))
-    return float(np.mean(ious))
+def about(view: View, assumptions: Sequence[Assumption]) -> list[Assumption]:
+    """Those that are about all views, or about this one."""
+    return [assumption for assumption in assumptions if assumption.view in ("", view.name)]
+
+
+def axes_of(assumptions: Sequence[Assumption]) -> Array:
+    """[3, 3], from points of the cloud to points of the scene, under all of them."""
+    axes = np.eye(3)
+    for assumption in assumptions:
+        axes = assumption.matrix @ axes
+    return axes
+
+
+def mirrored(view: View) -> bool:
+    """Whether its pictures and its camera are mirrored, as the cloud has left-handed axes."""
+    return isinstance(view, AssumedView) and bool(np.linalg.det(axes_of(about(view, view.given))) < 0.0)
+
+
+def in_axes_of_cloud(view: View, axes: Array) -> View:
+    """The view whose camera sees points of the cloud where it saw ``axes`` times these.
+
+    Of left-handed axes its pictures are mirrored, and its camera with them: no camera is a reflection.
+    """
+    if np.linalg.det(axes) < 0.0:
+        mirror = MirrorPlane(np.array([1.0, 0.0, 0.0]), 0.0)
+        mirrored, axes = mirror.view(view), mirror.reflect(axes.T).T
+        image = None if view.image is None else view.image[:, ::-1]
+        pictures = {name: getattr(mirrored, name) for name in ("mask", "known", "depth", "camera")}
+        view = replace(view, image=image, **pictures)
+    return replace(view, camera=replace(view.camera, R=view.camera.R @ axes))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..geometry.points import as_points, bounding_box_normalisation, quantile
+from ..geometry.points import as_points, bounding_box_normalisation, longest_side, quantile
 from ..losses.nearest import nearest_few
 from .surface import Surface
 
@@ -99,7 +99,7 @@ def outliers(points: Array) -> NDArray[np.bool_]:
     One of them at ten times the object's size would leave the object a tenth of the window and of every scale.
     """
     size = float((quantile(points, 0.9) - quantile(points, 0.1)).max())
-    if len(points) <= NEIGHBOUR or np.ptp(points, axis=0).max() <= LONGEST * size:
+    if len(points) <= NEIGHBOUR or longest_side(points) <= LONGEST * size:
         return np.zeros(len(points), bool)
     # Invalid points of a scan may all lie in one place.
     places, place = np.unique(points, axis=0, return_inverse=True)

@@ -111,4 +111,5 @@ def _averaged(parts: list[Descent], weights: list[float], initial: Array, object
         first_loss=loss_at_start,
         best_loss=min(loss_at_mean, loss_at_start),
         stages=tuple(part.best for part in parts),
+        objective=objective,
     )

@@ -44,6 +44,7 @@ class RefineConfig:
         "x", "y", "z": the axis normal to a plane through the middle of the start's bounding box; or "a,b,c,d": the plane
         ax + by + cz = d.
     refine_camera : first correct the camera of each view, held near the given one; points mode.
+    accept_doubtful : take the whole step also where the result is doubtful, in place of a part of it or none.
     coarse_to_fine : settings of the preset "best" of points mode, for ablations.
 
     Raises
@@ -62,6 +63,7 @@ class RefineConfig:
     preset: str = "best"
     symmetry: str | None = None
     refine_camera: bool = False
+    accept_doubtful: bool = False
     coarse_to_fine: CoarseToFineConfig = BEST
 
     def __post_init__(self) -> None:
@@ -116,6 +118,7 @@ class Settings:
     device: str
     seed: int
     refine_camera: bool
+    accept_doubtful: bool
     coarse_to_fine: CoarseToFineConfig
 
     @property

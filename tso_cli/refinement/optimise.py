@@ -35,7 +35,7 @@ class Descent:
     best : [N, 3], the iterate with the lowest loss. best_step : its step.
     losses : at the start and after every step; the last is NaN where points or loss were not finite.
     interrupted : Ctrl-C ended it.
-    first_loss, best_loss : of the start and of ``best``. stages : the best of each stage, [N, 3].
+    first_loss, best_loss : of the start and of ``best``. stages : the best of each stage, [N, 3]; objective : of the last.
     """
 
     best: Array
@@ -45,6 +45,7 @@ class Descent:
     first_loss: float
     best_loss: float
     stages: tuple[Array, ...] = ()
+    objective: Term | None = None
 
 
 def offset_progress(on_progress: Progress, done: int, total: int) -> Progress:

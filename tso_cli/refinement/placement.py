@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.camera import NEAR
+from ..geometry.points import bounds, longest_side
 from ..geometry.view import View
 
 # Boxes of mask and projected cloud with a lower IoU belong to different cameras, units or axes.
@@ -43,7 +44,7 @@ def place(points: Array, view: View) -> Placement:
     pixels, depth = camera.project(points)
     front = np.isfinite(pixels).all(1)
     if camera.model == "perspective":
-        front &= depth > NEAR * np.ptp(points, axis=0).max()
+        front &= depth > NEAR * longest_side(points)
     seen = pixels[front]
     columns, rows = np.rint(seen).T
     inside = (columns >= 0) & (rows >= 0) & (columns < camera.width) & (rows < camera.height)
@@ -52,8 +53,9 @@ def place(points: Array, view: View) -> Placement:
     box, overlap = None, 0.0
     if len(seen):
         # Half a pixel around the points: a cloud of one column still has a width, as the mask's box does.
-        low = np.maximum(seen.min(0) - 0.5, -0.5)
-        high = np.minimum(seen.max(0) + 0.5, [camera.width - 0.5, camera.height - 0.5])
+        low, high = bounds(seen)
+        low = np.maximum(low - 0.5, -0.5)
+        high = np.minimum(high + 0.5, [camera.width - 0.5, camera.height - 0.5])
         if (high > low).all():
             box = _plain((*low, *high))
             overlap = box_iou(box, mask_box)

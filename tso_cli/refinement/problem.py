@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.view import View
 from ..geometry.window import Array, Box, window_of
-from .assumptions import Agreement
+from .agreement import Agreement
 from .cloud import Cloud
 from .config import Settings
 from .placement import place, require_overlap
@@ -78,6 +78,11 @@ class Problem:
         if all(new is old for new, old in zip(resampled, self.resampled, strict=True)):
             return self
         return replace(self, resampled=tuple(resampled))
+
+    @property
+    def suspicion(self) -> str:
+        """What may be wrong with the input, in words; nothing where all looks right."""
+        return str(self.agreement or "")
 
     def evidence(self, weights: list[float]) -> float:
         """Weighted number of masks and depth maps; a flipped mask counts a quarter."""

@@ -18,7 +18,7 @@ from .placement import mask_doubts
 from .symmetry import SymmetryOutcome
 
 Array = NDArray[np.float64]
-StopReason = Literal["max_steps", "interrupted", "non_finite", "nothing_to_do", "not_improved"]
+StopReason = Literal["max_steps", "interrupted", "non_finite", "nothing_to_do", "not_improved", "doubtful"]
 
 # A view with a lower inlier weight is warned of.
 DOUBTFUL_INLIER_WEIGHT = 0.5
@@ -37,7 +37,8 @@ class RefineResult:
     steps : steps done; best_step : the step that the result is from, 0 where the start was best. With the preset "best" of
         points mode, whose result is a mean over the stages, the best step of the last stage.
     stop_reason : "max_steps"; "interrupted" (Ctrl-C: the best so far is kept); "non_finite" (the loss became NaN or infinite);
-        or, where the result is the start, "nothing_to_do" (its loss is 0) or "not_improved" (no step had a lower loss).
+        or, where the result is the start, "nothing_to_do" (its loss is 0), "not_improved" (no step had a lower loss) or
+        "doubtful" (the step was likely to make the cloud worse).
     warnings : one sentence each, to read before the result is used.
     losses : the objective at the start and after every step. loss_before, loss_after : of the start and of the result. With
         the preset "best" the objective changes from stage to stage: these two are both by the last.
@@ -54,9 +55,10 @@ class RefineResult:
     symmetry_outcome : "used" (a plane that was found), "given", or without a plane "not_asked", "none_found" (the cloud has
         none) or "contradicted" (the cloud has one, the views contradict it). symmetry_reason : the measurement, in words.
     suspects : what may be wrong with the input, likeliest first.
-    verdict : "improved", "unchanged", or "doubtful": likely worse than the start, for the ``reason``; None where only the
-        default would be judged. confidence : in [0, 1], that the points are not worse than the start by over 5 % in Chamfer
-        distance; None as before. signs : what it is from.
+    verdict : "improved", "unchanged", or "doubtful": the whole step is likely to make the cloud worse, for the ``reason``; None
+        where only the default would be judged. confidence : in [0, 1], that the whole step does not make it worse by over 5 %
+        in Chamfer distance; None as before. signs : what it is from. step_taken : share of the step that was taken, under 1
+        only where it is doubtful.
     sigma_sq : squared cells.
     view_windows : left, top, right, bottom edges of the window of each mask, px, that the cloud was compared with at last,
         and cells along its side.
@@ -101,6 +103,7 @@ class RefineResult:
     verdict: str | None = None
     confidence: float | None = None
     reason: str = ""
+    step_taken: float = 1.0
     signs: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -127,6 +130,7 @@ def why_unmoved(result: RefineResult) -> str | None:
     """Why no point moved, in words; None where points did."""
     if result.best_step:
         return None
+    doubted = result.verdict == "doubtful" and not result.step_taken
     shows = "the mask shows" if len(result.cameras) == 1 else "the masks show"
     return {
         "max_steps": "no steps were asked for",
@@ -134,24 +138,29 @@ def why_unmoved(result: RefineResult) -> str | None:
         "non_finite": f"the loss was no number after step {result.steps}, and none before was lower than that of the start",
         "nothing_to_do": f"the cloud already agrees with all that {shows}",
         "not_improved": f"none of {result.steps} steps agrees better with what {shows} than the start does",
-    }[result.stop_reason]
+        "doubtful": "the step is doubtful (--accept-doubtful takes it all the same)",
+    }["doubtful" if doubted else result.stop_reason]
 
 
 def result_warnings(result: RefineResult, views: Sequence[View], steps: int, suspicion: str) -> tuple[str, ...]:
     """The ``warnings`` of a result that lacks them; ``steps`` : how many were asked for; ``suspicion`` : of the input."""
     messages = []
-    if reason := why_unmoved(result):
+    reason = why_unmoved(result)
+    if reason and result.verdict != "doubtful":
         what = "nothing to do" if result.stop_reason == "nothing_to_do" else "nothing moved"
         messages.append(f"{what}: {reason}; the cloud is as it was")
     elif result.stop_reason == "interrupted":
-        messages.append(f"interrupted at step {result.steps} of {steps}: the result is the best so far")
+        best = "start" if reason else "best so far"
+        messages.append(f"interrupted at step {result.steps} of {steps}: the result is the {best}")
     elif result.stop_reason == "non_finite":
         messages.append(f"the loss was no number after step {result.steps}: the result is the best before that")
-    elif result.moved_max < SMALL_DISPLACEMENT:
+    elif not reason and result.moved_max < SMALL_DISPLACEMENT:
         messages.append(f"hardly anything moved: no point by more than {100.0 * SMALL_DISPLACEMENT:g} % of the object's size")
     if result.verdict == "doubtful":
         sure = "" if result.confidence is None else f" (confidence {result.confidence:.2f})"
-        messages.append(f"the result is doubtful{sure}: {result.reason}")
+        taken = f", so only {100.0 * result.step_taken:.0f} % of the step is taken" if result.step_taken < 1.0 else ""
+        taken = taken if result.step_taken else ", so the cloud is left as it was"
+        messages.append(f"the result is doubtful{sure}{taken}: {result.reason}")
     elif suspicion:
         messages.append(suspicion)
     messages += outliers_told(int(result.outliers.sum()))

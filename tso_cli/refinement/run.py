@@ -3,37 +3,30 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..errors import TsoError
-from ..evaluation.footprint import common_window, window_iou
-from ..geometry.view import View
 from ..losses.chamfer import ChamferToStart
 from ..losses.photometric import Photo, PhotometricTerm
 from .adam import Adam
 from .camera_correction import corrected_cameras
-from .cloud import Array, MovedCloud
+from .cloud import Array
 from .coarse_to_fine import CoarseToFine, network_objective
 from .config import Settings
+from .judge import Outcome, judged
 from .objective import SilhouetteObjective, ViewTargets
 from .optimise import Descent, Parameters, Progress, Term, descend, sum_of
 from .parameters import PointParameters
-from .presets import BEST_STEPS, STAGES, Stage
+from .presets import Stage
 from .problem import Problem
 from .result import RefineResult, StopReason, result_warnings
 from .smooth_field import SmoothField
 from .symmetry_check import verified_symmetry
-from .verdict import Verdict, signs_of
 from .view_weights import ViewWeights
-
-# A start of lower IoU hardly touches its mask, as a pole beside its own: coming nearer need not raise the IoU.
-FEEBLE_IOU = 0.1
-# Results of fewer steps or points are not judged.
-FEWEST_STEPS, FEWEST_POINTS = BEST_STEPS["points"] // 4, 16
 
 
 class Stopwatch:
@@ -78,8 +71,7 @@ def run(
     with stopwatch.phase("optimise"):
         descent, problem = _optimise(prepared, network, chamfer, settings, on_progress)
     with stopwatch.phase("judge"):
-        displacements = descent.best - chamfer.initial
-        outcome = _judge(problem, given_views, displacements, prepared.view_weights, settings)
+        outcome = judged(problem, given_views, descent, prepared.field, prepared.view_weights, settings)
         chamfer_to_initial = chamfer(chamfer.initial + outcome.moved.displacements)[0]
     return _result(problem, outcome, descent, prepared, chamfer_to_initial, settings, stopwatch.seconds)
 
@@ -159,49 +151,9 @@ def _photos(problem: Problem, weights: list[float]) -> list[Photo]:
     ]
 
 
-@dataclass(frozen=True, eq=False)
-class _Outcome:
-    moved: MovedCloud
-    ious: list[tuple[float, float]]  # of each view, before and after
-    reverted: bool = False  # to the start, because the IoU would have fallen
-
-
-def _judge(
-    problem: Problem, given_views: Sequence[View], displacements: Array, weights: ViewWeights, settings: Settings
-) -> _Outcome:
-    moved = problem.cloud.moved(displacements)
-    outcome = _Outcome(moved, view_ious(problem.cloud.judged, moved.judged, given_views, problem.views))
-    # Corrected cameras may lower the IoU rightly.
-    if settings.staged and problem.views == given_views and _agrees_less(problem, outcome.ious, weights.loss):
-        unmoved = problem.cloud.moved(np.zeros_like(moved.displacements))
-        outcome = _Outcome(unmoved, [(before, before) for before, _ in outcome.ious], reverted=True)
-    return outcome
-
-
-def view_ious(initial: Array, refined: Array, given: Sequence[View], corrected: Sequence[View]) -> list[tuple[float, float]]:
-    """IoU of each view before, by the given camera, and after, by the corrected one; both in the same window."""
-    ious = []
-    for before, after in zip(given, corrected, strict=True):
-        stages = (initial, before), (refined, after)
-        box = common_window(stages)
-        ious.append((window_iou(*stages[0], box), window_iou(*stages[1], box)))
-    return ious
-
-
-def _agrees_less(problem: Problem, ious: list[tuple[float, float]], weights: list[float]) -> bool:
-    """Whether masks are all there is, and the IoU fell.
-
-    The mask Chamfer loss counts distances, and may fall while the IoU falls too, as for a right start and a coarse mask.
-    """
-    if any(view.depth is not None or view.image is not None for view in problem.views):
-        return False
-    before, after = np.average(ious, axis=0, weights=weights)
-    return bool(after < before and before >= FEEBLE_IOU)
-
-
 def _result(
     problem: Problem,
-    outcome: _Outcome,
+    outcome: Outcome,
     descent: Descent,
     prepared: _Prepared,
     chamfer_to_initial: float,
@@ -215,25 +167,19 @@ def _result(
     if len(losses) == 1 and not finite:
         raise TsoError("the loss is no finite number after the first step (a smaller learning rate?)")
     cloud, moved, plane = problem.cloud, outcome.moved, problem.symmetry.plane
-    best_step = 0 if outcome.reverted else descent.best_step
+    best_step = 0 if outcome.unmoved else descent.best_step
     iou_before, iou_after = np.mean(outcome.ious, 0).tolist()
     lengths = np.linalg.norm(moved.displacements, axis=1)
-    signs: dict[str, float] = {}
-    # What a few steps leave undone looks like a mistake.
-    if prepared.field and problem.agreement and len(descent.stages) == len(STAGES) and settings.steps >= FEWEST_STEPS:
-        moves = cloud.normalised(), descent.best, descent.stages
-        signs = signs_of(problem, prepared.field, *moves, outcome.ious, prepared.view_weights.inlier)
-    verdict = Verdict.of(signs if len(cloud.initial) >= FEWEST_POINTS else {}, best_step > 0, str(problem.agreement or ""))
     result = RefineResult(
         points=moved.points,
         initial=cloud.given,
         mode=settings.mode,
         steps=len(losses) - 1,
         best_step=best_step,
-        stop_reason=_stop_reason(finite, descent.interrupted, best_step, descent.first_loss, settings.steps),
+        stop_reason=_stop_reason(finite, descent, outcome.unmoved, settings.steps),
         losses=losses,
         loss_before=descent.first_loss,
-        loss_after=descent.first_loss if outcome.reverted else descent.best_loss,
+        loss_after=outcome.loss(problem.cloud.normalised(), descent),
         iou_before=iou_before,
         iou_after=iou_after,
         view_ious=outcome.ious,
@@ -257,20 +203,21 @@ def _result(
         surface=(cloud.judged, moved.judged) if cloud.surface else None,
         surface_samples=len(moved.displacements) if cloud.surface else None,
         outliers=cloud.outliers,
-        suspects=problem.agreement.suspects if problem.agreement else (),
-        verdict=verdict.name,
-        confidence=verdict.confidence,
-        reason=verdict.reason,
-        signs=signs,
+        suspects=problem.agreement.named if problem.agreement else (),
+        verdict=outcome.verdict.name,
+        confidence=outcome.verdict.confidence,
+        reason=outcome.verdict.reason,
+        step_taken=outcome.taken,
+        signs=outcome.signs,
     )
-    return replace(result, warnings=result_warnings(result, problem.views, settings.steps, str(problem.agreement or "")))
+    return replace(result, warnings=result_warnings(result, problem.views, settings.steps, problem.suspicion))
 
 
-def _stop_reason(finite: bool, interrupted: bool, best_step: int, first_loss: float, steps: int) -> StopReason:
+def _stop_reason(finite: bool, descent: Descent, unmoved: StopReason | None, steps: int) -> StopReason:
     if not finite:
         return "non_finite"
-    if interrupted:
+    if descent.interrupted:
         return "interrupted"
-    if steps == 0 or best_step > 0:
+    if steps == 0 or not unmoved:
         return "max_steps"
-    return "nothing_to_do" if first_loss == 0.0 else "not_improved"
+    return "nothing_to_do" if descent.first_loss == 0.0 else unmoved

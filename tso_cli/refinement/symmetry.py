@@ -26,8 +26,9 @@ MOST_UPDATES, CONVERGED = 40, 1e-9
 # Distances from mirrored points to the cloud, in spacings of its points, at most which the cloud counts as symmetric (another
 # sampling of the same surface would lie as far off): their mean, and their 97 % quantile.
 MEAN_MISFIT, FAR_MISFIT, FAR_QUANTILE = 0.6, 1.2, 0.97
-# Largest ratio of losses, with the flipped views over without, per view, at which a found plane is kept.
-MOST_LOSS_RATIO = 1.1
+# Largest ratio of losses, with the flipped views over without, per view, at which a found plane is kept; several masks need it
+# less than one.
+MOST_LOSS_RATIO, MOST_OF_SEVERAL = 1.15, 1.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +148,7 @@ class SymmetryDecision:
     outcome: SymmetryOutcome  # as in `RefineResult`
     candidate: MirrorPlane | None = None  # the plane that was given or found
     loss_ratio: float | None = None  # of the symmetry check (`verified_symmetry`)
+    most: float = MOST_LOSS_RATIO  # of it
 
     @property
     def plane(self) -> MirrorPlane | None:
@@ -168,7 +170,7 @@ class SymmetryDecision:
             return f"{fit}, too far {limits}"
         if self.loss_ratio is None:
             return f"{fit} {limits}"
-        limit = f"{'at most' if self.outcome == 'used' else 'over'} {MOST_LOSS_RATIO}"
+        limit = f"{'at most' if self.outcome == 'used' else 'over'} {self.most}"
         return (
             f"{fit} {limits}; with the flipped picture the loss that is left is {self.loss_ratio:.2f} times that without, "
             f"for each picture ({limit})"

@@ -9,7 +9,7 @@ from .config import Settings
 from .presets import BEST_LEARNING_RATE, SYMMETRY_PROBE, SYMMETRY_PROBE_STEPS
 from .problem import Problem
 from .smooth_field import SmoothField
-from .symmetry import MOST_LOSS_RATIO
+from .symmetry import MOST_LOSS_RATIO, MOST_OF_SEVERAL
 
 
 def verified_symmetry(problem: Problem, weights: list[float], settings: Settings, field: SmoothField) -> tuple[Problem, bool]:
@@ -28,7 +28,8 @@ def verified_symmetry(problem: Problem, weights: list[float], settings: Settings
             return problem, True
         losses.append(descent.best_loss)
     ratio = losses[0] / max(2.0 * losses[1], 1e-300)
-    passed = ratio <= MOST_LOSS_RATIO or losses[0] == 0.0
-    symmetry = replace(problem.symmetry, outcome="used" if passed else "contradicted", loss_ratio=ratio)
+    most = MOST_LOSS_RATIO if len(weights) == 1 else MOST_OF_SEVERAL
+    passed = ratio <= most or losses[0] == 0.0
+    symmetry = replace(problem.symmetry, outcome="used" if passed else "contradicted", loss_ratio=ratio, most=most)
     problem = replace(problem, symmetry=symmetry)
     return problem if passed else problem.with_views(problem.views, settings), False

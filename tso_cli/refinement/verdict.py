@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from ..geometry.camera import Camera
 from ..losses.projection import pixels_under, project
 from .objective import MaskChamferObjective, ViewTargets
+from .optimise import Descent
 from .placement import place
 from .presets import STAGES
 from .prior import ROBUST_SCALE
@@ -31,6 +31,9 @@ Name = Literal["improved", "unchanged", "doubtful"]
 MODEL = Path(__file__).with_name("confidence.json")
 # A result of less confidence is doubtful.
 LEAST_CONFIDENCE = 0.5
+# Where a common mistake is suspected as well, no step up to the first confidence is taken, and a part of it up to the second.
+# Without a suspicion a cloud far off its mask looks as a wrong camera does: of such clouds half would be left where they are.
+SUSPECT_STEP = (0.3, 0.5)
 # What is said where signs of this group took most of the confidence.
 REASONS = {
     "camera": "the points moved as one body, as a camera that is off would move them; is the camera right? (--refine-camera)",
@@ -51,41 +54,40 @@ SMOOTHNESS = STAGES[-1].smoothness
 class Verdict:
     """What to think of a result.
 
-    name : "unchanged" where the result is the start; "doubtful" where it may well be worse; "improved"; None if not judged.
+    name : "unchanged" where the result is the start; "doubtful" where it may well be worse, or a mistake in the input is
+        suspected; "improved"; None if not judged.
     confidence : that it is not worse by over 5 %, in [0, 1]; None if not judged. reason : why it is doubtful, else "".
+    step : share of it that should be taken.
     """
 
     name: Name | None
     confidence: float | None
-    reason: str
+    reason: str = ""
+    step: float = 1.0
 
     @classmethod
-    def of(cls, signs: dict[str, float], moved: bool, suspicion: str) -> Verdict:
+    def of(cls, signs: dict[str, float], suspicion: str) -> Verdict:
         """Of a refinement with ``signs``, empty for want of a model; ``suspicion`` : what looks wrong with the input."""
-        if not moved:
-            return cls("unchanged", 1.0, "")
         if not signs:
-            return cls("doubtful" if suspicion else None, None, suspicion)
+            return cls("doubtful", None, suspicion) if suspicion else UNJUDGED
         confidence, group = _judged(signs)
-        if confidence < LEAST_CONFIDENCE:
-            return cls("doubtful", confidence, suspicion or REASONS[group])
-        return cls("improved", confidence, "")
+        if confidence < LEAST_CONFIDENCE or suspicion:
+            step = float(np.interp(confidence, SUSPECT_STEP, (0.0, 1.0))) if suspicion else 1.0
+            return cls("doubtful", confidence, suspicion or REASONS[group], step)
+        return cls("improved", confidence)
+
+
+UNCHANGED, UNJUDGED = Verdict("unchanged", 1.0, step=0.0), Verdict(None, None)
 
 
 def signs_of(
-    problem: Problem,
-    field: SmoothField,
-    initial: Array,
-    refined: Array,
-    stages: Sequence[Array],
-    ious: list[tuple[float, float]],
-    inlier: list[float],
+    problem: Problem, field: SmoothField, descent: Descent, ious: list[tuple[float, float]], inlier: list[float]
 ) -> dict[str, float]:
     """What the confidence depends on, named GROUP: SIGN.
 
-    ``problem`` has its last windows; ``field`` is of the start; ``initial``, ``refined`` and the best of each stage are [N, 3],
-    of longest side 1; ``ious`` and ``inlier`` weights are of the views.
+    ``problem`` has its last windows; ``field`` is of the start; ``ious`` and ``inlier`` weights are of the views.
     """
+    initial, refined, stages = problem.cloud.normalised(), descent.best, descent.stages
     moved = refined - initial
     lengths = np.linalg.norm(moved, axis=1)
     signs = {"motion: mean": _log(lengths.mean()), "motion: most": _log(lengths.max())}
@@ -130,7 +132,8 @@ def _explained(initial: Array, refined: Array) -> dict[str, float]:
     """Shares of the motion that no rigid, similar, or affine map explains, and the parts of the rigid one."""
     x, y = initial - initial.mean(0), refined - refined.mean(0)
     u, s, v = np.linalg.svd(x.T @ y)
-    s[2], u[:, 2] = s[2] * np.sign(np.linalg.det(u @ v)), u[:, 2] * np.sign(np.linalg.det(u @ v))
+    handedness = np.sign(np.linalg.det(u @ v))
+    s[2], u[:, 2] = handedness * s[2], handedness * u[:, 2]
     turn, scale = u @ v, float(s.sum() / np.square(x).sum())
     affine = np.linalg.lstsq(x, y, rcond=None)[0]
     total = np.square(refined - initial).sum() + 1e-12

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.camera import Array, Camera
+from ..geometry.points import longest_side
 from ..geometry.view import View
 from ..io.cameras import check_size, find_camera, pair_with_masks, read_camera
 from ..io.clouds import PointCloud, read_cloud
@@ -23,11 +23,15 @@ from ..io.reading import require_memory
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork
     from ..refinement.assumptions import Assumption
-    from ..refinement.surface import Surface
+    from ..refinement.cloud import Cloud
 
 
 BYTES_A_POINT = 1100  # what a refinement takes at its most
+# A mask is taken for a photo with this many grey pixels for one of the object, or of the background if that is smaller. Counted
+# in about so many rows or columns, and not for fewer such pixels: of a small mask all are at the outline.
+GREY_SHARE, GREY_ALONG, GREY_FEWEST = 1.2, 256, 400
 NO_FILE = "(no camera file was given or found beside the mask)"
+MIRRORED = " (mirrored with its mask: the cloud has left-handed axes)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +42,7 @@ class Scene:
     views : masks, and the cameras that project `points` onto them (network modes: one, of the network's crop).
     camera_sources : for each view, where its camera is from; camera_summary : the same for all views, shorter.
     frame : of the output: "input" (that of the cloud), "view", "canonical" or "world"; to_output maps points to it.
-    cloud, colours, faces : of points mode: the file, [N, 3] (None unless the views have images), [F, 3] (None for a cloud).
+    cloud, start : of points mode: the file, and what is refined; with colours if the views have images.
     network, image, sigma_sq : of the network modes: the network, its input [3, 64, 64], and the variance of its training.
     """
 
@@ -51,8 +55,7 @@ class Scene:
     network: BaseNetwork | None = None
     image: NDArray[np.float32] | None = None
     sigma_sq: float | None = None
-    colours: Array | None = None
-    faces: NDArray[np.int64] | None = None
+    start: Cloud | None = None
     to_output: Callable[[Array], Array] = lambda points: points
 
     @property
@@ -60,25 +63,10 @@ class Scene:
         """The first view; the only one in the network modes."""
         return self.views[0]
 
-    @cached_property
-    def surface(self) -> Surface | None:
-        """The surface of a mesh; None for a cloud, and, with a warning, for faces without area."""
-        if self.cloud is None or self.faces is None:
-            return None
-        from ..refinement.surface import Surface
-
-        return Surface.of(self.points, self.faces, str(self.cloud.path))
-
-    @cached_property
+    @property
     def moving(self) -> Array:
         """What a refinement moves, [N, 3]: the points but outliers, or the samples of a surface."""
-        if self.surface:
-            return self.surface.samples
-        if self.cloud is None:
-            return self.points
-        from ..refinement.cloud import outliers
-
-        return self.points[~outliers(self.points)]
+        return self.start.initial if self.start else self.points
 
 
 @dataclass(frozen=True)
@@ -106,6 +94,15 @@ class ViewFiles:
                 f"{option} {files[0]}: found {len(files)} {plural} for {len(self.masks)} masks, expected one for each or none"
             )
         return files or [None] * len(self.masks)
+
+    @property
+    def given(self) -> tuple[Assumption, ...]:
+        """The assumptions, and what ``invert`` assumes."""
+        if not self.invert:
+            return tuple(self.assumptions)
+        from ..refinement.assumptions import INVERT_MASK
+
+        return (INVERT_MASK, *self.assumptions)
 
 
 def load_views(files: ViewFiles) -> tuple[list[View], list[Path | None]]:
@@ -145,8 +142,15 @@ def _with_depth_and_images(views: Sequence[View], files: ViewFiles) -> list[View
             image = read_image(image_file)
             require_same_size(image_file, image.shape, view.name, view.mask.shape)
             view = replace(view, image=image[..., :3] / np.float32(255.0))
-        completed.append(view)
+        completed.append(_in_axes_of_cloud(view))
     return completed
+
+
+def _in_axes_of_cloud(view: View) -> View:
+    """The view with its camera in the axes of the cloud, where they are assumed to be others than those of the scene."""
+    from ..refinement.assumptions import AssumedView, about, axes_of, in_axes_of_cloud
+
+    return in_axes_of_cloud(view, axes_of(about(view, view.given))) if isinstance(view, AssumedView) else view
 
 
 def _read_view(
@@ -154,6 +158,7 @@ def _read_view(
 ) -> View:
     """A mask with ``camera``, else with the one in ``camera_file``, else with the canonical one."""
     mask = read_mask(mask_file, files.invert)
+    _warn_of_photo(mask, mask_file)
     height, width = mask.shape
     known = None
     if ignore_file is not None:
@@ -166,7 +171,12 @@ def _read_view(
     else:
         check_size(camera_file, camera, width, height, mask_file)
     view = View(mask, camera, known, name=str(mask_file))
-    for assumption in files.assumptions:
+    if not files.given:
+        return view
+    from ..refinement.assumptions import AssumedView, about
+
+    view = AssumedView(mask, camera, known, view.name, given=files.given, camera_read=camera)
+    for assumption in about(view, files.assumptions):
         view = assumption.of_view(view)
     return view
 
@@ -190,20 +200,18 @@ def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = Fal
         raise InputError(
             f"--camera fit finds the camera of one mask, found {len(files.masks)} masks; expected one, or a camera file"
         )
+    from ..refinement.assumptions import mirrored
+    from ..refinement.cloud import Cloud
+
+    masks = [str(mask) for mask in files.masks]
+    for assumption in files.assumptions:
+        if assumption.view and assumption.view not in masks:
+            raise InputError(f"{assumption.option}: there is no such mask, expected one of {', '.join(masks)}")
     cloud = read_cloud(cloud_file)
     require_memory(cloud_file, BYTES_A_POINT * len(cloud.points))
     colours = cloud.colours() if files.image else None
-    axes = np.eye(3)
-    for assumption in files.assumptions:
-        axes = assumption.matrix @ axes
-    scene = Scene(
-        cloud.points @ axes.T,
-        *((), (), "", "input"),
-        cloud=cloud,
-        colours=colours,
-        faces=cloud.faces(),
-        to_output=lambda points: points @ axes,
-    )
+    start = Cloud(cloud.points, str(cloud_file), colours, cloud.faces())
+    scene = Scene(start.given, (), (), "", "input", cloud=cloud, start=start)
     if fit:
         return _with_fitted_camera(scene, files)
     views, sources = load_views(files)
@@ -215,22 +223,27 @@ def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = Fal
     summary = f"cameras of {', '.join(names) if len(names) < 3 else f'{len(names)} files'}"
     if len(sources) == 1:
         summary = f"camera {names[0]}" if sources[0] else f"canonical camera {NO_FILE}"
-    return replace(scene, views=tuple(views), camera_sources=tuple(map(camera_source, sources)), camera_summary=summary)
+    described = tuple(camera_source(source) + MIRRORED * mirrored(view) for source, view in zip(sources, views, strict=True))
+    return replace(scene, views=tuple(views), camera_sources=described, camera_summary=summary)
 
 
 def _with_fitted_camera(scene: Scene, files: ViewFiles) -> Scene:
     from ..pose import fit_camera
+    from ..refinement.assumptions import AssumedView, about
 
     (ignore,) = files.one_each("--ignore", "ignore maps", files.ignore)
     if any(assumption.camera for assumption in files.assumptions):
         raise InputError("--camera fit finds the camera by itself, expected no --assume about a camera")
-    view = _read_view(files.masks[0], None, None, files, ignore)
+    (view,) = _with_depth_and_images([_read_view(files.masks[0], None, None, files, ignore)], files)
     fitted = fit_camera(scene.moving, view.mask, view.known, name=view.name)
-    views = _with_depth_and_images([replace(view, camera=fitted.camera)], files)
+    view = replace(view, camera=fitted.camera)
+    if isinstance(view, AssumedView):
+        # It is in the axes of the cloud, whatever these are.
+        view = replace(view, camera_read=fitted.camera, given=tuple(about(view, [one for one in view.given if one.mask])))
     if not fitted.sure:
         warnings.warn(f"{view.name}: the fitted camera is unsure: {fitted.doubt}", stacklevel=3)
     summary = f"camera fitted to cloud and mask ({'sure' if fitted.sure else 'unsure'})"
-    return replace(scene, views=tuple(views), camera_sources=(fitted.describe(),), camera_summary=summary)
+    return replace(scene, views=(view,), camera_sources=(fitted.describe(),), camera_summary=summary)
 
 
 def camera_source(camera_file: Path | None) -> str:
@@ -241,12 +254,28 @@ def camera_source(camera_file: Path | None) -> str:
 def _warn_of_scale(points: Array, view: View, cloud_file: Path) -> None:
     """Warn of a cloud that is implausibly near or far for its size: its unit may differ from the camera's."""
     camera = view.camera
-    size = float(np.ptp(points, axis=0).max())
+    size = longest_side(points)
     distance = float((camera.R @ ((points.min(0) + points.max(0)) / 2.0) + camera.t)[2])
     if camera.model == "perspective" and distance > 0.0 and not 0.2 < distance / size < 1000.0:
         warnings.warn(
             f"{cloud_file}: its longest side is {size:.3g} and its distance from the camera {distance:.3g}; "
             "are both in one unit?",
+            stacklevel=2,
+        )
+
+
+def _warn_of_photo(mask: NDArray[np.float32], mask_file: Path) -> None:
+    """Warn of a picture that is grey over more than what it shows: a soft mask is grey along the outline alone."""
+    step = max(1, min(mask.shape) // GREY_ALONG)
+    some = mask[::step, ::step]
+    inside = np.count_nonzero(some > 0.5)
+    object_or_background = min(inside, some.size - inside)
+    if (
+        object_or_background >= GREY_FEWEST
+        and np.count_nonzero((some > 0.1) & (some < 0.9)) > GREY_SHARE * object_or_background
+    ):
+        warnings.warn(
+            f"{mask_file}: looks like a photo, grey in many places; expected a mask, light on the object and dark beside it",
             stacklevel=2,
         )
 

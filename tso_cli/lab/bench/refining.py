@@ -31,11 +31,11 @@ from ...kernels.dispatch import planned
 from ...losses.silhouette import silhouette_of
 from ...refinement import PRESETS, RefineConfig, refine, refine_batch
 from ...refinement.cloud import Cloud
+from ...refinement.judge import view_ious
 from ...refinement.objective import MaskChamferObjective, ViewTargets
 from ...refinement.presets import BEST, STAGES
 from ...refinement.prior import position_prior
 from ...refinement.problem import Problem
-from ...refinement.run import view_ious
 from ...refinement.smooth_field import SmoothField
 from ...refinement.symmetry import find_mirror_plane
 from ...refinement.symmetry_check import verified_symmetry

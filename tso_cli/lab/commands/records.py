@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,8 @@ import click
 
 from ...commands import options
 from ...errors import InputError
-from ...io.output import atomic_output, check_output, reason
-from ...io.reading import read_bytes
+from ...io.output import atomic_output, check_output, sole_writer
+from ...io.reading import read_bytes, shown
 from ...io.shipped import named_checkpoint
 from ..study import Option, Progress, Record, Shown, Study, answer, page
 
@@ -22,12 +22,16 @@ output_option = click.option(
 
 
 def check_outputs(output: Path | None, overwrite: bool, resume: bool = False) -> None:
-    """Refuse outputs that cannot be written before the long work starts; with ``resume`` they may be there."""
+    """Refuse outputs that cannot be written before the long work starts; with ``resume`` they may be there.
+
+    Until the command ends, other processes are refused the same output.
+    """
     if resume and output is None:
         raise InputError("--resume goes on from a record, expected its name after -o")
     if output is not None:
         if output.suffix.lower() != ".json":
             raise InputError(f"{output}: the suffix is {output.suffix!r}, expected .json (the chart goes beside it as .png)")
+        click.get_current_context().with_resource(sole_writer(output))
         for suffix in (".json", ".png", ".md"):
             check_output(output.with_suffix(suffix), overwrite or resume)
 
@@ -43,11 +47,7 @@ def earlier_record(study: str, output: Path | None, resume: bool) -> dict[str, A
     from ..studies.fingerprint import differences
 
     record = read_record(output)
-    try:
-        changes = differences(record) if record.get("study") == study else []
-    except (AttributeError, TypeError, ValueError) as error:
-        raise InputError(f"{output}: its fingerprint is damaged ({reason(error)}), expected a record as it was kept") from None
-    if changes:
+    if record.get("study") == study and (changes := differences(record)):
         raise InputError(
             f"{output}: was made by another method ({changes[0]}), expected one made by the method as it is (with --overwrite "
             "in place of --resume it is made anew)"
@@ -56,14 +56,31 @@ def earlier_record(study: str, output: Path | None, resume: bool) -> dict[str, A
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """The record of a study; InputError if the file is none."""
+    """The record of a study; InputError if the file is none, or what all records hold is damaged."""
     try:
         record = json.loads(read_bytes(path, "the record of a study"))
     except (ValueError, RecursionError):
         raise InputError(f"{path}: is not JSON, expected the record of a study") from None
     if not isinstance(record, dict):
         raise InputError(f"{path}: holds no JSON object, expected the record of a study")
+    for name, value, kind, expected in _fields(record):
+        if not isinstance(value, kind):
+            raise InputError(f"{path}: {name} is {shown(value)}, expected {expected} as it was kept")
     return record
+
+
+def _fields(record: dict[str, Any]) -> Iterator[tuple[str, Any, Any, str]]:
+    """Of what all records hold the name, the value, its type, and that in words."""
+    for name in ("settings", "convention", "fingerprint"):
+        yield name, record.get(name, {}), dict, "an object"
+    for name in ("cases", "records", "claims"):
+        yield name, record.get(name, []), list, "a list"
+        for number, entry in enumerate(record.get(name, [])):
+            yield f"{name}[{number}]", entry, dict, "an object"
+    for part, numbers in record.get("fingerprint", {}).items():
+        yield f"the fingerprint of {shown(part)}", numbers, dict, "an object"
+        for name, number in numbers.items():
+            yield f"the fingerprint of {shown(part)}, {shown(name)}", number, (int, float), "a number"
 
 
 def write_record(record: dict[str, Any], parts: Sequence[str], output: Path) -> None:
@@ -119,7 +136,8 @@ def command_of(study: Study) -> click.Command:
 
         unfinished = output.with_name(f"{output.stem}.unfinished.safetensors") if output else None
         earlier = earlier_record(study.name, output, resume)
-        record = study.run(Progress(Reporter(), earlier, keep, unfinished, overwrite or resume), **values)
+        named = f"{output}: the record to go on from"
+        record = study.run(Progress(Reporter(), earlier, keep, unfinished, overwrite or resume, named), **values)
         if output is not None:
             write_page(study, {**record, "command": command_line}, output)
         if as_json:

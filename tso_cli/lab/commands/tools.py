@@ -13,6 +13,7 @@ from ...errors import GateError, InputError
 from ...io.reading import shown
 from ...version import __version__
 from ..studies import QUESTIONS
+from ..study import answer, undamaged
 from .records import read_record, write_page
 
 records_argument = click.argument("records", nargs=-1, required=True, type=options.FilePath())
@@ -38,7 +39,10 @@ def page(records: tuple[Path, ...]) -> None:
             raise InputError(f"{path}: is of the study {shown(name)}, expected one of {', '.join((*QUESTIONS, *BENCHES))}")
         if not record.get("complete", True):
             raise InputError(f"{path}: is not complete, expected a finished record (--resume finishes it)")
-        write_page(load(name), record, path)
+        study = load(name)
+        with undamaged(f"{path}: the record"):
+            answer(study, record)  # before anything is written
+            write_page(study, record, path)
         click.echo(path.with_suffix(".md"))
 
 

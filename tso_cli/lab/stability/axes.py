@@ -48,7 +48,6 @@ class Axis:
         of the cloud, is another; in group "settings" (config, level) -> the altered `RefineConfig`; where ``needs_other``
         (case, level, rng, another case) -> the altered case.
     gross : a gross mistake of the user, which no result makes good.
-    whole : only whole numbers are levels.
     adds_points : the altered start begins with the points of the case, and added ones follow.
     from_given : a result is compared with the altered start, since that of the case has another number of points, another
         frame, or is of another object.
@@ -61,16 +60,10 @@ class Axis:
     levels: tuple[float, ...]
     alter: Callable[..., Any]
     gross: bool = False
-    whole: bool = False
     adds_points: bool = False
     from_given: bool = False
     needs_other: bool = False
     masks: int = 1
-
-    @property
-    def continuous(self) -> bool:
-        """Whether there are levels between its levels."""
-        return len(self.levels) > 1 and not self.gross
 
     def apply(
         self, case: Case, level: float, rng: Rng, other: Case | None = None, config: RefineConfig | None = None
@@ -388,7 +381,7 @@ def _cells(mask: NDArray[np.float32], box: Box, width: int, height: int) -> NDAr
 
 def _settings(name: str, unit: str, levels: tuple[float, ...], change: Callable[[RefineConfig, float], dict[str, Any]]) -> Axis:
     alter = lambda config, level: replace(config, **change(config, level))  # noqa: E731
-    return Axis("settings", name, unit, levels, alter, whole=unit == "steps")
+    return Axis("settings", name, unit, levels, alter)
 
 
 def _paper(name: str, value: float) -> Callable[[RefineConfig, float], dict[str, Any]]:
@@ -438,6 +431,7 @@ AXES: tuple[Axis, ...] = (
     _mask("mask shifted, beside a right one", _SIZE, _SIZES, _shifted, masks=2),
     _mask("mask dilated, beside a right one", _SIZE, _SIZES, _DILATED, masks=2),
     Axis("mask", "mask of another object, beside a right one", "", _YES, _of_other, needs_other=True, masks=2),
+    Axis("mask", "mask of another object, beside three right ones", "", _YES, _of_other, needs_other=True, masks=4),
     _camera("yaw of the camera", "degrees", (*_DEGREES, 180.0), _YAW),
     _camera("pitch of the camera", "degrees", (*_DEGREES, 180.0), partial(_around_object, axis=0)),
     _camera("roll of the camera", "degrees", (*_DEGREES, 180.0), partial(_around_object, axis=2)),
@@ -456,6 +450,7 @@ AXES: tuple[Axis, ...] = (
     _camera("camera-to-world for world-to-camera", "", _YES, lambda c, level, rng: {"R": c.R.T, "t": c.position}, **_MISTAKE),
     _camera("camera's x mirrored", "", _YES, _in_axes(-1.0, 1.0, 1.0)),
     Axis("camera", "yaw of one camera, beside a right one", "degrees", _DEGREES, _one_turned, masks=2),
+    Axis("camera", "yaw of one camera, beside three right ones", "degrees", _DEGREES, _one_turned, masks=4),
     Axis("camera", "yaw before a thin object", "degrees", _DEGREES, _of_thin(_YAW), from_given=True),
     Axis("camera", "camera moved aside, thin object", _SIZE, _SIZES, _of_thin(_ASIDE), from_given=True),
     Axis("cloud", "cloud with z up", "", _YES, _framed([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), **_IN_FRAME),
@@ -475,8 +470,8 @@ AXES: tuple[Axis, ...] = (
     ),
     _start("duplicates", "% of the points", (10.0, 50.0, 100.0, 400.0), _with_duplicates, adds_points=True),
     _start("noise", _SIZE, (0.2, 0.5, *_SIZES[:5]), lambda c, p, rng: c.initial + p / 100.0 * rng.normal(size=c.initial.shape)),
-    _start("few points", "points", (512, 256, 64, 16, 4, 2), _counted, whole=True, from_given=True),
-    _start("many points", "points", (2048, 16384, 131072, 1_000_000), _counted, whole=True, from_given=True),
+    _start("few points", "points", (512, 256, 64, 16, 4, 2), _counted, from_given=True),
+    _start("many points", "points", (2048, 16384, 131072, 1_000_000), _counted, from_given=True),
     _start("uneven density", "times as dense", (2.0, 5.0, 20.0, 100.0, 1000.0), _uneven, from_given=True),
     Axis("cloud", "thin object", "times thinner", (2.0, 4.0, 8.0, 16.0, 32.0, 64.0), _thin, from_given=True),
     Axis("cloud", "holed object", "% of it missing", (10.0, 20.0, 40.0, 60.0, 80.0, 95.0), _holed, from_given=True),
@@ -489,7 +484,7 @@ AXES: tuple[Axis, ...] = (
     _settings("few steps", "steps", (24, 12, 6, 3, 1, 0), _steps),
     _settings("many steps", "steps", (96, 200, 500, 1000), _steps),
     Axis("image", "small in the picture", "% of its width", (50.0, 20.0, 10.0, 5.0, 2.0, 1.0), _small),
-    Axis("image", "small picture", "px", (128, 64, 32, 16, 8), _pictured, whole=True),
-    Axis("image", "large picture", "px", (512, 1024, 2048, 4096, 8192), _pictured, whole=True),
+    Axis("image", "small picture", "px", (128, 64, 32, 16, 8), _pictured),
+    Axis("image", "large picture", "px", (512, 1024, 2048, 4096, 8192), _pictured),
 )
 """All of them, in the order in which they are shown."""

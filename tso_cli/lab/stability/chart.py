@@ -23,13 +23,12 @@ def draw_axes(path: Path, axes: dict[str, Cases], knees: dict[str, Record], over
 
     Raises InputError if ``path`` cannot be written to.
     """
-    shown = {name: [row for row in rows if row["level"] in AXIS[name].levels] for name, rows in axes.items()}
-    columns = max(len(rows) for rows in shown.values())
-    groups = [AXIS[name].group for name in shown]
-    with page(path, overwrite, (13.0, 1.3 + ROW * (len(shown) + len(set(groups)))), dpi=100) as figure:
+    columns = max(len(rows) for rows in axes.values())
+    groups = [AXIS[name].group for name in axes]
+    with page(path, overwrite, (13.0, 1.3 + ROW * (len(axes) + len(set(groups)))), dpi=100) as figure:
         axis = figure.subplots()
         y, ticks = -1.0, []
-        for i, (name, rows) in enumerate(shown.items()):
+        for i, (name, rows) in enumerate(axes.items()):
             if i == 0 or groups[i] != groups[i - 1]:
                 y += 1.0
                 axis.text(-0.55, y, groups[i], fontsize=8, weight="bold", ha="right", va="center", color=INK)
@@ -38,7 +37,7 @@ def draw_axes(path: Path, axes: dict[str, Cases], knees: dict[str, Record], over
             for x, row in enumerate(rows):
                 _draw_cell(axis, x, y, row)
             axis.text(columns - 0.4, y, knees[name]["words"], fontsize=7, va="center", color=INK)
-        labels = [f"{name}, {AXIS[name].unit}" if AXIS[name].unit else name for name in shown]
+        labels = [f"{name}, {AXIS[name].unit}" if AXIS[name].unit else name for name in axes]
         axis.set_yticks(ticks, labels, fontsize=7)
         axis.set(xlim=(-0.5, columns + 4.6), ylim=(y + 0.6, -0.6), xticks=[])
         axis.tick_params(left=False)

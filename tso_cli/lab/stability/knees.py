@@ -87,22 +87,3 @@ def _words(axis: Axis, found: Record, levels: list[float], refused: bool) -> str
 
 def _warns(speaks_from: float | None) -> str:
     return "never warns" if speaks_from is None else f"warns from {speaks_from:g}"
-
-
-def between(axis: Axis, rows: Cases) -> list[float]:
-    """The levels half-way (of their logarithms) between the two at each knee that ``rows`` do not have."""
-    levels, found = [row["level"] for row in rows], knee(rows)
-    places = {key: levels.index(level) for key, level in found.items() if key != "words" and level is not None}
-    middles = []
-    for key, place in places.items():
-        pair = levels[place : place + 2] if key == "works_to" else levels[max(0, place - 1) : place + 1]
-        if len(pair) == 2:
-            middle = float(np.sqrt(pair[0] * pair[1]) if min(pair) > 0.0 else np.mean(pair))
-            middle = float(round(middle)) if axis.whole else float(f"{middle:.2g}")
-            if min(pair) < middle < max(pair):
-                middles.append(middle)
-    return hardest_last(axis, set(middles))
-
-
-def hardest_last(axis: Axis, levels: set[float]) -> list[float]:
-    return sorted(levels, reverse=axis.levels[-1] < axis.levels[0])

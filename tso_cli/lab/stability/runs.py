@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 import warnings
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -15,146 +16,181 @@ from ...errors import TsoError
 from ...evaluation.metrics import chamfer
 from ...geometry.camera import Array
 from ...geometry.view import View
-from ...refinement import RefineConfig, refine_batch
+from ...network.model import BaseNetwork
+from ...refinement import RefineConfig, RefineResult, refine_batch
 from ..studies.cases import Case
-from ..studies.refining import Variant, uninterrupted
+from ..studies.refining import Variant, alone, uninterrupted
 from ..study import Cases
 from .axes import Axis
-from .knees import DOUBTFUL, NON_FINITE, REFUSED, SILENT, WARNED, between, digits, figures, hardest_last
+from .knees import DOUBTFUL, NON_FINITE, REFUSED, SILENT, WARNED, digits, figures
 
 Peer = Callable[[Array, Sequence[View]], Array]
 Way = Variant | Peer
-# Pixels and points of the scenes that are refined in one call, at most: 8,192 pixels each way fill a quarter of a GiB.
+# Pixels of the scenes that are refined in one call, at most: 8,192 pixels each way fill a quarter of a GiB.
 AT_ONCE = 3e7
+# What a row says of each run -> the attribute of its result.
+NUMBERS = {"confidence": "confidence", "iou_before": "iou_before", "iou_after": "iou_after", "moved": "moved_mean"}
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A case to alter by an axis at a level, and to refine with so many ``masks``; ``other`` has those of another object."""
+
+    axis: Axis
+    level: float
+    case: Case
+    other: Case
+    rng: np.random.Generator
+    masks: int = 1
+
+    def altered(self, config: RefineConfig) -> tuple[Case, RefineConfig]:
+        """The case, with the masks that are seen, and settings; raises TsoError where it cannot be made."""
+        case, config = self.axis.apply(self.case, self.level, self.rng, self.other, config)
+        return replace(case, views=case.views[: max(self.masks, self.axis.masks)]), config
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What became of a run. said : a letter of `knees`; verdict : the first letter of the
-    result's, "?" where it has none; moved : mean, longest sides; took : seconds."""
+    """What became of a run. said : a letter of `knees`; points : [M, 3]; result : None of a peer; took : seconds.
 
-    said: str
+    Where the altered case was refused there is nothing of it.
+    """
+
+    run: Run
+    said: str = REFUSED
+    altered: Case | None = None
     points: Array | None = None
-    verdict: str = "?"
-    confidence: float | None = None
-    iou_before: float | None = None
-    iou_after: float | None = None
-    moved: float | None = None
+    result: RefineResult | None = None
     took: float | None = None
 
+    def ratio(self, of_altered_start: bool = False) -> float | None:
+        """Chamfer distance of the result's own points over that of the start, as it was before or after it was altered.
 
-NUMBERS = ("confidence", "iou_before", "iou_after", "moved", "took")
-
-
-@dataclass(frozen=True, eq=False)
-class Bench:
-    """The cases and seeds that every axis is judged on."""
-
-    cases: Sequence[Case]
-    seeds: Sequence[int]
-
-    def altered(self, axis: Axis, level: float, number: int, seed: int, config: RefineConfig) -> tuple[Case, RefineConfig]:
-        """Case ``number`` at that level; one seed gives all levels the same random numbers."""
-        case, other = self.cases[number], self.cases[(number + max(1, len(self.cases) // 2)) % len(self.cases)]
-        rng = np.random.default_rng([seed, zlib.crc32(axis.name.encode()), zlib.crc32(case.shape.encode()), case.view])
-        return axis.apply(case, level, rng, other, config)
-
-    def judge(self, axis: Axis, name: str, way: Way, levels: Sequence[float], halvings: int = 0) -> Cases:
-        """A row for each of ``levels``, and for those in which ``halvings`` bisections of each knee end."""
-        rows = self._rows(axis, name, way, levels)
-        for _ in range(halvings if axis.continuous else 0):
-            by_level = {row["level"]: row for row in [*rows, *self._rows(axis, name, way, between(axis, rows))]}
-            rows = [by_level[level] for level in hardest_last(axis, set(by_level))]
-        return rows
-
-    def _rows(self, axis: Axis, name: str, way: Way, levels: Sequence[float]) -> Cases:
-        places = [(level, number, seed) for level in levels for number in range(len(self.cases)) for seed in self.seeds]
-        config = way.config if isinstance(way, Variant) else RefineConfig()
-        masks = max(axis.masks, way.masks if isinstance(way, Variant) else 1)
-        outcomes: list[tuple[Outcome, float | None]] = []
-        waiting: list[tuple[int, Case]] = []
-        refined_with = config
-
-        def refine_waiting() -> None:
-            scenes = [(altered.initial, altered.views[:masks]) for _, altered in waiting]
-            for (place, altered), outcome in zip(waiting, outcomes_of(scenes, way, refined_with), strict=True):
-                outcomes[place] = outcome, _ratio(axis, self.cases[places[place][1]], altered, outcome.points)
-            waiting.clear()
-
-        for place, (level, number, seed) in enumerate(places):
-            outcomes.append((Outcome(REFUSED), None))
-            try:
-                altered, settings = self.altered(axis, level, number, seed, config)
-            except TsoError:
-                continue
-            size = sum(view.mask.size for _, case in waiting for view in case.views[:masks])
-            if waiting and (settings != refined_with or size + altered.views[0].mask.size > AT_ONCE):
-                refine_waiting()
-            refined_with = settings
-            waiting.append((place, altered))
-        refine_waiting()
-        runs = len(self.cases) * len(self.seeds)
-        return [_row(axis, name, level, outcomes[i * runs : (i + 1) * runs]) for i, level in enumerate(levels)]
+        None where there is no result, or a point is no number.
+        """
+        axis, case, altered = self.run.axis, self.run.case, self.altered
+        if altered is None or self.points is None or not np.isfinite(self.points).all():
+            return None
+        start = axis.own(case, altered.initial) if of_altered_start else axis.start(case, altered)
+        before, after = (chamfer(points, altered.target).chamfer for points in (start, axis.own(case, self.points)))
+        return after / before
 
 
-def _row(axis: Axis, name: str, level: float, outcomes: Sequence[tuple[Outcome, float | None]]) -> dict[str, Any]:
-    """The level's figures, and the same numbers of every run; what no run has is left out."""
-    said, verdicts = ("".join(getattr(outcome, key) for outcome, _ in outcomes) for key in ("said", "verdict"))
-    numbers = {key: [digits(getattr(outcome, key)) for outcome, _ in outcomes] for key in NUMBERS}
-    ratios = [digits(ratio) for _, ratio in outcomes]
-    head = {"axis": axis.name, "variant": name, "level": level, **figures(said, ratios, numbers["took"]), "said": said}
+def run_of(cases: Sequence[Case], axis: Axis, level: float, number: int, seed: int, masks: int = 1) -> Run:
+    """Case ``number`` at that level, beside another of them; one seed gives all levels the same random numbers."""
+    case, other = cases[number], cases[(number + max(1, len(cases) // 2)) % len(cases)]
+    rng = np.random.default_rng([seed, zlib.crc32(axis.name.encode()), zlib.crc32(case.shape.encode()), case.view])
+    return Run(axis, level, case, other, rng, masks)
+
+
+def judge(
+    cases: Sequence[Case],
+    seeds: Sequence[int],
+    axis: Axis,
+    name: str,
+    way: Way,
+    levels: Sequence[float],
+    network: BaseNetwork | None = None,
+) -> Cases:
+    """A row for each level, of all seeds of each case; ``network`` : of its modes."""
+    masks = way.masks if isinstance(way, Variant) else 1
+    runs = (run_of(cases, axis, *place, masks) for place in product(levels, range(len(cases)), seeds))
+    told, count = [_told(outcome) for outcome in outcomes_of(runs, way, network)], len(cases) * len(seeds)
+    return [_row(axis, name, level, told[i * count : (i + 1) * count]) for i, level in enumerate(levels)]
+
+
+def _told(outcome: Outcome) -> dict[str, Any]:
+    """What a row says of a run."""
+    verdict = getattr(outcome.result, "verdict", None) or "?"
+    numbers = {key: digits(getattr(outcome.result, name, None)) for key, name in NUMBERS.items()}
+    return {
+        "said": outcome.said,
+        "verdict": verdict[0],
+        "ratio": digits(outcome.ratio()),
+        **numbers,
+        "took": digits(outcome.took),
+    }
+
+
+def _row(axis: Axis, name: str, level: float, told: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The level's figures, and the same of every run; what no run has is left out."""
+    of_runs = {key: [run[key] for run in told] for key in told[0]}
+    said, verdicts, ratios = "".join(of_runs.pop("said")), "".join(of_runs.pop("verdict")), of_runs.pop("ratio")
+    head = {"axis": axis.name, "variant": name, "level": level, **figures(said, ratios, of_runs["took"]), "said": said}
     if verdicts.strip("?"):
         head["verdict"] = verdicts
-    return {**head, "ratio": ratios, **{key: values for key, values in numbers.items() if any(v is not None for v in values)}}
+    return {**head, "ratio": ratios, **{key: values for key, values in of_runs.items() if any(v is not None for v in values)}}
 
 
-def _ratio(axis: Axis, case: Case, altered: Case, points: Array | None) -> float | None:
-    """Chamfer distance of the result's own points over that of the start; None where a point is no number."""
-    if points is None or not np.isfinite(points).all():
-        return None
-    before = chamfer(axis.start(case, altered), altered.target).chamfer
-    return chamfer(axis.own(case, points), altered.target).chamfer / before
+def outcomes_of(runs: Iterable[Run], way: Way, network: BaseNetwork | None = None) -> Iterator[Outcome]:
+    """What becomes of each run, in their order, by a peer or a refinement; those of equal settings are refined in one call."""
+    given = way.config if isinstance(way, Variant) else RefineConfig()
+    waiting: list[tuple[Run, Case | None]] = []
+    refined_with, size = given, 0
+    for run in runs:
+        try:
+            altered, config = run.altered(given)
+        except TsoError:
+            waiting.append((run, None))
+            continue
+        pixels = sum(view.mask.size for view in altered.views)
+        if size and (config != refined_with or size + pixels > AT_ONCE):
+            yield from _refined(waiting, way, refined_with, network)
+            waiting, size = [], 0
+        waiting.append((run, altered))
+        refined_with, size = config, size + pixels
+    yield from _refined(waiting, way, refined_with, network)
 
 
-def outcomes_of(scenes: Sequence[tuple[Array, Sequence[View]]], way: Way, config: RefineConfig) -> list[Outcome]:
-    """What becomes of each scene, (points [N, 3], views), by a peer, or by the refinement with ``config``."""
-    if not isinstance(way, Variant):
-        return [_of_peer(way, *scene) for scene in scenes]
+def _refined(
+    waiting: Sequence[tuple[Run, Case | None]], way: Way, config: RefineConfig, network: BaseNetwork | None
+) -> Iterator[Outcome]:
     # What is said on the way names the view.
-    named = [(points, [replace(view, name=f"run {i}") for view in views]) for i, (points, views) in enumerate(scenes)]
+    named = [
+        replace(altered, views=tuple(replace(view, name=f"run {i}") for view in altered.views))
+        for i, (_, altered) in enumerate(waiting)
+        if altered is not None
+    ]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        results = refine_batch(named, config) if named else []
-    said = {str(warning.message).partition(":")[0] for warning in caught}
-    return [_of_result(result, f"run {i}" in said) for i, result in enumerate(results)]
+        results: Iterator[RefineResult | TsoError] = iter(())
+        if isinstance(way, Variant) and named and config.mode == "points":
+            results = iter(refine_batch([(case.initial, case.views) for case in named], config))
+        elif isinstance(way, Variant):
+            results = iter([_by_network(case, replace(way, config=config), network) for case in named])
+    warned = {str(warning.message).partition(":")[0] for warning in caught}
+    for i, (run, altered) in enumerate(waiting):
+        if altered is None:
+            yield Outcome(run)
+        elif isinstance(way, Variant):
+            yield _of_result(run, altered, next(results), f"run {i}" in warned)
+        else:
+            yield _of_peer(run, altered, way)
 
 
-def _of_result(result: Any, warned: bool) -> Outcome:
+def _by_network(case: Case, way: Variant, network: BaseNetwork | None) -> RefineResult | TsoError:
+    try:
+        return alone(case, way, "cpu", network)
+    except TsoError as error:
+        return error
+
+
+def _of_result(run: Run, altered: Case, result: Any, warned: bool) -> Outcome:
     if isinstance(result, TsoError):
-        return Outcome(REFUSED)
-    verdict = uninterrupted(result).verdict
+        return Outcome(run)
     said = WARNED if warned or result.warnings else SILENT
-    if verdict == "doubtful" or result.suspects:
+    if uninterrupted(result).verdict == "doubtful" or result.suspects:
         said = DOUBTFUL
     if not np.isfinite(result.points).all() or result.stop_reason == "non_finite":
         said = NON_FINITE
-    return Outcome(
-        said,
-        result.points,
-        (verdict or "?")[0],
-        result.confidence,
-        result.iou_before,
-        result.iou_after,
-        result.moved_mean,
-        sum(result.seconds.values()),
-    )
+    return Outcome(run, said, altered, result.points, result, sum(result.seconds.values()))
 
 
-def _of_peer(peer: Peer, points: Array, views: Sequence[View]) -> Outcome:
+def _of_peer(run: Run, altered: Case, peer: Peer) -> Outcome:
     begun = time.perf_counter()
     try:
-        moved = peer(points, views)
+        moved = peer(altered.initial, altered.views)
     except TsoError:
-        return Outcome(REFUSED)
+        return Outcome(run)
     said = SILENT if np.isfinite(moved).all() else NON_FINITE
-    return Outcome(said, moved, took=time.perf_counter() - begun)
+    return Outcome(run, said, altered, moved, took=time.perf_counter() - begun)

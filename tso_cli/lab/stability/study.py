@@ -16,25 +16,28 @@ from ...geometry.rotations import from_vectors
 from ...geometry.view import View
 from ...io.clouds import read_cloud
 from ...io.output import check_output
-from ...io.shipped import examples_folder
+from ...io.shipped import default_checkpoint, examples_folder
 from ...losses.silhouette import silhouette_of
+from ...refinement import RefineConfig
 from ...scene.load import load_points_scene
 from ..charts import draw_cases
 from ..studies.accuracy import CATEGORIES
 from ..studies.cases import MASKS, Case, CaseBuilder
-from ..studies.refining import DEFAULT, FOUR_MASKS, POINTS
-from ..studies.shapes import shapes_of_part
+from ..studies.refining import ALONE, DEFAULT, FOUR_MASKS, POINTS, Variant
+from ..studies.shapes import shapes_of_part, view_aligned_network
 from ..studies.summary import grouped
 from ..study import SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table, part
 from .axes import AXES, Axis
 from .chart import draw_axes
 from .knees import AXIS, FIGURES, SILENT, WORSE, knee
-from .runs import Bench, Way, outcomes_of
+from .runs import Way, judge, outcomes_of, run_of
 
 # What other packages, and with --quick other variants, are compared on.
 COMPARED = ("nothing wrong", "mask dilated", "yaw of the camera", "start far off")
+CORRECTED_ON = ("nothing wrong", "yaw of the camera")
+# What the network modes are tried on, from their own predictions; not with --quick.
+OF_NETWORK = ("nothing wrong", "mask dilated", "yaw of the camera")
 GROUPS = ("settings", "mask", "camera", "cloud", "image")
-HALVINGS = 3
 # With --quick every second level, without those that take long by themselves: points, pixels, steps.
 MOST = {"points": 20_000, "px": 1024, "steps": 200}
 SHAPES, SIZE, COUNT = 2, 128, 1024
@@ -55,6 +58,7 @@ CONVENTION = {
 }
 
 
+@cache
 def example_cases() -> list[Case]:
     """The shipped examples; further masks of each are silhouettes of the true cloud from around it."""
     cases = []
@@ -87,33 +91,32 @@ def plan(
         check_output(pictures, progress.overwrite)
     if quick:
         settings |= {"part": "examples", "categories": [], "seeds": 1}
-        names, cases_of = ["chair", "car", "airplane"], example_cases
+        names, cases_of, network = ["chair", "car", "airplane"], example_cases, None
     else:
         if meshes is None:
             raise InputError("--meshes is missing, expected a folder of meshes (or --quick, for the shipped examples)")
         settings["categories"] = list(settings["categories"])
         shapes = shapes_of_part(meshes, split, settings["part"], settings["categories"], settings["limit"])
-        builder, names = CaseBuilder(meshes, split, 1, SIZE, COUNT, settings["seed"]), [shape.name for shape in shapes]
+        network, about = view_aligned_network(default_checkpoint())
+        builder = CaseBuilder(meshes, split, 1, SIZE, COUNT, settings["seed"], network, about)
+        names = [shape.name for shape in shapes]
 
-        def cases_of() -> list[Case]:
-            return [case for shape in shapes for case in builder.cases(shape, "other")]
+        @cache
+        def cases_of(kind: str = "other") -> list[Case]:
+            return [case for shape in shapes for case in builder.cases(shape, kind)]
 
     settings |= {"quick": quick, "groups": list(groups), "shapes": names}
+    seeds = [settings["seed"] + number for number in range(settings["seeds"])]
 
-    @cache
-    def bench(seeds: int) -> Bench:
-        # Cases are rendered once.
-        cases = cases_of() if seeds == settings["seeds"] else bench(settings["seeds"]).cases
-        return Bench(cases, [settings["seed"] + number for number in range(seeds)])
-
-    def judge(axis: Axis, name: str, way: Way) -> Cases:
-        default = name == DEFAULT
-        levels = axis.levels if default and not quick else fewer_levels(axis)
-        halvings = HALVINGS if default and not quick else 0
-        return bench(settings["seeds"] if default else 1).judge(axis, name, way, levels, halvings)
+    def judge_axis(axis: Axis, name: str, way: Way) -> Cases:
+        in_full = name == DEFAULT and not quick
+        levels = axis.levels if in_full else fewer_levels(axis)
+        if name in ALONE:
+            return judge(cases_of("network"), seeds[:1], axis, name, way, levels, network)
+        return judge(cases_of(), seeds if name == DEFAULT else seeds[:1], axis, name, way, levels)
 
     jobs = [
-        ({"axis": axis.name, "variant": name}, partial(judge, axis, name, way))
+        ({"axis": axis.name, "variant": name}, partial(judge_axis, axis, name, way))
         for axis in AXES
         if axis.group in groups
         for name, way in _ways(axis, quick).items()
@@ -121,7 +124,7 @@ def plan(
 
     def draw_worst(record: Record) -> None:
         if pictures is not None:
-            draw_cases(pictures, _worst(record["cases"], bench(settings["seeds"])), progress.overwrite)
+            draw_cases(pictures, _worst(record["cases"], cases_of(), seeds), progress.overwrite)
 
     return Plan(settings, jobs, finish=draw_worst)
 
@@ -137,6 +140,10 @@ def _ways(axis: Axis, quick: bool) -> dict[str, Way]:
     ways: dict[str, Way] = dict(POINTS) if compared or (plain and not quick) else {DEFAULT: POINTS[DEFAULT]}
     if quick:
         ways.pop(FOUR_MASKS, None)
+    elif axis.name in OF_NETWORK:
+        ways |= ALONE
+    if axis.name in CORRECTED_ON:
+        ways["best, camera corrected"] = Variant(RefineConfig(refine_camera=True))
     if compared:
         from .peers import PEERS
 
@@ -144,7 +151,7 @@ def _ways(axis: Axis, quick: bool) -> dict[str, Way]:
     return ways
 
 
-def _worst(rows: Cases, bench: Bench) -> list[tuple[str, Case, np.ndarray]]:
+def _worst(rows: Cases, cases: Sequence[Case], seeds: Sequence[int]) -> list[tuple[str, Case, np.ndarray]]:
     """Of some groups the axes whose silent results are worst, refined once more: (title, altered case, points)."""
     pictured = []
     for group in PICTURED:
@@ -155,12 +162,11 @@ def _worst(rows: Cases, bench: Bench) -> list[tuple[str, Case, np.ndarray]]:
                 worst[row["axis"]] = max([*found, worst.get(row["axis"], (0.0, 0.0, 0))])
         for name in sorted(worst, key=lambda name: -worst[name][0])[:ROWS_OF_GROUP]:
             ratio, level, run = worst[name]
-            number, seed = divmod(run, len(bench.seeds))
-            altered, config = bench.altered(AXIS[name], level, number, bench.seeds[seed], POINTS[DEFAULT].config)
-            (outcome,) = outcomes_of([(altered.initial, altered.views[: AXIS[name].masks])], POINTS[DEFAULT], config)
-            if outcome.points is not None:
-                title = f"{name} {AXIS[name].at(level)}: {ratio:.3g}, {altered.category}"
-                pictured.append((fill(title, TITLE), altered, outcome.points))
+            number, seed = divmod(run, len(seeds))
+            (outcome,) = outcomes_of([run_of(cases, AXIS[name], level, number, seeds[seed])], POINTS[DEFAULT])
+            if outcome.altered is not None and outcome.points is not None:
+                title = f"{name} {AXIS[name].at(level)}: {ratio:.3g}, {outcome.altered.category}"
+                pictured.append((fill(title, TITLE), outcome.altered, outcome.points))
     return pictured
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-import warnings
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,32 +13,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import TsoError
-from ...evaluation.metrics import chamfer
 from ...io.output import atomic_output
 from ...kernels.dispatch import planned
 from ...plots.style import COLOURS, INK, page
-from ...refinement import refine
+from ...refinement import RefineConfig
 from ...refinement.verdict import LEAST_CONFIDENCE, MODEL
-from ..stability.axes import AXES, Axis
+from ..stability.axes import AXES
+from ..stability.runs import Run, outcomes_of
 from ..study import CATEGORY, COMMON, VIEWS, Cases, Option, Plan, Progress, Record, Study, Table, claim
 from .cases import Case, CaseBuilder, kinds_of
-from .refining import uninterrupted
+from .refining import Variant
 from .shapes import shapes_of_part
 from .summary import grouped
 
 CATEGORIES, KINDS = ("chair", "airplane", "car", "sofa", "table"), ("other", "near", "right")
 SIZE, POINTS = 128, 1024
 """Pixels of the masks each way, points of the clouds."""
-RIGHT, ALTERED = AXES[0], tuple(axis for axis in AXES if axis.group != "settings")
+# How many masks there are is drawn besides.
+RIGHT, ALTERED = AXES[0], tuple(axis for axis in AXES if axis.group != "settings" and axis.masks <= 2)
 MOST = {"many points": 16384, "large picture": 2048}
 """Levels beyond which only the time changes."""
 MASKS = (1, 1, 1, 1, 1, 2, 4)
 """Drawn from."""
+WHOLE = Variant(RefineConfig(accept_doubtful=True))
 MANY = 1 << 60
 """Work that compiled loops pay for."""
 WORSE = 1.05
-HIDDEN, NETWORKS, EPOCHS, BATCH, RATE, DECAY = 32, 4, 60, 128, 3e-3, 0.1
+HIDDEN, NETWORKS, EPOCHS, BATCH, RATE, DECAY = 32, 4, 100, 128, 1e-2, 0.1
 """Of the model: tanh units of a network, networks that it is the mean of, and how they are trained."""
 BINS = 10
 AIMS = {"all": 0.93, "camera and mask": 0.85}
@@ -52,37 +52,32 @@ CONVENTION = {
 }
 
 
-def refined(case: Case, other: Case, count: int, seed: int) -> Iterator[tuple[Record, dict[str, float]]]:
-    """Refinements of a case as it is, and with ``count`` alterations, each at a random level: row and signs of each.
-
-    ``other`` is the case whose mask stands for that of another object. What is refused is left out.
-    """
+def alterations(case: Case, other: Case, count: int, seed: int) -> Iterator[Run]:
+    """A case as it is, and with ``count`` alterations, each at a random level; ``other`` has the mask of another object."""
     rng = np.random.default_rng([seed, zlib.crc32(case.shape.encode()), zlib.crc32(case.kind.encode()), case.view])
     for axis in (RIGHT, *rng.choice(np.array(ALTERED, dtype=object), count)):
         level = float(rng.choice([level for level in axis.levels if level <= MOST.get(axis.name, np.inf)]))
-        masks, of_axis = max(int(rng.choice(MASKS)), axis.masks), np.random.default_rng(rng.integers(1 << 32))
-        try:
-            yield _refined(axis, level, case, other, masks, of_axis)
-        except TsoError:
-            continue
+        masks = int(rng.choice(MASKS))
+        yield Run(axis, level, case, other, np.random.default_rng(rng.integers(1 << 32)), masks)
 
 
-def _refined(
-    axis: Axis, level: float, case: Case, other: Case, masks: int, rng: np.random.Generator
-) -> tuple[Record, dict[str, float]]:
-    altered, config = axis.apply(case, level, rng, other)
-    with warnings.catch_warnings(), planned(MANY, MANY):
-        warnings.simplefilter("ignore")
-        result = uninterrupted(refine(altered.initial, altered.views[:masks], config=config))
-    before, after = (chamfer(axis.own(case, points), altered.target).chamfer for points in (altered.initial, result.points))
-    row = {
-        **{key: getattr(case, key) for key in ("category", "shape", "kind")},
-        **{"axis": axis.name, "group": "gross" if axis.gross else axis.group, "level": level},
-        **{"ratio": round(after / before, 4), "confidence": round(result.confidence or 0.0, 4)},
-        **{"flagged": result.verdict == "doubtful", "suspected": bool(result.suspects)},
-        **{"iou_gain": round(result.iou_after - result.iou_before, 4), "moved": result.best_step > 0},
-    }
-    return row, result.signs
+def rows_of(runs: Iterable[Run]) -> list[tuple[Record, dict[str, float]]]:
+    """Row and signs of the result of each run; what is refused or no number is left out."""
+    rows = []
+    with planned(MANY, MANY):
+        for outcome in outcomes_of(runs, WHOLE):
+            run, result, ratio = outcome.run, outcome.result, outcome.ratio(of_altered_start=True)
+            if result is None or ratio is None:
+                continue
+            row = {
+                **{key: getattr(run.case, key) for key in ("category", "shape", "kind")},
+                **{"axis": run.axis.name, "group": "gross" if run.axis.gross else run.axis.group, "level": run.level},
+                **{"ratio": round(ratio, 4), "confidence": round(result.confidence or 0.0, 4)},
+                **{"flagged": result.verdict == "doubtful", "suspected": bool(result.suspects)},
+                **{"iou_gain": round(result.iou_after - result.iou_before, 4), "moved": result.best_step > 0},
+            }
+            rows.append((row, result.signs))
+    return rows
 
 
 def _jobs(meshes: Path, split: Path | None, part: str, settings: Record) -> dict[str, Callable[[], list[Any]]]:
@@ -95,7 +90,8 @@ def _jobs(meshes: Path, split: Path | None, part: str, settings: Record) -> dict
         shape, other = shapes[number], shapes[number - 1]
         before[:] = before or builder.cases(other, KINDS[0])
         cases = [case for kind in kinds_of(shape.category, KINDS) for case in builder.cases(shape, kind)]
-        rows = [row for case in cases for row in refined(case, before[0], settings["alterations"], settings["seed"])]
+        runs = (run for case in cases for run in alterations(case, before[0], settings["alterations"], settings["seed"]))
+        rows = rows_of(runs)
         before[:] = cases
         return rows
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -13,69 +12,42 @@ from typing import Any
 import numpy as np
 
 from ...evaluation.metrics import chamfer
-from ...geometry.rotations import angle_between
-from ...refinement import RefineConfig, RefineResult
-from ...refinement.presets import BEST
+from ...refinement import RefineConfig
 from ..charts import Panel, draw_ratios
-from ..study import COMMON, DEVICE, VIEWS, Cases, Option, Plan, Progress, Record, Study, Table, part
+from ..study import COMMON, VIEWS, Cases, Plan, Progress, Record, Study, Table, part
 from .cases import Case, CaseBuilder, kinds_of
-from .evidence_alterations import (
-    Alter,
-    Truth,
-    bunched,
-    painted,
-    unaltered,
-    with_cameras_off,
-    with_depth,
-    with_wrong_camera,
-    with_wrong_mask,
-    without,
-)
+from .evidence_alterations import Alter, Truth, painted, unaltered, with_depth, without
 from .refining import Variant, refined
 from .shapes import Shape, shapes_of_part
 from .summary import grouped, rounded
 
 SIZE, POINTS = 64, 1024
 """Pixels of the masks each way, points of the clouds."""
+PLANES = "no mirror plane"
 CONVENTION = {
     "ratio": "Chamfer distance after / before, mean of the cases' own; squared distances, mean over points, forward + "
     "backward, longest side 1, to as many target points; worse: cases over 1",
-    "no mirror plane": "share of the cases whose refinement used none",
-    "fourth inlier weight": "1, or less where the other views contradict the fourth, mean",
-    "corrected": "share of the cameras that --refine-camera corrected",
-    "degrees left": "angle between the cameras that were used and the true ones, mean",
+    PLANES: "share of the cases whose refinement used none",
 }
 FIGURES = ("cases", "mean_ratio", "worst_ratio", "worse")
 ALL = "all"
 Rows = dict[str, tuple[Alter, Variant]]
 """By label: how a case is altered, and how it is then refined."""
-Measure = Callable[[Case, Case, RefineResult], float | None]
-"""A further figure: of the case as it was, the altered case, and its result; None where there is none."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """Rows that are compared on cases of some kinds, of `KINDS`, and categories; ``measures`` are further figures by name."""
+    """Rows that are compared on cases of some kinds, of `KINDS`, and categories; with ``planes`` so are mirror planes."""
 
     title: str
     kinds: tuple[str, ...]
     rows: Rows
     categories: tuple[str, ...]
-    measures: dict[str, Measure] = field(default_factory=dict)
+    planes: bool = False
 
 
 def _variant(masks: int = 1, **settings: object) -> Variant:
     return Variant(RefineConfig(**settings), masks)  # type: ignore[arg-type]
-
-
-def _corrected(case: Case, altered: Case, result: RefineResult) -> float:
-    pairs = zip(result.cameras, altered.views, strict=False)
-    return float(np.mean([not np.array_equal(camera.R, view.camera.R) for camera, view in pairs]))
-
-
-def _degrees_left(case: Case, altered: Case, result: RefineResult) -> float:
-    pairs = zip(result.cameras, case.views, strict=False)
-    return float(np.mean([angle_between(camera.R, view.camera.R) for camera, view in pairs]))
 
 
 ONE, TWO = _variant(symmetry="none"), _variant(2, symmetry="none")
@@ -107,77 +79,31 @@ MISSING_ROWS: Rows = {
 }
 
 
-def _wrong_rows() -> Rows:
-    views: dict[str, Alter] = {
-        "four right views": unaltered,
-        "three views close together, one from the side": bunched,
-        "fourth mask of another shape": with_wrong_mask,
-        "fourth camera 30 degrees off": with_wrong_camera,
-    }
-    rows: Rows = {}
-    for preset in ("paper", "best"):
-        rows |= {f"{name}; {preset}": (alter, _variant(4, preset=preset)) for name, alter in views.items()}
-        if preset == "best":
-            unweighted = _variant(4, coarse_to_fine=replace(BEST, weigh_views=False))
-            rows |= {f"{name}; best, views unweighted": (alter, unweighted) for name, alter in views.items()}
-        rows[f"first three views alone; {preset}"] = unaltered, _variant(3, preset=preset)
-        rows[f"three views close together alone; {preset}"] = bunched, _variant(3, preset=preset)
-    return rows
-
-
-CAMERA_ROWS: Rows = {
-    f"{masks} mask{'s' * (masks > 1)}, {degrees} degrees off; {'refined' if refine else 'as given'}": (
-        partial(with_cameras_off, degrees=degrees),
-        _variant(masks, refine_camera=refine),
-    )
-    for masks, degrees, refine in product((1, 2), (0, 2, 5), (False, True))
-}
 THREE = ("chair", "airplane", "car")
-CATEGORIES = (*THREE, "sofa", "table")
-STARTS = ("other", "near")
 QUESTIONS = {
-    "depth": Question("Depth maps", STARTS, DEPTH_ROWS, THREE),
+    "depth": Question("Depth maps", ("other", "near"), DEPTH_ROWS, THREE),
     "colours": Question("Photos of painted objects", ("other",), COLOUR_ROWS, THREE),
-    "missing": Question(
-        "Objects of which a part is missing",
-        ("other",),
-        MISSING_ROWS,
-        CATEGORIES[:4],
-        {"no mirror plane": lambda case, altered, result: float(result.symmetry is None)},
-    ),
-    "wrong": Question(
-        "Wrong views among four",
-        ("other",),
-        _wrong_rows(),
-        CATEGORIES,
-        {"fourth inlier weight": lambda case, altered, result: dict(enumerate(result.view_trust)).get(3)},
-    ),
-    "cameras": Question(
-        "Cameras that are off", STARTS, CAMERA_ROWS, THREE, {"corrected": _corrected, "degrees left": _degrees_left}
-    ),
+    "missing": Question("Objects of which a part is missing", ("other",), MISSING_ROWS, (*THREE, "sofa"), planes=True),
 }
 
 
-def plan(progress: Progress, *, meshes: Path, split: Path | None, questions: tuple[str, ...], **settings: Any) -> Plan:
+def plan(progress: Progress, *, meshes: Path, split: Path | None, **settings: Any) -> Plan:
     """Ask each question of every case that it is about; errors are those of the study of accuracy."""
-    chosen = {name: QUESTIONS[name] for name in questions}
-    categories = [name for name in CATEGORIES if any(name in question.categories for question in chosen.values())]
+    categories = list(dict.fromkeys(name for question in QUESTIONS.values() for name in question.categories))
     shapes = shapes_of_part(meshes, split, settings["part"], categories, settings["limit"])
     by_category = {name: [shape for shape in shapes if shape.category == name] for name in categories}
     builder = CaseBuilder(meshes, split, settings["views"], SIZE, POINTS, settings["seed"])
-    settings |= {"questions": list(questions), "points": POINTS, "size": SIZE}
-    settings["rows"] = {name: list(question.rows) for name, question in chosen.items()}
+    settings |= {"points": POINTS, "size": SIZE}
+    settings["rows"] = {name: list(question.rows) for name, question in QUESTIONS.items()}
     settings["shapes"] = [shape.name for group in by_category.values() for shape in group]
 
     def judge_group(name: str, kind: str, group: list[Shape]) -> Cases:
-        others = [*group[1:], group[0]] if len(group) > 1 else [None]
-        truths = [Truth(shape, other) for shape, other in zip(group, others, strict=True)]
-        cases = [(case, truth) for truth in truths for case in builder.cases(truth.shape, kind)]
-        return judge(name, chosen[name], cases, settings["seed"], settings["device"])
+        cases = [(case, truth) for truth in map(Truth, group) for case in builder.cases(truth.shape, kind)]
+        return judge(name, QUESTIONS[name], cases, settings["seed"])
 
     jobs = [
         ({"question": name, "kind": kind, "shape": group[0].name}, partial(judge_group, name, kind, group))
-        for name, question in chosen.items()
+        for name, question in QUESTIONS.items()
         for kind in question.kinds
         for category, group in by_category.items()
         if category in question.categories and kind in kinds_of(category, question.kinds)
@@ -185,7 +111,7 @@ def plan(progress: Progress, *, meshes: Path, split: Path | None, questions: tup
     return Plan(settings, jobs)
 
 
-def judge(name: str, question: Question, cases: list[tuple[Case, Truth]], seed: int, device: str) -> Cases:
+def judge(name: str, question: Question, cases: list[tuple[Case, Truth]], seed: int) -> Cases:
     """Every row of a question for cases of one kind and category; a row that a case cannot have is left out of it."""
     keys = ("kind", "category", "shape", "view")
     records: Cases = [{"question": name, **{key: getattr(case, key) for key in keys}, "rows": {}} for case, _ in cases]
@@ -195,10 +121,10 @@ def judge(name: str, question: Question, cases: list[tuple[Case, Truth]], seed: 
         altered = [alter(case, truth, np.random.default_rng(key)) for (case, truth), key in zip(cases, seeds, strict=True)]
         numbers = [number for number, case in enumerate(altered) if case is not None]
         changed = [case for case in altered if case is not None]
-        results = refined(changed, variant, device, None) if changed else []
+        results = refined(changed, variant, "cpu", None) if changed else []
         for number, case, result in zip(numbers, changed, results, strict=True):
             before, after = (chamfer(points, case.target).chamfer for points in (case.initial, result.points))
-            further = {key: measure(cases[number][0], case, result) for key, measure in question.measures.items()}
+            further = {PLANES: float(result.symmetry is None)} if question.planes else {}
             records[number]["rows"][label] = rounded({"before": before, "chamfer": after, **further})
     return records
 
@@ -221,17 +147,17 @@ def _means(cases: Cases) -> Record:
         rows = [case["rows"][label] for case in cases if label in case["rows"]]
         ratios = np.array([row["chamfer"] / row["before"] for row in rows])
         columns = {key: [row[key] for row in rows] for key in rows[0] if key not in ("before", "chamfer")}
-        further = {key: float(np.mean(values)) for key, values in columns.items() if None not in values}
+        further = {key: float(np.mean(values)) for key, values in columns.items()}
         counts = {"cases": len(rows), "worse": int((ratios > 1.0).sum())}
         means[label] = rounded({**counts, "mean_ratio": float(ratios.mean()), "worst_ratio": float(ratios.max()), **further})
     return means
 
 
 def tables(record: Record) -> list[Table]:
-    """A table for each question; not every row has every figure: of three views there is no fourth."""
+    """A table for each question."""
     result = []
     for question, kinds in record["summary"].items():
-        columns = [*FIGURES, *QUESTIONS[question].measures]
+        columns = [*FIGURES, *[PLANES] * QUESTIONS[question].planes]
         rows = [
             [kind, category, label, *map(figures.get, columns)]
             for kind, categories in kinds.items()
@@ -261,22 +187,15 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 
 STUDY = Study(
     name="evidence",
-    about="Depth maps (depth), photos of painted objects (colours), objects of which a part is missing (missing), wrong views "
-    "among right ones (wrong), and cameras that are off (cameras).",
-    parts=("pictures", "points, paper", "points, best", "camera fit"),
+    about="Depth maps (depth), photos of painted objects (colours), and objects of which a part is missing (missing).",
+    parts=("pictures", "points, best"),
     tables=tables,
     draw=draw,
     reading="Each question alters cases in one way and compares rows that see the same random numbers. Evidence that is right "
-    "helps: more masks, depth, a photo of an object whose colours are known. What matters as much is the harm that wrong "
-    "evidence does: a method that weighs its evidence loses little to one wrong view, camera or plane.",
+    "helps: more masks, depth, a photo of an object whose colours are known. Where an object lacks a part that its start has, "
+    "a mirror plane gains less, and harms few.",
     convention=CONVENTION,
-    options=(
-        *COMMON,
-        part("validation"),
-        Option("--question", "May be repeated.", str, tuple(QUESTIONS), tuple(QUESTIONS), multiple=True, name="questions"),
-        VIEWS,
-        DEVICE,
-    ),
+    options=(*COMMON, part("validation"), VIEWS),
     plan=plan,
     conclude=conclude,
 )

@@ -1,4 +1,4 @@
-"""Cases with other evidence: depth maps, photos, wrong views, wrong cameras, objects that lack a part."""
+"""Cases with other evidence: depth maps, photos, objects that lack a part."""
 
 from __future__ import annotations
 
@@ -10,24 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...evaluation.metrics import chamfer
-from ...geometry.camera import Camera
 from ...geometry.points import Array, farthest_point_sample, sample_surface
-from ...geometry.rotations import from_vectors
 from ...geometry.view import View
 from ...io.meshes import Mesh
 from ...refinement.symmetry import find_mirror_plane
-from ...render import RayScene, fitting_distance, look_at, render_view
+from ...render import RayScene, render_view
 from ...render.rays import AMBIENT, RAYS_ACROSS
 from .cases import SAMPLES, Case
 from .shapes import Shape
 
 # Fewer than these, once a part of the object is gone, make no case.
 FEWEST_FACES, FEWEST_PIXELS = 20, 50
-# A wrong camera is shifted by this share of its distance for each degree that it is turned.
-SHIFT = 0.005
-WRONG_TURN = 30.0
-# Three cameras that stand close together, and one to the side of them; degrees.
-BUNCHED = (0.0, 10.0, 20.0, 100.0)
 # Waves of a paint, and their lengths (longest side 1): stripes and patches of the size of a window or a cheat line, up to whole
 # parts in one colour.
 WAVES, SHORTEST, LONGEST = 12, 0.1, 1.0
@@ -43,10 +36,9 @@ Paint = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class Truth:
-    """The shape that a case is of, and another one of its category; None where there is no other."""
+    """The shape that a case is of."""
 
     shape: Shape
-    other: Shape | None
 
     @cached_property
     def mesh(self) -> Mesh:
@@ -55,10 +47,6 @@ class Truth:
     @cached_property
     def scene(self) -> RayScene:
         return RayScene(self.mesh)
-
-    @cached_property
-    def other_scene(self) -> RayScene | None:
-        return None if self.other is None else RayScene(self.other.mesh())
 
 
 Alter = Callable[[Case, Truth, Rng], Case | None]
@@ -94,49 +82,11 @@ def without(case: Case, truth: Truth, rng: Rng, part: str) -> Case | None:
         return None
     mesh = replace(truth.mesh, faces=faces, colours=None)
     scene = RayScene(mesh)
-    views = tuple(replace(view, mask=_mask(scene, view.camera)) for view in case.views)
+    views = tuple(replace(view, mask=render_view(scene, view.camera).mask.astype(np.float32) / 255.0) for view in case.views)
     if min(int((view.mask > 0.5).sum()) for view in views) < FEWEST_PIXELS:
         return None
     dense = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
     return replace(case, views=views, dense=dense, target=dense[farthest_point_sample(dense, len(case.target))])
-
-
-def bunched(case: Case, truth: Truth, rng: Rng) -> Case:
-    """Three of the four cameras within 20 degrees, the last to the side of them."""
-    size = case.views[0].camera.width, case.views[0].camera.height
-    azimuth, elevation = rng.uniform(0.0, 360.0), rng.uniform(-5.0, 40.0)
-    views = []
-    for turn in BUNCHED:
-        near = look_at(azimuth + turn, elevation, 1.0, size)
-        camera = look_at(azimuth + turn, elevation, fitting_distance(truth.mesh.vertices, near), size)
-        views.append(View(_mask(truth.scene, camera), camera, name=f"{case.shape}, {turn:g} degrees"))
-    return replace(case, views=tuple(views))
-
-
-def with_wrong_mask(case: Case, truth: Truth, rng: Rng) -> Case | None:
-    """The last view's mask is that of another shape of the category."""
-    if truth.other_scene is None:
-        return None
-    *right, wrong = case.views
-    return replace(case, views=(*right, replace(wrong, mask=_mask(truth.other_scene, wrong.camera))))
-
-
-def with_wrong_camera(case: Case, truth: Truth, rng: Rng) -> Case:
-    """The last view's camera is taken to stand 30 degrees to the side, left or right, of where it stood."""
-    *right, wrong = case.views
-    turn = from_vectors(np.array([0.0, np.radians(WRONG_TURN) * rng.choice([-1.0, 1.0]), 0.0]))
-    return replace(case, views=(*right, replace(wrong, camera=replace(wrong.camera, R=wrong.camera.R @ turn))))
-
-
-def with_cameras_off(case: Case, truth: Truth, rng: Rng, degrees: float) -> Case:
-    """Every camera is turned by so many degrees about the object's middle, about any axis, and shifted in proportion."""
-    views = []
-    for view in case.views:
-        turn, shift = _directions(rng, (2,))
-        turned = from_vectors(np.radians(degrees) * turn)
-        moved = view.camera.t + degrees * SHIFT * view.camera.t[2] * shift
-        views.append(replace(view, camera=replace(view.camera, R=turned @ view.camera.R, t=moved)))
-    return replace(case, views=tuple(views))
 
 
 def painted(case: Case, truth: Truth, rng: Rng, start: str, exposure: float | None) -> Case:
@@ -210,7 +160,3 @@ def _directions(rng: Rng, shape: tuple[int, ...]) -> Array:
     """Unit vectors [*shape, 3]."""
     vectors = rng.normal(size=(*shape, 3))
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
-
-
-def _mask(scene: RayScene, camera: Camera) -> NDArray[np.float32]:
-    return np.asarray(render_view(scene, camera).mask.astype(np.float32) / 255.0)

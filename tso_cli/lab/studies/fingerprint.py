@@ -112,6 +112,6 @@ def differences(record: dict[str, Any]) -> list[str]:
         for key in dict.fromkeys((*numbers, *earlier)):
             then, now = earlier.get(key), numbers.get(key)
             tolerance = STAGED_TOLERANCES.get(key.split(": ")[-1], TOLERANCE) if part == "points, best" else TOLERANCE
-            if then is None or now is None or abs(then - now) > tolerance * abs(now):
+            if then is None or now is None or not abs(then - now) <= tolerance * abs(now):
                 lines.append(f"{part}: {key} {then}, now {now}")
     return lines

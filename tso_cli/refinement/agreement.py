@@ -1,0 +1,202 @@
+"""Whether cloud, cameras and masks agree, and which common mistake explains it if they do not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.camera import Array
+from ..geometry.view import View, object_box
+from ..losses.projection import pixels_under
+from .assumptions import ASSUMPTIONS, AssumedView, Assumption, Suspect, about, axes_of, mirrored
+from .occlusion import occluded
+
+# Cells along the longer side of the mask's box, in which silhouettes are compared, and points that are projected.
+CELLS, POINTS = 16, 1024
+# An assumption is suspected if silhouettes then agree better than as given by this IoU, and at least so far.
+MARGIN, LEAST_IOU = 0.16, 0.4
+# Others that fit about as well as the best.
+SIMILAR, MOST_SUSPECTS = 0.03, 3
+# An inverted mask is foreground along at least so much of the picture's border.
+BORDER = 0.6
+# A view of several is suspected if it agrees worse than the others by so much.
+LEFT_OUT = 0.1
+GOLDEN = (5.0**0.5 - 1.0) / 2.0
+# A row of cells is so many columns further.
+ROW = 1 << 32
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far the silhouette of a cloud and the masks agree, mean IoU in coarse cells of the views.
+
+    as_given : of the input as it is. best : under the best of `ASSUMPTIONS`. suspects : what may be wrong, likeliest first.
+    of_views : what may be wrong with single views of several, where the input as a whole looks right.
+    """
+
+    as_given: float
+    best: float
+    suspects: tuple[Suspect, ...]
+    of_views: tuple[Suspect, ...] = ()
+
+    @classmethod
+    def of(cls, points: Array, views: Sequence[View]) -> Agreement:
+        """Of ``points`` [N, 3]; a few milliseconds a view."""
+        # Points of organised clouds at equal steps may all be of one column: those at multiples of the golden ratio are not.
+        points = points[(len(points) * (np.arange(min(len(points), POINTS)) * GOLDEN % 1.0)).astype(np.int64)]
+        outlines = [_Outline(view) for view in views]
+        others = _others(outlines[0].given)
+        as_given = np.array([outline.iou(points, outline.given) for outline in outlines])
+        ious = np.array([[outline.iou(points, other.assumptions) for outline in outlines] for other in others])
+        scores = ious.mean(1)
+        suspects = _suspects(others, scores, as_given.mean())
+        of_views = () if suspects else (*_of_views(outlines, others, ious, as_given), *_hidden(points, views))
+        return cls(float(as_given.mean()), float(scores.max()), suspects, of_views)
+
+    @property
+    def named(self) -> tuple[Suspect, ...]:
+        """Suspects of the input as a whole, else of single views."""
+        return self.suspects or self.of_views
+
+    def __str__(self) -> str:
+        """The suspects in words, nothing without any."""
+        if not self.suspects:
+            return "; ".join(f"it looks as if {suspect.what}: try {suspect.option}" for suspect in self.of_views)
+        others = "".join(f", or {suspect.option}" for suspect in self.suspects[1:])
+        return f"it looks as if {self.suspects[0].what}: try {self.suspects[0].option}{others}"
+
+
+class _Other(NamedTuple):
+    """Other assumptions than those given: ``what`` is right then, in words, and the ``option`` that makes them."""
+
+    what: str
+    option: str
+    assumptions: tuple[Assumption, ...]
+    fewer: bool  # than given
+
+
+def _others(given: tuple[Assumption, ...]) -> list[_Other]:
+    """All with one more than given, and all with one less. Nobody is told to give again what is given."""
+    less = [
+        _Other(f"{one.option} is wrong", f"without {one.option}", tuple(o for o in given if o is not one), True)
+        for one in given
+    ]
+    told = [one.option for one in given] + ["--assume mask-inverted" for one in given if one.option == "--invert-mask"]
+    options = {f"--assume {name}": assumption for name, assumption in ASSUMPTIONS.items()}
+    return less + [_Other(one.what, option, (*given, one), False) for option, one in options.items() if option not in told]
+
+
+def _suspects(others: list[_Other], scores: Array, as_given: float) -> tuple[Suspect, ...]:
+    """Others that may be true; if fewer assumptions explain it, no more are suspected."""
+    if scores.max() < max(as_given + MARGIN, LEAST_IOU):
+        return ()
+    likely = [i for i in np.argsort(-scores, kind="stable") if scores[i] >= scores.max() - SIMILAR]
+    fewer = [i for i in likely if others[i].fewer]
+    return tuple(Suspect(others[i].what, others[i].option, float(scores[i])) for i in (fewer or likely)[:MOST_SUSPECTS])
+
+
+def _of_views(outlines: Sequence[_Outline], others: list[_Other], ious: Array, as_given: Array) -> tuple[Suspect, ...]:
+    """Where one view disagrees and the others agree: what would mend it, and not them."""
+    suspects = []
+    for i, outline in enumerate(outlines):
+        rest = np.arange(len(outlines)) != i
+        # Another bad view among the rest hides none.
+        if not rest.any() or np.median(as_given[rest]) < as_given[i] + LEFT_OUT:
+            continue
+        scores = [
+            0.0 if _of_all(other, rest.sum()) or ious[k, rest].mean() >= as_given[rest].mean() + SIMILAR else ious[k, i]
+            for k, other in enumerate(others)
+        ]
+        best = int(np.argmax(scores))
+        if scores[best] >= max(as_given[i] + MARGIN, LEAST_IOU):
+            name, other = outline.view.name, others[best]
+            option = f"{other.option}@{name}"
+            if other.fewer:
+                option = other.option if "@" in other.option else f"{other.option} for {name}"
+            suspects.append(Suspect(f"for {name} alone {other.what}", option, float(scores[best])))
+    return tuple(suspects)
+
+
+def _of_all(other: _Other, rest: int) -> bool:
+    """Whether it cannot be said of one view: the cloud is the same for all, and of two views either may be the wrong one."""
+    return other.option.startswith("--assume cloud-") or (rest < 2 and "mask-inverted" not in other.option)
+
+
+def _hidden(points: Array, views: Sequence[View]) -> tuple[Suspect, ...]:
+    """Views in which something seems to be in front of the object."""
+    suspects = []
+    for view in views:
+        score = occluded(_told(view.camera.project(points)[0], view), view)
+        if score is not None:
+            suspects.append(Suspect(f"something hides a part of the object in {view.name}", "--ignore", score))
+    return tuple(suspects)
+
+
+def _told(pixels: Array, view: View) -> Array:
+    """Those of ``pixels`` [N, 2] inside the image and not unknown: others say nothing."""
+    pixel, visible = pixels_under(pixels, np.asarray(np.isfinite(pixels).all(1)), *view.mask.shape)
+    return pixels[visible if view.known is None else visible & view.known.ravel()[pixel]]
+
+
+class _Outline:
+    """A mask in coarse cells, to be compared with what a camera sees of a cloud."""
+
+    def __init__(self, view: View) -> None:
+        self.view = view
+        self.given = view.given if isinstance(view, AssumedView) else ()
+        self.camera = isinstance(view, AssumedView) and view.camera_read or view.camera
+        inside = view.inside
+        # Of an object that the border truncates, or a speck, the background would pass for an inverted mask.
+        border = np.ones(inside.shape, bool) if view.known is None else view.known.copy()
+        border[1:-1, 1:-1] = False
+        self.may_be_inverted = border.any() and inside[border].mean() >= BORDER
+        self.cells = {False: _Cells.of(inside)}
+        if self.may_be_inverted:
+            self.cells[True] = _Cells.of(~inside if view.known is None else ~inside & view.known)
+
+    def iou(self, points: Array, assumptions: Sequence[Assumption]) -> float:
+        """With the cells that ``points`` [N, 3] fall in under these assumptions, in place of those given."""
+        view, given = self.view, about(self.view, self.given)
+        assumptions, camera = about(view, assumptions), self.camera
+        for assumption in assumptions:
+            camera = assumption.of_camera(camera)
+        # What was done to the mask for what is given, and not undone; each is its own inverse.
+        changes = [assumption.mask for assumption in (*given, *assumptions)] + ["left-right"] * mirrored(view)
+        inverted, across, down = (changes.count(name) % 2 == 1 for name in ("inverted", "left-right", "upside-down"))
+        if inverted and not self.may_be_inverted:
+            return 0.0
+        pixels, _ = camera.project(points @ axes_of(assumptions).T)
+        # The mask flipped is the cloud's picture flipped.
+        if across:
+            pixels[:, 0] = camera.width - 1.0 - pixels[:, 0]
+        if down:
+            pixels[:, 1] = camera.height - 1.0 - pixels[:, 1]
+        return self.cells[inverted].iou(_told(pixels, view))
+
+
+class _Cells(NamedTuple):
+    """Those that are foreground, of a grid in which the object's longer side has so many."""
+
+    low: Array  # [2], column and row of the first cell's corner, px
+    edge: int  # of a cell, px
+    inside: set[int]
+
+    @classmethod
+    def of(cls, inside: NDArray[np.bool_]) -> _Cells:
+        left, top, right, bottom = object_box(inside)
+        edge = -(-max(right - left, bottom - top) // CELLS)
+        rows, columns = -(-(bottom - top) // edge), -(-(right - left) // edge)
+        padded = np.zeros((rows * edge, columns * edge), bool)
+        padded[: bottom - top, : right - left] = inside[top:bottom, left:right]
+        row, column = np.nonzero(padded.reshape(rows, edge, columns, edge).mean((1, 3)) > 0.1)
+        return cls(np.array([left, top]) - 0.5, edge, set((row * ROW + column).tolist()))
+
+    def iou(self, pixels: Array) -> float:
+        """With the cells that ``pixels`` [N, 2] fall in."""
+        column, row = np.floor((pixels - self.low) / self.edge).astype(np.int64).T
+        covered = set((row * ROW + column).tolist())
+        return len(covered & self.inside) / max(1, len(covered | self.inside))

@@ -1,0 +1,108 @@
+"""What a descent comes to: how far its step is taken, and how far the result agrees with the views."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..evaluation.footprint import common_window, window_iou
+from ..geometry.view import View
+from .cloud import Array, MovedCloud
+from .config import Settings
+from .optimise import Descent
+from .presets import BEST_STEPS, STAGES
+from .problem import Problem
+from .result import StopReason
+from .smooth_field import SmoothField
+from .verdict import UNCHANGED, UNJUDGED, Verdict, signs_of
+from .view_weights import ViewWeights
+
+# A start of lower IoU hardly touches its mask, as a pole beside its own: coming nearer need not raise the IoU.
+FEEBLE_IOU = 0.1
+# Results of fewer steps or points are not judged.
+FEWEST_STEPS, FEWEST_POINTS = BEST_STEPS["points"] // 4, 16
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a descent comes to. taken : share of its step that is; unmoved : why none is."""
+
+    moved: MovedCloud
+    ious: list[tuple[float, float]]  # of each view, before and after
+    verdict: Verdict = UNJUDGED
+    taken: float = 1.0
+    unmoved: StopReason | None = None
+    signs: dict[str, float] = dataclasses.field(default_factory=dict)
+
+    def loss(self, start: Array, descent: Descent) -> float:
+        """By the last objective of the ``descent`` from ``start`` [N, 3]."""
+        if self.unmoved:
+            return descent.first_loss
+        if self.taken == 1.0 or descent.objective is None:
+            return descent.best_loss
+        return descent.objective(start + self.taken * (descent.best - start))[0]
+
+
+def judged(
+    problem: Problem,
+    given_views: Sequence[View],
+    descent: Descent,
+    field: SmoothField | None,
+    view_weights: ViewWeights,
+    settings: Settings,
+) -> Outcome:
+    """The step of a descent, taken whole, or in part or not at all where it is likely to make the cloud worse.
+
+    ``problem`` has its last windows; ``field`` is of the start; ``view_weights`` are of the views that were given.
+    """
+    step = descent.best - problem.cloud.normalised()
+    outcome = _after(problem, given_views, step)
+    # Corrected cameras may lower the IoU rightly.
+    compared = settings.staged and problem.views == given_views
+    if descent.best_step == 0 or (compared and _agrees_less(problem, outcome.ious, view_weights.loss)):
+        unmoved = problem.cloud.moved(np.zeros_like(step))
+        ious = [(before, before if descent.best_step else after) for before, after in outcome.ious]
+        return Outcome(unmoved, ious, UNCHANGED, taken=0.0, unmoved="not_improved")
+    signs: dict[str, float] = {}
+    # What a few steps leave undone looks like a mistake.
+    enough = len(descent.stages) == len(STAGES) and settings.steps >= FEWEST_STEPS and len(step) >= FEWEST_POINTS
+    if field and enough and _masks_alone(problem):
+        signs = signs_of(problem, field, descent, outcome.ious, view_weights.inlier)
+    verdict = Verdict.of(signs, problem.suspicion)
+    taken = 1.0 if settings.accept_doubtful else verdict.step
+    if taken < 1.0:
+        outcome = _after(problem, given_views, taken * step)
+    return replace(outcome, verdict=verdict, taken=taken, unmoved=None if taken else "doubtful", signs=signs)
+
+
+def _after(problem: Problem, given_views: Sequence[View], displacements: Array) -> Outcome:
+    moved = problem.cloud.moved(displacements)
+    return Outcome(moved, view_ious(problem.cloud.judged, moved.judged, given_views, problem.views))
+
+
+def view_ious(initial: Array, refined: Array, given: Sequence[View], corrected: Sequence[View]) -> list[tuple[float, float]]:
+    """IoU of each view before, by the given camera, and after, by the corrected one; both in the same window."""
+    ious = []
+    for before, after in zip(given, corrected, strict=True):
+        stages = (initial, before), (refined, after)
+        box = common_window(stages)
+        ious.append((window_iou(*stages[0], box), window_iou(*stages[1], box)))
+    return ious
+
+
+def _masks_alone(problem: Problem) -> bool:
+    return all(view.depth is None and view.image is None for view in problem.views)
+
+
+def _agrees_less(problem: Problem, ious: list[tuple[float, float]], weights: list[float]) -> bool:
+    """Whether masks are all there is, and the IoU fell.
+
+    The mask Chamfer loss counts distances, and may fall while the IoU falls too, as for a right start and a coarse mask.
+    """
+    if not _masks_alone(problem):
+        return False
+    before, after = np.average(ious, axis=0, weights=weights)
+    return bool(after < before and before >= FEEBLE_IOU)

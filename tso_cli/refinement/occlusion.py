@@ -1,0 +1,72 @@
+"""Is something in front of the object? A mask that ends at a straight edge where the cloud goes on."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.camera import Array
+from ..geometry.points import longest_side
+from ..geometry.view import View
+
+# Of the mask's longer side: the least length of the edge, and cells that silhouettes are compared in.
+LEAST_EDGE, CELLS = 0.15, 16
+# The outline follows the edge to so many pixels, over so much of the mask's width behind it (so far, of its longer side).
+WITHIN, LEAST_STRAIGHT, BEHIND = 1.5, 0.7, 0.15
+# The least share of the points beyond the edge (so far, of the mask's longer side), and the IoU that is gained without them.
+LEAST_BEYOND, BEYOND, GAIN = 0.05, 0.04, 0.1
+
+
+def occluded(pixels: Array, view: View) -> float | None:
+    """IoU with the view's object of ``pixels`` [N, 2], its cloud, up to a straight edge that the object ends at and they cross.
+
+    None where there is no such edge inside the picture.
+    """
+    rows, columns = np.nonzero(view.inside)
+    outline = np.stack([columns, rows], axis=1).astype(np.float64)
+    size = longest_side(outline) + 1.0
+    if size < 2 * CELLS or not len(pixels):
+        return None
+    corners = _hull(view.inside)
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        along = end - start
+        length = np.hypot(*along)
+        middle = (start + end) / 2.0
+        at_border = (middle < WITHIN).any() or (middle > np.array(view.mask.shape[::-1]) - 1.0 - WITHIN).any()
+        if length < LEAST_EDGE * size or at_border:
+            continue
+        along = along / length
+        # Corners run so that the mask is on the left, y pointing down.
+        behind = (outline - start) @ [-along[1], along[0]]
+        place = np.floor((outline - start) @ along).astype(np.int64)
+        at_edge, near = len(np.unique(place[behind < WITHIN])), len(np.unique(place[behind < BEHIND * size]))
+        beyond = -(pixels - start) @ [-along[1], along[0]]
+        if at_edge < max(LEAST_EDGE * size, LEAST_STRAIGHT * near) or (beyond > BEYOND * size).mean() < LEAST_BEYOND:
+            continue
+        without = _iou(outline, pixels[beyond <= 0.0], size)
+        if without >= _iou(outline, pixels, size) + GAIN:
+            return without
+    return None
+
+
+def _hull(inside: NDArray[np.bool_]) -> Array:
+    """[M, 2], x and y of the corners of the convex hull of foreground pixels, in order."""
+    rows = np.flatnonzero(inside.any(1))
+    first, last = inside[rows].argmax(1), inside.shape[1] - 1 - inside[rows, ::-1].argmax(1)
+    corners: list[tuple[int, int]] = []
+    for xs, ys in ((last, rows), (first[::-1], rows[::-1])):
+        done = len(corners)
+        for corner in zip(xs.tolist(), ys.tolist(), strict=True):
+            while len(corners) > done + 1 and _turn(corners[-2], corners[-1], corner) <= 0:
+                corners.pop()
+            corners.append(corner)
+    return np.array(corners, dtype=np.float64)
+
+
+def _turn(a: tuple[int, int], b: tuple[int, int], c: tuple[int, int]) -> int:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _iou(outline: Array, pixels: Array, size: float) -> float:
+    covered, inside = (set(map(tuple, np.floor(places * (CELLS / size)).astype(int).tolist())) for places in (pixels, outline))
+    return len(covered & inside) / len(covered | inside)
