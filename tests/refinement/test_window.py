@@ -80,7 +80,7 @@ def test_the_window_follows_a_cloud_that_starts_far_from_its_mask(far_off, chair
 @pytest.mark.slow
 def test_a_refinement_ends_in_the_window_of_its_result_on_the_grid_that_its_mask_bears(far_off, chair):
     start, photo = far_off
-    result = refine(start, photo, config=RefineConfig(symmetry="none"))
+    result = refine(start, photo, config=RefineConfig(symmetry="none", accept_doubtful=True))
     ((box, cells),) = result.view_windows
     assert cells == 128
     first, last = (np.subtract(*window_of(photo, points)[2::-2]) for points in (start, result.points))
