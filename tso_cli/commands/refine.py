@@ -151,16 +151,17 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
         if inputs.checkpoint is not None:
             options.log(f"tso: checkpoint: {inputs.checkpoint}")
         options.log(f"tso: camera: {', '.join(dict.fromkeys(scene.camera_sources))}")
-    from ..refinement.assumptions import mirrored
-
     if check:
         check_scene(scene, as_json, quiet, warned)
         return
-    if write_camera and any(map(mirrored, scene.views)):
-        raise InputError(
-            f"--write-camera {write_camera}: the cloud has left-handed axes, which no camera has; found --assume "
-            f"{' '.join(inputs.assume)}, expected a cloud with right-handed axes"
-        )
+    if write_camera:
+        from ..refinement.assumptions import mirrored
+
+        if any(map(mirrored, scene.views)):
+            raise InputError(
+                f"--write-camera {write_camera}: the cloud has left-handed axes, which no camera has; found --assume "
+                f"{' '.join(inputs.assume)}, expected a cloud with right-handed axes"
+            )
     read = time.perf_counter() - started
     with options.loading():
         from ..refinement import RefineConfig, refine

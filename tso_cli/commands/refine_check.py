@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..geometry.camera import Camera
-    from ..refinement.agreement import Agreement
     from ..refinement.assumptions import Suspect
     from ..refinement.placement import Placement
     from ..scene.load import Scene
@@ -32,7 +31,7 @@ def check_scene(scene: Scene, as_json: bool, quiet: bool, warned: list[str]) -> 
     from ..refinement.placement import SMALLEST_BOX_IOU, mask_doubts, place, require_overlap
 
     placements = [place(scene.moving, view) for view in scene.views]
-    doubts = outliers_told(int(scene.start.outliers.sum()) if scene.start else 0)
+    doubts = outliers_told(_outliers(scene))
     for doubt in (*doubts, *(doubt for view in scene.views for doubt in mask_doubts(view, len(scene.moving)))):
         warnings.warn(doubt, stacklevel=1)
     overlaps = [placement.box_iou > SMALLEST_BOX_IOU for placement in placements]
@@ -44,7 +43,9 @@ def check_scene(scene: Scene, as_json: bool, quiet: bool, warned: list[str]) -> 
         # The error to come says it too.
         warned.append(suspicion)
     if as_json:
-        options.echo_json(_document(scene, placements, overlaps, agreement, warned))
+        suspects = agreement.named if agreement else ()
+        judged = verdict_document(None, "doubtful" if suspicion else None, suspicion, warned, suspects)
+        options.echo_json(_document(scene, placements, overlaps, judged))
     elif not quiet:
         _print(scene, placements, overlaps)
     for placement, view in zip(placements, scene.views, strict=True):
@@ -70,10 +71,8 @@ def verdict_document(
     }
 
 
-def _document(
-    scene: Scene, placements: list[Placement], overlaps: list[bool], agreement: Agreement | None, warned: list[str]
-) -> dict[str, Any]:
-    views, suspects = [], agreement.named if agreement else ()
+def _document(scene: Scene, placements: list[Placement], overlaps: list[bool], judged: dict[str, Any]) -> dict[str, Any]:
+    views = []
     for view, source, placement, overlap in zip(scene.views, scene.camera_sources, placements, overlaps, strict=True):
         camera = camera_document(view.camera, source)
         views.append({"mask": view.name, "camera": camera, "placement": vars(placement), "meets": overlap})
@@ -81,14 +80,18 @@ def _document(
         "camera": views[0]["camera"],
         "frame": scene.frame,
         "extent": (scene.moving.max(0) - scene.moving.min(0)).tolist(),
-        "outliers": int(scene.start.outliers.sum()) if scene.start else 0,
+        "outliers": _outliers(scene),
         "surface_samples": len(scene.moving) if scene.start and scene.start.surface else None,
         "placement": views[0]["placement"],
         "meets": all(overlaps),
         "views": views,
-        **verdict_document(None, "doubtful" if str(agreement or "") else None, str(agreement or ""), warned, suspects),
+        **judged,
         "version": __version__,
     }
+
+
+def _outliers(scene: Scene) -> int:
+    return int(scene.start.outliers.sum()) if scene.start else 0
 
 
 def _print(scene: Scene, placements: list[Placement], overlaps: list[bool]) -> None:
