@@ -17,7 +17,8 @@ from tso_cli.losses.chamfer import spacings
 from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.refinement.cloud import Cloud
 from tso_cli.refinement.judge import view_ious
-from tso_cli.refinement.surface import SAMPLES, Surface
+from tso_cli.refinement.presets import FIELD_NODES
+from tso_cli.refinement.surface import Surface
 
 CORNERS = np.array([[x, y, z] for x in (-0.25, 0.25) for y in (-0.2, 0.2) for z in (-0.15, 0.15)])
 QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -58,16 +59,16 @@ def test_a_box_is_stretched_toward_a_wider_mask_further_than_its_corners_alone_a
     sides = np.stack([stretched.points[:, k].reshape(2, 2, 2).swapaxes(0, k).reshape(2, 4) for k in range(3)])
     assert sides.std(2).max() < 0.01
     alone = refine(CORNERS, views)
-    assert alone.surface_samples is None
+    assert alone.moving == len(alone.points)
     assert np.ptp(alone.points[:, 0]) < np.ptp(stretched.points[:, 0]) - 0.02
 
 
 def test_the_measures_of_a_result_are_of_samples_of_the_moved_faces(stretched, views):
     before, after = stretched.surface
     np.testing.assert_array_equal(stretched.initial, CORNERS)
-    assert (stretched.points.shape, stretched.surface_samples) == (CORNERS.shape, SAMPLES)
+    assert (stretched.points.shape, stretched.moving) == (CORNERS.shape, FIELD_NODES)
     surface = Surface(CORNERS, BOX)
-    np.testing.assert_allclose(after, surface.all_samples(stretched.points), atol=1e-12)
+    np.testing.assert_allclose(after, surface.judged(stretched.points), atol=1e-12)
     assert stretched.view_ious == view_ious(before, after, views, views)
     assert all(new > old + 0.04 for old, new in stretched.view_ious)
     moved = surface.at(stretched.points)
@@ -117,7 +118,7 @@ def test_colours_are_interpolated_linearly_at_the_samples():
     colours = CORNERS + 0.5
     cloud = Cloud(CORNERS, "points", colours, BOX)
     np.testing.assert_allclose(cloud.colours, cloud.initial + 0.5, atol=1e-6)
-    assert len(cloud.initial) == SAMPLES
+    assert len(cloud.initial) == FIELD_NODES
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,7 @@ def _document(scene: Scene, placements: list[Placement], overlaps: list[bool], j
         "frame": scene.frame,
         "extent": (scene.moving.max(0) - scene.moving.min(0)).tolist(),
         "outliers": _outliers(scene),
-        "surface_samples": len(scene.moving) if scene.start and scene.start.surface else None,
+        "moving": len(scene.moving),
         "placement": views[0]["placement"],
         "meets": all(overlaps),
         "views": views,

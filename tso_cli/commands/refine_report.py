@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 # Entries of the document that are attributes of the result.
 FROM_RESULT = (
-    *("mode", "preset", "surface_samples", "steps", "best_step", "stop_reason"),
+    *("mode", "preset", "moving", "steps", "best_step", "stop_reason"),
     *("loss_before", "loss_after", "losses"),
     *("iou_before", "iou_after", "moved_mean", "moved_max", "chamfer_to_initial", "learning_rate", "gamma", "sigma_sq"),
     *("symmetry", "symmetry_outcome", "symmetry_reason", "device", "seed"),
@@ -71,7 +71,8 @@ class RefineReport:
                 "chamfer_to_initial": "squared distances, mean over points, both directions summed, longest side 1",
                 "iou": IOU_MEANS,
                 "trust": "in a view: 1, or less where the other views contradict it",
-                "surface_samples": "points of a mesh's faces, which moved and chamfer_to_initial are of; null for a cloud",
+                "moving": "points that move by themselves, which moved and chamfer_to_initial are of: samples of a mesh's faces, "
+                "or some of a large cloud; all others follow them",
                 "outliers": "points far from all others, which stay where they are",
                 "confidence": "that the whole step does not make the cloud worse by over 5 % in Chamfer distance (a rising IoU "
                 "is no proof); 1 where nothing moved, else null but for the default preset of points mode",
@@ -113,7 +114,9 @@ class RefineReport:
     def print_summary(self) -> None:
         """What was written, the agreement with the masks, how far the points moved, and what was assumed."""
         result, count = self.result, len(self.scene.views)
-        follow = f"vertices, which follow {result.surface_samples:,} points of the faces" if result.surface else "points"
+        follow = f"vertices, which follow {result.moving:,} points of the faces" if result.surface else "points"
+        if not result.surface and result.moving < len(result.points) - int(result.outliers.sum()):
+            follow = f"points, which follow {result.moving:,} of them"
         masks = f"masks, mean of {count}" if count > 1 else "mask"
         sure = "" if result.confidence is None else f", confidence {result.confidence:.2f}"
         verdict = f" ({result.verdict}{sure})" if result.verdict else ""

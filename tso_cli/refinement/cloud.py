@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.points import as_points, bounding_box_normalisation, longest_side, quantile
 from ..losses.nearest import nearest_few
+from .presets import FIELD_NODES
+from .subset import Subset
 from .surface import Surface
 
 Array = NDArray[np.float64]
@@ -26,30 +29,46 @@ LONGEST = 1.6
 
 
 class Cloud:
-    """A cloud, or a mesh whose surface samples are what moves.
+    """A cloud or a mesh, of which at most 1,024 points or surface samples move, while the rest follows.
 
     Attributes
     ----------
     given : [V, 3] float64, the points of the cloud, or the vertices of the mesh.
     surface : of a mesh, or None.
     outliers : [V] bool, points of a cloud far from all others: they stay where they are, and nothing depends on them.
-    initial : [N, 3] float64, what moves: the points but outliers, or the samples of the surface.
+    initial : [N, 3] float64, what moves.
     centre [3], scale : (X - centre) / scale has longest side 1.
     colours : [N, 3] float32 in [0, 1], or None.
     """
 
-    def __init__(self, points: Any, name: str, colours: Any = None, faces: Any = None, hold_outliers: bool = True) -> None:
+    def __init__(self, points: Any, name: str, colours: Any = None, faces: Any = None, predicted: bool = False) -> None:
+        """``predicted`` : by a network, which moves all points; none is an outlier."""
         # In rows: columns would have every loop compiled anew for them.
         self.given: Array = np.ascontiguousarray(as_points(as_numpy(points), name))
+        self.name = name
         self.surface = None if faces is None else Surface.of(self.given, as_numpy(faces), name)
-        self.outliers = np.zeros(len(self.given), bool)
-        if hold_outliers and not self.surface:
-            self.outliers = outliers(self.given)
-        self.initial = self.surface.samples if self.surface else self._inliers(self.given)
-        self.centre, self.scale = bounding_box_normalisation(self.initial, name)
-        self.colours = None if colours is None else self._inliers(_as_colours(as_numpy(colours), len(self.given), name))
-        if self.surface and self.colours is not None:
-            self.colours = self.surface.at(self.colours.astype(np.float64)).astype(np.float32)
+        of_none = np.zeros(len(self.given), bool)
+        self.outliers = of_none if predicted or self.surface else outliers(self.given)
+        self._colours = None if colours is None else _as_colours(as_numpy(colours), len(self.given), name)
+        self._move(self.surface or Subset(self.given, ~self.outliers, None if predicted else FIELD_NODES))
+
+    def _move(self, moving: Surface | Subset) -> None:
+        self._moving, self.initial = moving, moving.samples
+        self.centre, self.scale = bounding_box_normalisation(self.initial, self.name)
+        self.colours = None if self._colours is None else moving.at(self._colours.astype(np.float64)).astype(np.float32)
+
+    def with_all_points(self) -> Cloud:
+        """The same cloud, of which every point moves by itself; of a mesh its samples still do."""
+        if self.surface or not self.partial:
+            return self
+        whole = copy(self)
+        whole._move(Subset(self.given, ~self.outliers, None))
+        return whole
+
+    @property
+    def partial(self) -> bool:
+        """Whether only a part moves, and the rest follows."""
+        return self._moving.partial
 
     def normalised(self) -> Array:
         normalised: Array = (self.initial - self.centre) / self.scale
@@ -62,26 +81,15 @@ class Cloud:
 
     def moved(self, displacements: Array) -> MovedCloud:
         """The cloud after ``displacements`` [N, 3] of what moves, in longest sides."""
-        if self.surface:
-            of_given = self.surface.vertex_displacements(displacements)
-            displacements = self.surface.at(of_given)
-        else:
-            of_given = np.zeros_like(self.given)
-            of_given[~self.outliers] = displacements
+        of_given = self._moving.followed(displacements)
         # Added to the input, so that unmoved points stay bit-identical.
         points = self.given + self.scale * of_given
-        return MovedCloud(points, self._judged(points), displacements)
+        return MovedCloud(points, self._moving.judged(points), self._moving.at(of_given))
 
     @property
     def judged(self) -> Array:
         """[S, 3], the points that measures are of: those of the cloud but outliers, or many samples of the surface."""
-        return self._judged(self.given)
-
-    def _judged(self, points: Array) -> Array:
-        return self.surface.all_samples(points) if self.surface else self._inliers(points)
-
-    def _inliers(self, values: Any) -> Any:
-        return values[~self.outliers] if self.outliers.any() else values
+        return self._moving.judged(self.given)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..evaluation.footprint import common_window, window_iou
+from ..geometry.points import CANDIDATES
 from ..geometry.view import View
 from .cloud import Array, MovedCloud
 from .config import Settings
+from .objective import MaskChamferObjective, ViewTargets
 from .optimise import Descent
 from .presets import BEST_STEPS, STAGES
 from .problem import Problem
@@ -62,7 +64,10 @@ def judged(
     outcome = _after(problem, given_views, step)
     # Corrected cameras may lower the IoU rightly.
     compared = settings.staged and problem.views == given_views
-    if descent.best_step == 0 or (compared and _agrees_less(problem, outcome.ious, view_weights.loss)):
+    if descent.best_step == 0 or (
+        compared
+        and (_agrees_less(problem, outcome.ious, view_weights.loss) or _fits_less(problem, outcome.moved, view_weights.loss))
+    ):
         unmoved = problem.cloud.moved(np.zeros_like(step))
         ious = [(before, before if descent.best_step else after) for before, after in outcome.ious]
         return Outcome(unmoved, ious, UNCHANGED, taken=0.0, unmoved="not_improved")
@@ -106,3 +111,20 @@ def _agrees_less(problem: Problem, ious: list[tuple[float, float]], weights: lis
         return False
     before, after = np.average(ious, axis=0, weights=weights)
     return bool(after < before and before >= FEEBLE_IOU)
+
+
+def _fits_less(problem: Problem, moved: MovedCloud, weights: list[float]) -> bool:
+    """Whether the points that followed do not fit the masks better than before.
+
+    Where few points move, gaps between them ask for a motion that the whole cloud, which has none, does not need.
+    """
+    if not problem.cloud.partial:
+        return False
+    targets = ViewTargets.of(problem.resampled[: len(problem.views)], weights)
+    objective = MaskChamferObjective(targets, STAGES[-1].robust_scale)
+    step = -(-len(moved.judged) // CANDIDATES)
+    before, after = (
+        objective((points[::step] - problem.cloud.centre) / problem.cloud.scale)[0]
+        for points in (problem.cloud.judged, moved.judged)
+    )
+    return after >= before

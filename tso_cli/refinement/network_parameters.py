@@ -42,7 +42,7 @@ class NetworkParameters:
             moving = list((network.encoder if mode == "encoder" else network).requires_grad_(True).parameters())
         self._optimiser = TorchAdam(moving, learning_rate)
         with torch.no_grad():
-            self.cloud = Cloud(self._predict(self._input)[0], "the network's prediction", hold_outliers=False)
+            self.cloud = Cloud(self._predict(self._input)[0], "the network's prediction", predicted=True)
         self._prediction: Tensor | None = None
 
     def forward(self) -> Array:

@@ -49,7 +49,8 @@ class RefineResult:
     moved_mean, moved_max : length of the points' displacements, in longest sides of the start.
     chamfer_to_initial : squared distances, mean over points, both directions summed, for a cloud of longest side 1.
     surface : of a mesh the points [S, 3] sampled from its surface before and after, which IoU is of; None of a cloud.
-    surface_samples : how many samples moved, which moved_mean and chamfer_to_initial are of; None of a cloud.
+    moving : how many points moved by themselves, which moved_mean and chamfer_to_initial are of: samples of a mesh's faces,
+        1,024 points of a large cloud, which all others follow.
     outliers : [N] bool, points far from all others: they stay where they are, and no measure is of them.
     symmetry : a, b, c, d of the mirror plane ax + by + cz = d that was used, in the frame of the input, or None.
     symmetry_outcome : "used" (a plane that was found), "given", or without a plane "not_asked", "none_found" (the cloud has
@@ -97,7 +98,7 @@ class RefineResult:
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     surface: tuple[Array, Array] | None = None
-    surface_samples: int | None = None
+    moving: int = 0
     outliers: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
     suspects: tuple[Suspect, ...] = ()
     verdict: str | None = None
@@ -165,7 +166,7 @@ def result_warnings(result: RefineResult, views: Sequence[View], steps: int, sus
         messages.append(suspicion)
     messages += outliers_told(int(result.outliers.sum()))
     for view in views:
-        messages += mask_doubts(view, result.surface_samples or len(result.judged[0]))
+        messages += mask_doubts(view, result.moving)
     messages += [
         f"{view.name}: the other views contradict it, so it counts for little (trust {weight:.2f} of 1); is its mask or camera "
         "wrong?"

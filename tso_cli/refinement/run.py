@@ -201,7 +201,7 @@ def _result(
         cameras=tuple(view.camera for view in problem.views),
         seconds=seconds,
         surface=(cloud.judged, moved.judged) if cloud.surface else None,
-        surface_samples=len(moved.displacements) if cloud.surface else None,
+        moving=len(moved.displacements),
         outliers=cloud.outliers,
         suspects=problem.agreement.named if problem.agreement else (),
         verdict=outcome.verdict.name,

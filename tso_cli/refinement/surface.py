@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.points import CANDIDATES, as_triangles, draw_surface, spread_subset
+from .presets import FIELD_NODES
 from .smooth_field import INTERPOLATED_FROM, falling_weights
 
 Array = NDArray[np.float64]
 
-# As many as the smooth fields have nodes; two and four times as many are no more accurate, on larger masks neither.
-SAMPLES = 1024
 # Weight of changing a sample's displacement, beside that of the faces moving the sample elsewhere.
 RIDGE = 0.1
 
@@ -31,13 +30,15 @@ class Surface:
     samples : [S, 3], in the unit of the vertices.
     """
 
+    partial = True
+
     def __init__(self, vertices: Array, triangles: NDArray[np.int64]) -> None:
         """Raises InputError where the triangles [F, 3] have no area."""
         drawn, shares = draw_surface(vertices, triangles, CANDIDATES, np.random.default_rng(0))
         self.vertices = vertices
         self._corners = triangles[drawn]
         self._shares = np.concatenate([1.0 - shares.sum(1, keepdims=True), shares], axis=1)
-        self._chosen = spread_subset(self.all_samples(vertices), SAMPLES)
+        self._chosen = spread_subset(self.judged(vertices), FIELD_NODES)
         self.samples = self.at(vertices)
 
     @classmethod
@@ -62,14 +63,14 @@ class Surface:
         """[S, C], values [V, C] of the vertices interpolated linearly at the samples."""
         return _interpolated(values, self._corners[self._chosen], self._shares[self._chosen])
 
-    def all_samples(self, values: Array) -> Array:
-        """The same at all points that were drawn by area, of which the samples are a subset: the surface as it is judged."""
+    def judged(self, values: Array) -> Array:
+        """[J, C], the same at all points drawn by area, of which the samples are a subset: the surface as it is judged."""
         return _interpolated(values, self._corners, self._shares)
 
-    def vertex_displacements(self, displacements: Array) -> Array:
+    def followed(self, displacements: Array) -> Array:
         """Displacements [V, 3] of the vertices from those of the samples, [S, 3].
 
-        Each vertex takes the weighted mean of the samples nearest to it, as points of a large cloud do of the field's nodes.
+        Each vertex takes the weighted mean of the samples nearest to it, as points of a large cloud do.
         At an edge or a tip a mean lags behind, and large faces spread that: so the samples' displacements are first
         changed a little, by regularised linear least squares, until the flat faces carry the samples where they should go.
 
