@@ -71,7 +71,12 @@ class Cloud:
         return self._moving.partial
 
     def normalised(self) -> Array:
-        normalised: Array = (self.initial - self.centre) / self.scale
+        """[N, 3], what moves."""
+        return self.normalise(self.initial)
+
+    def normalise(self, points: Array) -> Array:
+        """Points [M, 3] in the units of the file, normalised."""
+        normalised: Array = (points - self.centre) / self.scale
         return normalised
 
     def denormalised(self, points: Array) -> Array:

@@ -42,7 +42,7 @@ class Outcome:
     def loss(self, start: Array, descent: Descent) -> float:
         """By the last objective of the ``descent`` from ``start`` [N, 3]."""
         if self.unmoved:
-            return descent.first_loss
+            return 0.0 if self.unmoved == "nothing_to_do" else descent.first_loss
         if self.taken == 1.0 or descent.objective is None:
             return descent.best_loss
         return descent.objective(start + self.taken * (descent.best - start))[0]
@@ -64,13 +64,13 @@ def judged(
     outcome = _after(problem, given_views, step)
     # Corrected cameras may lower the IoU rightly.
     compared = settings.staged and problem.views == given_views
-    if descent.best_step == 0 or (
-        compared
-        and (_agrees_less(problem, outcome.ious, view_weights.loss) or _fits_less(problem, outcome.moved, view_weights.loss))
-    ):
+    fits = problem.cloud.partial and compared and _masks_alone(problem)
+    before, after = _misfits(problem, outcome.moved, view_weights.loss) if fits else (1.0, 0.0)
+    if descent.best_step == 0 or after >= before or (compared and _agrees_less(problem, outcome.ious, view_weights.loss)):
         unmoved = problem.cloud.moved(np.zeros_like(step))
-        ious = [(before, before if descent.best_step else after) for before, after in outcome.ious]
-        return Outcome(unmoved, ious, UNCHANGED, taken=0.0, unmoved="not_improved")
+        ious = [(start, start if descent.best_step else end) for start, end in outcome.ious]
+        reason: StopReason = "not_improved" if before else "nothing_to_do"
+        return Outcome(unmoved, ious, UNCHANGED, taken=0.0, unmoved=reason)
     signs: dict[str, float] = {}
     # What a few steps leave undone looks like a mistake.
     enough = len(descent.stages) == len(STAGES) and settings.steps >= FEWEST_STEPS and len(step) >= FEWEST_POINTS
@@ -113,18 +113,13 @@ def _agrees_less(problem: Problem, ious: list[tuple[float, float]], weights: lis
     return bool(after < before and before >= FEEBLE_IOU)
 
 
-def _fits_less(problem: Problem, moved: MovedCloud, weights: list[float]) -> bool:
-    """Whether the points that followed do not fit the masks better than before.
+def _misfits(problem: Problem, moved: MovedCloud, weights: list[float]) -> tuple[float, float]:
+    """The mask Chamfer loss of all points that are judged, before and after, not of those alone that moved by themselves.
 
-    Where few points move, gaps between them ask for a motion that the whole cloud, which has none, does not need.
+    Between few points there are gaps, which ask for a motion that the whole cloud does not need.
     """
-    if not problem.cloud.partial:
-        return False
     targets = ViewTargets.of(problem.resampled[: len(problem.views)], weights)
     objective = MaskChamferObjective(targets, STAGES[-1].robust_scale)
     step = -(-len(moved.judged) // CANDIDATES)
-    before, after = (
-        objective((points[::step] - problem.cloud.centre) / problem.cloud.scale)[0]
-        for points in (problem.cloud.judged, moved.judged)
-    )
-    return after >= before
+    before, after = (objective(problem.cloud.normalise(points[::step]))[0] for points in (problem.cloud.judged, moved.judged))
+    return before, after

@@ -178,7 +178,7 @@ def _result(
         best_step=best_step,
         stop_reason=_stop_reason(finite, descent, outcome.unmoved, settings.steps),
         losses=losses,
-        loss_before=descent.first_loss,
+        loss_before=0.0 if outcome.unmoved == "nothing_to_do" else descent.first_loss,
         loss_after=outcome.loss(problem.cloud.normalised(), descent),
         iou_before=iou_before,
         iou_after=iou_after,

@@ -184,7 +184,8 @@ def decide_symmetry(cloud: Cloud, symmetry: str) -> SymmetryDecision:
         return SymmetryDecision("not_asked")
     if parsed == "auto":
         # Searched in normalised coordinates and rounded, so that neither unit nor origin of the input changes the result.
-        plane = find_mirror_plane(cloud.normalised())
+        # All points of a cloud: the few that move need not be symmetric where it is.
+        plane = find_mirror_plane(cloud.normalised() if cloud.surface else cloud.normalise(cloud.judged))
         normal = plane.normal.round(6) / np.linalg.norm(plane.normal.round(6))
         offset = cloud.scale * round(plane.offset, 6) + float(normal @ cloud.centre)
         plane = replace(plane, normal=normal, offset=offset)
