@@ -49,7 +49,7 @@ PUBLISHED_SECONDS, PUBLISHED = 1.0, (0.94, 0.97)
 
 @dataclass(frozen=True)
 class Way:
-    """A point of the chart, from starts of ``kinds``; ways of one ``line`` are joined. ``points``, ``size``: of clouds, masks."""
+    """A point of the chart, from starts of ``kinds``; ways of one ``line`` are joined. ``points``, ``size``: of cloud, mask."""
 
     run: Variant | Callable[[Array, Sequence[View]], Array]
     line: str = ""
@@ -85,8 +85,8 @@ WAYS: dict[str, Way] = {
 }
 """What is compared; one line more is one point more on the chart."""
 CONVENTION = {
-    "ratio": "Chamfer distance after / before, mean of the cases' own; squared distances, mean over points, forward + backward, "
-    "longest side 1, to as many target points",
+    "ratio": "Chamfer distance after / before, mean of the cases' own; squared distances, mean over points, both directions "
+    "added, longest side 1, to as many target points",
     "standard error": "of the mean over shapes; views of one shape are averaged first",
     "seconds": "one call alone, after a warm-up, one thread, compiled loops (as for many objects in a process), without files; "
     "median over the cases",

@@ -126,7 +126,8 @@ def _label(axis: Any, group: Record, others: bool) -> None:
             note.set_in_layout(False)
             note.update_positions(renderer)
             box = Text.get_window_extent(note, renderer)  # without the line to it
-            if not any(map(box.overlaps, taken)) and Bbox.intersection(box, axis.bbox).bounds == box.bounds:
+            inside = axis.bbox.containsx(box.x0) and axis.bbox.containsx(box.x1) and axis.bbox.containsy(box.y1)
+            if inside and not any(map(box.overlaps, taken)):
                 taken.append(box)
                 break
             note.remove()
