@@ -59,16 +59,23 @@ def initial_error() -> str:
     return f"The initial cloud was at {1e3 * chamfer(initial, target).chamfer:.3f}."
 
 
-def gains() -> str:
-    """By object type, what each preset and number of masks leaves of the error."""
-    header = ["object", "paper", "default", "no mirror plane", "two masks", "four masks", "default: made worse, worst"]
-    shown = ("paper", "best", "best, no symmetry", "best, two masks", "best, four masks")
-    rows = []
-    for name, group in record("accuracy")["summary"]["other"].items():
-        cells = ["{mean_ratio:.2f}, {median_seconds:.1f} s".format_map(group["variants"][variant]) for variant in shown]
-        worse = "{worse} of {cases}, {worst_ratio:.2f}".format_map(group | group["variants"]["best"])
-        rows.append([name, *cells, worse])
-    return markdown(header, rows)
+def advice() -> str:
+    """What each choice brings and costs, by what a user has."""
+    rows = [
+        ("a cloud, one mask", "the default", "other", "points, best"),
+        ("", "`--steps 12`", "other", "points, best, 12 steps"),
+        ("", "`--preset paper`", "other", "points, paper"),
+        ("", "PyTorch3D's alpha points, the paper's descent", "other", "alpha points"),
+        ("a cloud, two masks", "the default", "other", "points, best, 2 masks"),
+        ("a cloud, four masks", "the default", "other", "points, best, 4 masks"),
+        ("a photo alone", "`--mode latent`", "network", "latent, best"),
+        ("", "`--mode encoder-decoder`, then points mode", "network", "encoder-decoder, then points"),
+    ]
+    cells = "{mean_ratio:.2f} ± {standard_error:.2f}|{median_seconds:.2f}|{worse} of {cases}, {worst_ratio:.2f}"
+    study = record("pareto")["summary"]
+    figures = [cells.format_map(study[kind] | study[kind]["ways"][way]).split("|") for _, _, kind, way in rows]
+    header = ["you have", "use", "after / before", "seconds", "made worse, worst"]
+    return markdown(header, [[*row[:2], *found] for row, found in zip(rows, figures, strict=True)])
 
 
 def types() -> str:
@@ -85,13 +92,12 @@ def types() -> str:
 
 
 def pooled(kind: str, variant: str) -> list[str]:
-    """Of all object types together: mean and worst Chamfer after / before, how many got worse, and seconds."""
+    """Of all object types together: mean and worst Chamfer after / before, and how many got worse."""
     groups = [(group["cases"], group["variants"][variant]) for group in record("accuracy")["summary"][kind].values()]
     total = sum(cases for cases, _ in groups)
     mean = sum(cases * row["mean_ratio"] for cases, row in groups) / total
     worst, worse = max(row["worst_ratio"] for _, row in groups), sum(row["worse"] for _, row in groups)
-    seconds = [row["median_seconds"] for _, row in groups if row["median_seconds"]]
-    return [f"{mean:.2f}", f"{worst:.2f}", f"{worse} of {total}", f"{min(seconds):.1f} to {max(seconds):.1f}"]
+    return [f"{mean:.2f}", f"{worst:.2f}", f"{worse} of {total}"]
 
 
 def starts() -> str:
@@ -104,27 +110,8 @@ def starts() -> str:
         "right": "the truth itself, sampled anew",
     }
     variants = {"paper": "paper", "default": "best", "default, four masks": "best, four masks"}
-    rows = [[label, *(", ".join(pooled(kind, name)[:3]) for name in variants.values())] for kind, label in kinds.items()]
+    rows = [[label, *(", ".join(pooled(kind, name)) for name in variants.values())] for kind, label in kinds.items()]
     return markdown(["start", *variants], rows)
-
-
-def choices() -> str:
-    """What each mode and preset brings and costs."""
-    rows = [
-        ("a cloud, one mask", "`--preset paper`", "other", "paper"),
-        ("", "default", "other", "best"),
-        ("", "`--symmetry none`", "other", "best, no symmetry"),
-        ("a cloud, two masks", "default", "other", "best, two masks"),
-        ("a cloud, four masks", "default", "other", "best, four masks"),
-        ("a photo alone", "`--mode encoder`", "network", "encoder, best"),
-        ("", "`--mode encoder-decoder`", "network", "encoder-decoder, best"),
-        ("", "`--mode latent`", "network", "latent, best"),
-        ("", "`encoder-decoder`, then `points`", "network", "encoder-decoder, then points"),
-        ("a prediction, one mask", "default", "network", "best"),
-        ("a prediction, four masks", "default", "network", "best, four masks"),
-    ]
-    header = ["you have", "settings", "after / before", "worst", "made worse", "seconds"]
-    return markdown(header, [[have, setting, *pooled(kind, variant)] for have, setting, kind, variant in rows])
 
 
 def depth() -> str:
@@ -253,7 +240,7 @@ def stages() -> str:
     return markdown(["stage", *columns], rows)
 
 
-FIGURES = (initial_error, gains, types, starts, choices, depth, cameras, confidence, network, photos)
+FIGURES = (initial_error, advice, types, starts, depth, cameras, confidence, network, photos)
 FIGURES += (machine, objects, batches, kernels, stages)
 FILLED: dict[str, Callable[[], str]] = {made.__name__: made for made in FIGURES}
 FILLED |= {f"{name}_targets": partial(targets, name) for name in ("accuracy", "speed")}

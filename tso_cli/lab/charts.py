@@ -1,4 +1,4 @@
-"""The charts of the studies: bars, ratios of cases, speed against accuracy, and pictures of cases."""
+"""The charts of the studies: bars, ratios of cases, and pictures of cases."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import numpy as np
 
 from ..evaluation.footprint import common_window, in_window
 from ..geometry.points import Array
-from ..plots.style import BETTER, COLOURS, INK, PALE, WORSE, page
-from .study import Record
+from ..plots.style import BETTER, COLOURS, INK, WORSE, page
 
 if TYPE_CHECKING:
     from .studies.cases import Case
@@ -21,7 +20,6 @@ Rows = Mapping[str, Mapping[str, Mapping[str, float | None]]]
 """Title of a panel -> label of a group -> label of a bar -> value."""
 ROW_HEIGHT, CELL = 0.15, 1.6
 """Inches of a row of ratios, and of a picture."""
-MARKERS = "os^DvPX*"
 DOTS = 1500
 """Points of a cloud that are drawn, at most."""
 # What is across, what is up, and what is near, of the camera's axes (x right, y down, z away).
@@ -91,36 +89,6 @@ def draw_ratios(path: Path, grid: Sequence[Sequence[Panel]], overwrite: bool) ->
                 axis.set_xticks([])
             row[0].set_yticks(range(len(names)), names, fontsize=7)
         figure.supxlabel("Chamfer after / before of each case, and their mean", fontsize=9)
-
-
-def draw_tradeoffs(path: Path, groups: Record, overwrite: bool) -> None:
-    """A panel for each category of the summary of accuracy, seconds logarithmic; at most eight variants.
-
-    Raises InputError if ``path`` cannot be written to.
-    """
-    from matplotlib.ticker import LogLocator, NullFormatter
-
-    with page(path, overwrite, (2.3 * len(groups), 3.3), dpi=100) as figure:
-        axes = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
-        for axis, (category, group) in zip(axes, groups.items(), strict=True):
-            for number, (label, row) in enumerate(group["variants"].items()):
-                place, colour = (row["median_seconds"], row["mean_ratio"]), COLOURS[number % len(COLOURS)]
-                axis.plot(*place, MARKERS[number], color=colour, markersize=8, alpha=0.85, label=label)
-            axis.axhline(group["before"]["floor_ratio"], color=PALE, linestyle=":")
-            axis.axhline(1.0, color=INK, linewidth=0.8, zorder=0)
-            axis.set_xscale("log")
-            low, high = axis.get_xlim()
-            middle, half = (low * high) ** 0.5, max((high / low) ** 0.5, 2.2)
-            axis.set_xlim(middle / half, middle * half)
-            axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.xaxis.set_major_formatter("{x:g}")
-            axis.xaxis.set_minor_formatter(NullFormatter())
-            axis.set_title(category, fontsize=10)
-            axis.tick_params(labelsize=8)
-        axes[0].set_ylim(bottom=0.0)
-        axes[0].set_ylabel("mean of Chamfer after / before", fontsize=9)
-        figure.supxlabel("median seconds an object, one CPU thread; dotted: the truth, sampled anew", fontsize=9)
-        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False, fontsize=8)
 
 
 def draw_cases(path: Path, cases: Sequence[tuple[str, Case, Array]], overwrite: bool = False) -> None:

@@ -58,7 +58,7 @@ def speed(setting: Setting, only: Sequence[str] = ()) -> Record:
     return {
         "bench": "speed",
         "command": "tso bench speed",
-        "machine": {"cpu": _processor(), "cores": os.cpu_count(), "platform": platform.platform(terse=True)},
+        "machine": machine(),
         "versions": {"tso": __version__, "python": platform.python_version()}
         | {package: _version(package) for package in ("torch", "numpy", "numba", "scipy")},
         "seed": setting.seed,
@@ -67,6 +67,11 @@ def speed(setting: Setting, only: Sequence[str] = ()) -> Record:
         "claims": claims(records),
         "records": records,
     }
+
+
+def machine() -> dict[str, Any]:
+    """Where times are taken."""
+    return {"cpu": _processor(), "cores": os.cpu_count(), "platform": platform.platform(terse=True)}
 
 
 def _processor() -> str:

@@ -1,4 +1,4 @@
-"""`tso bench`: speed on this machine, and how wrong the input may be."""
+"""`tso bench`: speed on this machine, accuracy against seconds, and how wrong the input may be."""
 
 from __future__ import annotations
 
@@ -15,19 +15,22 @@ from . import records
 from .tools import load
 
 SPEED = "How fast commands, refinements and their parts are."
-STABILITY = "How wrong the input may be, and whether the tool says so."
+STUDIES = {
+    "pareto": ("", "What accuracy costs in seconds, and what is worth it."),
+    "stability": ("", "How wrong the input may be, and whether the tool says so."),
+}
 
 
 class _Bench(LazyGroup):
-    """`stability` is a study, and has the command of one."""
+    """Those that are studies have the command of one."""
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        return records.command_of(load(cmd_name)) if cmd_name == "stability" else self.commands.get(cmd_name)
+        return records.command_of(load(cmd_name)) if cmd_name in STUDIES else self.commands.get(cmd_name)
 
 
-@click.group("bench", cls=_Bench, sections={"Commands": {"speed": ("", SPEED), "stability": ("", STABILITY)}})
+@click.group("bench", cls=_Bench, sections={"Commands": {"speed": ("", SPEED), **STUDIES}})
 def command() -> None:
-    """Measure speed or stability, and keep the answer as JSON beside a chart and a page."""
+    """Measure speed, accuracy or stability, and keep the answer as JSON beside a chart and a page."""
 
 
 @command.command("speed")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -16,7 +15,7 @@ from ...evaluation.metrics import chamfer, f_score
 from ...geometry.points import Array
 from ...io.output import check_output
 from ...network.model import BaseNetwork
-from ..charts import Panel, draw_cases, draw_ratios, draw_tradeoffs
+from ..charts import Panel, draw_cases, draw_ratios
 from ..study import CHECKPOINT, COMMON, DEVICE, VIEWS, Cases, Option, Plan, Progress, Record, Study, Table, claim, part
 from .cases import JUDGED, KINDS, LEVELS, SAMPLES, Case, CaseBuilder, kinds_of
 from .refining import (
@@ -38,8 +37,6 @@ from .summary import grouped, interval, mean, ratio_figures, ratios_of, rounded
 CATEGORIES = ("chair", "airplane", "car", "sofa", "table")
 GROUP = 32
 """Cases that are refined together: their dense matrices fill 0.4 GiB."""
-TIMED = 6
-"""Cases of each kind, category and variant that are refined once more, alone, for the time."""
 STARTS = "Where the starts are from. May be repeated.  [default: all; with --ablation all but right]"
 F_THRESHOLD = 0.02
 # Of a row of the table, beside Chamfer.
@@ -63,7 +60,6 @@ CONVENTION = {
     "points",
     "iou": IOU_MEANS,
     "floor": "Chamfer distance of another sampling of the true surface",
-    "seconds": "one call of refine alone, median over up to 6 cases",
 }
 
 
@@ -97,16 +93,16 @@ def plan(
     settings["network"] = weights_hash(network) if network else None
     settings["variants"] = {kind: list(of_kind) for kind, of_kind in variants.items()}
 
-    def judge(kind: str, group: list[Shape], timed: int) -> Cases:
+    def judge(kind: str, group: list[Shape]) -> Cases:
         cases = [case for shape in group for case in builder.cases(shape, kind)]
-        return judge_group(cases, variants[kind], settings["device"], network, timed)
+        return judge_group(cases, variants[kind], settings["device"], network)
 
     jobs, size = [], max(1, GROUP // settings["views"])
     for category in categories:
         members = [shape for shape in shapes if shape.category == category]
         for kind, start in product(kinds_of(category, kinds), range(0, len(members), size)):
-            group, timed = members[start : start + size], 0 if start else TIMED
-            jobs.append(({"kind": kind, "shape": group[0].name}, partial(judge, kind, group, timed)))
+            group = members[start : start + size]
+            jobs.append(({"kind": kind, "shape": group[0].name}, partial(judge, kind, group)))
     if not jobs:
         raise InputError(f"kinds are {', '.join(kinds)}, expected some that {', '.join(categories)} have")
 
@@ -117,20 +113,16 @@ def plan(
     return Plan(settings, jobs, finish=draw_extremes)
 
 
-def judge_group(cases: list[Case], variants: dict[str, Variant], device: str, network: BaseNetwork | None, timed: int) -> Cases:
-    """Refine cases of one kind and category with every variant; the first ``timed`` once more, alone, for the time."""
+def judge_group(cases: list[Case], variants: dict[str, Variant], device: str, network: BaseNetwork | None) -> Cases:
+    """Refine cases of one kind and category with every variant."""
     records: Cases = []
     for case in cases:
         names = {key: getattr(case, key) for key in ("kind", "category", "shape", "view")}
         records.append({**names, "before": rounded({**_scores(case.initial, case), "floor": case.floor}), "variants": {}})
     for name, variant in variants.items():
         results = refined(cases, variant, device, network)
-        for number, (case, record, result) in enumerate(zip(cases, records, results, strict=True)):
+        for case, record, result in zip(cases, records, results, strict=True):
             row = {**_scores(result.points, case), "iou_before": result.iou_before, "iou": result.iou_after}
-            if number < timed:
-                start = time.perf_counter()
-                alone(case, variant, device, network)
-                row["seconds"] = time.perf_counter() - start
             record["variants"][name] = rounded(row)
     return records
 
@@ -262,10 +254,8 @@ def _means(cases: Cases) -> Record:
     variants = {}
     for name in cases[0]["variants"]:
         rows = [case["variants"][name] for case in cases]
-        seconds = [row["seconds"] for row in rows if "seconds" in row]
         row = {key: mean(row[key] for row in rows) for key in ("chamfer", "f_score", "iou_before", "iou")}
-        row |= ratio_figures(ratios_of(cases, name))
-        variants[name] = rounded({**row, "median_seconds": float(np.median(seconds)) if seconds else None})
+        variants[name] = rounded(row | ratio_figures(ratios_of(cases, name)))
     return {"cases": len(cases), "before": before, "variants": variants}
 
 
@@ -280,13 +270,13 @@ def tables(record: Record) -> list[Table]:
         for name, row in group["variants"].items():
             start = [kind, category, group["cases"], name, 1e3 * before["chamfer"], 1e3 * row["chamfer"]]
             figures = {**row, "floor_ratio": before["floor_ratio"], "start_f_score": before["f_score"]}
-            rows.append([*start, *(figures[key] for key in (*FIGURES, "median_seconds"))])
+            rows.append([*start, *(figures[key] for key in FIGURES)])
     header = ["kind", "category", "cases", "variant", "before", "after", "ratio", "median", "worst", "worse", "floor"]
     note = (
         "before, after: Chamfer x1000; ratio: after/before, mean of the cases' own; worse: cases over 1; floor: ratio that "
-        "another sampling of the truth has; s: median seconds a case"
+        "another sampling of the truth has"
     )
-    return [Table([*header, "F", "after", "IoU", "after", "s"], rows, note=note)]
+    return [Table([*header, "F", "after", "IoU", "after"], rows, note=note)]
 
 
 def _ablation(groups: list[tuple[str, str, Record]]) -> Table:
@@ -301,9 +291,7 @@ def _ablation(groups: list[tuple[str, str, Record]]) -> Table:
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """Ratios of all cases, a row of panels for each kind; and their means against seconds, NAME.tradeoff.png."""
-    if "other" in record["summary"] and not record["settings"]["ablation"]:
-        draw_tradeoffs(path.with_suffix(".tradeoff.png"), record["summary"]["other"], overwrite)
+    """Ratios of all cases, a row of panels for each kind."""
     grid: list[list[Panel]] = []
     for kind, of_kind in grouped(record["cases"], "kind").items():
         groups = grouped(of_kind, "category").items()

@@ -36,7 +36,6 @@ POINTS = {
     TWO_MASKS: Variant(masks=2),
     FOUR_MASKS: Variant(masks=4),
 }
-STEPS = {f"best, {steps} steps": Variant(RefineConfig(steps=steps)) for steps in (12, 144)}
 NETWORK_MODES = ("encoder", "encoder-decoder", "latent")
 MODES = tuple(product(NETWORK_MODES, (PAPER, DEFAULT)))
 ALONE = {f"{mode}, {preset}": Variant(RefineConfig(mode, preset=preset)) for mode, preset in MODES}
@@ -71,7 +70,7 @@ def variants_of(kind: str, ablation: bool) -> dict[str, Variant]:
     """The variants that cases of that kind are refined with."""
     if ablation:
         return ABLATION
-    return {"network": NETWORK, "other": {**POINTS, **STEPS}}.get(kind, POINTS)
+    return NETWORK if kind == "network" else POINTS
 
 
 def refined(cases: list[Case], variant: Variant, device: str, network: BaseNetwork | None) -> list[RefineResult]:
