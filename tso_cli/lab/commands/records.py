@@ -134,10 +134,9 @@ def command_of(study: Study) -> click.Command:
             if output is not None:
                 write_record({**record, "command": command_line}, study.parts, output)
 
-        unfinished = output.with_name(f"{output.stem}.unfinished.safetensors") if output else None
         earlier = earlier_record(study.name, output, resume)
         named = f"{output}: the record to go on from"
-        record = study.run(Progress(Reporter(), earlier, keep, unfinished, overwrite or resume, named), **values)
+        record = study.run(Progress(Reporter(), earlier, keep, overwrite or resume, named), **values)
         if output is not None:
             write_page(study, {**record, "command": command_line}, output)
         if as_json:
