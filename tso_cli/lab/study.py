@@ -100,12 +100,12 @@ class Progress:
 
 @contextmanager
 def undamaged(source: str) -> Iterator[None]:
-    """InputError where the cases of the record that messages call ``source`` cannot be concluded from or shown."""
+    """InputError where the record that messages call ``source`` cannot be concluded from, compared or shown."""
     try:
         yield
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         found = f"{error} is missing" if isinstance(error, KeyError) else reason(error)
-        raise InputError(f"{source} is damaged ({found}), expected the cases as kept") from None
+        raise InputError(f"{source} is damaged ({found}), expected it as it was kept") from None
 
 
 @dataclass(frozen=True, eq=False)
