@@ -188,9 +188,9 @@ def _timed(what: str) -> list[dict[str, Any]]:
 def objects() -> str:
     """Milliseconds of one cloud in both forms, and the quicker one beside the import of torch."""
     rows = []
-    steady = [row for row in _timed("object") if row.get("call") == "steady" and row["points"] <= 16384]
-    for preset, points, views in dict.fromkeys((row["preset"], row["points"], row["views"]) for row in steady):
-        forms = {row["form"]: row for row in steady if (row["preset"], row["points"], row["views"]) == (preset, points, views)}
+    objects = [row for row in _timed("object") if "preset" in row]
+    for preset, points, views in dict.fromkeys((row["preset"], row["points"], row["views"]) for row in objects):
+        forms = {row["form"]: row for row in objects if (row["preset"], row["points"], row["views"]) == (preset, points, views)}
         taken = [f"{1e3 * forms[form]['seconds']['median']:.0f}" for form in ("numpy", "compiled")]
         ratio = min(row["over_import_torch"] for row in forms.values())
         rows.append([preset, f"{points:,}", str(views), *taken, f"{ratio:.2f}x"])

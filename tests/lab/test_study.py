@@ -243,7 +243,6 @@ def test_each_command_writes_record_chart_and_page_and_resumes_to_the_same_cases
     resumed = json.loads(output.read_text())
     assert resumed["cases"][:first] == whole["cases"][:first]
     assert timeless(resumed) == timeless(whole)
-    assert not list(tmp_path.glob("*.unfinished*"))
 
 
 @pytest.mark.parametrize(

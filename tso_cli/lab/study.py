@@ -87,27 +87,25 @@ class Table:
 class Progress:
     """What a study resumes from, and where it reports to.
 
-    ``earlier`` is the record to resume, ``keep`` is called with the record so far, ``unfinished`` is the checkpoint of a
-    network in training, and ``overwrite`` says whether files that the study itself writes may be replaced. ``source`` is what
-    messages call the earlier record.
+    ``earlier`` is the record to resume, ``keep`` is called with the record so far, and ``overwrite`` says whether files that
+    the study itself writes may be replaced. ``source`` is what messages call the earlier record.
     """
 
     report: Report = lambda what, done, total: None
     earlier: Record | None = None
     keep: Callable[[Record], None] = lambda record: None
-    unfinished: Path | None = None
     overwrite: bool = False
     source: str = "the record to go on from"
 
 
 @contextmanager
 def undamaged(source: str) -> Iterator[None]:
-    """InputError where the cases of the record that messages call ``source`` cannot be concluded from or shown."""
+    """InputError where the record that messages call ``source`` cannot be concluded from, compared or shown."""
     try:
         yield
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         found = f"{error} is missing" if isinstance(error, KeyError) else reason(error)
-        raise InputError(f"{source} is damaged ({found}), expected the cases as kept") from None
+        raise InputError(f"{source} is damaged ({found}), expected it as it was kept") from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,13 +114,12 @@ class Plan:
 
     settings : of the record; only a record with equal ones is resumed.
     jobs : (values that only the cases of this job share, function that judges them); the record is kept after each.
-    doing : what is reported. after_job : called once the cases of a job are kept. finish : called with the complete record.
+    doing : what is reported. finish : called with the complete record.
     """
 
     settings: Record
     jobs: Sequence[tuple[Record, Callable[[], Cases]]]
     doing: str = "refining"
-    after_job: Callable[[], None] = lambda: None
     finish: Callable[[Record], None] = lambda record: None
 
 
@@ -173,7 +170,6 @@ class Study(Shown):
                 cases = [*cases, *judge()]
                 record = self._checked_record(plan, cases, progress)
                 progress.keep(record)
-                plan.after_job()
             progress.report(plan.doing, number, len(plan.jobs))
         plan.finish(record)
         return record

@@ -1,7 +1,7 @@
 """Speed of tso beside other ways to do the same work."""
 
 PARTS = {
-    **dict.fromkeys(("command", "object", "parts", "batch"), "refining"),
-    **dict.fromkeys(("silhouette", "chamfer", "training"), "kernels"),
+    **dict.fromkeys(("command", "object", "batch"), "refining"),
+    **dict.fromkeys(("silhouette", "chamfer"), "kernels"),
 }
 """What is measured -> the module here whose function `measure_NAME` does it."""

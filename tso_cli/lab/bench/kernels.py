@@ -1,4 +1,4 @@
-"""The kernels of the paper's preset beside torch and other packages, value and gradient; and steps of training."""
+"""The kernels of the paper's preset beside torch and other packages, value and gradient."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
 from functools import partial
 from importlib import import_module
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -25,10 +24,6 @@ from ...losses.silhouette import silhouette_bce
 from ...refinement import RefineConfig, refine
 from ...refinement.optimise import Array, Term
 from ...refinement.presets import PAPER_SIGMA_SQ
-from ...train.config import PRECISIONS, TrainConfig
-from ...train.loop import start
-from ...train.sources import shipped_examples
-from ...train.speed import ROUNDS, images_per_second
 from .refining import chair_views, cloud
 from .timing import FORMS, Contestant, Records, Setting, record, timed
 
@@ -203,23 +198,3 @@ def paired(initial: Array, moved: Array, to_initial: NDArray[np.int64], to_moved
     gradient = ahead.copy()
     np.add.at(gradient, to_moved, back)
     return float(np.square(ahead).sum() + np.square(back).sum()) / len(moved), (2.0 / len(moved)) * gradient
-
-
-def measure_training(setting: Setting, batch: int = 16) -> Records:
-    """A record for each supervision and precision, on the images of the shipped examples; see `images_per_second`.
-
-    "waiting" is the share of a step in which the network waits for its batch.
-    """
-    data = shipped_examples()
-    records = []
-    for supervision, precision in product(("points", "masks"), PRECISIONS):
-        setting.report(f"training on {supervision}, {precision}")
-        config = TrainConfig(supervision=supervision, batch_size=batch, precision=precision, seed=setting.seed)
-        speed = images_per_second(start(data, config), config, data)
-        fields = {"points": config.points, "side": 64, "batch": batch, "precision": precision, "runs": ROUNDS}
-        fields |= {"added": speed["added"], "waiting": speed["waiting"]}
-        for name, key in (("bare network", "bare"), ("step", "step")):
-            seconds = {"median": batch / speed[key], "low": None, "high": None}
-            measured = {"images_per_second": speed[key], "seconds": seconds}
-            records.append(record("training", f"{supervision}, {name}", **fields, **measured))
-    return records

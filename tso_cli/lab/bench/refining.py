@@ -1,19 +1,16 @@
-"""Refinements: whole commands, single objects, the parts that they consist of, and batches."""
+"""Refinements: whole commands, single objects and batches."""
 
 from __future__ import annotations
 
-import json
 import os
-import pickle
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from itertools import product
-from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -27,18 +24,8 @@ from ...io.clouds import read_cloud
 from ...io.images import read_mask
 from ...io.meshes import read_mesh
 from ...io.shipped import examples_folder
-from ...kernels.dispatch import planned
 from ...losses.silhouette import silhouette_of
 from ...refinement import PRESETS, RefineConfig, refine, refine_batch
-from ...refinement.cloud import Cloud
-from ...refinement.judge import view_ious
-from ...refinement.objective import MaskChamferObjective, ViewTargets
-from ...refinement.presets import BEST, STAGES
-from ...refinement.prior import position_prior
-from ...refinement.problem import Problem
-from ...refinement.smooth_field import SmoothField
-from ...refinement.symmetry import find_mirror_plane
-from ...refinement.symmetry_check import verified_symmetry
 from .timing import (
     FORMS,
     IMPORT_TORCH,
@@ -49,7 +36,6 @@ from .timing import (
     as_installed,
     never_run,
     process,
-    run_process,
     timed,
 )
 
@@ -67,7 +53,6 @@ POINTS, CLOUDS = 1024, 16
 # Ends with its parent, whatever becomes of that.
 SPIN = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
 TSO = ("-m", "tso_cli")
-FIRST_CALL = "import sys; from tso_cli.lab.bench.timing import first_call; first_call(sys.argv[1])"
 
 
 def cloud(count: int, seed: int = 0) -> Array:
@@ -108,90 +93,17 @@ def measure_command(setting: Setting) -> Records:
         return setting.race("command", contestants, "over_import_torch")
 
 
-@dataclass(frozen=True, eq=False)
-class Call:
-    """One call of `refine` with the loops in one form; ``steady`` here, else in a fresh process.
-
-    ``details`` are what each call says of itself: the seconds of its phases, or the peak memory of its process.
-    """
-
-    arguments: tuple[Any, Any, RefineConfig]
-    form: str
-    steady: bool
-    details: list[dict[str, float]] = field(default_factory=list)
-
-    def __call__(self) -> float:
-        points, views, config = self.arguments
-        if self.steady:
-            return timed(lambda: self.details.append(refine(points, views, config=config).seconds), self.form)()
-        with tempfile.NamedTemporaryFile(suffix=".pickle") as file:
-            file.write(pickle.dumps((*self.arguments, self.form)))
-            file.flush()
-            answer = json.loads(run_process("refine", ("-c", FIRST_CALL, file.name))[1])
-        self.details.append({"peak_memory_bytes": answer["peak_memory_bytes"]})
-        return float(answer["seconds"])
-
-    @property
-    def fields(self) -> dict[str, Any]:
-        """Medians of the details, as fields of a record."""
-        medians = {key: float(np.median([detail[key] for detail in self.details])) for key in self.details[0]}
-        return {"phases": medians} if self.steady else medians
-
-
 def measure_object(setting: Setting, sizes: tuple[int, ...] = SIZES, steps: int | None = None) -> Records:
     """Both presets in both forms of the loops at every size, and the default with more views."""
     cases = [(preset, points, 1) for points in sizes for preset in PRESETS]
     cases += [("best", sizes[0], views) for views in MORE_VIEWS]
-    contestants, calls = [IMPORT_TORCH], []
-    for (preset, points, views), form, call in product(cases, FORMS, ("steady", "first")):
-        arguments = cloud(points, setting.seed), chair_views(views), RefineConfig(preset=preset, steps=steps, seed=setting.seed)
-        calls.append(Call(arguments, form, call == "steady"))
-        fields = {"points": points, "preset": preset, "views": views, "form": form, "call": call}
-        name = f"{preset}, {form}" + (", first call" if call == "first" else "")
-        contestants.append(Contestant(name, calls[-1], fields))
-    torch, *records = setting.race("object", contestants, "over_import_torch")
-    return [torch, *(record | call.fields for record, call in zip(records, calls, strict=True))]
-
-
-def measure_parts(setting: Setting, sizes: tuple[int, ...] = SIZES) -> Records:
-    """One call of each part beside a whole refinement, in both forms of the loops."""
-    records = []
-    for points, (form, work) in product(sizes, FORMS.items()):
-        with planned(work, work):
-            fields, parts = {"points": points, "form": form}, samples(points, setting.seed)
-            records += setting.race("parts", [Contestant(name, sample, fields) for name, sample in parts.items()], "of_refine")
-    return records
-
-
-def samples(count: int, seed: int = 0) -> dict[str, Sample]:
-    """Name -> one call, in the form of the loops that is planned; the whole refinement is the first.
-
-    There are two views, since one is not asked about a mirror plane.
-    """
-    views = tuple(chair_views(2))
-    settings = RefineConfig(symmetry="x").settings()
-    problem = Problem.of(Cloud(cloud(count, seed), "points"), views, settings)
-    points, given = problem.cloud.normalised(), problem.cloud.given
-    field, targets = SmoothField(points), ViewTargets.of(problem.resampled, [1.0] * len(problem.resampled))
-    values = np.random.default_rng(seed).normal(size=(len(field.nodes), 3))
-    mask_chamfer = MaskChamferObjective(targets, STAGES[0].robust_scale, targets.resolvability(points, field))
-    works: dict[str, Callable[[], object]] = {
-        "mirror plane search": partial(find_mirror_plane, points),
-        "symmetry check": partial(verified_symmetry, problem, [1.0, 1.0], settings, field),
-        "farthest points and field": partial(SmoothField, points),
-        "one smoothed product": partial(field.smoothed, values, STAGES[0].smoothness),
-        "mask Chamfer loss, value and gradient": partial(mask_chamfer, points),
-        "position prior": partial(position_prior, points, targets, field, BEST),
-        "resampling of the windows": partial(problem.with_views, views, settings),
-        "judging": partial(view_ious, given, given, views, views),
-    }
-
-    def factors() -> float:
-        fresh = SmoothField(points)
-        return timed(lambda: [fresh.smoothed(values, stage.smoothness) for stage in STAGES])()
-
-    whole = timed(partial(refine, given, views))
-    return {"refine": whole, "factors of the three stages": factors} | {name: timed(work) for name, work in works.items()}
+    contestants = [IMPORT_TORCH]
+    for (preset, points, views), form in product(cases, FORMS):
+        config = RefineConfig(preset=preset, steps=steps, seed=setting.seed)
+        work = partial(refine, cloud(points, setting.seed), chair_views(views), config=config)
+        fields = {"points": points, "preset": preset, "views": views, "form": form}
+        contestants.append(Contestant(f"{preset}, {form}", timed(work, form), fields))
+    return setting.race("object", contestants, "over_import_torch")
 
 
 def measure_batch(

@@ -40,22 +40,6 @@ def tables(record: Record) -> list[Table]:
         Table(["", "median", "low", "high", "x `import torch`"], commands, "whole processes: s"),
         _pivot("one object: ms (x `import torch`)", objects, lambda r: f"{_ms(r)} ({_digits(r['over_import_torch'])}x)"),
         _pivot(
-            "phases of one object, prepare + optimise + judge: ms",
-            [r for r in objects if "phases" in r],
-            lambda r: " + ".join(_digits(1e3 * r["phases"][phase]) for phase in ("prepare", "optimise", "judge")),
-        ),
-        _pivot(
-            "peak memory of a process with one call: MiB",
-            [r for r in objects if r.get("peak_memory_bytes")],
-            lambda r: f"{r['peak_memory_bytes'] / 2**20:,.0f}",
-        ),
-        _pivot(
-            "parts of the default preset: ms (share of a refinement)",
-            of("parts"),
-            lambda r: f"{_ms(r)} ({100.0 * r['of_refine']:.0f} %)",
-            column=lambda r: f"{r['points']:,}, {r['form']}",
-        ),
-        _pivot(
             "many objects: ms each (x `import torch`, x one `refine`)",
             batches,
             lambda r: f"{_ms(r)} ({r['over_import_torch']:.3f}x, {r['over_refine']:.2f}x)",
@@ -66,7 +50,6 @@ def tables(record: Record) -> list[Table]:
             _pivot(f"{title}, value and gradient: ms (x tso's)", of(what), lambda r: f"{_ms(r)} ({_digits(r['over_tso'])}x)")
             for title, what in (("silhouette", "silhouette"), ("Chamfer to the start", "chamfer"))
         ),
-        _pivot("training: images a second", of("training"), _images, column=lambda r: str(r["precision"])),
         Table(["left out", "points"], [[label, ", ".join(sizes)] for label, sizes in left_out.items()]),
         Table(["measured on"], [[machine_line(record)]]),
     ]
@@ -80,13 +63,6 @@ def _size(record: Record) -> str:
 
 def _ms(record: Record) -> str:
     return _digits(1e3 * record["seconds"]["median"])
-
-
-def _images(record: Record) -> str:
-    """Images a second; of a whole step also what projector and losses add, and the share of it that waits for data."""
-    whole = record["name"].endswith("step")
-    shares = f" ({100 * record['added']:+.0f} %, waits {100 * record['waiting']:.1f} %)" if whole else ""
-    return _digits(record["images_per_second"]) + shares
 
 
 def _digits(value: float) -> str:
@@ -120,7 +96,7 @@ def draw_speed(path: Path, record: Record, overwrite: bool = False) -> None:
 
 
 def _draw_lines(axis: Any, records: Records) -> None:
-    series = [r for r in records if r["points"] and r.get("views", 1) == 1 and r.get("call") != "first"]
+    series = [r for r in records if r["points"] and r.get("views", 1) == 1]
     for i, name in enumerate(dict.fromkeys(r["name"] for r in series)):
         rows = [r for r in series if r["name"] == name]
         colour, sizes = [*COLOURS, "#8c6d31", "#7f7f7f", "#9467bd"][i % 9], [r["points"] for r in rows]
@@ -146,7 +122,7 @@ PANELS = {
 STUDY = Shown(
     name="speed",
     about="How fast is it, beside other ways and other packages?",
-    parts=("points, paper", "points, best", "training"),
+    parts=("points, paper", "points, best"),
     tables=tables,
     draw=draw_speed,
     reading="Contestants for the same work take turns in one process. Trust ratios before times: two runs on a shared machine "

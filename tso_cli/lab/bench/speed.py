@@ -24,16 +24,11 @@ CONVENTION = {
     "seconds": "wall clock; median and quartiles (low, high) of the runs, contestants of a part by turns in one process; one "
     "thread where nothing else is said",
     "command": "whole processes; a first run finds no byte code of tso and no compiled loops",
-    "object": "`refine` in process, one chair, masks of 256x256; a first call is that of a fresh process, without its imports; "
-    "peak memory is that of this process, with Python and all libraries",
-    "parts": "one call of each part of the default preset, with two masks and a mirror plane; the factors are those of all "
-    "stages, and a product with each",
+    "object": "`refine` in process, one chair, masks of 256x256; after the first call",
     "batch": "seconds of a call over the objects in it, 1,024 points each; a busy neighbour spins on every core",
     "silhouette": "from projected points to the gradient by them of sums and cross-entropy, one picture, sigma^2 0.4 px^2; tso "
     "in numpy float64, else float32; the scatter lacks the term for mask pixels that no window reaches",
     "chamfer": "one step, value and gradient, mean of those after 10, 30 and 50 steps of the preset paper",
-    "training": "a step of 16 images without the optimiser; the bare network's forward and backward beside it; waiting: share "
-    "of such steps in which the network waits for a batch that threads prepare ahead",
 }
 PROCESSORS = Path("/proc/cpuinfo")
 
@@ -45,7 +40,7 @@ def speed(setting: Setting, only: Sequence[str] = ()) -> Record:
     -------
     {"bench": "speed", "command", "machine", "versions", "seed", "seconds" in all, "convention", "claims", "records"}; every
     record holds "what", "name", "points", "side", "runs", and "seconds" ("median", "low", "high"; None where it was left out,
-    which "left_out" explains), with a ratio to the first contestant: "over_import_torch", "over_tso" or "of_refine".
+    which "left_out" explains), with a ratio to the first contestant: "over_import_torch" or "over_tso".
     """
     begun = time.perf_counter()
     compile_loops()
@@ -112,7 +107,7 @@ def _judged(chosen: Callable[..., Records]) -> Iterator[tuple[str, bool, str]]:
         yield f"tso refine of {first['points']:,} points: the first run under twice any other", ratio < 2.0, f"{ratio:.2f}x"
 
     for points, most in ((1024, 0.15), (16384, 0.25)):
-        if rows := chosen("object", points=points, preset="best", views=1, call="steady"):
+        if rows := chosen("object", points=points, preset="best", views=1):
             ratio = min(row["over_import_torch"] for row in rows)
             yield f"one object of {points:,} points: at most {most} of `import torch`", ratio <= most, f"{ratio:.2f}"
 

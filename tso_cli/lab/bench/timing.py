@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import os
-import pickle
 import shutil
 import subprocess
 import sys
@@ -122,41 +120,24 @@ def never_run(folder: Path) -> dict[str, str]:
 
 def process(name: str, arguments: Sequence[str], environment: Environment = as_installed) -> Sample:
     """A whole process of Python; TsoError if it fails."""
-    return lambda: run_process(name, arguments, environment)[0]
 
+    def sample() -> float:
+        with tempfile.TemporaryDirectory() as folder:
+            # With PYTHONDONTWRITEBYTECODE no byte code would be kept, and every run would be a first one.
+            variables = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
+            variables |= environment(Path(folder))
+            start = time.perf_counter()
+            done = subprocess.run(
+                [sys.executable, *arguments], cwd=folder, env=variables, stdin=subprocess.DEVNULL, capture_output=True
+            )
+            elapsed = time.perf_counter() - start
+        if done.returncode:
+            last = (done.stderr.decode(errors="replace").strip().splitlines() or ["nothing"])[-1]
+            raise TsoError(f"{name}: ended with exit code {done.returncode}, saying {last!r}")
+        return elapsed
 
-def run_process(name: str, arguments: Sequence[str], environment: Environment = as_installed) -> tuple[float, str]:
-    """Seconds of a process, and what it prints."""
-    with tempfile.TemporaryDirectory() as folder:
-        # With PYTHONDONTWRITEBYTECODE no byte code would be kept, and every run would be a first one.
-        variables = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
-        variables |= environment(Path(folder))
-        start = time.perf_counter()
-        done = subprocess.run(
-            [sys.executable, *arguments], cwd=folder, env=variables, stdin=subprocess.DEVNULL, capture_output=True
-        )
-        elapsed = time.perf_counter() - start
-    if done.returncode:
-        last = (done.stderr.decode(errors="replace").strip().splitlines() or ["nothing"])[-1]
-        raise TsoError(f"{name}: ended with exit code {done.returncode}, saying {last!r}")
-    return elapsed, done.stdout.decode(errors="replace")
+    return sample
 
 
 IMPORT_TORCH = Contestant("import torch", process("import torch", ("-c", "import torch")))
 """What times are compared with: the first thing that a program with torch does."""
-
-
-def first_call(path: str) -> None:
-    """Make the call of `refine` that is pickled in a file, and print its seconds and the peak memory of this process."""
-    from ...refinement import refine
-
-    points, views, config, form = pickle.loads(Path(path).read_bytes())
-    seconds = timed(lambda: refine(points, views, config=config), form)()
-    print(json.dumps({"seconds": seconds, "peak_memory_bytes": peak_memory()}))
-
-
-def peak_memory() -> int:
-    """The most that this process held so far, in bytes, with Python and all libraries; 0 where Linux does not say."""
-    status = Path("/proc/self/status")
-    lines = status.read_text().splitlines() if status.exists() else []
-    return next((1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM")), 0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,9 @@ import click
 from ...commands import options
 from ...errors import InputError
 from ...io.output import atomic_output, check_output, sole_writer
-from ...io.reading import read_bytes, shown
+from ...io.reading import read_bytes
 from ...io.shipped import named_checkpoint
-from ..study import Option, Progress, Record, Shown, Study, answer, page
+from ..study import Option, Progress, Record, Shown, Study, answer, page, undamaged
 
 output_option = click.option(
     "-o", "--output", type=options.FilePath(), help="Write the record here (.json), a chart (.png) and a page (.md) beside it."
@@ -47,7 +47,9 @@ def earlier_record(study: str, output: Path | None, resume: bool) -> dict[str, A
     from ..studies.fingerprint import differences
 
     record = read_record(output)
-    if record.get("study") == study and (changes := differences(record)):
+    with undamaged(f"{output}: the record"):
+        changes = differences(record) if record.get("study") == study else []
+    if changes:
         raise InputError(
             f"{output}: was made by another method ({changes[0]}), expected one made by the method as it is (with --overwrite "
             "in place of --resume it is made anew)"
@@ -56,31 +58,14 @@ def earlier_record(study: str, output: Path | None, resume: bool) -> dict[str, A
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """The record of a study; InputError if the file is none, or what all records hold is damaged."""
+    """The record of a study; InputError if the file is none."""
     try:
         record = json.loads(read_bytes(path, "the record of a study"))
     except (ValueError, RecursionError):
         raise InputError(f"{path}: is not JSON, expected the record of a study") from None
     if not isinstance(record, dict):
         raise InputError(f"{path}: holds no JSON object, expected the record of a study")
-    for name, value, kind, expected in _fields(record):
-        if not isinstance(value, kind):
-            raise InputError(f"{path}: {name} is {shown(value)}, expected {expected} as it was kept")
     return record
-
-
-def _fields(record: dict[str, Any]) -> Iterator[tuple[str, Any, Any, str]]:
-    """Of what all records hold the name, the value, its type, and that in words."""
-    for name in ("settings", "convention", "fingerprint"):
-        yield name, record.get(name, {}), dict, "an object"
-    for name in ("cases", "records", "claims"):
-        yield name, record.get(name, []), list, "a list"
-        for number, entry in enumerate(record.get(name, [])):
-            yield f"{name}[{number}]", entry, dict, "an object"
-    for part, numbers in record.get("fingerprint", {}).items():
-        yield f"the fingerprint of {shown(part)}", numbers, dict, "an object"
-        for name, number in numbers.items():
-            yield f"the fingerprint of {shown(part)}, {shown(name)}", number, (int, float), "a number"
 
 
 def write_record(record: dict[str, Any], parts: Sequence[str], output: Path) -> None:
@@ -134,10 +119,9 @@ def command_of(study: Study) -> click.Command:
             if output is not None:
                 write_record({**record, "command": command_line}, study.parts, output)
 
-        unfinished = output.with_name(f"{output.stem}.unfinished.safetensors") if output else None
         earlier = earlier_record(study.name, output, resume)
         named = f"{output}: the record to go on from"
-        record = study.run(Progress(Reporter(), earlier, keep, unfinished, overwrite or resume, named), **values)
+        record = study.run(Progress(Reporter(), earlier, keep, overwrite or resume, named), **values)
         if output is not None:
             write_page(study, {**record, "command": command_line}, output)
         if as_json:

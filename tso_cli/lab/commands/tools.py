@@ -55,7 +55,10 @@ def fingerprint(records: tuple[Path, ...]) -> None:
     """
     from ..studies.fingerprint import differences
 
-    changes = {path: differences(read_record(path)) for path in records}
+    changes = {}
+    for path in records:
+        with undamaged(f"{path}: the record"):
+            changes[path] = differences(read_record(path))
     for path, lines in changes.items():
         click.echo("\n  ".join([f"{path}: of {'another method' if lines else 'the method as it is'}", *lines]))
     if others := sum(map(bool, changes.values())):

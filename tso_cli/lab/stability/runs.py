@@ -16,10 +16,9 @@ from ...errors import TsoError
 from ...evaluation.metrics import chamfer
 from ...geometry.camera import Array
 from ...geometry.view import View
-from ...network.model import BaseNetwork
 from ...refinement import RefineConfig, RefineResult, refine_batch
 from ..studies.cases import Case
-from ..studies.refining import Variant, alone, uninterrupted
+from ..studies.refining import Variant, uninterrupted
 from ..study import Cases
 from .axes import Axis
 from .knees import DOUBTFUL, NON_FINITE, REFUSED, SILENT, WARNED, digits, figures
@@ -90,12 +89,11 @@ def judge(
     name: str,
     way: Way,
     levels: Sequence[float],
-    network: BaseNetwork | None = None,
 ) -> Cases:
-    """A row for each level, of all seeds of each case; ``network`` : of its modes."""
+    """A row for each level, of all seeds of each case."""
     masks = way.masks if isinstance(way, Variant) else 1
     runs = (run_of(cases, axis, *place, masks) for place in product(levels, range(len(cases)), seeds))
-    told, count = [_told(outcome) for outcome in outcomes_of(runs, way, network)], len(cases) * len(seeds)
+    told, count = [_told(outcome) for outcome in outcomes_of(runs, way)], len(cases) * len(seeds)
     return [_row(axis, name, level, told[i * count : (i + 1) * count]) for i, level in enumerate(levels)]
 
 
@@ -122,7 +120,7 @@ def _row(axis: Axis, name: str, level: float, told: Sequence[dict[str, Any]]) ->
     return {**head, "ratio": ratios, **{key: values for key, values in of_runs.items() if any(v is not None for v in values)}}
 
 
-def outcomes_of(runs: Iterable[Run], way: Way, network: BaseNetwork | None = None) -> Iterator[Outcome]:
+def outcomes_of(runs: Iterable[Run], way: Way) -> Iterator[Outcome]:
     """What becomes of each run, in their order, by a peer or a refinement; those of equal settings are refined in one call."""
     given = way.config if isinstance(way, Variant) else RefineConfig()
     waiting: list[tuple[Run, Case | None]] = []
@@ -135,16 +133,14 @@ def outcomes_of(runs: Iterable[Run], way: Way, network: BaseNetwork | None = Non
             continue
         pixels = sum(view.mask.size for view in altered.views)
         if size and (config != refined_with or size + pixels > AT_ONCE):
-            yield from _refined(waiting, way, refined_with, network)
+            yield from _refined(waiting, way, refined_with)
             waiting, size = [], 0
         waiting.append((run, altered))
         refined_with, size = config, size + pixels
-    yield from _refined(waiting, way, refined_with, network)
+    yield from _refined(waiting, way, refined_with)
 
 
-def _refined(
-    waiting: Sequence[tuple[Run, Case | None]], way: Way, config: RefineConfig, network: BaseNetwork | None
-) -> Iterator[Outcome]:
+def _refined(waiting: Sequence[tuple[Run, Case | None]], way: Way, config: RefineConfig) -> Iterator[Outcome]:
     # What is said on the way names the view.
     named = [
         replace(altered, views=tuple(replace(view, name=f"run {i}") for view in altered.views))
@@ -154,10 +150,8 @@ def _refined(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         results: Iterator[RefineResult | TsoError] = iter(())
-        if isinstance(way, Variant) and named and config.mode == "points":
+        if isinstance(way, Variant) and named:
             results = iter(refine_batch([(case.initial, case.views) for case in named], config))
-        elif isinstance(way, Variant):
-            results = iter([_by_network(case, replace(way, config=config), network) for case in named])
     warned = {str(warning.message).partition(":")[0] for warning in caught}
     for i, (run, altered) in enumerate(waiting):
         if altered is None:
@@ -166,13 +160,6 @@ def _refined(
             yield _of_result(run, altered, next(results), f"run {i}" in warned)
         else:
             yield _of_peer(run, altered, way)
-
-
-def _by_network(case: Case, way: Variant, network: BaseNetwork | None) -> RefineResult | TsoError:
-    try:
-        return alone(case, way, "cpu", network)
-    except TsoError as error:
-        return error
 
 
 def _of_result(run: Run, altered: Case, result: Any, warned: bool) -> Outcome:

@@ -16,15 +16,15 @@ from ...geometry.rotations import from_vectors
 from ...geometry.view import View
 from ...io.clouds import read_cloud
 from ...io.output import check_output
-from ...io.shipped import default_checkpoint, examples_folder
+from ...io.shipped import examples_folder
 from ...losses.silhouette import silhouette_of
 from ...refinement import RefineConfig
 from ...scene.load import load_points_scene
 from ..charts import draw_cases
 from ..studies.accuracy import CATEGORIES
 from ..studies.cases import MASKS, Case, CaseBuilder
-from ..studies.refining import ALONE, DEFAULT, FOUR_MASKS, POINTS, Variant
-from ..studies.shapes import shapes_of_part, view_aligned_network
+from ..studies.refining import DEFAULT, FOUR_MASKS, POINTS, Variant
+from ..studies.shapes import shapes_of_part
 from ..studies.summary import grouped
 from ..study import SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table, part
 from .axes import AXES, Axis
@@ -35,8 +35,6 @@ from .runs import Way, judge, outcomes_of, run_of
 # What other packages, and with --quick other variants, are compared on.
 COMPARED = ("nothing wrong", "mask dilated", "yaw of the camera", "start far off")
 CORRECTED_ON = ("nothing wrong", "yaw of the camera")
-# What the network modes are tried on, from their own predictions; not with --quick.
-OF_NETWORK = ("nothing wrong", "mask dilated", "yaw of the camera")
 GROUPS = ("settings", "mask", "camera", "cloud", "image")
 # With --quick every second level, without those that take long by themselves: points, pixels, steps.
 MOST = {"points": 20_000, "px": 1024, "steps": 200}
@@ -91,19 +89,18 @@ def plan(
         check_output(pictures, progress.overwrite)
     if quick:
         settings |= {"part": "examples", "categories": [], "seeds": 1}
-        names, cases_of, network = ["chair", "car", "airplane"], example_cases, None
+        names, cases_of = ["chair", "car", "airplane"], example_cases
     else:
         if meshes is None:
             raise InputError("--meshes is missing, expected a folder of meshes (or --quick, for the shipped examples)")
         settings["categories"] = list(settings["categories"])
         shapes = shapes_of_part(meshes, split, settings["part"], settings["categories"], settings["limit"])
-        network, about = view_aligned_network(default_checkpoint())
-        builder = CaseBuilder(meshes, split, 1, SIZE, COUNT, settings["seed"], network, about)
+        builder = CaseBuilder(meshes, split, 1, SIZE, COUNT, settings["seed"])
         names = [shape.name for shape in shapes]
 
         @cache
-        def cases_of(kind: str = "other") -> list[Case]:
-            return [case for shape in shapes for case in builder.cases(shape, kind)]
+        def cases_of() -> list[Case]:
+            return [case for shape in shapes for case in builder.cases(shape, "other")]
 
     settings |= {"quick": quick, "groups": list(groups), "shapes": names}
     seeds = [settings["seed"] + number for number in range(settings["seeds"])]
@@ -111,8 +108,6 @@ def plan(
     def judge_axis(axis: Axis, name: str, way: Way) -> Cases:
         in_full = name == DEFAULT and not quick
         levels = axis.levels if in_full else fewer_levels(axis)
-        if name in ALONE:
-            return judge(cases_of("network"), seeds[:1], axis, name, way, levels, network)
         return judge(cases_of(), seeds if name == DEFAULT else seeds[:1], axis, name, way, levels)
 
     jobs = [
@@ -140,8 +135,6 @@ def _ways(axis: Axis, quick: bool) -> dict[str, Way]:
     ways: dict[str, Way] = dict(POINTS) if compared or (plain and not quick) else {DEFAULT: POINTS[DEFAULT]}
     if quick:
         ways.pop(FOUR_MASKS, None)
-    elif axis.name in OF_NETWORK:
-        ways |= ALONE
     if axis.name in CORRECTED_ON:
         ways["best, camera corrected"] = Variant(RefineConfig(refine_camera=True))
     if compared:

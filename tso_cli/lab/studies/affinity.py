@@ -13,7 +13,7 @@ from ...geometry.points import Array
 from ...train.data import TrainingData
 from ..charts import Rows
 from ..study import Cases, Record, claim
-from .judging import JUDGED_VIEWS, Predicted, object_axes
+from .judging import JUDGED_VIEWS, Predicted
 from .trained import CATEGORIES, Comparison, Setting, chamfers, masks, trained_study, with_mean
 
 WITHOUT = "without"
@@ -41,8 +41,7 @@ def measure(predicted: list[Predicted], data: TrainingData) -> Record:
     for shape in predicted:
         views = data.objects[shape.index].views
         unobserved = [data.prepared(shape.index, view) for view in range(JUDGED_VIEWS, len(views))]
-        for number, cloud in enumerate(shape.points):
-            points = object_axes(cloud, views[number].camera, shape.frame)
+        for points in shape.points:
             strays = [outliers(view.camera.project(points)[0], view.mask).mean() for view in unobserved]
             fractions.setdefault(shape.category, []).append(float(np.mean(strays)))
     return {"outliers": {category: float(np.mean(values)) for category, values in fractions.items()}}

@@ -13,7 +13,7 @@ from ...geometry.points import Array
 from ...train.data import TrainingData
 from ..charts import Rows
 from ..study import Cases, Record, claim
-from .judging import ALL, Predicted, camera_axes, object_axes
+from .judging import ALL, Predicted
 from .trained import CATEGORIES, Comparison, Setting, chamfers, trained_study
 
 PLANE, CAR = "airplane", "car"
@@ -50,11 +50,12 @@ def measure(predicted: list[Predicted], data: TrainingData) -> Record:
     """Sizes of unseen aeroplanes (medians) and errors of unseen cars (means)."""
     rows: dict[str, list[dict[str, float]]] = {PLANE: [], CAR: []}
     for shape in predicted:
-        axes, sizes = (camera_axes, depth_errors) if shape.category == CAR else (object_axes, aeroplane_sizes)
-        for view, pair in enumerate(zip(shape.points, shape.target, strict=True) if shape.category in rows else ()):
-            camera = data.objects[shape.index].views[view].camera
-            points, target = (axes(cloud, camera, shape.frame) for cloud in pair)
-            rows[shape.category].append(sizes(points, target))
+        for view, (points, target) in enumerate(zip(shape.points, shape.target, strict=True)):
+            if shape.category == PLANE:
+                rows[PLANE].append(aeroplane_sizes(points, target))
+            if shape.category == CAR:
+                turn = data.objects[shape.index].views[view].camera.R.T
+                rows[CAR].append(depth_errors(points @ turn, target @ turn))
     return {
         key: {name: float(average([row[name] for row in rows[category]])) for name in rows[category][0]}
         for key, category, average in (("aeroplanes", PLANE, np.nanmedian), ("cars", CAR, np.mean))

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from ...datasets.items import ObjectItem
 from ...evaluation.metrics import chamfer
-from ...geometry.camera import CANONICAL_ROTATION, Camera
 from ...geometry.points import Array, normalise_longest_side, sample_surface
 from ...network.model import BaseNetwork
 from ...render import RenderSettings
@@ -42,6 +41,8 @@ MEAN_STEPS, MEAN_RATE, MEAN_BATCH = 300, 3e-3, 16
 TRAINING_VIEWS, TEST_VIEWS, SIZE = 24, 8, 96
 DENSE = 16_384
 """Points of the surface where depth maps are made of them."""
+FRAME = "canonical"
+"""That of the networks which studies train: the axes of the object."""
 ALL = "all"
 """In place of a category: all of the study's at once."""
 
@@ -109,28 +110,26 @@ class Predicted:
     """What a network makes of one shape.
 
     index : of the shape in its data.
-    points, target : [v, N, 3] and [v, M, 3] float64, prediction and truth for each of the first v views.
-    frame : "canonical" or "view", that of both.
+    points, target : [v, N, 3] and [v, M, 3] float64, prediction and truth for each of the first v views, in the object's axes.
     """
 
     index: int
     category: str
     points: Array
     target: Array
-    frame: str
 
 
-def predict(network: BaseNetwork | None, data: TrainingData, frame: str) -> list[Predicted]:
+def predict(network: BaseNetwork | None, data: TrainingData) -> list[Predicted]:
     """The clouds that ``network`` predicts from the judged views of every shape; without a network no points."""
     device = next(network.parameters()).device if network else torch.device("cpu")
     predicted = []
     for index, item in enumerate(data.objects):
-        batch = assemble(data, [Draw(index, view) for view in range(min(JUDGED_VIEWS, len(item.views)))], frame)
+        batch = assemble(data, [Draw(index, view) for view in range(min(JUDGED_VIEWS, len(item.views)))], FRAME)
         images = torch.as_tensor(batch.images, device=device)
         with torch.no_grad():
             points = network(images) if network else images.new_empty(len(images), 0, 3)
         clouds, targets = points.cpu().numpy().astype(np.float64), np.stack(batch.targets).astype(np.float64)
-        predicted.append(Predicted(index, item.category, clouds, targets, frame))
+        predicted.append(Predicted(index, item.category, clouds, targets))
     return predicted
 
 
@@ -141,16 +140,6 @@ def judge(predicted: list[Predicted]) -> dict[str, float]:
         scaled = [[normalise_longest_side(cloud) for cloud in pair] for pair in zip(shape.points, shape.target, strict=True)]
         means.setdefault(shape.category, []).append(float(np.mean([chamfer(*pair).chamfer for pair in scaled])))
     return {category: 1e3 * float(np.mean(values)) for category, values in means.items()}
-
-
-def object_axes(points: Array, camera: Camera, frame: str) -> Array:
-    """Predicted ``points`` [N, 3] in the object's own axes; ``camera`` is that of the input view."""
-    return points if frame == "canonical" else points @ (CANONICAL_ROTATION @ camera.R)
-
-
-def camera_axes(points: Array, camera: Camera, frame: str) -> Array:
-    """Predicted ``points`` [N, 3] in the axes of the input camera: right, down, away from it."""
-    return object_axes(points, camera, frame) @ camera.R.T
 
 
 def mean_shape(targets: Sequence[Floats], seed: int = 0, steps: int = MEAN_STEPS) -> Floats:
@@ -170,14 +159,7 @@ def mean_shape(targets: Sequence[Floats], seed: int = 0, steps: int = MEAN_STEPS
     return np.asarray(points.detach().numpy())
 
 
-def constant_answer(training: TrainingData, judged: TrainingData, frame: str) -> list[Predicted]:
-    """The mean training shape in ``frame`` as the prediction for every view that is judged."""
-    whole = [training.target(i) for i in range(len(training.objects))] if frame == "canonical" else view_targets(training)
-    mean = mean_shape(whole).astype(np.float64)
-    return [replace(shape, points=np.repeat(mean[None], len(shape.target), axis=0)) for shape in predict(None, judged, frame)]
-
-
-def view_targets(data: TrainingData, views: int = 8) -> list[Floats]:
-    """Targets as the first cameras of each object see them."""
-    draws = [Draw(index, view) for index, item in enumerate(data.objects) for view in range(min(views, len(item.views)))]
-    return assemble(data, draws, "view").targets
+def constant_answer(training: TrainingData, judged: TrainingData) -> list[Predicted]:
+    """The mean training shape as the prediction for every view that is judged."""
+    mean = mean_shape([training.target(i) for i in range(len(training.objects))]).astype(np.float64)
+    return [replace(shape, points=np.repeat(mean[None], len(shape.target), axis=0)) for shape in predict(None, judged)]

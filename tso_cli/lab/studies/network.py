@@ -14,9 +14,10 @@ from ...evaluation.metrics import chamfer
 from ...io.checkpoints import load_network
 from ...io.shipped import CATEGORIES
 from ...train.batches import Draw, assemble
+from ...train.data import TrainingData
 from ..charts import draw_bars
 from ..study import CATEGORY, CHECKPOINT, MESHES, SEED, SPLIT, Cases, Plan, Progress, Record, Study, Table
-from .judging import Floats, Material, mean_shape, view_targets
+from .judging import Floats, Material, mean_shape
 from .shapes import SPLIT as SHIPPED_SPLIT
 from .shapes import weights_hash
 from .summary import grouped, mean
@@ -72,6 +73,12 @@ def plan(
     settings = {"seed": seed, "split": (split or SHIPPED_SPLIT).name, "network": weights_hash(network)}
     settings |= {"shapes": {part: material.counts() for part, material in materials.items()}}
     return Plan(settings, [({"category": category}, partial(judge, category)) for category in categories], "judging")
+
+
+def view_targets(data: TrainingData, views: int = 8) -> list[Floats]:
+    """Targets as the first cameras of each object see them."""
+    draws = [Draw(index, view) for index, item in enumerate(data.objects) for view in range(min(views, len(item.views)))]
+    return assemble(data, draws, "view").targets
 
 
 def nearest_of(clouds: Sequence[Floats], truth: Floats) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -11,16 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from ... import device as devices
-from ...errors import InputError
-from ...network.model import NetworkConfig
-from ...train import TrainConfig, TrainResult, network_config, train
+from ...train import TrainConfig, train
 from ...train.data import TrainingData
-from ...train.state import TrainingState, load_training, save_training, state_path
 from ..charts import Rows, draw_bars
 from ..study import DEVICE, MESHES, SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table, part
 from .discretised import DEPTH, projected_objective
-from .judging import ALL, CONVENTION, JUDGED_VIEWS, Material, Predicted, constant_answer, judge, predict
+from .judging import ALL, CONVENTION, FRAME, JUDGED_VIEWS, Material, Predicted, constant_answer, judge, predict
 from .shapes import SPLIT as SHIPPED_SPLIT
 
 CATEGORIES = ("airplane", "car", "chair")
@@ -32,11 +27,9 @@ OPTIONS = (
     Option("--steps", "Of every network.  [default: see above]", int, least=1),
     Option("--batch-size", kind=int, default=8, least=1),
     Option("--limit", "Training shapes a category.", int, 32, least=1),
-    Option("--frame", "Axes of the predicted points: the objects' or the camera's.", str, "canonical", ("canonical", "view")),
     SEED,
     DEVICE,
 )
-SAVE_EVERY = 500
 # The same training comes out as far away another time: a smaller difference is noise.
 NOISE = 0.95
 # The paper's rate of 5e-5 gets nowhere in few steps.
@@ -83,63 +76,34 @@ class Comparison:
         networks = self.settings(categories)
         material = Material(meshes, split, part, categories, limit, options["seed"], progress.report)
         budget = {**options, "steps": options["steps"] or self.steps, "learning_rate": RATE, "averaging": AVERAGING}
+        budget["frame"] = FRAME
         about = {"split": (split or SHIPPED_SPLIT).name, "part": part}
-        if progress.earlier is None:
-            _forget(progress.unfinished)
         jobs = []
         for number, network in enumerate(networks, 1):
             doing = f"{number} of {len(networks)}: {network.name}, {network.category}"
             shared = {"setting": network.name, "category": network.category}
             jobs.append((shared, partial(self._judge, material, network, budget, progress, doing)))
-        # The state of an unfinished network must not outlive it: the next one may differ in its objective alone.
         settings = {**budget, **about, "shapes": material.counts(), "names": material.names_hash()}
-        return Plan(settings, jobs, "training", after_job=partial(_forget, progress.unfinished))
+        return Plan(settings, jobs, "training")
 
     def _judge(self, material: Material, setting: Setting, budget: Record, progress: Progress, doing: str) -> Cases:
         case: Record = {"setting": setting.name, "category": setting.category}
         data = material.data(setting.category, True, dense=setting.projection == DEPTH)
         unseen = material.data(setting.category, False)
         if setting.constant:
-            return [{**case, "judged": judge(constant_answer(data, unseen, budget["frame"]))}]
+            return [{**case, "judged": judge(constant_answer(data, unseen))}]
         common = {**budget, "seed": budget["seed"] + setting.repeat, "balance": setting.category == ALL}
         config = TrainConfig(**{**common, **setting.changes})
-        result = _train(data, config, setting.projection, progress, doing)
-        predicted = predict(result.network, unseen, config.frame)
+        result = train(
+            data,
+            config,
+            objective=projected_objective(config, setting.projection) if setting.projection else None,
+            progress=lambda done, total, note: progress.report(doing, done, total),
+        )
+        if result.stop_reason == "interrupted":
+            raise KeyboardInterrupt
+        predicted = predict(result.network, unseen)
         return [{**case, "judged": judge(predicted), **self.measure(predicted, unseen)}]
-
-
-def _train(data: TrainingData, config: TrainConfig, projection: str, progress: Progress, doing: str) -> TrainResult:
-    """Train one network, from its unfinished state where there is one; KeyboardInterrupt by Ctrl-C, its state is kept."""
-    unfinished, state = progress.unfinished, None
-    if unfinished:
-        # A state that is missing, damaged or of another network of the study: this one starts anew.
-        with suppress(InputError):
-            expected = network_config(data, config, 0)
-            state = load_training(unfinished, expected, data.fingerprint(), devices.resolve(config.device))
-
-    def save(current: TrainingState, described: NetworkConfig) -> None:
-        if unfinished and current.step < config.steps:
-            save_training(unfinished, current, described)
-
-    result = train(
-        data,
-        config,
-        state,
-        objective=projected_objective(config, projection) if projection else None,
-        progress=lambda done, total, note: progress.report(doing, done, total),
-        save=save,
-        save_every=SAVE_EVERY,
-    )
-    if result.stop_reason == "interrupted":
-        raise KeyboardInterrupt
-    return result
-
-
-def _forget(unfinished: Path | None) -> None:
-    """Remove the state of an unfinished network."""
-    if unfinished:
-        unfinished.unlink(missing_ok=True)
-        state_path(unfinished).unlink(missing_ok=True)
 
 
 def masks(category: str, **changes: Any) -> dict[str, Any]:
