@@ -128,8 +128,8 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
     masks that the file names are used.
 
     The output is the input file with other coordinates: order, precision, colours, faces and all other attributes stay. Of a
-    file with faces, 1,024 points sampled on them are refined, and its vertices follow. No random numbers are drawn: the seed is
-    recorded only.
+    file with faces 1,024 points sampled on them are refined, and its vertices follow; of a larger cloud 1,024 points. No
+    random numbers are drawn: the seed is recorded only.
     """
     started = time.perf_counter()
     if quiet and verbose:
