@@ -125,3 +125,19 @@ def test_a_bar_that_ends_early_ends_its_line(monkeypatch):
 def test_a_log_gets_no_progress(folder, refine, monkeypatch):
     monkeypatch.setattr(options.ProgressBar, "__call__", lambda *_: pytest.fail("progress where there is no terminal"))
     assert refine("initial.ply", "mask.png", "--steps", "2").code == 0
+
+
+def test_the_help_is_one_screen_and_tells_of_a_longer_one(refine, tso):
+    brief, whole = (tso("refine", option).out for option in ("--help", "--help-all"))
+    assert len(brief.splitlines()) <= 48 and "--help-all" in brief and "--budget" in brief
+    assert "--learning-rate" not in brief and "--learning-rate" in whole and "Camera:" in whole
+
+
+def test_a_budget_says_what_was_decided_and_why(folder, refine):
+    document = refine("initial.ply", "mask.png", "--json", "--budget", "0.000001").document
+    assert document["stop_reason"] == "out_of_time" and document["budget"]["given"] == "0.000001"
+    decisions = {decision["what"]: decision for decision in document["budget"]["decisions"]}
+    assert decisions["steps"]["reason"] == "1e-06 s were over" and decisions["points"]["choice"] == "1024"
+    assert "spent  steps: 192 (so many were asked for)" in refine("initial.ply", "mask.png", "-v", "--budget", "full").out
+    assert refine("initial.ply", "mask.png", "--budget", "soon").refusal.endswith("expected auto, full or seconds")
+    assert "--points" in refine("initial.ply", "mask.png", "--points", "none").err

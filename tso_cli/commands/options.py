@@ -9,7 +9,7 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
@@ -21,6 +21,8 @@ from ..errors import InputError, TsoError
 from ..io.output import check_output
 
 T = TypeVar("T")
+SHOW_ALL = "tso.show_all"
+"""Of a context's ``meta``: whether its help shows every option."""
 
 
 class FilePath(click.Path):
@@ -34,22 +36,44 @@ class Command(click.Command):
     """A command whose help shows defaults, and options under headings.
 
     headings : name of a parameter -> the heading that it and those after it stand under.
+    brief : names of the options that --help shows; --help-all shows every one. Without any, --help does.
     """
 
-    def __init__(self, *args: Any, headings: Mapping[str, str], **kwargs: Any) -> None:
+    def __init__(self, *args: Any, headings: Mapping[str, str], brief: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.context_settings["show_default"] = True
-        self.headings = headings
+        self.headings, self.brief = headings, brief
+        if brief:
+            self.params.append(
+                click.Option(
+                    ["--help-all"],
+                    is_flag=True,
+                    is_eager=True,
+                    expose_value=False,
+                    callback=_show_all,
+                    help="Show every option.",
+                )
+            )
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        brief = bool(self.brief) and not ctx.meta.get(SHOW_ALL)
         heading, sections = "Options", dict[str, list[tuple[str, str]]]()
         for parameter in self.get_params(ctx):
-            heading = self.headings.get(parameter.name or "", heading)
+            if brief and parameter.name not in self.brief and not parameter.is_eager:
+                continue
+            heading = heading if brief else self.headings.get(parameter.name or "", heading)
             if isinstance(parameter, click.Option) and (record := parameter.get_help_record(ctx)):
                 sections.setdefault(heading, []).append(record)
         for heading, records in sections.items():
             with formatter.section(heading):
                 formatter.write_dl(records)
+
+
+def _show_all(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if value and not ctx.resilient_parsing:
+        ctx.meta[SHOW_ALL] = True
+        click.echo(ctx.get_help())
+        ctx.exit()
 
 
 overwrite = click.option("--overwrite", is_flag=True, help="Replace an output that exists.")

@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from ..errors import GateError, InputError
+from ..io.reading import require_memory
 from . import options
 from .refine_check import check_scene
 from .refine_files import CameraPath, RefineInputs, RefineOutputs
@@ -18,6 +19,7 @@ from .refine_report import RefineReport
 
 PATH = options.FilePath()
 MODES = ("points", "encoder", "encoder-decoder", "latent")
+BYTES_A_MOVING_POINT = 1100
 HEADINGS = {
     "mode": "Method",
     "checkpoint": "Network modes",
@@ -28,7 +30,11 @@ HEADINGS = {
 }
 
 
-@click.command("refine", cls=options.Command, headings=HEADINGS)
+# What --help shows; --help-all shows every option.
+BRIEF = ("mode", "preset", "budget", "camera", "output", "overwrite", "overlay", "check", "strict", "as_json")
+
+
+@click.command("refine", cls=options.Command, headings=HEADINGS, brief=BRIEF)
 @click.argument("source", type=PATH)
 @click.argument("masks", metavar="[MASK]...", nargs=-1, type=PATH)
 @click.option(
@@ -42,6 +48,18 @@ HEADINGS = {
     type=click.Choice(["best", "paper"]),
     default="best",
     help="Loss and defaults of the options below: the most accurate on validation shapes, or those of the paper.",
+)
+@click.option(
+    "--budget",
+    metavar="auto|full|SECONDS",
+    default="auto",
+    help="What the scene is known to gain by; all that might help, in many times the time; or the best of so many seconds.",
+)
+@click.option(
+    "--points",
+    type=int,
+    metavar="N",
+    help="How many points move by themselves, 16 to 16,384; the others follow.  [default: 1024; budget full and paper all]",
 )
 @click.option(
     "--symmetry",
@@ -128,8 +146,7 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
     masks that the file names are used.
 
     The output is the input file with other coordinates: order, precision, colours, faces and all other attributes stay. Of a
-    file with faces 1,024 points sampled on them are refined, and its vertices follow; of a larger cloud 1,024 points. No
-    random numbers are drawn: the seed is recorded only.
+    large cloud, or of the surface of a mesh, 1,024 points are refined, and all others follow.
     """
     started = time.perf_counter()
     if quiet and verbose:
@@ -169,6 +186,9 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
         chosen["sigma_sq"] = scene.sigma_sq
     elif inputs.preset == "best" and not refine_camera:
         warnings.warn("--sigma-sq is of the paper's projection, which the preset best does not use", stacklevel=1)
+    config = options.pick(RefineConfig, chosen)
+    if scene.start and config.settings().points is None:
+        require_memory(inputs.source, BYTES_A_MOVING_POINT * len(scene.start.given))
     bar = options.ProgressBar("tso: refining")
 
     def on_progress(step: int, total: int, loss: float) -> None:
@@ -179,7 +199,7 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
             result = refine(
                 scene.start,
                 scene.views,
-                config=options.pick(RefineConfig, chosen),
+                config=config,
                 network=scene.network,
                 image=scene.image,
                 progress=on_progress if sys.stderr.isatty() and not quiet else None,
@@ -194,7 +214,7 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
     seconds = {"read": read, **result.seconds, "write": finished - writing, "total": finished - started}
     for text in result.warnings:
         warnings.warn(text, stacklevel=1)
-    report = RefineReport(result, scene, inputs, outputs, refine_camera, seconds)
+    report = RefineReport(result, scene, inputs, outputs, refine_camera, config.budget, seconds)
     if as_json:
         options.echo_json(report.document(warned, written=not refused))
     if refused:

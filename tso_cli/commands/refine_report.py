@@ -39,6 +39,7 @@ class RefineReport:
     inputs: RefineInputs
     outputs: RefineOutputs
     refine_camera: bool
+    budget: str | float
     seconds: dict[str, float]
 
     def document(self, warnings: list[str], written: bool = True) -> dict[str, Any]:
@@ -66,6 +67,7 @@ class RefineReport:
             "outliers": int(result.outliers.sum()),
             **verdict_document(result.confidence, result.verdict, result.reason, warnings, result.suspects),
             "step_taken": result.step_taken,
+            "budget": {"given": self.budget, "decisions": [decision.document() for decision in result.budget]},
             "convention": {
                 "moved": "way of a point from its start, as a share of the object's size, the longest side of the start's box",
                 "chamfer_to_initial": "squared distances, mean over points, both directions summed, longest side 1",
@@ -77,6 +79,8 @@ class RefineReport:
                 "confidence": "that the whole step does not make the cloud worse by over 5 % in Chamfer distance (a rising IoU "
                 "is no proof); 1 where nothing moved, else null but for the default preset of points mode",
                 "step_taken": "share of the step that was taken: under 1 where it is doubtful, 0 where nothing moved",
+                "saving": "share that was spared: of the masks' pixels, the finest grid's cells, the points, the steps of "
+                "--budget full, the work that a mirror plane takes",
                 "weight": "of a view in the loss: its trust, divided among the views that show the same",
                 "loss": result.objective + "; the mask's part is a sum over views, each times its weight",
                 "symmetry": "a, b, c, d of the mirror plane ax + by + cz = d in the frame of the input, null for none",
@@ -162,6 +166,7 @@ class RefineReport:
             "none_found": "no mirror symmetry assumed: the cloud has none",
             "contradicted": f"no mirror symmetry assumed: the {pictures} it",
             # Only points mode with the preset best assumes symmetry by default.
+            "unchecked": "no mirror symmetry assumed: the budget left no time to check it",
             "not_asked": "no mirror symmetry assumed, as asked" if self.result.averaged else None,
         }[self.result.symmetry_outcome]
 
@@ -201,6 +206,8 @@ class RefineReport:
                 )
             click.echo(f"  camera {text}")
         click.echo(f"  mirror {self._mirror()}")
+        for decision in result.budget[:-1]:
+            click.echo(f"  spent  {decision.what}: {decision.choice} ({decision.reason})")
         click.echo(
             f"  sigma_sq {result.sigma_sq:g} (squared 64ths of the window), learning rate {result.learning_rate:g}, "
             f"gamma {result.gamma:g}, preset {result.preset}, {result.device}, seed {result.seed}, "

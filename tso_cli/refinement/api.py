@@ -17,7 +17,7 @@ from ..kernels.dispatch import planned
 from .cloud import Cloud, as_numpy
 from .config import RefineConfig, Settings
 from .optimise import Progress
-from .presets import FIELD_NODES, PRESETS, SYMMETRY_PROBE_STEPS
+from .presets import PRESETS, SYMMETRY_PROBE_STEPS
 from .problem import Problem
 from .result import RefineResult
 from .run import Stopwatch, run
@@ -89,7 +89,7 @@ def _work(settings: Settings, views: int, points: int) -> tuple[int, int]:
     """How often a cloud is compared with a view, and the points in all these, as `planned` counts them."""
     comparisons = views * settings.steps
     if settings.staged:
-        points = min(points, FIELD_NODES)
+        points = min(points, settings.points or points)
     if settings.symmetry == "auto":
         # The flipped views, and the symmetry check.
         comparisons = 2 * comparisons + 3 * views * SYMMETRY_PROBE_STEPS

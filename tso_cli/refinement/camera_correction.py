@@ -37,8 +37,8 @@ WEIGHT = 30.0
 LEARNING_RATE = 2e-3
 
 
-def corrected_cameras(problem: Problem, settings: Settings) -> tuple[Problem, bool]:
-    """The problem with the cameras corrected that need it, and whether Ctrl-C left them as they were.
+def corrected_cameras(problem: Problem, settings: Settings, until: float) -> tuple[Problem, bool]:
+    """The problem with the cameras corrected that need it, and whether Ctrl-C left them as they were; ``until`` as `descend`.
 
     Points and cameras move together with the paper's settings. The points are held near their start, which separates a motion
     of all points from one of the camera; the cameras near the given ones. A correction is kept if with it the start
@@ -48,7 +48,7 @@ def corrected_cameras(problem: Problem, settings: Settings) -> tuple[Problem, bo
     initial = cloud.normalised()
     # Without the flipped views: the mirror image of a wrong camera is wrong as well.
     objective = _WithCameras(problem.resampled[: len(problem.views)], initial)
-    descent = descend(_PointsAndCameras(initial, len(problem.views)), objective, PAPER_STEPS)
+    descent = descend(_PointsAndCameras(initial, len(problem.views)), objective, PAPER_STEPS, until=until)
     if descent.interrupted:
         return problem, True
     corrections = descent.best[len(initial) :].reshape(-1, 6)

@@ -57,13 +57,14 @@ class Cloud:
         self.centre, self.scale = bounding_box_normalisation(self.initial, self.name)
         self.colours = None if self._colours is None else moving.at(self._colours.astype(np.float64)).astype(np.float32)
 
-    def with_all_points(self) -> Cloud:
-        """The same cloud, of which every point moves by itself; of a mesh its samples still do."""
-        if self.surface or not self.partial:
+    def with_moving(self, most: int | None) -> Cloud:
+        """The same cloud, of which at most so many points move by themselves, or all; of a mesh at most 4,096 samples."""
+        moving = self._moving.with_samples(most)
+        if moving is self._moving:
             return self
-        whole = copy(self)
-        whole._move(Subset(self.given, ~self.outliers, None))
-        return whole
+        changed = copy(self)
+        changed._move(moving)
+        return changed
 
     @property
     def partial(self) -> bool:

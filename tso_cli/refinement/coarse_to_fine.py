@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -41,8 +43,8 @@ class CoarseToFine:
     evidence: float = 1.0
     further_terms: Callable[[Array, Stage], list[Term]] = lambda points, stage: []
 
-    def run(self, steps: int, on_progress: Progress | None = None) -> tuple[Descent, Problem]:
-        """Descend for ``steps`` in all.
+    def run(self, steps: int, on_progress: Progress | None = None, until: float = math.inf) -> tuple[Descent, Problem]:
+        """Descend for ``steps`` in all; the stages share the time left ``until`` then (`time.perf_counter`).
 
         Returns
         -------
@@ -72,7 +74,9 @@ class CoarseToFine:
                 parameters = FieldParameters(points, finest.with_nodes(stage.nodes), stage.smoothness, optimiser)
                 end = round(steps * number / len(stages))
                 report = on_progress and offset_progress(on_progress, done, steps)
-                part = descend(parameters, objective, end - done, report)
+                now = time.perf_counter()
+                share = (until - now) / (len(stages) - number + 1)
+                part = descend(parameters, objective, end - done, report, now + share)
                 parts.append(part)
                 points, done = part.best, end
             except KeyboardInterrupt:
@@ -112,4 +116,5 @@ def _averaged(parts: list[Descent], weights: list[float], initial: Array, object
         best_loss=min(loss_at_mean, loss_at_start),
         stages=tuple(part.best for part in parts),
         objective=objective,
+        out_of_time=any(part.out_of_time for part in parts),
     )

@@ -7,11 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import InputError
+from ..geometry.points import CANDIDATES
 from .presets import (
     BEST,
     BEST_GAMMA,
     BEST_LEARNING_RATE,
     BEST_STEPS,
+    FEWEST_POINTS,
+    FIELD_NODES,
+    FULL_STEPS,
     MAX_VIEWS_FOR_STEPS,
     MODES,
     PAPER_GAMMA,
@@ -45,6 +49,10 @@ class RefineConfig:
         ax + by + cz = d.
     refine_camera : first correct the camera of each view, held near the given one; points mode.
     accept_doubtful : take the whole step also where the result is doubtful, in place of a part of it or none.
+    budget : "auto", what the scene is known to gain by; "full" (best, points mode), four times the steps, and every point of a
+        cloud moves by itself, of a mesh 4,096 samples; or seconds, in which "auto" comes to its end. Of each cloud of a batch.
+    points : how many points of a cloud, or samples of a mesh, move by themselves, at most (best, points mode); the others
+        follow. None: 1,024, or all of them with the budget "full".
     coarse_to_fine : settings of the preset "best" of points mode, for ablations.
 
     Raises
@@ -64,6 +72,8 @@ class RefineConfig:
     symmetry: str | None = None
     refine_camera: bool = False
     accept_doubtful: bool = False
+    budget: str | float = "auto"
+    points: int | None = None
     coarse_to_fine: CoarseToFineConfig = BEST
 
     def __post_init__(self) -> None:
@@ -84,14 +94,19 @@ class RefineConfig:
             raise InputError(f"device is {self.device!r}, expected cpu or auto: mode points has no network to put there")
         if self.symmetry is not None:
             parse_symmetry(self.symmetry)
-        if self.coarse_to_fine is not BEST and (self.preset, self.mode) != ("best", "points"):
-            raise InputError(f"coarse_to_fine is for mode points with preset best, found {self.mode} with {self.preset}")
+        if self.points is not None and (not isinstance(self.points, int) or not FEWEST_POINTS <= self.points <= CANDIDATES):
+            raise InputError(f"points is {self.points!r}, expected a whole number from {FEWEST_POINTS} to {CANDIDATES:,}")
+        budget = parse_budget(self.budget)
+        staged_only = {"coarse_to_fine": self.coarse_to_fine is not BEST, "points": self.points is not None}
+        for name, used in (staged_only | {"budget full": budget == "full"}).items():
+            if used and (self.preset, self.mode) != ("best", "points"):
+                raise InputError(f"{name} is for mode points with preset best, found {self.mode} with {self.preset}")
 
     def settings(self, views: int = 1) -> Settings:
         """The same with the preset's values in place of None, for clouds with ``views`` views each."""
         best = self.preset == "best"
         staged = best and self.mode == "points"
-        steps = BEST_STEPS[self.mode] * (min(views, MAX_VIEWS_FOR_STEPS) if staged else 1) if best else PAPER_STEPS
+        steps = (staged_steps(views) if staged else BEST_STEPS[self.mode]) if best else PAPER_STEPS
         rates = BEST_LEARNING_RATE if best else PAPER_LEARNING_RATE
         gamma = BEST_GAMMA if best else PAPER_GAMMA[self.mode]
         defaults: dict[str, Any] = dict(
@@ -100,13 +115,21 @@ class RefineConfig:
             gamma=gamma,
             symmetry="auto" if staged else "none",
             sigma_sq=PAPER_SIGMA_SQ,
+            points=FIELD_NODES if staged else None,
         )
-        return Settings(**(defaults | {name: value for name, value in vars(self).items() if value is not None}))
+        budget = parse_budget(self.budget)
+        if budget == "full":
+            defaults |= {"steps": FULL_STEPS * steps, "points": None}
+        chosen = {name: value for name, value in vars(self).items() if value is not None and name != "budget"}
+        return Settings(**(defaults | chosen), seconds=budget if isinstance(budget, float) else math.inf)
 
 
 @dataclass(frozen=True)
 class Settings:
-    """A `RefineConfig` with every value known."""
+    """A `RefineConfig` with every value known.
+
+    points : that move by themselves, None for all. seconds : how long the refinement may take.
+    """
 
     mode: str
     preset: str
@@ -119,12 +142,32 @@ class Settings:
     seed: int
     refine_camera: bool
     accept_doubtful: bool
+    points: int | None
+    seconds: float
     coarse_to_fine: CoarseToFineConfig
 
     @property
     def staged(self) -> bool:
         """Whether points move from coarse to fine, and not down the objective of Eq. 7."""
         return self.preset == "best" and self.mode == "points"
+
+
+def staged_steps(views: int) -> int:
+    """The default of the steps from coarse to fine."""
+    return BEST_STEPS["points"] * min(views, MAX_VIEWS_FOR_STEPS)
+
+
+def parse_budget(budget: str | float) -> str | float:
+    """One of auto and full, or seconds, which may be given as text; InputError for anything else."""
+    if budget in ("auto", "full"):
+        return budget
+    try:
+        seconds = float(budget)
+    except (TypeError, ValueError):
+        seconds = math.nan
+    if isinstance(budget, bool) or not 0.0 < seconds < math.inf:
+        raise InputError(f"budget is {budget!r}, expected auto, full or seconds")
+    return seconds
 
 
 def parse_symmetry(text: str) -> str | tuple[float, float, float, float]:

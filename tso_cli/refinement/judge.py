@@ -15,7 +15,7 @@ from .cloud import Array, MovedCloud
 from .config import Settings
 from .objective import MaskChamferObjective, ViewTargets
 from .optimise import Descent
-from .presets import BEST_STEPS, STAGES
+from .presets import BEST_STEPS, FEWEST_POINTS, STAGES
 from .problem import Problem
 from .result import StopReason
 from .smooth_field import SmoothField
@@ -24,8 +24,8 @@ from .view_weights import ViewWeights
 
 # A start of lower IoU hardly touches its mask, as a pole beside its own: coming nearer need not raise the IoU.
 FEEBLE_IOU = 0.1
-# Results of fewer steps or points are not judged.
-FEWEST_STEPS, FEWEST_POINTS = BEST_STEPS["points"] // 4, 16
+# Results of fewer steps are not judged.
+FEWEST_STEPS = BEST_STEPS["points"] // 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,8 @@ def judged(
         return Outcome(unmoved, ious, UNCHANGED, taken=0.0, unmoved=reason)
     signs: dict[str, float] = {}
     # What a few steps leave undone looks like a mistake.
-    enough = len(descent.stages) == len(STAGES) and settings.steps >= FEWEST_STEPS and len(step) >= FEWEST_POINTS
+    steps = len(descent.losses) - 1 if descent.out_of_time else settings.steps
+    enough = len(descent.stages) == len(STAGES) and steps >= FEWEST_STEPS and len(step) >= FEWEST_POINTS
     if field and enough and _masks_alone(problem):
         signs = signs_of(problem, field, descent, outcome.ious, view_weights.inlier)
     verdict = Verdict.of(signs, problem.suspicion)

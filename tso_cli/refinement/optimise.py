@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -34,7 +36,7 @@ class Descent:
     ----------
     best : [N, 3], the iterate with the lowest loss. best_step : its step.
     losses : at the start and after every step; the last is NaN where points or loss were not finite.
-    interrupted : Ctrl-C ended it.
+    interrupted : Ctrl-C ended it. out_of_time : its time did.
     first_loss, best_loss : of the start and of ``best``. stages : the best of each stage, [N, 3]; objective : of the last.
     """
 
@@ -46,6 +48,7 @@ class Descent:
     best_loss: float
     stages: tuple[Array, ...] = ()
     objective: Term | None = None
+    out_of_time: bool = False
 
 
 def offset_progress(on_progress: Progress, done: int, total: int) -> Progress:
@@ -66,14 +69,18 @@ def sum_of(terms: list[Term]) -> Term:
     return total
 
 
-def descend(parameters: Parameters, objective: Term, steps: int, on_progress: Progress | None = None) -> Descent:
-    """Minimise ``objective`` by ``parameters`` in ``steps`` steps; fewer once points or loss are not finite.
+def descend(
+    parameters: Parameters, objective: Term, steps: int, on_progress: Progress | None = None, until: float = math.inf
+) -> Descent:
+    """Minimise ``objective`` by ``parameters`` in ``steps`` steps.
+
+    There are fewer where the loss is 0, points or loss are not finite, or ``until`` has passed (`time.perf_counter`).
 
     Raises KeyboardInterrupt before the loss of the start is known; later it ends the loop.
     """
     best, lowest, best_step = parameters.forward(), np.inf, 0
     losses: list[float] = []
-    interrupted = False
+    interrupted = out_of_time = False
     try:
         for step in range(steps + 1):
             points = parameters.forward()
@@ -87,6 +94,9 @@ def descend(parameters: Parameters, objective: Term, steps: int, on_progress: Pr
                 best, lowest, best_step = points, value, step
             if on_progress and step:
                 on_progress(step, steps, value)
+            out_of_time = 0 < step < steps and time.perf_counter() >= until
+            if value == 0.0 or out_of_time:
+                break
             if step < steps:
                 parameters.step(gradient)
     except KeyboardInterrupt:
@@ -94,4 +104,4 @@ def descend(parameters: Parameters, objective: Term, steps: int, on_progress: Pr
             raise
         interrupted = True
     # Ctrl-C may fall between the loss of the start and its being the lowest.
-    return Descent(best, best_step, losses, interrupted, losses[0], min(lowest, losses[0]))
+    return Descent(best, best_step, losses, interrupted, losses[0], min(lowest, losses[0]), out_of_time=out_of_time)

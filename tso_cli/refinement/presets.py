@@ -19,8 +19,15 @@ BEST_GAMMA = 0.0
 # Points mode takes BEST_STEPS for each view, up to this many: views that disagree need longer to reconcile.
 MAX_VIEWS_FOR_STEPS = 4
 
+FULL_STEPS = 4
+"""Times the steps of the default, with the budget "full"."""
+OPTIMISING = 0.8
+"""Share of the seconds of a budget after which the optimisation ends, and the result is judged."""
+
 FIELD_NODES = 1024
 """Most nodes of a smooth displacement field; larger clouds interpolate between them."""
+FEWEST_POINTS = 16
+"""That may be asked to move by themselves, and that a result is judged of."""
 
 
 @dataclass(frozen=True)

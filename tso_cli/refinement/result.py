@@ -13,12 +13,13 @@ from ..geometry.camera import Camera
 from ..geometry.view import View
 from ..geometry.window import Box
 from .assumptions import Suspect
+from .budget import Decision
 from .cloud import outliers_told
 from .placement import mask_doubts
 from .symmetry import SymmetryOutcome
 
 Array = NDArray[np.float64]
-StopReason = Literal["max_steps", "interrupted", "non_finite", "nothing_to_do", "not_improved", "doubtful"]
+StopReason = Literal["max_steps", "interrupted", "non_finite", "out_of_time", "nothing_to_do", "not_improved", "doubtful"]
 
 # A view with a lower inlier weight is warned of.
 DOUBTFUL_INLIER_WEIGHT = 0.5
@@ -36,9 +37,9 @@ class RefineResult:
         its vertices.
     steps : steps done; best_step : the step that the result is from, 0 where the start was best. With the preset "best" of
         points mode, whose result is a mean over the stages, the best step of the last stage.
-    stop_reason : "max_steps"; "interrupted" (Ctrl-C: the best so far is kept); "non_finite" (the loss became NaN or infinite);
-        or, where the result is the start, "nothing_to_do" (its loss is 0), "not_improved" (no step had a lower loss) or
-        "doubtful" (the step was likely to make the cloud worse).
+    stop_reason : "max_steps"; "interrupted" (Ctrl-C), "out_of_time" (of the budget) or "non_finite" (the loss became NaN or
+        infinite), after which the best so far is kept; or, where the result is the start, "nothing_to_do" (its loss is 0),
+        "not_improved" (no step had a lower loss) or "doubtful" (the step was likely to make the cloud worse).
     warnings : one sentence each, to read before the result is used.
     losses : the objective at the start and after every step. loss_before, loss_after : of the start and of the result. With
         the preset "best" the objective changes from stage to stage: these two are both by the last.
@@ -54,13 +55,14 @@ class RefineResult:
     outliers : [N] bool, points far from all others: they stay where they are, and no measure is of them.
     symmetry : a, b, c, d of the mirror plane ax + by + cz = d that was used, in the frame of the input, or None.
     symmetry_outcome : "used" (a plane that was found), "given", or without a plane "not_asked", "none_found" (the cloud has
-        none) or "contradicted" (the cloud has one, the views contradict it). symmetry_reason : the measurement, in words.
+        none), "contradicted" (the cloud has one, the views contradict it) or "unchecked" (there was no time to ask the views).
+        symmetry_reason : the measurement, in words.
     suspects : what may be wrong with the input, likeliest first.
     verdict : "improved", "unchanged", or "doubtful": the whole step is likely to make the cloud worse, for the ``reason``; None
         where only the default would be judged. confidence : in [0, 1], that the whole step does not make it worse by over 5 %
         in Chamfer distance; None as before. signs : what it is from. step_taken : share of the step that was taken, under 1
         only where it is doubtful.
-    sigma_sq : squared cells.
+    sigma_sq : squared cells. budget : what was decided from the scene, why, and what that saved.
     view_windows : left, top, right, bottom edges of the window of each mask, px, that the cloud was compared with at last,
         and cells along its side.
     cameras : with ``refine_camera`` the corrected ones.
@@ -106,6 +108,7 @@ class RefineResult:
     reason: str = ""
     step_taken: float = 1.0
     signs: dict[str, float] = field(default_factory=dict)
+    budget: tuple[Decision, ...] = ()
 
     @property
     def judged(self) -> tuple[Array, Array]:
@@ -137,6 +140,7 @@ def why_unmoved(result: RefineResult) -> str | None:
         "max_steps": "no steps were asked for",
         "interrupted": f"interrupted at step {result.steps}, before one lowered the loss",
         "non_finite": f"the loss was no number after step {result.steps}, and none before was lower than that of the start",
+        "out_of_time": f"the budget's seconds were over after {result.steps} steps, before one agreed better with what {shows}",
         "nothing_to_do": f"the cloud already agrees with all that {shows}",
         "not_improved": f"none of {result.steps} steps agrees better with what {shows} than the start does",
         "doubtful": "the step is doubtful (--accept-doubtful takes it all the same)",

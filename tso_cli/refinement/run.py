@@ -13,6 +13,7 @@ from ..errors import TsoError
 from ..losses.chamfer import ChamferToStart
 from ..losses.photometric import Photo, PhotometricTerm
 from .adam import Adam
+from .budget import decisions
 from .camera_correction import corrected_cameras
 from .cloud import Array
 from .coarse_to_fine import CoarseToFine, network_objective
@@ -21,7 +22,7 @@ from .judge import Outcome, judged
 from .objective import SilhouetteObjective, ViewTargets
 from .optimise import Descent, Parameters, Progress, Term, descend, sum_of
 from .parameters import PointParameters
-from .presets import Stage
+from .presets import OPTIMISING, Stage
 from .problem import Problem
 from .result import RefineResult, StopReason, result_warnings
 from .smooth_field import SmoothField
@@ -33,6 +34,7 @@ class Stopwatch:
     """Wall time of the phases of a run."""
 
     def __init__(self) -> None:
+        self.started = time.perf_counter()
         self.seconds: dict[str, float] = {}
 
     @contextmanager
@@ -66,20 +68,22 @@ def run(
     Raises TsoError where the loss of the start, or after the first step, is not a finite number.
     """
     given_views = problem.views
-    prepared = _prepare(problem, settings, stopwatch, interrupted)
+    until = stopwatch.started + OPTIMISING * settings.seconds
+    prepared = _prepare(problem, settings, stopwatch, interrupted, until)
     chamfer = ChamferToStart(problem.cloud.normalised())
     with stopwatch.phase("optimise"):
-        descent, problem = _optimise(prepared, network, chamfer, settings, on_progress)
+        descent, problem = _optimise(prepared, network, chamfer, settings, on_progress, until)
     with stopwatch.phase("judge"):
         outcome = judged(problem, given_views, descent, prepared.field, prepared.view_weights, settings)
         chamfer_to_initial = chamfer(chamfer.initial + outcome.moved.displacements)[0]
     return _result(problem, outcome, descent, prepared, chamfer_to_initial, settings, stopwatch.seconds)
 
 
-def _prepare(problem: Problem, settings: Settings, stopwatch: Stopwatch, interrupted: bool) -> _Prepared:
+def _prepare(problem: Problem, settings: Settings, stopwatch: Stopwatch, interrupted: bool, until: float) -> _Prepared:
     if settings.refine_camera and settings.steps and not interrupted:
         with stopwatch.phase("cameras"):
-            problem, interrupted = corrected_cameras(problem, settings)
+            half = time.perf_counter() + 0.5 * (until - time.perf_counter())
+            problem, interrupted = corrected_cameras(problem, settings, half)
     with stopwatch.phase("prepare"):
         views = len(problem.views)
         weights = ViewWeights.even(views)
@@ -88,7 +92,7 @@ def _prepare(problem: Problem, settings: Settings, stopwatch: Stopwatch, interru
         field = SmoothField(problem.cloud.normalised()) if settings.staged else None
         checked = settings.symmetry == "auto" and len(problem.resampled) > views
         if checked and settings.steps and not interrupted and field:
-            problem, interrupted = verified_symmetry(problem, weights.loss, settings, field)
+            problem, interrupted = verified_symmetry(problem, weights.loss, settings, field, until)
     loss_weights = weights.loss * (2 if len(problem.resampled) > views else 1)
     return _Prepared(problem, weights, loss_weights, interrupted, field)
 
@@ -99,6 +103,7 @@ def _optimise(
     chamfer: ChamferToStart,
     settings: Settings,
     on_progress: Progress | None,
+    until: float,
 ) -> tuple[Descent, Problem]:
     """The descent, and the problem with its last windows."""
     problem, initial, weights = prepared.problem, chamfer.initial, prepared.loss_weights
@@ -120,13 +125,13 @@ def _optimise(
             evidence=problem.evidence(prepared.view_weights.loss),
             further_terms=further_terms,
         )
-        descent, problem = coarse_to_fine.run(steps, on_progress)
+        descent, problem = coarse_to_fine.run(steps, on_progress, until)
     else:
         term: Term = SilhouetteObjective(problem.resampled, weights)
         if settings.preset == "best":
             term = network_objective(initial, ViewTargets.of(problem.resampled, weights))
         parameters = network or PointParameters(initial, Adam(settings.learning_rate))
-        descent = descend(parameters, sum_of([term, *regulariser]), steps, on_progress)
+        descent = descend(parameters, sum_of([term, *regulariser]), steps, on_progress, until)
     return replace(descent, interrupted=descent.interrupted or prepared.interrupted), problem
 
 
@@ -209,6 +214,7 @@ def _result(
         reason=outcome.verdict.reason,
         step_taken=outcome.taken,
         signs=outcome.signs,
+        budget=decisions(problem, settings, descent),
     )
     return replace(result, warnings=result_warnings(result, problem.views, settings.steps, problem.suspicion))
 
@@ -218,6 +224,8 @@ def _stop_reason(finite: bool, descent: Descent, unmoved: StopReason | None, ste
         return "non_finite"
     if descent.interrupted:
         return "interrupted"
+    if descent.out_of_time and unmoved in (None, "not_improved"):
+        return "out_of_time"
     if steps == 0 or not unmoved:
         return "max_steps"
     return "nothing_to_do" if descent.first_loss == 0.0 else unmoved

@@ -18,7 +18,7 @@ CARRIED_AT_ONCE = 1 << 16
 class Subset:
     """At most 1,024 points of a cloud, by farthest-point sampling; every point of a smaller one.
 
-    A mask resolves no more of a surface: with more points the results are no more accurate, and take longer.
+    A mask resolves hardly more of a surface: with all points the results are about as accurate, and take longer.
 
     Attributes
     ----------
@@ -27,11 +27,16 @@ class Subset:
     """
 
     def __init__(self, points: Array, kept: NDArray[np.bool_], most: int | None = FIELD_NODES) -> None:
-        self.kept = kept
+        self._given, self.kept = points, kept
         self._inliers = self.judged(points)
         count = len(self._inliers) if most is None else most
         self._chosen = spread_subset(self._inliers, count) if count < len(self._inliers) else slice(None)
         self.samples: Array = self._inliers[self._chosen]
+
+    def with_samples(self, most: int | None) -> Subset:
+        """The same cloud with at most so many samples, or all points; itself, where it has as many."""
+        count = len(self._inliers) if most is None else min(most, len(self._inliers))
+        return self if count == len(self.samples) else Subset(self._given, self.kept, most)
 
     @property
     def partial(self) -> bool:

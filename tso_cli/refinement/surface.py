@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -15,12 +16,14 @@ from .smooth_field import INTERPOLATED_FROM, falling_weights
 
 Array = NDArray[np.float64]
 
+# Their displacements are corrected by a dense linear system.
+MOST_SAMPLES = 4096
 # Weight of changing a sample's displacement, beside that of the faces moving the sample elsewhere.
 RIDGE = 0.1
 
 
 class Surface:
-    """A triangle mesh and 1,024 points of it, spread by farthest-point sampling among many drawn by area.
+    """A triangle mesh and some points of it, 1,024 at first, spread by farthest-point sampling among many drawn by area.
 
     The same mesh gives the same samples, however it is cut into faces.
 
@@ -38,8 +41,20 @@ class Surface:
         self.vertices = vertices
         self._corners = triangles[drawn]
         self._shares = np.concatenate([1.0 - shares.sum(1, keepdims=True), shares], axis=1)
-        self._chosen = spread_subset(self.judged(vertices), FIELD_NODES)
-        self.samples = self.at(vertices)
+        self._move(FIELD_NODES)
+
+    def _move(self, count: int) -> None:
+        self._chosen = spread_subset(self.judged(self.vertices), count)
+        self.samples = self.at(self.vertices)
+
+    def with_samples(self, most: int | None) -> Surface:
+        """The same mesh with at most so many samples, 4,096 at most; itself, where it has as many."""
+        count = min(most or MOST_SAMPLES, MOST_SAMPLES, len(self._corners))
+        if count == len(self.samples):
+            return self
+        changed = copy(self)
+        changed._move(count)
+        return changed
 
     @classmethod
     def of(cls, vertices: Array, faces: Any, name: str) -> Surface | None:

@@ -16,7 +16,7 @@ from .cloud import Cloud
 from .config import parse_symmetry
 
 Array = NDArray[np.float64]
-SymmetryOutcome = Literal["used", "given", "not_asked", "none_found", "contradicted"]
+SymmetryOutcome = Literal["used", "given", "not_asked", "none_found", "contradicted", "unchecked"]
 
 # Points that planes are fitted to in the search, and judged by.
 SEARCH_POINTS, JUDGED_POINTS = 256, 1024
@@ -168,6 +168,8 @@ class SymmetryDecision:
         limits = f"(at most {MEAN_MISFIT} and {FAR_MISFIT})"
         if self.outcome == "none_found":
             return f"{fit}, too far {limits}"
+        if self.outcome == "unchecked":
+            return f"{fit} {limits}; the budget leaves no time for the symmetry check"
         if self.loss_ratio is None:
             return f"{fit} {limits}"
         limit = f"{'at most' if self.outcome == 'used' else 'over'} {self.most}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 from .coarse_to_fine import CoarseToFine
@@ -11,21 +12,32 @@ from .problem import Problem
 from .smooth_field import SmoothField
 from .symmetry import MOST_LOSS_RATIO, MOST_OF_SEVERAL
 
+# Of the time left, what the check may take; it is half as much work as the refinement.
+TIME_SHARE = 0.4
 
-def verified_symmetry(problem: Problem, weights: list[float], settings: Settings, field: SmoothField) -> tuple[Problem, bool]:
+
+def verified_symmetry(
+    problem: Problem, weights: list[float], settings: Settings, field: SmoothField, until: float
+) -> tuple[Problem, bool]:
     """The problem, without its mirror plane where the views contradict it; and whether Ctrl-C came, which leaves the plane.
+
+    A check that is not done in a part of the time ``until`` then (`time.perf_counter`) leaves no plane either.
 
     Two short descents are compared, with and without the flipped views. A symmetric object fits both views at once. Of
     an asymmetric one a view and its flipped view contradict each other, and more loss remains. ``weights`` are of the given
     views.
     """
     losses = []
+    end = time.perf_counter() + TIME_SHARE * (until - time.perf_counter())
     for of_views in ([*weights, *weights], weights):
         probed = replace(problem, resampled=problem.resampled[: len(of_views)])
         probe = CoarseToFine(probed, of_views, field, SYMMETRY_PROBE, BEST_LEARNING_RATE["points"], follow=False)
-        descent, _ = probe.run(SYMMETRY_PROBE_STEPS)
+        descent, _ = probe.run(SYMMETRY_PROBE_STEPS, until=end)
         if descent.interrupted:
             return problem, True
+        if descent.out_of_time:
+            unchecked = replace(problem, symmetry=replace(problem.symmetry, outcome="unchecked"))
+            return unchecked.with_views(problem.views, settings), False
         losses.append(descent.best_loss)
     ratio = losses[0] / max(2.0 * losses[1], 1e-300)
     most = MOST_LOSS_RATIO if len(weights) == 1 else MOST_OF_SEVERAL

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ..refinement.cloud import Cloud
 
 
-BYTES_A_POINT = 1100  # what a refinement takes at its most
+BYTES_A_POINT = 250  # that follows others, at its most
 # A mask is taken for a photo with this many grey pixels for one of the object, or of the background if that is smaller. Counted
 # in about so many rows or columns, and not for fewer such pixels: of a small mask all are at the outline.
 GREY_SHARE, GREY_ALONG, GREY_FEWEST = 1.2, 256, 400

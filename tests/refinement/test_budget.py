@@ -1,0 +1,106 @@
+"""What a refinement spends on its scene: as much as is known to help, all that might, or some seconds."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+
+from tests.losses.scenes import points_at
+from tests.scenes import block
+from tso_cli import Camera, InputError, RefineConfig, View, refine
+from tso_cli.refinement.presets import FULL_STEPS
+
+
+def _decided(result) -> dict[str, tuple[str, float]]:
+    return {decision.what: (decision.choice, decision.saving) for decision in result.budget}
+
+
+def test_when_the_seconds_are_over_the_best_so_far_is_kept(chair):
+    points, mask, camera, _ = chair
+    result = refine(points, mask, camera, RefineConfig(budget=1e-6))
+    # One step of each stage, and no check of the mirror plane.
+    assert (result.steps, result.stop_reason, result.symmetry_outcome) == (3, "out_of_time", "unchecked")
+    assert result.loss_after < result.loss_before
+    assert (result.verdict, result.confidence) == (None, None)
+    assert _decided(result)["steps"] == ("3", pytest.approx(1.0 - 3 / (FULL_STEPS * 48)))
+
+
+def test_the_result_is_there_by_the_end_of_the_seconds(chair):
+    points, mask, camera, _ = chair
+    started = time.perf_counter()
+    result = refine(points, mask, camera, RefineConfig(budget=1.0, steps=100_000))
+    assert result.stop_reason == "out_of_time" and 3 < result.steps < 100_000
+    # A busy machine judges the result more slowly.
+    assert time.perf_counter() - started < 10.0
+
+
+@pytest.mark.parametrize("seconds", [1e6, "1e6"])
+def test_with_more_seconds_than_it_needs_a_result_is_that_without(chair, seconds):
+    points, mask, camera, _ = chair
+    limited, free = (refine(points, mask, camera, RefineConfig(budget=budget)) for budget in (seconds, "auto"))
+    np.testing.assert_array_equal(limited.points, free.points)
+    assert limited.stop_reason == free.stop_reason == "max_steps"
+
+
+def test_seconds_end_the_paper_s_preset_and_the_correction_of_cameras_too(chair):
+    points, mask, camera, _ = chair
+    result = refine(points, mask, camera, RefineConfig(budget=1e-6, preset="paper", refine_camera=True))
+    assert (result.steps, result.stop_reason, result.budget) == (1, "out_of_time", ())
+
+
+def test_the_full_budget_moves_every_point_by_itself_in_more_steps(chair):
+    points, mask, camera, _ = chair
+    dense = np.concatenate([points, points + 1e-3])
+    auto, full = (refine(dense, mask, camera, RefineConfig(budget=budget)) for budget in ("auto", "full"))
+    assert (auto.moving, auto.steps, full.moving, full.steps) == (1024, 48, 2048, 4 * 48)
+    assert _decided(auto)["points"] == ("1024 of 2048", 0.5)
+    assert _decided(full)["points"] == ("2048", 0.0) and _decided(full)["steps"] == ("192", 0.0)
+
+
+def test_as_many_points_move_by_themselves_as_are_asked_for(chair):
+    points, mask, camera, _ = chair
+    result = refine(points, mask, camera, RefineConfig(points=200))
+    assert result.moving == 200 and result.iou_after > result.iou_before
+    # The box of a mesh, whose surface has as many samples.
+    corners = np.stack(np.meshgrid(*[[-0.2, 0.2]] * 3, indexing="ij"), -1).reshape(-1, 3)
+    faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4]]
+    box = refine(corners, mask, camera, RefineConfig(points=300, steps=3), faces=faces)
+    assert box.moving == 300
+
+
+def test_a_cloud_that_fits_costs_no_step():
+    pixels = np.stack(np.meshgrid(np.arange(20.0, 43.1, 1 / 3), np.arange(20.0, 43.1, 1 / 3)), -1).reshape(-1, 2)
+    camera = Camera.canonical(64, 64)
+    points = points_at(pixels, camera, np.full(len(pixels), 2.0))
+    # Every third of a pixel: with fewer points there would be gaps.
+    result = refine(points, View(block(np.s_[20:44, 20:44]), camera), config=RefineConfig(budget="full", symmetry="none"))
+    assert (result.steps, result.stop_reason) == (0, "nothing_to_do")
+    assert _decided(result)["steps"] == ("0", 1.0)
+
+
+def test_every_decision_has_a_reason_and_a_share_that_it_saved(chair):
+    points, mask, camera, _ = chair
+    result = refine(points, mask, camera)
+    assert [decision.what for decision in result.budget] == ["window", "cells", "points", "steps", "mirror plane"]
+    assert all(decision.reason and 0.0 <= decision.saving <= 1.0 for decision in result.budget)
+    assert _decided(result)["mirror plane"] == ("checked, used", 0.0)
+    assert 0.0 < _decided(refine(points, mask, camera, RefineConfig(symmetry="none")))["mirror plane"][1] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"budget": "most"}, "budget is 'most', expected auto, full or seconds"),
+        ({"budget": 0.0}, "budget is 0.0"),
+        ({"budget": math.nan}, "budget is nan"),
+        ({"budget": True}, "budget is True"),
+        ({"budget": "full", "preset": "paper"}, "budget full is for mode points with preset best"),
+        ({"points": 100, "mode": "latent"}, "points is for mode points with preset best"),
+        ({"points": 3}, "points is 3, expected a whole number from 16 to 16,384"),
+        ({"points": True}, "points is True"),
+    ],
+)
+def test_a_budget_that_means_nothing_is_refused(settings, named):
+    with pytest.raises(InputError, match=named):
+        RefineConfig(**settings)
