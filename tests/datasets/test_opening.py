@@ -6,7 +6,7 @@ import pytest
 from tests.corruption import assert_refused
 from tests.dataset_trees import CHAIR, write_pix3d, write_r2n2, write_shapenet
 from tso_cli.datasets.opening import open_dataset
-from tso_cli.datasets.rendered import write_object
+from tso_cli.datasets.rendered import writing
 from tso_cli.datasets.splits import read_split
 from tso_cli.geometry.camera import Camera
 
@@ -14,7 +14,8 @@ from tso_cli.geometry.camera import Camera
 def write_rendered(root):
     image, mask = np.zeros((8, 8, 3), dtype=np.uint8), np.eye(8, dtype=np.uint8) * 255
     points = np.random.default_rng(0).random((9, 3)).astype(np.float32)
-    write_object(root / "chair/abc", [(image, mask, Camera.canonical(8, 8))], points, points, {})
+    with writing(root) as writer:
+        writer.write("chair/abc", [(image, mask, Camera.canonical(8, 8))], points, points, {})
 
 
 @pytest.mark.parametrize(

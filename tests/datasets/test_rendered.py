@@ -9,7 +9,7 @@ import pytest
 from tests.corruption import assert_refused, full_disk
 from tso_cli import Camera, InputError, TsoError
 from tso_cli.datasets import rendered
-from tso_cli.datasets.rendered import open_rendered, stored_record, write_object
+from tso_cli.datasets.rendered import UNFINISHED, open_rendered, stored_record, writing
 from tso_cli.io.images import write_image
 
 CAMERA = Camera.canonical(12, 10)
@@ -28,7 +28,8 @@ def cloud(seed, count=20):
 
 def write(folder, number, views=1, **options):
     pictures = [picture(10 * number + view) for view in range(views)]
-    write_object(folder, pictures, cloud(number, 50), cloud(number), {"n": number}, **options)
+    with writing(folder.parent) as writer:
+        writer.write(folder.name, pictures, cloud(number, 50), cloud(number), {"n": number}, **options)
 
 
 @pytest.fixture
@@ -40,7 +41,8 @@ def folder(tmp_path):
 
 
 def test_unfinished_objects_are_left_out_and_one_object_is_a_data_set_of_one(folder):
-    (folder / "b").rename(folder / ".b.1234.partial")
+    (folder / UNFINISHED).mkdir()
+    (folder / "b").rename(folder / UNFINISHED / "new")
     assert [item.name for item in open_rendered(folder).objects] == ["a/chair"]
     assert [item.name for item in open_rendered(folder / "a" / "chair").objects] == ["chair"]
     shutil.rmtree(folder / "a")
@@ -62,7 +64,7 @@ def test_the_old_object_comes_back_when_the_new_one_cannot_take_its_place(tmp_pa
     rename = Path.rename
 
     def stubborn(self, target):
-        if self.name.endswith(".partial"):
+        if self.name.startswith("new"):
             raise OSError(5, "Input/output error")
         return rename(self, target)
 

@@ -11,7 +11,7 @@ from tso_cli.kernels.tensors import called
 from tso_cli.kernels.window import NEGLIGIBLE
 from tso_cli.silhouette import bce
 from tso_cli.silhouette.affinity import affinity
-from tso_cli.silhouette.bce import PixelWeights, mask_loss
+from tso_cli.silhouette.bce import silhouette_bce
 
 
 def _clouds(seed: int, images: int, count: int, size: float, dtype: torch.dtype = torch.float64):
@@ -36,8 +36,12 @@ def _value_and_gradient(loss, points: torch.Tensor) -> tuple[torch.Tensor, torch
     return value.detach(), leaf.grad
 
 
+def _cross_entropy(points: torch.Tensor, masks: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
+    return silhouette_bce(splat(points, valid, *masks.shape[1:], 0.4), masks, points, valid, 0.4)
+
+
 LOSSES = {
-    "cross-entropy": lambda leaf, masks, valid: mask_loss(leaf, valid, PixelWeights.of(masks), 0.4),
+    "cross-entropy": lambda leaf, masks, valid: _cross_entropy(leaf, masks, valid),
     "affinity": lambda leaf, masks, valid: affinity(splat(leaf, valid, 30, 33, 0.4, "exact"), masks, leaf, valid),
 }
 
@@ -65,8 +69,7 @@ def test_losses_do_not_depend_on_the_number_of_threads_by_one_bit(assert_same_on
     for images in (1, 5):
         points, valid = _clouds(images, images, 3000, 64.0, torch.float32)
         mask = _masks(6, 5, 150, 64)[-images:].float()
-        target = PixelWeights.of(mask)
-        assert_same_on_threads(lambda: _value_and_gradient(lambda p: mask_loss(p, valid, target, 0.4), points))  # noqa: B023
+        assert_same_on_threads(lambda: _value_and_gradient(lambda p: _cross_entropy(p, mask, valid), points))  # noqa: B023
         sums = splat(points, valid, 150, 64, 0.4)
         assert_same_on_threads(lambda: _value_and_gradient(lambda p: affinity(sums, mask, p, valid), points))  # noqa: B023
 
@@ -81,13 +84,12 @@ def _all_pairs(pixels, weight, points, valid):
     return torch.where(used, torch.where(used, least, 0.0) * weight.flatten(1) * 0.7, 0.0).sum(1)
 
 
-def _assert_nearest(pixels, points, valid):
+def _nearest_both_ways(pixels, points, valid):
+    """Value and gradient of the loops, and by all pairs."""
     weight = torch.rand(pixels.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
-    expected, expected_gradient = _value_and_gradient(lambda leaf: _all_pairs(pixels, weight, leaf, valid), points)
     value, gradient = called(losses_numba.pixels_to_points, pixels, weight, points, valid, 0.7)
-    torch.testing.assert_close(value, expected, rtol=1e-9, atol=1e-9)
-    factor = torch.arange(1, len(value) + 1)[:, None, None]
-    torch.testing.assert_close(factor * gradient, expected_gradient, rtol=1e-9, atol=1e-9)
+    expected = _value_and_gradient(lambda leaf: _all_pairs(pixels, weight, leaf, valid), points)
+    return (value, torch.arange(1, len(value) + 1)[:, None, None] * gradient), expected
 
 
 @pytest.mark.parametrize(("count", "height", "width"), [(1, 9, 9), (40, 64, 64), (800, 40, 30), (900, 10, 12), (60, 1, 200)])
@@ -98,22 +100,26 @@ def test_pixels_attract_the_nearest_of_all_points_and_of_equally_near_ones_the_f
     points[3] = points[3] * 3.0 - width  # most of them beyond the image
     points[4] = points[4].round()
     pixels = torch.rand(5, height, width, generator=torch.Generator().manual_seed(8)) < 0.7
-    _assert_nearest(pixels, points, valid)
+    for found, expected in zip(*_nearest_both_ways(pixels, points, valid), strict=True):
+        torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-9)
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.tuples(st.floats(-30, 40), st.floats(-30, 40)), min_size=1, max_size=12))
 def test_pixels_attract_the_nearest_of_any_few_points(rows):
     points = torch.tensor([rows], dtype=torch.float64)
-    _assert_nearest(torch.ones(1, 9, 13, dtype=torch.bool), points, torch.ones(1, len(rows), dtype=torch.bool))
+    pixels, valid = torch.ones(1, 9, 13, dtype=torch.bool), torch.ones(1, len(rows), dtype=torch.bool)
+    # Of points equally near but for rounding either may be the nearest: only the value is the same.
+    (value, _), (expected, _) = _nearest_both_ways(pixels, points, valid)
+    torch.testing.assert_close(value, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_the_cross_entropy_is_that_of_the_plain_form_from_the_faintest_to_the_largest_sums():
     sums = torch.logspace(-30, 4, 500, dtype=torch.float64).view(1, 20, 25).requires_grad_()
     for level in (0.0, 0.3, 1.0):
-        target = PixelWeights.of(torch.full((1, 20, 25), level, dtype=torch.float64))
-        plain, waiting = bce._cross_entropy(sums, target)
-        fast, gradient, fast_waiting = called(losses_numba.cross_entropy, sums, *target, NEGLIGIBLE)
+        mask = torch.full((1, 20, 25), level, dtype=torch.float64)
+        plain, waiting = bce._cross_entropy(sums, mask, 1.0 - mask)
+        fast, gradient, fast_waiting = called(losses_numba.cross_entropy, sums, mask, 1.0 - mask, NEGLIGIBLE)
         torch.testing.assert_close(fast, plain.detach(), rtol=1e-9, atol=1e-9)
         torch.testing.assert_close(gradient, torch.autograd.grad(plain.sum(), sums)[0], rtol=1e-6, atol=1e-7)
         assert torch.equal(waiting, fast_waiting)

@@ -122,9 +122,3 @@ def _losses_and_gradients(cloud, target, points, valid, mask, weight):
     sums = splat(points, valid, *mask.shape[1:], 0.4)
     values = sum(chamfer(cloud, target)), silhouette_bce(sums, mask, points, valid, 0.4)
     return *(value.detach() for value in values), *torch.autograd.grad((sum(values) * weight).sum(), [cloud, points])
-
-
-def test_the_gpus_kernel_is_refused_where_it_cannot_run():
-    points, valid = torch.zeros(1, 4, 2, dtype=torch.float64), torch.ones(1, 4, dtype=torch.bool)
-    with pytest.raises(ValueError, match="needs triton and float32 points on a GPU; found float64 on cpu"):
-        splat(points, valid, 8, 8, 0.4, "triton")

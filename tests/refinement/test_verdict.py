@@ -78,12 +78,6 @@ def test_a_result_of_a_depth_map_is_not_judged():
     assert (result.verdict, result.confidence, result.signs) == (None, None, {})
 
 
-def test_an_inverted_mask_is_named_and_its_result_doubtful():
-    scene = example("chair")
-    result = refine(scene.points, replace(scene.view, mask=1.0 - scene.mask))
-    assert result.verdict == "doubtful" and result.suspects[0].option == "--assume mask-inverted"
-
-
 def test_what_did_not_move_is_unchanged_and_sure():
     scene = example("chair")
     result = refine(scene.points, scene.view, config=RefineConfig(steps=0))

@@ -5,13 +5,15 @@ import itertools
 import json
 import os
 import signal
+import subprocess
+import sys
 from dataclasses import replace
 
 import pytest
 
 from tests.corruption import assert_refused
 from tso_cli.datasets import rendered
-from tso_cli.datasets.rendered import open_rendered
+from tso_cli.datasets.rendered import open_rendered, writing
 from tso_cli.errors import TsoError
 from tso_cli.render import RenderSettings, render_folder
 
@@ -91,60 +93,26 @@ def test_a_full_disk_leaves_no_folder_that_was_not_there_before(meshes, tmp_path
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def left_behind(out, name):
-    folder = out / name
-    folder.mkdir(parents=True)
-    (folder / "000.png").write_bytes(b"half")
-    return folder
-
-
-def test_only_partial_objects_that_no_living_process_writes_are_removed(meshes, tmp_path):
-    out = tmp_path / "out"
-    stale, living = (left_behind(out, f".c.{number}.partial") for number in ("0123abcd", "89abcdef"))
-    foreign = [left_behind(out, name) for name in (".other.0123abcd.partial", ".c.0123abcd.backup", ".c.partial")]
-    (out / "chair").mkdir()
-    (out / "chair" / ".a.0123abcd.partial").symlink_to(foreign[0])
-    just_made = out / "chair" / ".b.0123abcd.partial"
-    just_made.mkdir()
-    lock = rendered.lock(living)
-    assert lock is not None
-    render_folder(meshes, out, FAST)
-    assert not stale.exists()
-    assert all(path.exists() for path in (living, *foreign, just_made))
-    os.close(lock)
-    os.utime(just_made, (0, 0))
-    render_folder(meshes, out, FAST)
-    assert not living.exists() and not just_made.exists()
-    assert all((path / "000.png").exists() for path in foreign)
-
-
-def test_an_object_whose_replacement_was_killed_half_way_is_restored(meshes, tmp_path):
+def test_what_a_killed_run_left_is_removed_and_what_it_was_replacing_is_put_back(meshes, tmp_path):
     out = tmp_path / "out"
     render_folder(meshes, out, FAST)
     before = contents(out)
-    (out / "c").rename(out / ".c.0123abcd.old")
-    left_behind(out, ".c.0123abcd.partial")
-    (out / "chair" / "a").rename(out / "chair" / ".a.0123abcd.old")
-    render_folder(meshes / "chair", out / "chair", FAST)
-    render_folder(meshes / "c.ply", out, FAST)
-    assert contents(out) == before
-    left_behind(out, ".c.0123abcd.old")
-    render_folder(meshes, out, FAST)
-    assert contents(out) == before
+    unfinished = out / rendered.UNFINISHED
+    for number, name in enumerate(("c", "chair/a")):
+        (unfinished / "old" / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / name).rename(unfinished / "old" / name)
+        (unfinished / "new").mkdir(exist_ok=True)
+        (unfinished / f"new/00{number}.png").write_bytes(b"half")
+    assert len(render_folder(meshes, out, FAST).skipped) == 3
+    assert contents(out) == before and hidden(out) == []
 
 
-def test_an_object_is_locked_while_it_is_written(meshes, tmp_path, monkeypatch):
-    out, write, kept = tmp_path / "out", rendered.write_image, []
-
-    def swept(path, *arguments, **options):
-        write(path, *arguments, **options)
-        rendered.sweep([out / "c"])
-        kept.append(path.exists())
-
-    monkeypatch.setattr(rendered, "write_image", swept)
-    for overwrite in (False, True):
-        render_folder(meshes / "c.ply", out, FAST, overwrite=overwrite)
-    assert kept == [True] * 12 and hidden(out) == []
+def test_two_processes_do_not_write_one_folder(meshes, tmp_path):
+    command = [sys.executable, "-m", "tso_cli", "render", str(meshes), "-o", str(tmp_path / "out"), *map(str, WORDS)]
+    with writing(tmp_path / "out"):
+        second = subprocess.run(command, capture_output=True, text=True)
+    assert second.returncode == 2 and "another process is writing it" in second.stderr
+    assert list(tmp_path.glob("*out*")) == []
 
 
 def test_a_folder_of_other_settings_is_only_changed_with_overwrite(meshes, tmp_path):

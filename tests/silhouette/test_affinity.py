@@ -71,11 +71,6 @@ def test_the_gradient_of_the_affinity_loss_is_that_of_finite_differences(form):
     assert torch.autograd.gradcheck(lambda p: _affinity(p, mask, form), (points,), eps=1e-6, atol=1e-3, rtol=1e-4)
 
 
-def test_an_unknown_form_is_refused():
-    with pytest.raises(ValueError, match="form is 'printed', expected one of"):
-        _affinity(torch.zeros(1, 2), disc(8, 2.0).float(), "printed")
-
-
 def test_chamfer_is_that_of_all_pairs_and_its_gradient_that_of_finite_differences():
     generator = torch.Generator().manual_seed(5)
     a, b = (torch.rand(2, n, 3, generator=generator, dtype=torch.float64, requires_grad=True) for n in (30, 20))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tso_cli.datasets.rendered import write_object
+from tso_cli.datasets.rendered import writing
 from tso_cli.train.data import TrainingData
 
 from ..training import make_objects, make_thin
@@ -23,7 +23,8 @@ def write(folder, item):
     """An object as `tso render` would have written it."""
     pictures = [(*view.load(), view.camera) for view in item.views]
     views = [(image, (mask * 255).astype(np.uint8), camera) for image, mask, camera in pictures]
-    write_object(folder / item.name, views, item.target(), item.target(), {"seed": 0})
+    with writing(folder) as writer:
+        writer.write(item.name, views, item.target(), item.target(), {"seed": 0})
 
 
 @pytest.fixture

@@ -39,8 +39,6 @@ class Size(click.ParamType):
 @click.option("--size", type=Size(), default="64", help="Pixels, or WIDTHxHEIGHT.")
 @click.option("--elevation", type=float, nargs=2, default=(-5, 40), help="Range in degrees.")
 @click.option("--azimuth", type=float, nargs=2, default=(0, 360), help="Range in degrees; 0 looks from +z.")
-@click.option("--distance", type=float, help="Of the camera, in longest sides. [default: 2, or more to see all]")
-@click.option("--focal", type=float, help="Focal length in pixels. [default: 120 for each 64 pixels]")
 @click.option("--samples", type=int, default=16384, help="Points sampled from the surface.")
 @click.option("--points", type=int, default=1024, help="How many of them the target keeps.")
 @click.option("-o", "--output", type=options.FilePath(), required=True, help="Folder to write NAME/... into.")

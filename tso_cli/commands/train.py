@@ -27,7 +27,7 @@ EXAMPLE_DEFAULTS = {"steps": 600, "learning_rate": 3e-4, "averaging": 0.99}
 # Options that serve only some supervisions.
 SERVES = {
     **dict.fromkeys(("affinity_weight", "affinity", "saturation_steps", "category_sigma_sq"), ("masks", "joint")),
-    **dict.fromkeys(("mask_split", "mask_categories"), ("joint",)),
+    "mask_split": ("joint",),
     "views": ("masks",),
 }
 HEADINGS = {
@@ -117,7 +117,6 @@ class TrainOutputs:
 @click.option("--views", type=int, default=4, help="Supervising masks of each object in a step, for --supervision masks.")
 @click.option("--mask-data", type=PATH, help="Images with one mask each, for --supervision joint.")
 @click.option("--mask-split", type=PATH, help='Of --mask-data take only the list "train" of this split.')
-@click.option("--mask-category", "mask_categories", multiple=True, help="Of --mask-data take only this category; repeatable.")
 @click.option(
     "--lambda", "affinity_weight", type=float, default=1.0, help="Weight of the affinity loss; x0.02 after saturation."
 )
@@ -187,7 +186,7 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
         selection = options.pick(DataSelection, {**chosen, "points": config.supervision != "masks"})
         sets = [load(selection, quiet=quiet)]
         if chosen["mask_data"] is not None:
-            masked = {"data": chosen["mask_data"], "split_file": chosen["mask_split"], "categories": chosen["mask_categories"]}
+            masked = {"data": chosen["mask_data"], "split_file": chosen["mask_split"], "categories": ()}
             sets.append(load(replace(selection, **masked, behind=None, points=False), quiet=quiet))
         data, masked_data = sets[0], sets[1] if len(sets) > 1 else None
         state = _initial_state(data, config, outputs, chosen["initial"], quiet)

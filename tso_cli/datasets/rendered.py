@@ -8,19 +8,18 @@
 
 NAME may contain "/" (category/name). Points are centred on the bounding box, longest side 1.
 
-While an object is written it is .NAME.xxxxxxxx.partial, and one that it replaces .NAME.xxxxxxxx.old, beside NAME. The process
-that writes locks both: what is there without a lock is of a run that was killed, and the next run sweeps it away.
+What is not finished is below .unfinished, beside the objects: an object while it is written, and one that it replaces. One
+process at a time writes a folder, so what is there when it begins is of a run that was killed.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
-import time
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -33,12 +32,12 @@ from ..geometry.camera import Camera
 from ..io.cameras import CameraRecord, read_cameras, write_cameras
 from ..io.clouds import write_cloud
 from ..io.images import write_image
-from ..io.output import atomic_output, lock, reason
+from ..io.output import atomic_output, reason, sole_writer
 from . import common
 from .items import Dataset, ObjectItem, Pixels, ViewItem
 
 CAMERAS, TARGET, RECORD = "cameras.json", "target.ply", "render.json"
-_LEFT = re.compile(r"\.(.{1,40})\.[0-9a-f]{8}\.(partial|old)", re.DOTALL)
+UNFINISHED = ".unfinished"
 
 
 def open_rendered(folder: Path | str, strict: bool = False) -> Dataset:
@@ -76,82 +75,80 @@ def stored_record(folder: Path) -> dict[str, Any] | None:
     return record
 
 
-def write_object(
-    folder: Path,
-    views: Sequence[tuple[Pixels, Pixels, Camera]],
-    samples: NDArray[np.float32],
-    target: NDArray[np.float32],
-    record: dict[str, Any],
-    overwrite: bool = False,
-) -> None:
-    """Write one object of images [H, W, 3], masks [H, W] and cameras; ``folder`` appears whole or not at all.
+@contextmanager
+def writing(root: Path) -> Iterator[ObjectWriter]:
+    """Write objects into the folder ``root``, for as long as this lasts; InputError where another process does.
 
-    Raises InputError if it exists (without ``overwrite``) or is not an object (with it), TsoError if writing failed.
+    What a killed run left is removed, and an object whose replacement it had not finished is put back.
     """
-    token = os.urandom(4).hex()
-    staging, old = (folder.with_name(f".{folder.name[:40]}.{token}.{kind}") for kind in ("partial", "old"))
-    if stored_record(folder) is not None and not overwrite:
-        raise InputError(f"{folder}: exists already, expected a new name or --overwrite")
-    made, locks = [parent for parent in folder.parents if not parent.exists()], []
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        staging.mkdir()
-        locks.append(lock(staging))
-        records = []
-        for number, (image, mask, camera) in enumerate(views):
-            paths = staging / f"{number:03d}.png", staging / f"{number:03d}.mask.png"
-            write_image(paths[0], image)
-            write_image(paths[1], mask)
-            records.append(CameraRecord(camera, mask=paths[1], image=paths[0]))
-        write_cameras(staging / CAMERAS, records)
-        write_cloud(staging / f"target_{len(samples)}.ply", samples.astype(np.float64), dtype="float32")
-        write_cloud(staging / TARGET, target.astype(np.float64), dtype="float32")
-        with atomic_output(staging / RECORD) as temporary:
-            temporary.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
-        if folder.exists():
-            locks.append(lock(folder))
-            folder.rename(old)
-        staging.rename(folder)
-    except OSError as error:
-        raise TsoError(f"{folder}: cannot be written ({reason(error)})") from None
-    finally:
-        if old.exists() and not folder.exists():
-            old.rename(folder)
-        for path in (staging, old):
-            shutil.rmtree(path, ignore_errors=True)
-        # Those that hold an object stay.
-        with suppress(OSError):
-            for path in made:
-                path.rmdir()
-        for held in locks:
-            if held is not None:
-                os.close(held)
+    with sole_writer(root):
+        writer = ObjectWriter(root)
+        writer.clear()
+        try:
+            yield writer
+        finally:
+            writer.clear()
 
 
-def sweep(folders: Iterable[Path]) -> None:
-    """Remove what killed runs left of the objects ``folders``, and put back one whose replacement was not finished.
+@dataclass(frozen=True)
+class ObjectWriter:
+    """Writes the objects of the folder ``root``, whole or not at all."""
 
-    What a living process writes stays; where the system has no locks, everything does.
-    """
-    names: dict[Path, dict[str, list[Path]]] = {}
-    for folder in folders:
-        names.setdefault(folder.parent, {}).setdefault(folder.name[:40], []).append(folder)
-    for parent, objects in names.items():
-        for path in sorted(parent.glob(".*")):
-            match = _LEFT.fullmatch(path.name)
-            if match is None or match[1] not in objects or path.is_symlink() or (held := lock(path)) is None:
-                continue
-            # Names longer than 40 characters may begin alike.
-            replaced = objects[match[1]][0] if len(objects[match[1]]) == 1 else None
-            # Another run may sweep too.
+    root: Path
+
+    def write(
+        self,
+        name: str,
+        views: Sequence[tuple[Pixels, Pixels, Camera]],
+        samples: NDArray[np.float32],
+        target: NDArray[np.float32],
+        record: dict[str, Any],
+        overwrite: bool = False,
+    ) -> None:
+        """Write one object of images [H, W, 3], masks [H, W] and cameras.
+
+        Raises InputError if it exists (without ``overwrite``) or is not an object (with it), TsoError if writing failed.
+        """
+        folder, unfinished = self.root / name, self.root / UNFINISHED
+        # A name of its own for each process, should the system have no locks.
+        new, old = unfinished / f"new.{os.getpid()}", unfinished / "old" / name
+        if stored_record(folder) is not None and not overwrite:
+            raise InputError(f"{folder}: exists already, expected a new name or --overwrite")
+        made = [parent for parent in folder.parents if not parent.exists()]
+        try:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            new.mkdir(parents=True)
+            records = []
+            for number, (image, mask, camera) in enumerate(views):
+                paths = new / f"{number:03d}.png", new / f"{number:03d}.mask.png"
+                write_image(paths[0], image)
+                write_image(paths[1], mask)
+                records.append(CameraRecord(camera, mask=paths[1], image=paths[0]))
+            write_cameras(new / CAMERAS, records)
+            write_cloud(new / f"target_{len(samples)}.ply", samples.astype(np.float64), dtype="float32")
+            write_cloud(new / TARGET, target.astype(np.float64), dtype="float32")
+            with atomic_output(new / RECORD) as temporary:
+                temporary.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+            if folder.exists():
+                old.parent.mkdir(parents=True)
+                folder.rename(old)
+            new.rename(folder)
+        except OSError as error:
+            raise TsoError(f"{folder}: cannot be written ({reason(error)})") from None
+        finally:
+            self.clear()
+            # Those that hold an object stay.
             with suppress(OSError):
-                # Its writer has made it but may not have locked it yet.
-                fresh = not any(path.iterdir()) and time.time() - path.stat().st_mtime < 60.0
-                if match[2] == "old" and replaced is not None and not replaced.exists():
-                    path.rename(replaced)
-                elif not fresh and (match[2] == "partial" or replaced is not None):
-                    shutil.rmtree(path, ignore_errors=True)
-            os.close(held)
+                for path in made:
+                    path.rmdir()
+
+    def clear(self) -> None:
+        """Remove what is not finished, and put back what has not been replaced."""
+        replaced = self.root / UNFINISHED / "old"
+        for name, path, _ in list(_walk(replaced)):
+            if not (self.root / name).exists():
+                path.rename(self.root / name)
+        shutil.rmtree(self.root / UNFINISHED, ignore_errors=True)
 
 
 def _records(folder: Path) -> list[CameraRecord]:

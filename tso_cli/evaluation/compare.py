@@ -57,16 +57,10 @@ class EvalConfig:
     as_vertices: bool = False
 
     def __post_init__(self) -> None:
-        if not self.metrics or not set(self.metrics) <= set(METRICS):
-            raise InputError(f"metrics are {list(self.metrics)}, expected some of {', '.join(METRICS)}")
-        if self.protocol not in PROTOCOLS:
-            raise InputError(f"protocol is {self.protocol!r}, expected one of {', '.join(PROTOCOLS)}")
         if self.points is not None and self.points < 2:
             raise InputError(f"--points is {self.points}, expected at least 2")
         if self.samples < max(2, self.points or 2):
             raise InputError(f"--samples is {self.samples}, expected at least {max(2, self.points or 2)} (as many as --points)")
-        if self.seed < 0:
-            raise InputError(f"--seed is {self.seed}, expected 0 or more")
         for name, value in (("--threshold", self.threshold), ("--sigma-sq", self.sigma_sq)):
             if value is not None and not 0.0 < value < np.inf:
                 raise InputError(f"{name} is {value:g}, expected a number > 0")

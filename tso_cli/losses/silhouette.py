@@ -131,6 +131,4 @@ def _coarsened(camera: Camera, sigma_sq: float) -> tuple[Camera, float]:
         return camera, sigma_sq
     shrink = math.sqrt(SMOOTH_SIGMA_SQ / sigma_sq)
     coarse = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
-    if (coarse.width, coarse.height) == (camera.width, camera.height):
-        return camera, sigma_sq
     return coarse, sigma_sq * (max(coarse.width, coarse.height) / max(camera.width, camera.height)) ** 2

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..datasets.items import copied
-from ..datasets.rendered import stored_record, sweep, write_object
+from ..datasets.rendered import stored_record, writing
 from ..errors import InputError
 from ..geometry.points import Array, farthest_point_sample, sample_surface
 from ..io.meshes import Mesh, find_meshes, read_mesh
@@ -103,31 +103,31 @@ def render_folder(
     record = {"tso": __version__, "seed": seed, **asdict(settings)}
     summary = RenderSummary(output)
     objects = [(copied(name, copy), path, copy) for name, path in meshes.items() for copy in range(settings.copies + 1)]
-    sweep(output / name for name, _, _ in objects)
-    # Before the work starts, so that a clash of settings does not show after an hour.
-    waiting = []
-    for name, path, copy in objects:
-        if _is_rendered(output / name, record, overwrite):
-            summary.skipped.append(name)
-        else:
-            waiting.append((name, path, copy))
-    # The copies of a mesh come one after another, so one mesh is cached.
-    read = lru_cache(1)(partial(read_mesh, within=source if source.is_dir() else None))
-    for done, (name, path, copy) in enumerate(waiting, 1):
-        try:
-            rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-            mesh = read(path)
-            rendered = render_mesh(warp(normalise(mesh), rng) if copy else mesh, settings, rng)
-        except InputError as error:
-            if len(objects) == 1:
-                raise
-            summary.failed[name] = str(error) if str(path) in str(error) else f"{path}: {error}"
-        else:
-            views = [(view.image, view.mask, view.camera) for view in rendered.views]
-            write_object(output / name, views, rendered.samples, rendered.target, {"mesh": path.name, **record}, overwrite)
-            summary.written.append(name)
-        if progress is not None:
-            progress(done, len(waiting), name)
+    with writing(output) as writer:
+        # Before the work starts, so that a clash of settings does not show after an hour.
+        waiting = []
+        for name, path, copy in objects:
+            if _is_rendered(output / name, record, overwrite):
+                summary.skipped.append(name)
+            else:
+                waiting.append((name, path, copy))
+        # The copies of a mesh come one after another, so one mesh is cached.
+        read = lru_cache(1)(partial(read_mesh, within=source if source.is_dir() else None))
+        for done, (name, path, copy) in enumerate(waiting, 1):
+            try:
+                rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
+                mesh = read(path)
+                rendered = render_mesh(warp(normalise(mesh), rng) if copy else mesh, settings, rng)
+            except InputError as error:
+                if len(objects) == 1:
+                    raise
+                summary.failed[name] = str(error) if str(path) in str(error) else f"{path}: {error}"
+            else:
+                views = [(view.image, view.mask, view.camera) for view in rendered.views]
+                writer.write(name, views, rendered.samples, rendered.target, {"mesh": path.name, **record}, overwrite)
+                summary.written.append(name)
+            if progress is not None:
+                progress(done, len(waiting), name)
     if summary.failed and not (summary.written or summary.skipped):
         raise InputError(f"none of {len(objects)} objects could be rendered, the first: {next(iter(summary.failed.values()))}")
     return summary

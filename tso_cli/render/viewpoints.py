@@ -20,8 +20,6 @@ class RenderSettings:
 
     views : pictures of each object. size : width, height in pixels.
     azimuth, elevation : range in degrees from which each view is drawn uniformly.
-    distance : of the camera from the centre, in longest sides; None for `fitting_distance`.
-    focal : focal length in pixels; None for 120 for each 64 of the longer side.
     samples : points drawn from the surface; points : how many of them farthest-point sampling keeps.
     copies : warped copies of each mesh rendered beside it. paint : give each connected part a random colour.
     """
@@ -30,8 +28,6 @@ class RenderSettings:
     size: tuple[int, int] = (64, 64)
     azimuth: tuple[float, float] = (0.0, 360.0)
     elevation: tuple[float, float] = (-5.0, 40.0)
-    distance: float | None = None
-    focal: float | None = None
     samples: int = 16384
     points: int = 1024
     copies: int = 0
@@ -48,10 +44,6 @@ class RenderSettings:
             low, high = getattr(self, name)
             if not -limit <= low <= high <= limit:
                 raise InputError(f"{name} is {low:g} to {high:g}, expected a range within -{limit:g} to {limit:g} degrees")
-        for name in ("distance", "focal"):
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"{name} is {value:g}, expected more than 0")
         if not 1 <= self.points <= self.samples:
             raise InputError(f"points is {self.points} and samples {self.samples}, expected 1 <= points <= samples")
 
@@ -87,20 +79,10 @@ def fitting_distance(vertices: Array, camera: Camera, margin: float = MARGIN_PX)
 
 
 def sample_cameras(settings: RenderSettings, vertices: Array, rng: np.random.Generator) -> list[Camera]:
-    """Cameras in random directions from the normalised ``vertices`` [V, 3].
-
-    Raises InputError if a fixed distance puts the camera inside the object.
-    """
+    """Cameras in random directions that see all of the normalised ``vertices`` [V, 3]."""
     cameras = []
     for _ in range(settings.views):
         azimuth, elevation = rng.uniform(*settings.azimuth), rng.uniform(*settings.elevation)
-        camera = look_at(azimuth, elevation, settings.distance or CANONICAL_DISTANCE, settings.size, settings.focal)
-        if settings.distance is None:
-            camera = replace(camera, t=np.array([0.0, 0.0, fitting_distance(vertices, camera)]))
-        elif camera.t[2] + (vertices @ camera.R[2]).min() <= 0.0:
-            raise InputError(
-                f"distance is {settings.distance:g}: the camera would stand inside the object, "
-                "which reaches up to 0.87 from its centre; expected 1 or more"
-            )
-        cameras.append(camera)
+        camera = look_at(azimuth, elevation, CANONICAL_DISTANCE, settings.size)
+        cameras.append(replace(camera, t=np.array([0.0, 0.0, fitting_distance(vertices, camera)])))
     return cameras

@@ -34,8 +34,6 @@ def affinity(sums: Tensor, mask: Tensor, points_px: Tensor, valid: Tensor, form:
     -------
     [M] squared pixels, weighted by 64^4 / (W H)^2: distances and pixels are those of a 64x64 mask.
     """
-    if form not in AFFINITIES:
-        raise ValueError(f"form is {form!r}, expected one of {AFFINITIES}")
     inside, predicted = mask > 0.5, sums.detach() > HALF
     if form == "points":
         total = _points_to_mask(points_px, valid, inside) + pixels_to_points(inside & ~predicted, mask, points_px, valid, 1.0)

@@ -3,32 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from ..kernels.nearest import nearest_points
-from ..kernels.splat import splat
 from ..kernels.tensors import PrecomputedGradient, called, use_numba
 from ..kernels.window import NEGLIGIBLE
 
 # Losses are stated for a 64x64 mask.
 REFERENCE_PIXELS = 64.0 * 64.0
-
-
-class PixelWeights(NamedTuple):
-    """Weights [M, H, W] of the two terms of Eq. 4: of covering a pixel, and of leaving it free."""
-
-    foreground: Tensor
-    background: Tensor
-
-    @classmethod
-    def of(cls, mask: Tensor, known: Tensor | None = None) -> PixelWeights:
-        """``mask`` [M, H, W] in [0, 1], ``known`` [M, H, W] the weight of each pixel; None for 1."""
-        if known is None:
-            return cls(mask, 1.0 - mask)
-        return cls(mask * known, (1.0 - mask) * known)
 
 
 def silhouette_bce(
@@ -49,24 +33,15 @@ def silhouette_bce(
     -------
     [M] sum over pixels, weighted by 64^2 / (W H) so that settings hold at any resolution.
     """
-    return _bce(sums, PixelWeights.of(mask, known), points_px, valid, sigma_sq)
-
-
-def mask_loss(points_px: Tensor, valid: Tensor, target: PixelWeights, sigma_sq: float, kernel: str = "auto") -> Tensor:
-    """`silhouette_bce` of projected points [M, N, 2] and their own sums; ``kernel`` as in `splat`."""
-    height, width = target.foreground.shape[-2:]
-    return _bce(splat(points_px, valid, height, width, sigma_sq, kernel), target, points_px, valid, sigma_sq)
-
-
-def _bce(sums: Tensor, target: PixelWeights, points_px: Tensor, valid: Tensor, sigma_sq: float) -> Tensor:
+    covering, freeing = (mask, 1.0 - mask) if known is None else (mask * known, (1.0 - mask) * known)
     if use_numba(points_px):
         from ..kernels.losses_numba import cross_entropy
 
-        value, by_sums, waiting = called(cross_entropy, sums, *target, NEGLIGIBLE)
+        value, by_sums, waiting = called(cross_entropy, sums, covering, freeing, NEGLIGIBLE)
         covered = PrecomputedGradient.apply(sums, value, by_sums)
     else:
-        covered, waiting = _cross_entropy(sums, target)
-    return (covered + pixels_to_points(waiting, target.foreground, points_px, valid, 0.5 / sigma_sq)) * pixel_weight(sums)
+        covered, waiting = _cross_entropy(sums, covering, freeing)
+    return (covered + pixels_to_points(waiting, covering, points_px, valid, 0.5 / sigma_sq)) * pixel_weight(sums)
 
 
 def pixel_weight(image: Tensor) -> float:
@@ -74,15 +49,18 @@ def pixel_weight(image: Tensor) -> float:
     return REFERENCE_PIXELS / (image.shape[-1] * image.shape[-2])
 
 
-def _cross_entropy(sums: Tensor, target: PixelWeights) -> tuple[Tensor, Tensor]:
-    """Sum [M] of the cross-entropy without uncovered mask pixels, and which pixels [M, H, W] these are."""
+def _cross_entropy(sums: Tensor, covering: Tensor, freeing: Tensor) -> tuple[Tensor, Tensor]:
+    """Sum [M] of the cross-entropy without uncovered mask pixels, and which pixels [M, H, W] these are.
+
+    ``covering`` and ``freeing`` [M, H, W] are the weights of the two terms of Eq. 4.
+    """
     covered = sums > NEGLIGIBLE
     s = torch.where(covered, sums, 1.0)
     log_tanh = torch.log(-torch.expm1(-2.0 * s)) - torch.log1p(torch.exp(-2.0 * s))
     missed = torch.where(covered, -log_tanh, 0.0)
     stray = torch.nn.functional.softplus(2.0 * sums) - math.log(2.0)
-    total = (missed * target.foreground + stray * target.background).sum((-1, -2))
-    return total, (sums <= NEGLIGIBLE) & (target.foreground > 0.0)
+    total = (missed * covering + stray * freeing).sum((-1, -2))
+    return total, (sums <= NEGLIGIBLE) & (covering > 0.0)
 
 
 def pixels_to_points(pixels: Tensor, weight: Tensor, points_px: Tensor, valid: Tensor, factor: float) -> Tensor:
