@@ -43,6 +43,7 @@ STEPS: dict[str, tuple[int | None, ...]] = {
     "latent, paper": (12, None, 100),
     "latent, best": (15, None, 60),
 }
+BUDGETS = ("0.06", "0.1", "full")
 PUBLISHED_SECONDS, PUBLISHED = 1.0, (0.94, 0.97)
 """The paper's own: 3 to 6 % nearer, in about a second."""
 
@@ -79,6 +80,8 @@ WAYS: dict[str, Way] = {
     **{f"{DEFAULT}, {number} masks": Way(Variant(masks=number), "masks") for number in (2, 4)},
     **{f"{DEFAULT}, {count:,} points": Way(Variant(), "points", (CLOUD,), points=count) for count in (256, 4096, 16384)},
     **{f"{DEFAULT}, {size} px": Way(Variant(), "pixels", (CLOUD,), size=size) for size in (32, 128, 256)},
+    **{f"{DEFAULT}, budget {budget}": Way(Variant(RefineConfig(budget=budget)), "budget") for budget in BUDGETS},
+    f"{DEFAULT}, 512 move": Way(Variant(RefineConfig(points=512)), "moving", (CLOUD,)),
     f"{DEFAULT}, no mirror plane": Way(Variant(RefineConfig(symmetry="none"))),
     **{name: Way(variant, kinds=(PREDICTION,)) for name, variant in COMBINED.items()},
     **{name: Way(peer) for name, peer in PEERS.items()},

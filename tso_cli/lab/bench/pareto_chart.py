@@ -66,9 +66,16 @@ def _lines(group: Record) -> dict[str, list[str]]:
     for name in group["ways"]:
         lines.setdefault(WAYS[name].line or name, [] if (WAYS[name].line or name) in group["ways"] else [DEFAULT]).append(name)
     return {
-        line: sorted(names, key=lambda name: (WAYS[name].points, WAYS[name].size, WAYS[name].masks))
+        line: sorted(names, key=lambda name: (WAYS[name].points, WAYS[name].size, WAYS[name].masks, _spent(name)))
         for line, names in lines.items()
     }
+
+
+def _spent(name: str) -> tuple[bool, bool, str]:
+    """The order of the budgets: seconds, auto, full."""
+    run = WAYS[name].run
+    budget = str(run.config.budget) if isinstance(run, Variant) else ""
+    return budget == "full", budget == "auto", budget
 
 
 def _draw_ways(axis: Any, group: Record) -> None:
@@ -103,7 +110,8 @@ def _label(axis: Any, group: Record, others: bool) -> None:
 
     ways, renderer = group["ways"], axis.figure.canvas.get_renderer()
     ends = [names[-1] for line, names in _lines(group).items() if line not in STEPS]
-    named = [name for name in dict.fromkeys([DEFAULT, PAPER, *group["front"], *ends]) if others or name not in PEERS]
+    budgets = [name for name in ways if WAYS[name].line == "budget"]
+    named = [name for name in dict.fromkeys([DEFAULT, PAPER, *group["front"], *budgets, *ends]) if others or name not in PEERS]
     centres = [axis.transData.transform(_place(row)) for row in ways.values()]
     taken = [Bbox.from_bounds(x - 4, y - 4, 8, 8) for x, y in centres]
     for name in named:

@@ -1,0 +1,208 @@
+"""What `--budget auto` saves, and what that costs: on scenes from a brick to a lattice, of few pixels and points to many."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from threadpoolctl import threadpool_limits
+
+from ...evaluation.metrics import chamfer
+from ...geometry.points import CANDIDATES, Array, farthest_point_sample, sample_surface
+from ...geometry.view import View
+from ...io.meshes import Mesh, read_mesh
+from ...io.shipped import examples_folder
+from ...kernels.dispatch import planned
+from ...plots.style import COLOURS, INK, page
+from ...refinement import RefineConfig, refine
+from ...refinement.api import compile_loops
+from ...refinement.presets import BEST
+from ...render import RayScene, RenderSettings, normalise, render_view, sample_cameras
+from ..bench.speed import machine
+from ..study import SEED, Cases, Option, Plan, Progress, Record, Study, Table, claim
+from .refining import uninterrupted
+from .summary import grouped, rounded
+
+AUTO, FULL = "auto", "full"
+WAYS = {
+    AUTO: RefineConfig(),
+    FULL: RefineConfig(budget="full"),
+    "all points move": RefineConfig(points=CANDIDATES),
+    "192 steps": RefineConfig(steps=192),
+    "128 cells in every stage": RefineConfig(
+        coarse_to_fine=replace(BEST, stages=tuple(replace(stage, fine_grid=True) for stage in BEST.stages))
+    ),
+    "512 points move": RefineConfig(points=512),
+    "24 steps": RefineConfig(steps=24),
+    "no mirror plane": RefineConfig(symmetry="none"),
+}
+"""The budgets, then what auto saves one by one, then what it could save but does not."""
+# Pixels of the mask each way, and points of the cloud.
+SCENES = ((64, 256), (64, 1024), (256, 1024), (256, 16_384), (2048, 16_384), (256, 500_000))
+MOST_POINTS = 16_384
+"""Of the ways but auto and full; of those with more only the simplest and the finest shape are refined."""
+SLOWEST = ("brick", "lattice")
+# The start is the truth stretched along its axes, and bent.
+STRETCH, BEND = (1.12, 0.92, 1.0), 0.25
+KEYS = ("ratio", "seconds")
+CONVENTION = {
+    "ratio": "Chamfer distance after / before, mean over the scenes; squared distances, mean over points, both directions "
+    "added, longest side 1, to 16,384 points of the truth",
+    "seconds": "one call alone, one thread, compiled loops, without files; median over the scenes",
+    "cost": "ratio over that of auto; saving: 1 - seconds of auto over these",
+}
+
+
+def brick() -> Mesh:
+    return _mesh(trimesh.creation.box((1.0, 0.5, 0.7)))
+
+
+def lattice(cells: int = 3, width: float = 0.03) -> Mesh:
+    """The edges of a cube of so many cells each way, as square struts."""
+    places = np.linspace(-0.5, 0.5, cells + 1)
+    struts = []
+    for axis in range(3):
+        extents = np.full(3, width)
+        extents[axis] = 1.0 + width
+        for pair in product(places, places):
+            centre = np.insert(np.array(pair), axis, 0.0)
+            struts.append(trimesh.creation.box(extents, trimesh.transformations.translation_matrix(centre)))
+    return _mesh(trimesh.util.concatenate(struts))
+
+
+def shipped(name: str) -> Mesh:
+    return read_mesh(examples_folder() / "meshes" / name, textures=False)
+
+
+SHAPES: dict[str, Callable[[], Mesh]] = {
+    "brick": brick,
+    "car": partial(shipped, "car/qbasic_CopCar.ply"),
+    "chair": partial(shipped, "chair/q17_Chair.ply"),
+    "aeroplane": partial(shipped, "airplane/qplane_SmallPlane.ply"),
+    "lattice": lattice,
+}
+
+
+def _mesh(mesh: Any) -> Mesh:
+    return Mesh(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64))
+
+
+def plan(progress: Progress, *, shapes: tuple[str, ...], scenes: int, seed: int) -> Plan:
+    """A job refines one scene of one shape in every way, one call after the other."""
+    settings = {"shapes": list(shapes), "scenes": SCENES[:scenes], "ways": list(WAYS), "seed": seed, "machine": machine()}
+    compile_loops()
+
+    def judge(shape: str, size: int, points: int) -> Cases:
+        ways = {name: way for name, way in WAYS.items() if points <= MOST_POINTS or name in (AUTO, FULL)}
+        if points > MOST_POINTS and shape not in SLOWEST:
+            return []
+        start, target, view = scene(shape, size, points, seed)
+        before, rows = chamfer(_some(start), target).chamfer, {}
+        with threadpool_limits(1), planned(1 << 60, 1 << 60):
+            for name, config in ways.items():
+                began = time.perf_counter()
+                result = uninterrupted(refine(start, view, config=config))
+                seconds = time.perf_counter() - began
+                rows[name] = rounded({"ratio": chamfer(_some(result.points), target).chamfer / before, "seconds": seconds})
+        return [{"shape": shape, "size": size, "points": points, "ways": rows}]
+
+    places = [(shape, *place) for place in SCENES[:scenes] for shape in shapes]
+    return Plan(settings, [({"shape": s, "size": size, "points": n}, partial(judge, s, size, n)) for s, size, n in places])
+
+
+def scene(shape: str, size: int, points: int, seed: int) -> tuple[Array, Array, View]:
+    """The start [N, 3], points [16384, 3] of the truth, and a view of it."""
+    mesh, rng = normalise(SHAPES[shape]()), np.random.default_rng([seed, size, points])
+    (camera,) = sample_cameras(RenderSettings(views=1, size=(size, size)), mesh.vertices, rng)
+    mask = render_view(RayScene(mesh), camera, rng).mask
+    target = sample_surface(mesh.vertices, mesh.faces, CANDIDATES, rng)
+    sampled = sample_surface(mesh.vertices, mesh.faces, max(points, CANDIDATES), rng)
+    start = sampled if points >= CANDIDATES else sampled[farthest_point_sample(sampled, points)]
+    start = start * STRETCH
+    start[:, 0] += BEND * (np.square(start[:, 1]) - np.square(start[:, 1]).mean())
+    return start, target, View(mask.astype(np.float32) / 255.0, camera, name=shape)
+
+
+def _some(points: Array) -> Array:
+    """At most 16,384 of them, at equal steps."""
+    return points[:: -(-len(points) // CANDIDATES)]
+
+
+def conclude(cases: Cases) -> Record:
+    """{"summary": {way: {"scenes", "mean_ratio", "median_seconds", "cost", "saving"}}, "claims"}, beside auto in its scenes."""
+    summary = {}
+    for name in WAYS:
+        pairs = [(case["ways"][name], case["ways"][AUTO]) for case in cases if name in case["ways"]]
+        if pairs:
+            ratio, of_auto = (float(np.mean([pair[i]["ratio"] for pair in pairs])) for i in (0, 1))
+            figures = {"mean_ratio": ratio, "median_seconds": float(np.median([pair[0]["seconds"] for pair in pairs]))}
+            figures["cost"] = of_auto / ratio
+            figures["saving"] = 1.0 - float(np.median([pair[1]["seconds"] / pair[0]["seconds"] for pair in pairs]))
+            summary[name] = {"scenes": len(pairs), **rounded(figures)}
+    claims = []
+    if FULL in summary:
+        full = summary[FULL]
+        text = f"auto's mean ratio is {full['cost']:.3f} times full's"
+        claims.append(claim("auto comes within 2 % of full", full["cost"] <= 1.02, text))
+        text = f"auto saves {full['saving']:.0%} of its time (median)"
+        claims.append(claim("auto takes at most a third of full's time", full["saving"] >= 2.0 / 3.0, text))
+    return {"summary": summary, "claims": claims}
+
+
+def tables(record: Record) -> list[Table]:
+    """Every way beside auto, and every scene."""
+    header = ["way", "scenes", "ratio", "s", "auto's ratio / this", "auto saves"]
+    rows = [[name, *row.values()] for name, row in record["summary"].items()]
+    scenes = [
+        [
+            f"{shape}, {case['size']} px, {case['points']:,} points",
+            *(case["ways"][way][key] for way in (AUTO, FULL) for key in KEYS),
+        ]
+        for shape, of_shape in grouped(record["cases"], "shape").items()
+        for case in of_shape
+    ]
+    return [Table(header, rows), Table(["scene", "auto", "s", "full", "s"], scenes, "Scenes")]
+
+
+def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+    """Each way's time and ratio beside auto's."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    with page(path, overwrite, (7.0, 4.2), dpi=100) as figure:
+        axis = figure.subplots()
+        for name, row in record["summary"].items():
+            place = 1.0 / (1.0 - row["saving"]), 1.0 / row["cost"]
+            axis.plot(*place, "*" if name == AUTO else "o", color=COLOURS[0], markersize=14 if name == AUTO else 6)
+            axis.annotate(name, place, (7, 5), textcoords="offset points", fontsize=9)
+        axis.axhline(1.0, color=INK, linewidth=0.8, zorder=0)
+        axis.margins(0.25, 0.15)
+        axis.set(xscale="log", xlabel="time / auto's (median)", ylabel="Chamfer after / before, over auto's")
+        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.xaxis.set_minor_formatter(NullFormatter())
+
+
+STUDY = Study(
+    name="budget",
+    about="What does `--budget auto` save, and what does that cost, from a brick to a lattice of struts?",
+    parts=("points, best",),
+    tables=tables,
+    draw=draw,
+    reading="Starts are the truth stretched by a tenth and bent. Each row below the budgets changes one decision: what auto "
+    "spares is worth its time if its ratio is hardly higher; what it could spare besides is not if its ratio is lower.",
+    convention=CONVENTION,
+    options=(
+        Option("--shape", "May be repeated.", str, tuple(SHAPES), tuple(SHAPES), multiple=True, name="shapes"),
+        Option("--scenes", "So many of them, the smallest first.", int, len(SCENES), least=1, most=len(SCENES)),
+        SEED,
+    ),
+    plan=plan,
+    conclude=conclude,
+)
