@@ -17,6 +17,7 @@ from .tools import load
 SPEED = "How fast commands, refinements and their parts are."
 STUDIES = {
     "pareto": ("", "What accuracy costs in seconds, and what is worth it."),
+    "budget": ("", "What `--budget auto` saves, and what that costs."),
     "stability": ("", "How wrong the input may be, and whether the tool says so."),
 }
 

@@ -133,7 +133,7 @@ def command_of(study: Study) -> click.Command:
     function: Callable[..., Any] = run
     for decorate in (options.as_json, options.overwrite, resumed, output_option, *map(_click_option, study.options[::-1])):
         function = decorate(function)
-    return click.command(study.name, help=f"{study.question}\n\n{study.about}")(function)
+    return click.command(study.name, help="\n\n".join(dict.fromkeys((study.question, study.about))))(function)
 
 
 def _click_option(option: Option) -> Callable[..., Any]:

@@ -19,7 +19,12 @@ from .records import read_record, write_page
 records_argument = click.argument("records", nargs=-1, required=True, type=options.FilePath())
 
 
-BENCHES = {"speed": "bench.shown.STUDY", "stability": "stability.study.STUDY", "pareto": "bench.pareto.STUDY"}
+BENCHES = {
+    "speed": "bench.shown.STUDY",
+    "stability": "stability.study.STUDY",
+    "pareto": "bench.pareto.STUDY",
+    "budget": "bench.budget.STUDY",
+}
 
 
 def load(name: str) -> Any:

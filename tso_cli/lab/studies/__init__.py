@@ -3,7 +3,6 @@
 QUESTIONS = {
     "accuracy": ("accuracy.STUDY", "How much nearer to the truth does a refinement come, and how often further away?"),
     "evidence": ("evidence.STUDY", "What is other evidence worth than one right mask of the whole object?"),
-    "budget": ("budget.STUDY", "What does `--budget auto` save, and what does that cost?"),
     "confidence": ("confidence.STUDY", "Does the tool know when it failed?"),
     "tso": ("variants.STUDY", "What gains most at test stage: moving the encoder, encoder and decoder, or the points?"),
     "pose": ("pose.STUDY", "How well is a camera found from mask and cloud alone?"),

@@ -1,0 +1,47 @@
+"""`tso bench budget`: scenes from a brick to a lattice, and what each decision of auto saves and costs there."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tso_cli.evaluation.metrics import chamfer
+from tso_cli.lab.bench import budget
+
+from .studying import tso
+
+
+def test_a_start_is_the_truth_stretched_and_bent_and_its_mask_is_of_the_truth():
+    start, target, view = budget.scene("car", 64, 256, seed=0)
+    assert (len(start), len(target), view.mask.shape) == (256, 16_384, (64, 64))
+    assert np.ptp(target, axis=0).max() == pytest.approx(1.0, abs=0.01)
+    assert np.ptp(start, axis=0)[0] > np.ptp(target, axis=0)[0]
+    of_target, of_start = (view.camera.project(points)[0].round().astype(int) for points in (target, start))
+    assert view.mask[of_target[:, 1], of_target[:, 0]].mean() > view.mask[of_start[:, 1], of_start[:, 0]].mean() + 0.01
+    assert 1e-4 < chamfer(start, target).chamfer < 1e-1
+
+
+def test_a_lattice_is_of_struts_along_every_edge():
+    lattice = budget.lattice(cells=2, width=0.02)
+    assert len(lattice.faces) == 3 * 9 * 12
+    assert np.ptp(lattice.vertices, axis=0) == pytest.approx([1.02] * 3)
+
+
+def test_ways_are_compared_with_auto_in_the_scenes_that_both_refine():
+    def case(**ways):
+        return {"ways": {name: {"ratio": ratio, "seconds": seconds} for name, (ratio, seconds) in ways.items()}}
+
+    found = budget.conclude([case(auto=(0.5, 0.1), full=(0.4, 0.4)), case(auto=(0.7, 0.2))])
+    assert found["summary"]["auto"]["mean_ratio"] == pytest.approx(0.6)
+    assert found["summary"]["full"] == {"scenes": 1, "mean_ratio": 0.4, "median_seconds": 0.4, "cost": 1.25, "saving": 0.75}
+    assert [claim["holds"] for claim in found["claims"]] == [False, True]
+
+
+def test_the_command_writes_a_record_its_chart_and_its_page(tmp_path, capsys):
+    output = tmp_path / "budget.json"
+    assert tso("bench", "budget", "--shape", "brick", "--scenes", 1, "-o", output) == 0
+    assert "auto's ratio / this" in capsys.readouterr().out
+    record = json.loads(output.read_text())
+    assert set(record["cases"][0]["ways"]) == set(budget.WAYS)
+    assert "brick, 64 px, 256 points" in output.with_suffix(".md").read_text()
+    assert output.with_suffix(".png").stat().st_size > 3000
