@@ -138,6 +138,6 @@ def test_a_budget_says_what_was_decided_and_why(folder, refine):
     assert document["stop_reason"] == "out_of_time" and document["budget"]["given"] == "0.000001"
     decisions = {decision["what"]: decision for decision in document["budget"]["decisions"]}
     assert decisions["steps"]["reason"] == "1e-06 s were over" and decisions["points"]["choice"] == "1024"
-    assert "spent  steps: 192 (so many were asked for)" in refine("initial.ply", "mask.png", "-v", "--budget", "full").out
+    assert "spent  steps: 96 (the budget is full)" in refine("initial.ply", "mask.png", "-v", "--budget", "full").out
     assert refine("initial.ply", "mask.png", "--budget", "soon").refusal.endswith("expected auto, full or seconds")
     assert "--points" in refine("initial.ply", "mask.png", "--points", "none").err

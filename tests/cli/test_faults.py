@@ -300,7 +300,7 @@ def test_ctrl_c_while_open3d_is_imported_is_ctrl_c(tso, tmp_path, monkeypatch, f
 def test_what_does_not_fit_into_memory_is_refused_before_the_work(refine, folder, monkeypatch):
     monkeypatch.setattr(reading, "free_memory", lambda: 1.1e6)
     # Of 1,024 points all of which move by themselves, and of those that may follow.
-    refused = refine(*OUTPUTS, "--budget", "full").refusal
+    refused = refine(*OUTPUTS, "--preset", "paper").refusal
     assert "initial.ply: needs about 0.001 GiB of memory, expected at most the 0.001 that" in refused
     monkeypatch.setattr(reading, "free_memory", lambda: 2e5)
     assert "initial.ply: needs about 0.00024 GiB of memory, expected at most the 0.00019 that" in refine(*OUTPUTS).refusal

@@ -53,13 +53,13 @@ BRIEF = ("mode", "preset", "budget", "camera", "output", "overwrite", "overlay",
     "--budget",
     metavar="auto|full|SECONDS",
     default="auto",
-    help="What the scene is known to gain by; all that might help, in many times the time; or the best of so many seconds.",
+    help="What the scene is known to gain by; about 2 % more, in twice the time; or the best of so many seconds.",
 )
 @click.option(
     "--points",
     type=int,
     metavar="N",
-    help="How many points move by themselves, 16 to 16,384; the others follow.  [default: 1024; budget full and paper all]",
+    help="How many points move by themselves, 16 to 16,384; the others follow.  [default: 1024; paper all]",
 )
 @click.option(
     "--symmetry",

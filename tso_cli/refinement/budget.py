@@ -7,7 +7,7 @@ from typing import Any
 
 from .config import Settings, staged_steps
 from .optimise import Descent
-from .presets import FIELD_NODES, FULL_STEPS, SYMMETRY_PROBE_STEPS
+from .presets import FIELD_NODES, FULL, FULL_STEPS, SYMMETRY_PROBE_STEPS
 from .problem import Problem
 from .resampled_view import FINE_GRIDS
 
@@ -81,6 +81,8 @@ def _steps(problem: Problem, settings: Settings, descent: Descent) -> Decision:
         reason = f"{settings.seconds:g} s were over"
     elif done < settings.steps:
         reason = "no loss was left"
+    elif settings.coarse_to_fine == FULL and settings.steps == FULL_STEPS * enough:
+        reason = "the budget is full"
     elif settings.steps != enough:
         reason = "so many were asked for"
     return Decision("steps", f"{done}", reason, 1.0 - done / most)

@@ -15,6 +15,7 @@ from .presets import (
     BEST_STEPS,
     FEWEST_POINTS,
     FIELD_NODES,
+    FULL,
     FULL_STEPS,
     MAX_VIEWS_FOR_STEPS,
     MODES,
@@ -49,10 +50,10 @@ class RefineConfig:
         ax + by + cz = d.
     refine_camera : first correct the camera of each view, held near the given one; points mode.
     accept_doubtful : take the whole step also where the result is doubtful, in place of a part of it or none.
-    budget : "auto", what the scene is known to gain by; "full" (best, points mode), four times the steps, and every point of a
-        cloud moves by itself, of a mesh 4,096 samples; or seconds, in which "auto" comes to its end. Of each cloud of a batch.
+    budget : "auto", what the scene is known to gain by; "full" (best, points mode), twice the steps, with the finest grid in
+        every stage; or seconds, in which "auto" comes to its end. Of each cloud of a batch.
     points : how many points of a cloud, or samples of a mesh, move by themselves, at most (best, points mode); the others
-        follow. None: 1,024, or all of them with the budget "full".
+        follow. None: 1,024.
     coarse_to_fine : settings of the preset "best" of points mode, for ablations.
 
     Raises
@@ -97,6 +98,8 @@ class RefineConfig:
         if self.points is not None and (not isinstance(self.points, int) or not FEWEST_POINTS <= self.points <= CANDIDATES):
             raise InputError(f"points is {self.points!r}, expected a whole number from {FEWEST_POINTS} to {CANDIDATES:,}")
         budget = parse_budget(self.budget)
+        if budget == "full" and self.coarse_to_fine is not BEST:
+            raise InputError("budget is 'full', which has a coarse_to_fine of its own, found another")
         staged_only = {"coarse_to_fine": self.coarse_to_fine is not BEST, "points": self.points is not None}
         for name, used in (staged_only | {"budget full": budget == "full"}).items():
             if used and (self.preset, self.mode) != ("best", "points"):
@@ -119,8 +122,10 @@ class RefineConfig:
         )
         budget = parse_budget(self.budget)
         if budget == "full":
-            defaults |= {"steps": FULL_STEPS * steps, "points": None}
+            defaults["steps"] = FULL_STEPS * steps
         chosen = {name: value for name, value in vars(self).items() if value is not None and name != "budget"}
+        if budget == "full":
+            chosen["coarse_to_fine"] = FULL
         return Settings(**(defaults | chosen), seconds=budget if isinstance(budget, float) else math.inf)
 
 

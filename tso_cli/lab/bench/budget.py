@@ -24,6 +24,7 @@ from ...plots.style import COLOURS, INK, page
 from ...refinement import RefineConfig, refine
 from ...refinement.api import compile_loops
 from ...refinement.presets import BEST
+from ...refinement.presets import FULL as FINE
 from ...render import RayScene, RenderSettings, normalise, render_view, sample_cameras
 from ..studies.refining import uninterrupted
 from ..studies.summary import grouped, rounded
@@ -35,9 +36,10 @@ WAYS = {
     AUTO: RefineConfig(),
     FULL: RefineConfig(budget="full"),
     "all points move": RefineConfig(points=CANDIDATES),
-    "192 steps": RefineConfig(steps=192),
-    "128 cells in every stage": RefineConfig(
-        coarse_to_fine=replace(BEST, stages=tuple(replace(stage, fine_grid=True) for stage in BEST.stages))
+    "96 steps": RefineConfig(steps=96),
+    "finest grid in every stage": RefineConfig(coarse_to_fine=FINE),
+    "64 cells in every stage": RefineConfig(
+        coarse_to_fine=replace(BEST, stages=tuple(replace(stage, fine_grid=False) for stage in BEST.stages))
     ),
     "512 points move": RefineConfig(points=512),
     "24 steps": RefineConfig(steps=24),
