@@ -162,6 +162,15 @@ def test_old_normals_stay_with_a_warning(save, tmp_path):
     write_cloud(tmp_path / "c.ply", cloud.points, like=cloud)
 
 
+def test_of_gaussian_splats_only_the_places_move_and_a_warning_says_so(save, tmp_path):
+    more = "".join(f"property float {name}\n" for name in ("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1"))
+    head = HEAD.format(2).replace("end_header", more + "end_header")
+    cloud = read_cloud(save("splat.ply", head + "0 0 0 1 2 3 4 5 6\n1 1 1 6 5 4 3 2 1\n"))
+    with pytest.warns(UserWarning, match=r"b\.ply: the rotations, scales are those of .*splat\.ply"):
+        write_cloud(tmp_path / "b.ply", cloud.points + 1.0, like=cloud)
+    assert b" 1 2 3 4 5 6\n" in (tmp_path / "b.ply").read_bytes()
+
+
 def test_a_new_cloud_is_written_in_the_precision_of_its_source_or_as_asked(save, tmp_path):
     write_cloud(tmp_path / "a.ply", POINTS, dtype="float32")
     write_cloud(tmp_path / "b.ply", POINTS, like=read_cloud(save("b.xyz", "0 0 0\n1 1 1\n2 2 2\n3 3 3")))

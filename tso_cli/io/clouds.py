@@ -77,9 +77,9 @@ def write_cloud(
 ) -> None:
     """Write ``points`` [N, 3] as a .ply file.
 
-    With a ``like`` from a PLY file, all of that file but the coordinates stays byte for byte; a warning says that normals are
-    those of the old points. Else coordinates have the type ``dtype``, by default the precision of ``like``; without one float32
-    where that moves no point by over a millionth of the cloud's extent.
+    With a ``like`` from a PLY file, all of that file but the coordinates stays byte for byte; a warning says what is still of
+    the old points: normals, and the rotations and scales of Gaussian splats. Else coordinates have the type ``dtype``, by
+    default the precision of ``like``; without one float32 where that moves no point by over a millionth of the cloud's extent.
 
     Raises InputError if ``path`` is not a .ply or cannot be written, or ``points`` are not as many as those of ``like``;
     TsoError if a coordinate is not finite or too large for its type. Nothing is written then.
@@ -108,8 +108,8 @@ def write_cloud(
                     stacklevel=2,
                 )
         data = like.ply.with_points(points)
-        if like.ply.has_normals and data is not like.ply.data:
-            warnings.warn(f"{path}: the normals are those of {like.path}, before the points moved", stacklevel=2)
+        if (oriented := like.ply.oriented) and data is not like.ply.data:
+            warnings.warn(f"{path}: the {oriented} are those of {like.path}, before the points moved", stacklevel=2)
     else:
         precise = "float32" if rounding <= 1e-6 * extent else "float64"
         data = new_ply(points, dtype or (like.precision if like is not None else precise))

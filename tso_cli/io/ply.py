@@ -17,6 +17,7 @@ AXES = ("x", "y", "z")
 COLOURS = ("red", "green", "blue")
 CORNERS = ("vertex_indices", "vertex_index")
 NORMALS = {"nx", "ny", "nz", "normal_x", "normal_y", "normal_z"}
+ORIENTED = {"normals": NORMALS, "rotations": {"rot_0"}, "scales": {"scale_0"}}
 
 
 class PlyFile:
@@ -59,9 +60,9 @@ class PlyFile:
         return np.stack([places[name] for name in names], axis=1)
 
     @property
-    def has_normals(self) -> bool:
-        """Whether the vertices have normals, which no longer fit once the vertices move."""
-        return not NORMALS.isdisjoint(self.vertex.properties)
+    def oriented(self) -> str:
+        """What no longer fits once the vertices move: normals, and of Gaussian splats rotations and scales; "" without any."""
+        return ", ".join(name for name, of_it in ORIENTED.items() if not of_it.isdisjoint(self.vertex.properties))
 
     def read(self) -> Points:
         """The coordinates [N, 3] of the vertices, in the file's order."""
