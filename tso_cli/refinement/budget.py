@@ -16,7 +16,8 @@ from .resampled_view import FINE_GRIDS
 class Decision:
     """One of the decisions.
 
-    saving : share of what the budget "full" would work on that was spared: pixels of the masks, points, cells, steps.
+    saving : share that was spared: of the pixels of the masks, the cells of the finest grid, the points, the steps of the
+        budget "full", or the work that a mirror plane takes.
     """
 
     what: str

@@ -58,7 +58,7 @@ class Cloud:
         self.colours = None if self._colours is None else moving.at(self._colours.astype(np.float64)).astype(np.float32)
 
     def with_moving(self, most: int | None) -> Cloud:
-        """The same cloud, of which at most so many points move by themselves, or all; of a mesh at most 4,096 samples."""
+        """The same cloud, of which at most so many points move by themselves, None for all; of a mesh so many samples."""
         moving = self._moving.with_samples(most)
         if moving is self._moving:
             return self

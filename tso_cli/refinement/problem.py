@@ -45,8 +45,7 @@ class Problem:
     def of(cls, cloud: Cloud, views: tuple[View, ...], settings: Settings) -> Problem:
         """Raises InputError where the cloud's projection misses a mask, or the mode cannot use depth maps or images."""
         _require_supported(cloud, views, settings)
-        # The paper's objective is of the samples of a mesh as they are.
-        cloud = cloud.with_moving(settings.points) if settings.staged or not cloud.surface else cloud
+        cloud = cloud.with_moving(settings.points)
         agreement = Agreement.of(cloud.initial, views) if settings.mode == "points" else None
         for view in views:
             require_overlap(place(cloud.initial, view), view, advice=str(agreement or ""))

@@ -48,8 +48,8 @@ class Surface:
         self.samples = self.at(self.vertices)
 
     def with_samples(self, most: int | None) -> Surface:
-        """The same mesh with at most so many samples, 4,096 at most; itself, where it has as many."""
-        count = min(most or MOST_SAMPLES, MOST_SAMPLES, len(self._corners))
+        """The same mesh with so many samples, 4,096 at most; itself, where it has as many, or no number is asked for."""
+        count = min(most or len(self.samples), MOST_SAMPLES)
         if count == len(self.samples):
             return self
         changed = copy(self)
