@@ -174,13 +174,9 @@ def _uncovered(points_px: Array, valid: Marks, observed: Marks, target: MaskTarg
     (candidates,) = np.nonzero(valid)
     if not len(candidates):
         return np.empty(0, np.int64), np.empty((0, 2))
-    rows, columns = target.foreground
     within = COVERED_WITHIN * target.grain
-    near, squared = (values[rows, columns] for values in _nearest_within(REACH, points_px[candidates], target.inside.shape))
-    # Covered pixels need no point.
-    uncovered = (near < 0) | (squared > within**2)
-    near, pixels = near[uncovered], np.stack([columns[uncovered], rows[uncovered]], 1).astype(float)
-    far = near < 0
+    near, pixels = _nearest_to_uncovered(REACH, points_px[candidates], target, within)
+    (far,) = np.nonzero(near < 0)
     near[far] = nearest(pixels[far], points_px[candidates])
     owner = candidates[near]
     offsets = points_px[owner] - pixels
@@ -188,36 +184,43 @@ def _uncovered(points_px: Array, valid: Marks, observed: Marks, target: MaskTarg
     return owner[kept], offsets[kept]
 
 
-def _nearest_within(reach: int, points_px: Array, shape: tuple[int, int]) -> tuple[NDArray[np.int64], Array]:
-    """[H, W] index of the nearest point of each pixel that has one within ``reach`` + 0.5 px, else -1; its squared distance.
+def _nearest_to_uncovered(reach: int, points_px: Array, target: MaskTarget, within: float) -> tuple[NDArray[np.int64], Array]:
+    """The foreground pixels [P, 2] with no point ``within`` so many px, and of each the nearest point's index [P].
 
-    Most pixels have: trying the few pixels around each point is faster than all points for each pixel.
+    The index is -1 where no point is within ``reach`` + 0.5 px. Most pixels have one: trying the few pixels around each point
+    is faster than all points for each pixel.
     """
-    height, width = shape
+    height, width = target.inside.shape
     margin = 2 * reach + 1
     padded = width + 2 * margin
-    x, y = points_px.T
+    x, y = np.ascontiguousarray(points_px.T)
     (inside,) = np.nonzero((x > -reach - 1.0) & (x < width + reach) & (y > -reach - 1.0) & (y < height + reach))
     x, y = x[inside], y[inside]
     column, row = np.rint(x), np.rint(y)
     steps = np.arange(-reach, reach + 1)
     squared_rows, squared_columns = (np.square(nearest - at + steps[:, None]) for nearest, at in ((row, y), (column, x)))
-    pixel = ((row + margin) * padded + column + margin).astype(np.int64)
-    # One place around the points at a time: arrays that stay in the cache.
+    pixel = ((row + margin) * padded + column + margin).astype(np.int64) + steps[:, None]
+    # One row of places around the points at a time: arrays that stay in the cache.
     pairs = [
-        (pixel + (down * padded + across), of_row + of_column)
-        for down, of_row in zip(steps, squared_rows, strict=True)
-        for across, of_column in zip(steps, squared_columns, strict=True)
+        ((pixel + down * padded).ravel(), (squared + squared_columns).ravel())
+        for down, squared in zip(steps, squared_rows, strict=True)
     ]
-    least = np.full((height + 2 * margin) * padded, (reach + 0.5) ** 2)
-    owner = np.full(len(least), -1)
+    point = np.tile(inside, len(steps))
+    furthest = (reach + 0.5) ** 2
+    least = np.full((height + 2 * margin) * padded, furthest)
     for pixels, squared in pairs:
         np.minimum.at(least, pixels, squared)
+    rows, columns = target.foreground
+    flat = (rows + margin) * padded + columns + margin
+    (uncovered,) = np.nonzero((least[flat] > within**2) | (least[flat] >= furthest))
+    flat = flat[uncovered]
+    sought = np.full(len(least), -1.0)
+    sought[flat] = least[flat]
+    owner = np.full(len(least), -1)
     for pixels, squared in pairs:
-        found = squared == least[pixels]
-        owner[pixels[found]] = inside[found]
-    rows, columns = (slice(margin, margin + side) for side in shape)
-    return owner.reshape(-1, padded)[rows, columns], least.reshape(-1, padded)[rows, columns]
+        (nearest_ones,) = np.nonzero(squared == sought[pixels])
+        owner[pixels[nearest_ones]] = point[nearest_ones]
+    return owner[flat], np.stack([columns[uncovered], rows[uncovered]], 1).astype(float)
 
 
 def _stray(points_px: Array, observed: Marks, target: MaskTarget) -> tuple[NDArray[np.int64], Array]:

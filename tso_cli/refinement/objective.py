@@ -129,17 +129,18 @@ class MaskChamferObjective:
     resolvability: list[Array] | None = None
 
     def __call__(self, points: Array) -> tuple[float, Array]:
+        value, gradient, _ = self.in_parts(points)
+        return value, gradient
+
+    def in_parts(self, points: Array) -> tuple[float, Array, Array]:
+        """Value and gradient, and what each point adds to the masks' part of the value [N]."""
         costs, gradient, shown = self._of_masks(points)
         total = float(costs.sum()) if shown else np.inf
         for view in self.targets.views:
             if view.depth is not None and view.weight > 0.0:
                 value, by_points = depth_loss(points, project(points, view.camera), view.depth, self.robust_scale)
                 total, gradient = total + view.weight * value, gradient + view.weight * by_points
-        return total, gradient
-
-    def per_point(self, points: Array) -> Array:
-        """[N] what each point adds to the masks' part of the loss."""
-        return self._of_masks(points)[0]
+        return total, gradient, costs
 
     def _of_masks(self, points: Array) -> tuple[Array, Array, bool]:
         """What each point adds, [N], the gradient [N, 3], and whether all views show points."""

@@ -39,7 +39,7 @@ def occluded(pixels: Array, view: View) -> float | None:
         # Corners run so that the mask is on the left, y pointing down.
         behind = (outline - start) @ [-along[1], along[0]]
         place = np.floor((outline - start) @ along).astype(np.int64)
-        at_edge, near = len(np.unique(place[behind < WITHIN])), len(np.unique(place[behind < BEHIND * size]))
+        at_edge, near = _different(place[behind < WITHIN]), _different(place[behind < BEHIND * size])
         beyond = -(pixels - start) @ [-along[1], along[0]]
         if at_edge < max(LEAST_EDGE * size, LEAST_STRAIGHT * near) or (beyond > BEYOND * size).mean() < LEAST_BEYOND:
             continue
@@ -47,6 +47,11 @@ def occluded(pixels: Array, view: View) -> float | None:
         if without >= _iou(outline, pixels, size) + GAIN:
             return without
     return None
+
+
+def _different(places: NDArray[np.int64]) -> int:
+    """How many different ones there are, without `numpy.unique`, which imports masked arrays."""
+    return int(np.count_nonzero(np.bincount(places - places.min()))) if len(places) else 0
 
 
 def _hull(inside: NDArray[np.bool_]) -> Array:

@@ -43,9 +43,10 @@ def position_prior(
     evidence : `Problem.evidence`. The more views, the less the start is needed: the least prior weight falls with its square.
     """
     objective = MaskChamferObjective(targets, ROBUST_SCALE)
-    loss = np.full(len(initial), objective(initial)[0] / targets.pixels)  # px^2 per mask pixel
+    total, _, per_point = objective.in_parts(initial)
+    loss = np.full(len(initial), total / targets.pixels)  # px^2 per mask pixel
     if config.local_prior:
-        local = field.averaged(objective.per_point(initial) * (len(initial) / targets.pixels), LOCAL_SMOOTHNESS)
+        local = field.averaged(per_point * (len(initial) / targets.pixels), LOCAL_SMOOTHNESS)
         loss = np.maximum(loss, np.where(local > LOCAL_LOSS, local, 0.0))
     weights = config.prior_weight / np.maximum(loss, LEAST_LOSS) ** config.prior_decay
     weights = np.maximum(weights, config.least_prior_weight / evidence**2)

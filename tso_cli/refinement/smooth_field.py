@@ -135,7 +135,6 @@ class _Smoother:
         blocks = _layers(adjacent)
         diagonal = 1.0 + weight * (np.count_nonzero(adjacent, axis=1) - 1)
         self._order = np.concatenate(blocks)
-        self._ends = np.cumsum([len(block) for block in blocks])[:-1]
         self._inverses: list[Array] = []
         self._carries: list[Array] = []
         for number, block in enumerate(blocks):
@@ -146,17 +145,26 @@ class _Smoother:
                 self._carries.append(coupling @ self._inverses[-1])
                 matrix -= self._carries[-1] @ coupling.T
             self._inverses.append(np.linalg.inv(matrix))
+        ends = np.cumsum([len(block) for block in blocks]).tolist()
+        self._slices = [slice(first, last) for first, last in zip([0, *ends], ends, strict=False)]
+        self._transposed = [carry.T for carry in self._carries]
 
     def __call__(self, values: Array) -> Array:
         """[M, C] smoothed."""
-        parts = np.split(values[self._order], self._ends)
-        for number, carry in enumerate(self._carries, 1):
-            parts[number] = parts[number] - carry @ parts[number - 1]
-        parts = [inverse @ part for inverse, part in zip(self._inverses, parts, strict=True)]
-        for number, carry in reversed(list(enumerate(self._carries))):
-            parts[number] = parts[number] - carry.T @ parts[number + 1]
+        ordered = values[self._order]
+        parts = [ordered[slice_] for slice_ in self._slices]
+        before = parts[0]
+        for carry, part in zip(self._carries, parts[1:], strict=True):
+            part -= carry @ before
+            before = part
+        for inverse, part in zip(self._inverses, parts, strict=True):
+            part[:] = inverse @ part
+        after = parts[-1]
+        for carry, part in zip(reversed(self._transposed), reversed(parts[:-1]), strict=True):
+            part -= carry @ after
+            after = part
         smoothed = np.empty_like(values)
-        smoothed[self._order] = np.concatenate(parts)
+        smoothed[self._order] = ordered
         return smoothed
 
 

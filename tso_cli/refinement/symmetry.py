@@ -94,7 +94,10 @@ def find_mirror_plane(points: Array) -> MirrorPlane:
     for axis in axes:
         plane = MirrorPlane(axis, float(axis @ centre))
         for _ in range(SEARCH_UPDATES):
-            plane, _ = _improved(plane, subset)
+            improved, _ = _improved(plane, subset)
+            if _same(plane, improved):
+                break
+            plane = improved
         candidates.append(_judged(plane, judged, subset, spacing))
     plane = min(candidates, key=lambda candidate: candidate.misfit)
     iterates = []
@@ -104,10 +107,16 @@ def find_mirror_plane(points: Array) -> MirrorPlane:
         # Reflections are compared because the sign of a normal is arbitrary.
         if np.abs(plane.reflect(subset) - improved.reflect(subset)).max() < CONVERGED * spacing:
             break
+        # The alternation may end in a cycle; the best plane of a cycle does not depend on where it was entered.
+        if any(_same(improved, other) for _, other in iterates):
+            break
         plane = improved
-    # The alternation may end in a cycle; the best plane of a cycle does not depend on where it was entered.
     plane = min(iterates, key=lambda iterate: iterate[0])[1]
     return _judged(plane, judged, judged, spacing)
+
+
+def _same(one: MirrorPlane, other: MirrorPlane) -> bool:
+    return one.offset == other.offset and bool((one.normal == other.normal).all())
 
 
 def _improved(plane: MirrorPlane, points: Array) -> tuple[MirrorPlane, float]:

@@ -82,8 +82,8 @@ def _fork(
                     result, caught = future.result()
                     for warning in caught:
                         warnings.warn(warning, stacklevel=2)
-                    finish(waiting[future], result)
-                    del waiting[future]
+                    # Ctrl-C after this must not finish it again.
+                    finish(waiting.pop(future), result)
             except KeyboardInterrupt:
                 stop.set()
             except BrokenProcessPool:
