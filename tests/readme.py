@@ -63,7 +63,7 @@ def advice() -> str:
     """What each choice brings and costs, by what a user has."""
     rows = [
         ("a cloud, one mask", "the default", "other", "points, best"),
-        ("", "`--steps 12`", "other", "points, best, 12 steps"),
+        ("", "`--points 512`", "other", "points, best, 512 move"),
         ("", "`--preset paper`", "other", "points, paper"),
         ("", "PyTorch3D's alpha points, the paper's descent", "other", "alpha points"),
         ("a cloud, two masks", "the default", "other", "points, best, 2 masks"),

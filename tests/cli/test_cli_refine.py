@@ -269,7 +269,7 @@ def test_an_interrupt_writes_the_best_so_far(folder, refine, monkeypatch):
     calls, true_call = iter(range(100)), MaskChamferObjective.__call__
 
     def interrupted(self, points):
-        if next(calls) == 8:  # one for the prior weight, one for the start
+        if next(calls) == 7:  # one for the start
             raise KeyboardInterrupt
         return true_call(self, points)
 

@@ -60,6 +60,12 @@ def test_strict_writes_nothing_where_the_result_is_doubtful(inverted, refine, tm
     assert refine(*POINTS, "--strict", "--assume", "mask-inverted", "-o", "strict.ply").code == 0
 
 
+def test_strict_writes_nothing_that_a_short_budget_left_no_time_to_judge(folder, refine, tmp_path):
+    run = refine(*POINTS, "--strict", "--budget", "1e-6", "-o", "strict.ply")
+    assert run.code == 3 and "the result is not judged, as 1e-06 s were too few; with --strict nothing" in run.err
+    assert not list(tmp_path.glob("**/strict*"))
+
+
 def test_a_pose_is_refused_with_what_it_looks_like_and_taken_under_that_assumption(to_world, refine):
     run = refine(*POINTS)
     assert run.code == 2 and "camera-to-world: try --assume camera-to-world" in run.err

@@ -135,9 +135,9 @@ def test_the_help_is_one_screen_and_tells_of_a_longer_one(refine, tso):
 
 def test_a_budget_says_what_was_decided_and_why(folder, refine):
     document = refine("initial.ply", "mask.png", "--json", "--budget", "0.000001").document
-    assert document["stop_reason"] == "out_of_time" and document["budget"]["given"] == "0.000001"
+    assert document["stop_reason"] == "out_of_time" and document["budget"]["given"] == 1e-6
     decisions = {decision["what"]: decision for decision in document["budget"]["decisions"]}
-    assert decisions["steps"]["reason"] == "1e-06 s were over" and decisions["points"]["choice"] == "1024"
+    assert decisions["steps"]["reason"] == "1e-06 s were over" and decisions["points"]["choice"] == "512 of 1024"
     assert "spent  steps: 96 (the budget is full)" in refine("initial.ply", "mask.png", "-v", "--budget", "full").out
     assert refine("initial.ply", "mask.png", "--budget", "soon").refusal.endswith("expected auto, full or seconds")
     assert "--points" in refine("initial.ply", "mask.png", "--points", "none").err

@@ -24,6 +24,7 @@ def test_when_the_seconds_are_over_the_best_so_far_is_kept(chair):
     assert (result.steps, result.stop_reason, result.symmetry_outcome) == (3, "out_of_time", "unchecked")
     assert result.loss_after < result.loss_before
     assert (result.verdict, result.confidence) == (None, None)
+    assert "the budget ended after 3 of 48 steps: the result is not judged" in result.warnings
     assert _decided(result)["steps"] == ("3", pytest.approx(1.0 - 3 / (FULL_STEPS * 48)))
 
 
@@ -35,6 +36,27 @@ def test_the_result_is_there_by_the_end_of_the_seconds(chair):
     assert result.stop_reason == "out_of_time" and 3 < result.steps < 100_000
     # A busy machine judges the result more slowly.
     assert time.perf_counter() - started < 10.0
+
+
+def test_with_few_seconds_fewer_points_move_but_for_those_asked_for():
+    assert RefineConfig(budget=0.1).settings().points == RefineConfig(budget=0.5).settings(2).points == 512
+    assert RefineConfig(budget=0.5).settings().points == RefineConfig(budget="0.1", points=1024).settings().points == 1024
+
+
+def test_a_result_whose_mirror_plane_was_not_checked_is_not_judged(chair, monkeypatch):
+    points, mask, camera, _ = chair
+    monkeypatch.setattr("tso_cli.refinement.symmetry_check._seconds", lambda probe: math.inf)
+    result = refine(points, mask, camera, RefineConfig(budget=1e6))
+    assert (result.steps, result.symmetry_outcome, result.verdict, result.confidence) == (48, "unchecked", None, None)
+    assert "the budget left no time for the symmetry check: the result is not judged" in result.warnings
+
+
+def test_a_loss_that_is_no_number_is_the_reason_that_the_steps_end(chair):
+    points, mask, camera, _ = chair
+    result = refine(points, mask, camera, RefineConfig(learning_rate=1e5))
+    assert result.stop_reason == "non_finite"
+    (steps,) = (decision for decision in result.budget if decision.what == "steps")
+    assert (steps.choice, steps.reason) == (f"{result.steps}", "the loss was no number after them")
 
 
 @pytest.mark.parametrize("seconds", [1e6, "1e6"])

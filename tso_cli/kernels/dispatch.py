@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import math
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -23,17 +24,19 @@ _plan: ContextVar[Callable[[], bool] | None] = ContextVar("plan", default=None)
 
 
 @contextmanager
-def planned(views: int, points: int) -> Iterator[None]:
+def planned(views: int, points: int, seconds: float = math.inf) -> Iterator[None]:
     """Inside, compiled loops run if they pay for all of this work. The outermost of nested plans counts.
 
     ``views`` is how often a cloud is compared with a view in all (clouds x views x steps), ``points`` the points in all these.
+    ``seconds`` is how long all may take: loading the loops must leave half of them.
     Warns where the work is left to numpy because no machine code is on disk.
     """
     if _plan.get() is not None:
         yield
         return
     # Decided when first asked: looking on the disk takes an import.
-    token = _plan.set(functools.cache(functools.partial(_pays, PER_VIEW * views + PER_POINT * points)))
+    saved = min(PER_VIEW * views + PER_POINT * points, 0.5 * seconds)
+    token = _plan.set(functools.cache(functools.partial(_pays, saved)))
     try:
         yield
     finally:

@@ -79,7 +79,7 @@ def refine(
 
             parameters = NetworkParameters(network, image, settings.mode, settings.device, settings.learning_rate)
             cloud = parameters.cloud
-    with planned(*_work(settings, len(views), len(cloud.given))), blas.one_thread():
+    with planned(*_work(settings, len(views), len(cloud.given)), settings.seconds), blas.one_thread():
         with stopwatch.phase("prepare"):
             problem = Problem.of(cloud, views, settings)
         return run(problem, settings, stopwatch, parameters, progress)
@@ -141,7 +141,7 @@ def refine_batch(
         if progress is not None:
             progress(done, len(scenes), float(np.mean(losses)) if losses else np.nan)
 
-    with planned(*batch.work()), blas.one_thread():
+    with planned(*batch.work(), len(scenes) * config.settings().seconds), blas.one_thread():
         return spread(batch.refine, len(scenes), processes, batch.interrupted, report)
 
 

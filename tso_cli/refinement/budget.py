@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
 from .config import Settings, staged_steps
 from .optimise import Descent
-from .presets import FIELD_NODES, FULL, FULL_STEPS, SYMMETRY_PROBE_STEPS
+from .presets import FULL_STEPS, SHORT_POINTS, SYMMETRY_PROBE_STEPS
 from .problem import Problem
 from .resampled_view import FINE_GRIDS
 
@@ -38,7 +40,7 @@ def decisions(problem: Problem, settings: Settings, descent: Descent) -> tuple[D
         _grid(problem),
         _points(problem, settings),
         _steps(problem, settings, descent),
-        _symmetry(problem),
+        _symmetry(problem, settings),
     )
 
 
@@ -66,12 +68,16 @@ def _points(problem: Problem, settings: Settings) -> Decision:
     moving, of = len(cloud.initial), len(cloud.judged)
     if moving == of:
         return Decision("points", f"{moving}", "all: there are no more", 0.0)
-    reason = "so many were asked for" if settings.points != FIELD_NODES else "a mask shows hardly more; the others follow"
+    reason = "a mask shows hardly more; the others follow"
+    if "points" in settings.given:
+        reason = "so many were asked for" if moving == settings.points else "of a surface no more samples are taken"
+    elif settings.points == SHORT_POINTS:
+        reason = f"{settings.seconds:g} s are short"
     return Decision("points", f"{moving} of {of}", reason, 1.0 - moving / of)
 
 
 def _steps(problem: Problem, settings: Settings, descent: Descent) -> Decision:
-    done = len(descent.losses) - 1
+    done = int(np.isfinite(descent.losses).sum()) - 1
     masks = len(problem.views)
     enough = staged_steps(masks)
     most = max(done, FULL_STEPS * enough)
@@ -80,20 +86,22 @@ def _steps(problem: Problem, settings: Settings, descent: Descent) -> Decision:
         reason = "interrupted"
     elif descent.out_of_time:
         reason = f"{settings.seconds:g} s were over"
+    elif done + 1 < len(descent.losses):
+        reason = "the loss was no number after them"
     elif done < settings.steps:
         reason = "no loss was left"
-    elif settings.coarse_to_fine == FULL and settings.steps == FULL_STEPS * enough:
-        reason = "the budget is full"
-    elif settings.steps != enough:
+    elif "steps" in settings.given:
         reason = "so many were asked for"
+    elif settings.steps != enough:
+        reason = "the budget is full"
     return Decision("steps", f"{done}", reason, 1.0 - done / most)
 
 
-def _symmetry(problem: Problem) -> Decision:
+def _symmetry(problem: Problem, settings: Settings) -> Decision:
     """The check descends with the given masks and with the flipped ones too; with a plane the refinement sees both."""
     symmetry = problem.symmetry
     checked = symmetry.loss_ratio is not None
-    steps = staged_steps(len(problem.views)) / len(problem.views)
+    steps = settings.steps / len(problem.views)
     work = 3 * SYMMETRY_PROBE_STEPS * checked + (1 + (symmetry.plane is not None)) * steps
     saving = 1.0 - work / (3 * SYMMETRY_PROBE_STEPS + 2 * steps)
     choice = ("checked, " if checked else "") + ("used" if symmetry.plane else "not used")

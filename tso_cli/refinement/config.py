@@ -24,6 +24,8 @@ from .presets import (
     PAPER_SIGMA_SQ,
     PAPER_STEPS,
     PRESETS,
+    SHORT_POINTS,
+    SHORT_SECONDS,
     CoarseToFineConfig,
 )
 
@@ -53,7 +55,7 @@ class RefineConfig:
     budget : "auto", what the scene is known to gain by; "full" (best, points mode), twice the steps, with the finest grid in
         every stage; or seconds, in which "auto" comes to its end. Of each cloud of a batch.
     points : how many points of a cloud, or samples of a mesh, move by themselves, at most (best, points mode); the others
-        follow. None: 1,024.
+        follow. None: 1,024, or 512 with a budget of less than 0.3 seconds a view.
     coarse_to_fine : settings of the preset "best" of points mode, for ablations.
 
     Raises
@@ -123,17 +125,21 @@ class RefineConfig:
         budget = parse_budget(self.budget)
         if budget == "full":
             defaults["steps"] = FULL_STEPS * steps
+        elif isinstance(budget, float) and staged and budget < SHORT_SECONDS * views:
+            defaults["points"] = SHORT_POINTS
         chosen = {name: value for name, value in vars(self).items() if value is not None and name != "budget"}
         if budget == "full":
             chosen["coarse_to_fine"] = FULL
-        return Settings(**(defaults | chosen), seconds=budget if isinstance(budget, float) else math.inf)
+        seconds = budget if isinstance(budget, float) else math.inf
+        return Settings(**(defaults | chosen), seconds=seconds, given=frozenset(chosen))
 
 
 @dataclass(frozen=True)
 class Settings:
     """A `RefineConfig` with every value known.
 
-    points : that move by themselves, None for all. seconds : how long the refinement may take.
+    points : that move by themselves, None for all. seconds : how long the refinement may take. given : the names of the
+    values that are not the preset's.
     """
 
     mode: str
@@ -150,6 +156,7 @@ class Settings:
     points: int | None
     seconds: float
     coarse_to_fine: CoarseToFineConfig
+    given: frozenset[str]
 
     @property
     def staged(self) -> bool:
@@ -164,7 +171,7 @@ def staged_steps(views: int) -> int:
 
 def parse_budget(budget: str | float) -> str | float:
     """One of auto and full, or seconds, which may be given as text; InputError for anything else."""
-    if budget in ("auto", "full"):
+    if isinstance(budget, str) and budget in ("auto", "full"):
         return budget
     try:
         seconds = float(budget)

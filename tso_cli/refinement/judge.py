@@ -75,6 +75,8 @@ def judged(
     # What a few steps leave undone looks like a mistake.
     steps = len(descent.losses) - 1 if descent.out_of_time else settings.steps
     enough = len(descent.stages) == len(STAGES) and steps >= FEWEST_STEPS and len(step) >= FEWEST_POINTS
+    # The confidence counts on a symmetry check of a cloud that has a mirror plane.
+    enough = enough and problem.symmetry.outcome != "unchecked"
     if field and enough and _masks_alone(problem):
         signs = signs_of(problem, field, descent, outcome.ious, view_weights.inlier)
     verdict = Verdict.of(signs, problem.suspicion)

@@ -23,6 +23,9 @@ FULL_STEPS = 2
 """Times the steps of the default, with the budget "full": with more, validation shapes come no nearer."""
 OPTIMISING = 0.8
 """Share of the seconds of a budget after which the optimisation ends, and the result is judged."""
+SHORT_SECONDS = 0.3
+"""For each view: with a budget of less, in which not all steps of 1,024 points may fit, `SHORT_POINTS` move."""
+SHORT_POINTS = 512
 
 FIELD_NODES = 1024
 """Most nodes of a smooth displacement field; larger clouds interpolate between them."""

@@ -151,12 +151,17 @@ def result_warnings(result: RefineResult, views: Sequence[View], steps: int, sus
     """The ``warnings`` of a result that lacks them; ``steps`` : how many were asked for; ``suspicion`` : of the input."""
     messages = []
     reason = why_unmoved(result)
+    unjudged = "" if result.verdict else ": the result is not judged"
     if reason and result.verdict != "doubtful":
         what = "nothing to do" if result.stop_reason == "nothing_to_do" else "nothing moved"
         messages.append(f"{what}: {reason}; the cloud is as it was")
     elif result.stop_reason == "interrupted":
         best = "start" if reason else "best so far"
         messages.append(f"interrupted at step {result.steps} of {steps}: the result is the {best}")
+    elif result.stop_reason == "out_of_time":
+        messages.append(f"the budget ended after {result.steps} of {steps} steps{unjudged}")
+    elif result.symmetry_outcome == "unchecked":
+        messages.append(f"the budget left no time for the symmetry check{unjudged}")
     elif result.stop_reason == "non_finite":
         messages.append(f"the loss was no number after step {result.steps}: the result is the best before that")
     elif not reason and result.moved_max < SMALL_DISPLACEMENT:
