@@ -68,7 +68,7 @@ def on_disk(*functions: Any) -> bool:
         return False
 
 
-_told: list[str] = []  # folders that were warned of; once is enough
+_warned: list[str] = []  # folders that were warned of; once is enough
 
 
 class _CheckedFile(IndexDataCacheFile):
@@ -100,8 +100,8 @@ class _Cache(FunctionCache):
             yield
         # Unpickling a damaged index fails in any way there is.
         except Exception as error:
-            if not _told:
-                _told.append(self.cache_path)
+            if not _warned:
+                _warned.append(self.cache_path)
                 text = f"{self.cache_path}: compiled loops cannot be read or kept there ({error!r}), they are compiled anew"
                 warnings.warn(text, stacklevel=2)
             with contextlib.suppress(OSError):
