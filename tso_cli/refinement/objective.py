@@ -152,10 +152,11 @@ class MaskChamferObjective:
                 from ..kernels.mask_chamfer_numba import mask_chamfer as compiled
 
                 observed &= compiled(points, view.compiled, self.robust_scale, resolved, view.weight, costs, gradient)
-                continue
-            projected = project(points, view.camera)
-            of_points, gradient_px = mask_chamfer(projected.points_px, projected.valid, view.mask, self.robust_scale, resolved)
-            costs += view.weight * of_points
-            gradient += view.weight * projected.pull_back(gradient_px)
-            observed &= bool(view.mask.observed(projected.points_px, projected.valid).any())
+            else:
+                projected = project(points, view.camera)
+                pixels, valid = projected.points_px, projected.valid
+                of_points, gradient_px = mask_chamfer(pixels, valid, view.mask, self.robust_scale, resolved)
+                costs += view.weight * of_points
+                gradient += view.weight * projected.pull_back(gradient_px)
+                observed &= bool(view.mask.observed(pixels, valid).any())
         return costs, gradient, observed
