@@ -23,7 +23,7 @@ FROM_RESULT = (
     *("mode", "preset", "moving", "steps", "best_step", "stop_reason"),
     *("loss_before", "loss_after", "losses"),
     *("iou_before", "iou_after", "moved_mean", "moved_max", "chamfer_to_initial", "learning_rate", "gamma", "sigma_sq"),
-    *("symmetry", "symmetry_outcome", "symmetry_reason", "device", "seed"),
+    *("symmetry", "symmetry_outcome", "symmetry_reason", "device"),
 )
 
 
@@ -210,7 +210,7 @@ class RefineReport:
             click.echo(f"  spent  {decision.what}: {decision.choice} ({decision.reason})")
         click.echo(
             f"  sigma_sq {result.sigma_sq:g} (squared 64ths of the window), learning rate {result.learning_rate:g}, "
-            f"gamma {result.gamma:g}, preset {result.preset}, {result.device}, seed {result.seed}, "
+            f"gamma {result.gamma:g}, preset {result.preset}, {result.device}, "
             f"{self.seconds['optimise']:.2f} s in the loop, {self.seconds['total']:.2f} s in all"
         )
 

@@ -95,7 +95,6 @@ class RefineResult:
     gamma: float
     sigma_sq: float
     device: str
-    seed: int
     cameras: tuple[Camera, ...]
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()

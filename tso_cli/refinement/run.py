@@ -87,7 +87,7 @@ def _prepare(problem: Problem, settings: Settings, stopwatch: Stopwatch, interru
     with stopwatch.phase("prepare"):
         views = len(problem.views)
         weights = ViewWeights.even(views)
-        if settings.preset == "best" and settings.coarse_to_fine.weigh_views:
+        if settings.preset == "best":
             weights = ViewWeights.of(problem.resampled[:views], problem.cloud.normalised())
         field = SmoothField(problem.cloud.normalised()) if settings.staged else None
         checked = settings.symmetry == "auto" and len(problem.resampled) > views
@@ -202,7 +202,6 @@ def _result(
         gamma=settings.gamma,
         sigma_sq=settings.sigma_sq,
         device=settings.device,
-        seed=settings.seed,
         cameras=tuple(view.camera for view in problem.views),
         seconds=seconds,
         surface=(cloud.judged, moved.judged) if cloud.surface else None,
