@@ -49,7 +49,8 @@ forget_stale(Path(__file__).parent)
 def sweep(folder: str) -> None:
     """Once for each process, remove the temporaries that killed processes left in numba's ``folder``.
 
-    One is there for milliseconds; a process that finds its own gone, as it was stopped for a minute, says so and goes on.
+    A temporary lives for milliseconds, so one older than a minute is a leftover. A process that was stopped for that long finds
+    its own gone; it warns and goes on.
     """
     with contextlib.suppress(OSError):
         for path in Path(folder).glob("*.nb[ci].tmp.*"):
