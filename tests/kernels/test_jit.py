@@ -50,7 +50,7 @@ def test_without_a_writable_folder_the_loops_are_compiled_in_every_process(monke
 
 def test_a_full_disk_does_not_stop_the_work(monkeypatch):
     monkeypatch.setattr(jit._CheckedFile, "save", full_disk)
-    monkeypatch.setattr(jit, "_told", [])
+    monkeypatch.setattr(jit, "_warned", [])
     with pytest.warns(UserWarning, match="No space left on device.*compiled anew"):
         assert jit.compiled(lambda x: 2.0 * x)(2.0) == 4.0
 

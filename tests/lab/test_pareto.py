@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from tso_cli.lab.bench import pareto
-from tso_cli.lab.bench.pareto import DEFAULT, PAPER, STARTS, WAYS, Way, conclude, front
+from tso_cli.lab.bench.pareto import conclude, front
 from tso_cli.lab.bench.pareto_chart import _lines
+from tso_cli.lab.bench.ways import DEFAULT, PAPER, STARTS, WAYS, Way
 from tso_cli.lab.stability.peers import PEERS
 from tso_cli.lab.studies.refining import Variant
 from tso_cli.refinement import RefineConfig

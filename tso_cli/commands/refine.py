@@ -12,13 +12,13 @@ import click
 
 from ..errors import GateError, InputError
 from ..io.reading import require_memory
+from ..refinement.presets import MODES, PRESETS
 from . import options
 from .refine_check import check_scene
 from .refine_files import CameraPath, RefineInputs, RefineOutputs
 from .refine_report import RefineReport
 
 PATH = options.FilePath()
-MODES = ("points", "encoder", "encoder-decoder", "latent")
 BYTES_A_MOVING_POINT = 1100
 HEADINGS = {
     "mode": "Method",
@@ -45,7 +45,7 @@ BRIEF = ("mode", "preset", "budget", "camera", "output", "overwrite", "overlay",
 )
 @click.option(
     "--preset",
-    type=click.Choice(["best", "paper"]),
+    type=click.Choice(PRESETS),
     default="best",
     help="Loss and defaults of the options below: the most accurate on validation shapes, or those of the paper.",
 )
@@ -130,7 +130,6 @@ BRIEF = ("mode", "preset", "budget", "camera", "output", "overwrite", "overlay",
 @click.option("-v", "--verbose", is_flag=True, help="Also print all measures and settings, for each view.")
 @options.as_json
 @options.device
-@options.seed
 @click.pass_context
 def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose: bool, as_json: bool, **chosen: Any) -> None:
     """Make a point cloud agree with masks and write the refined cloud.

@@ -27,11 +27,11 @@ def check_scene(scene: Scene, as_json: bool, quiet: bool, warned: list[str]) -> 
     ``warned`` collects the warnings so far and those to come.
     """
     from ..refinement.agreement import Agreement
-    from ..refinement.cloud import outliers_told
+    from ..refinement.cloud import outlier_warnings
     from ..refinement.placement import SMALLEST_BOX_IOU, mask_doubts, place, require_overlap
 
     placements = [place(scene.moving, view) for view in scene.views]
-    doubts = outliers_told(_outliers(scene))
+    doubts = outlier_warnings(_outliers(scene))
     for doubt in (*doubts, *(doubt for view in scene.views for doubt in mask_doubts(view, len(scene.moving)))):
         warnings.warn(doubt, stacklevel=1)
     overlaps = [placement.box_iou > SMALLEST_BOX_IOU for placement in placements]

@@ -23,7 +23,7 @@ FROM_RESULT = (
     *("mode", "preset", "moving", "steps", "best_step", "stop_reason"),
     *("loss_before", "loss_after", "losses"),
     *("iou_before", "iou_after", "moved_mean", "moved_max", "chamfer_to_initial", "learning_rate", "gamma", "sigma_sq"),
-    *("symmetry", "symmetry_outcome", "symmetry_reason", "device", "seed"),
+    *("symmetry", "symmetry_outcome", "symmetry_reason", "device"),
 )
 
 
@@ -52,7 +52,7 @@ class RefineReport:
             before, after = result.view_ious[i]
             box, cells = result.view_windows[i]
             camera = {"mask": view.name, "camera": camera_document(view.camera, scene.camera_sources[i])}
-            weights = {"trust": result.view_trust[i], "weight": result.view_weights[i]}
+            weights = {"trust": result.inlier_weights[i], "weight": result.view_weights[i]}
             views.append(camera | {"iou_before": before, "iou_after": after} | weights | {"window": box, "cells": cells})
         document = {
             **{name: getattr(result, name) for name in FROM_RESULT},
@@ -173,7 +173,7 @@ class RefineReport:
     def _discounted(self) -> str | None:
         from ..refinement.result import DOUBTFUL_INLIER_WEIGHT
 
-        weights = zip(self.scene.views, self.result.view_trust, strict=True)
+        weights = zip(self.scene.views, self.result.inlier_weights, strict=True)
         names = [view.name for view, weight in weights if weight < DOUBTFUL_INLIER_WEIGHT]
         return f"little of {', '.join(names)} (contradicted by the others)" if names else None
 
@@ -193,7 +193,7 @@ class RefineReport:
             "directions, longest side 1)"
         )
         click.echo(f"  IoU is {IOU_MEANS}")
-        rows = zip(self.scene.views, result.view_ious, result.view_trust, result.view_weights, strict=True)
+        rows = zip(self.scene.views, result.view_ious, result.inlier_weights, result.view_weights, strict=True)
         for view, (before, after), inlier, weight in rows:
             click.echo(
                 f"  view   {before:.3f} -> {after:.3f}   inlier weight {inlier:.2f}, loss weight {weight:.2f}, {view.name}"
@@ -210,7 +210,7 @@ class RefineReport:
             click.echo(f"  spent  {decision.what}: {decision.choice} ({decision.reason})")
         click.echo(
             f"  sigma_sq {result.sigma_sq:g} (squared 64ths of the window), learning rate {result.learning_rate:g}, "
-            f"gamma {result.gamma:g}, preset {result.preset}, {result.device}, seed {result.seed}, "
+            f"gamma {result.gamma:g}, preset {result.preset}, {result.device}, "
             f"{self.seconds['optimise']:.2f} s in the loop, {self.seconds['total']:.2f} s in all"
         )
 

@@ -50,7 +50,7 @@ def use_compiled() -> bool:
 
 
 def _pays(seconds: float) -> bool:
-    """Whether numba pays where it saves so many ``seconds``."""
+    """Whether the ``seconds`` that compiled loops save exceed those of loading them, and of compiling if none are on disk."""
     if seconds < LOADING or not importable("numba"):
         return False
     if seconds >= LOADING + COMPILING or _on_disk():

@@ -49,7 +49,8 @@ forget_stale(Path(__file__).parent)
 def sweep(folder: str) -> None:
     """Once for each process, remove the temporaries that killed processes left in numba's ``folder``.
 
-    One is there for milliseconds; a process that finds its own gone, as it was stopped for a minute, says so and goes on.
+    A temporary lives for milliseconds, so one older than a minute is a leftover. A process that was stopped for that long finds
+    its own gone; it warns and goes on.
     """
     with contextlib.suppress(OSError):
         for path in Path(folder).glob("*.nb[ci].tmp.*"):
@@ -68,7 +69,7 @@ def on_disk(*functions: Any) -> bool:
         return False
 
 
-_told: list[str] = []  # folders that were warned of; once is enough
+_warned: list[str] = []  # folders that were warned of; once is enough
 
 
 class _CheckedFile(IndexDataCacheFile):
@@ -100,8 +101,8 @@ class _Cache(FunctionCache):
             yield
         # Unpickling a damaged index fails in any way there is.
         except Exception as error:
-            if not _told:
-                _told.append(self.cache_path)
+            if not _warned:
+                _warned.append(self.cache_path)
                 text = f"{self.cache_path}: compiled loops cannot be read or kept there ({error!r}), they are compiled anew"
                 warnings.warn(text, stacklevel=2)
             with contextlib.suppress(OSError):

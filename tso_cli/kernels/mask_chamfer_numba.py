@@ -38,13 +38,13 @@ def mask_chamfer(
     gradient: NDArray[np.float64],
 ) -> bool:
     """Add ``weight`` times what each of ``points`` [N, 3] adds to the loss to ``costs`` [N], as many times the loss's gradient
-    to ``gradient`` [N, 3]; returns whether the view shows any point."""
+    to ``gradient`` [N, 3]; returns whether the view observes any point."""
     if resolvability is None:
         resolvability = np.ones(len(points))
     height, width = view.inside.shape
     edge = cell_edge(height, width, len(points))
-    shown: bool = _mask_chamfer(points, *view, robust_scale, resolvability, edge, weight, costs, gradient)
-    return shown
+    any_observed: bool = _mask_chamfer(points, *view, robust_scale, resolvability, edge, weight, costs, gradient)
+    return any_observed
 
 
 @compiled
@@ -56,7 +56,7 @@ def _mask_chamfer(  # type: ignore[no-untyped-def]
     left, top, right, bottom = bounds[0], bounds[1], bounds[2], bounds[3]
     pixels, by_pixels, plane = np.empty((count, 2)), np.zeros((count, 2)), np.zeros((count, 3))
     valid, observed = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
-    shown = False
+    any_observed = False
     for n in range(count):
         x = R[0, 0] * points[n, 0] + R[0, 1] * points[n, 1] + R[0, 2] * points[n, 2] + t[0]
         y = R[1, 0] * points[n, 0] + R[1, 1] * points[n, 1] + R[1, 2] * points[n, 2] + t[1]
@@ -68,8 +68,8 @@ def _mask_chamfer(  # type: ignore[no-untyped-def]
         pixels[n, 1] = K[1, 1] * plane[n, 1] + K[1, 2]
         in_image = pixels[n, 0] >= left and pixels[n, 0] <= right and pixels[n, 1] >= top and pixels[n, 1] <= bottom
         observed[n] = valid[n] and (in_image or not truncated)
-        shown |= observed[n]
-    if not shown:
+        any_observed |= observed[n]
+    if not any_observed:
         return False
     area, robust = scale * scale, robust_scale * robust_scale
     open_pixels = inside.copy()

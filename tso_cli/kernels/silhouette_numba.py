@@ -26,6 +26,6 @@ def silhouette_bce(
     value, by_sums, waiting = cross_entropy(sums, covering, freeing, NEGLIGIBLE)
     gradient = splat_gradient(by_sums, points, valid[None], sigma_sq, radius)
     if waiting.any():
-        more, further = pixels_to_points(waiting, covering, points, valid[None], 0.5 / sigma_sq)
-        value, gradient = value + more, gradient + further
+        by_nearest, gradient_by_nearest = pixels_to_points(waiting, covering, points, valid[None], 0.5 / sigma_sq)
+        value, gradient = value + by_nearest, gradient + gradient_by_nearest
     return float(value[0]), gradient[0].astype(np.float64)

@@ -30,14 +30,14 @@ def add_rows(context, out, at, stride, rows, down, start, across, begin):  # typ
     """
 
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        lanes = _Vectors(context, builder, out.dtype, signature.args, arguments)
-        at_place = lanes.place
-        weights = lanes.load(at_place(6, arguments[7]))
+        vectors = _Vectors(context, builder, out.dtype, signature.args, arguments)
+        at_place = vectors.place
+        weights = vectors.load(at_place(6, arguments[7]))
         with cgutils.for_range(builder, arguments[3]) as loop:
             goal = at_place(0, builder.add(arguments[1], builder.mul(loop.index, arguments[2])))
             weight = builder.load(at_place(4, builder.add(arguments[5], loop.index), one=True))
-            total = lanes.multiply_add(lanes.spread(weight), weights, lanes.load(goal))
-            builder.store(total, goal, align=lanes.alignment)
+            total = vectors.multiply_add(vectors.spread(weight), weights, vectors.load(goal))
+            builder.store(total, goal, align=vectors.alignment)
         return context.get_dummy_value()
 
     number = types.intp
@@ -53,19 +53,19 @@ def project_rows(context, source, at, stride, rows, down, left, start, across, r
     """
 
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        lanes = _Vectors(context, builder, source.dtype, signature.args, arguments)
-        at_place = lanes.place
-        by_down, by_left = (cgutils.alloca_once_value(builder, lanes.zeros) for _ in range(2))
+        vectors = _Vectors(context, builder, source.dtype, signature.args, arguments)
+        at_place = vectors.place
+        by_down, by_left = (cgutils.alloca_once_value(builder, vectors.zeros) for _ in range(2))
         for total in (by_down, by_left):
-            builder.store(lanes.zeros, total)
+            builder.store(vectors.zeros, total)
         with cgutils.for_range(builder, arguments[3]) as loop:
-            row = lanes.load(at_place(0, builder.add(arguments[1], builder.mul(loop.index, arguments[2]))))
+            row = vectors.load(at_place(0, builder.add(arguments[1], builder.mul(loop.index, arguments[2]))))
             place = builder.add(arguments[6], loop.index)
             for argument, total in ((4, by_down), (5, by_left)):
-                weight = lanes.spread(builder.load(at_place(argument, place, one=True)))
-                builder.store(lanes.multiply_add(weight, row, builder.load(total)), total)
+                weight = vectors.spread(builder.load(at_place(argument, place, one=True)))
+                builder.store(vectors.multiply_add(weight, row, builder.load(total)), total)
         sums = [
-            lanes.add_up(builder.fmul(builder.load(total), lanes.load(at_place(argument, arguments[9]))))
+            vectors.add_up(builder.fmul(builder.load(total), vectors.load(at_place(argument, arguments[9]))))
             for argument, total in ((8, by_down), (7, by_left))
         ]
         return context.make_tuple(builder, signature.return_type, sums)

@@ -207,9 +207,9 @@ def _judged(shared: Record, cases: Cases) -> bool:
     return any(shared.items() <= case.items() for case in cases)
 
 
-def claim(text: str, holds: bool, found: str) -> Record:
+def claim(text: str, holds: bool, measured: str) -> Record:
     """One of a record's claims: whether it holds, and the figures that say so."""
-    return {"claim": text, "holds": bool(holds), "found": found}
+    return {"claim": text, "holds": bool(holds), "found": measured}
 
 
 def claim_line(claim: Record) -> str:

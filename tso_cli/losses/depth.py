@@ -84,9 +84,9 @@ def depth_loss(points: Array, projected: Projected, target: DepthTarget, robust_
         cost, slope = robust(squared, robust_scale)
         unreached = squared > TOLERANCE**2
         value += float(cost[unreached].sum()) * target.pixel_area
-        pull = np.where(unreached, 2.0 * target.pixel_area * slope * np.square(target.per_unit), 0.0)
+        by_offset = np.where(unreached, 2.0 * target.pixel_area * slope * np.square(target.per_unit), 0.0)
         for axis in range(3):
-            gradient[:, axis] += np.bincount(owner, pull * offsets[:, axis], len(points))
+            gradient[:, axis] += np.bincount(owner, by_offset * offsets[:, axis], len(points))
 
     pixel, in_image = pixels_under(projected.points_px, projected.valid, *target.front.shape)
     direction = target.camera.R[2]
@@ -95,5 +95,5 @@ def depth_loss(points: Array, projected: Projected, target: DepthTarget, robust_
     before = in_image & (ahead > TOLERANCE)
     cost, slope = robust(np.square(np.where(before, ahead, 0.0)), robust_scale)
     weight = REFERENCE_POINTS / len(points)
-    push = np.where(before, -2.0 * weight * slope * ahead * per_unit, 0.0)
-    return value + weight * float(cost.sum()), gradient + push[:, None] * direction
+    by_depth = np.where(before, -2.0 * weight * slope * ahead * per_unit, 0.0)
+    return value + weight * float(cost.sum()), gradient + by_depth[:, None] * direction

@@ -17,7 +17,7 @@ Marks = NDArray[np.bool_]
 
 # Lengths are stated in pixels of an image whose longer side has 64.
 REFERENCE_SIDE = 64.0
-# A point covers a pixel whose centre is this near, px: as far as a point may be from the nearest pixel's centre.
+# Distance, px, at which a point covers a pixel's centre: half the diagonal of a pixel, the most to the nearest centre.
 COVERED_WITHIN = 0.7
 # Pixels at most so far from a point's own, along rows and columns, are tried first as those that it is nearest to.
 REACH = 2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -71,23 +71,28 @@ class Agreement:
 
 
 class _Other(NamedTuple):
-    """Other assumptions than those given: ``what`` is right then, in words, and the ``option`` that makes them."""
+    """The given assumptions with one ``change``: ``what`` is right then, in words, and the ``option`` that asks for it."""
 
     what: str
     option: str
     assumptions: tuple[Assumption, ...]
-    fewer: bool  # than given
+    change: Assumption  # added, or left out
+    fewer: bool  # whether it is left out
 
 
 def _others(given: tuple[Assumption, ...]) -> list[_Other]:
-    """All with one more than given, and all with one less. Nobody is told to give again what is given."""
+    """The given assumptions without one of them, and with one that is not given."""
     less = [
-        _Other(f"{one.option} is wrong", f"without {one.option}", tuple(o for o in given if o is not one), True)
+        _Other(f"{one.option} is wrong", f"without {one.option}", tuple(o for o in given if o is not one), one, True)
         for one in given
     ]
-    told = [one.option for one in given] + ["--assume mask-inverted" for one in given if one.option == "--invert-mask"]
-    options = {f"--assume {name}": assumption for name, assumption in ASSUMPTIONS.items()}
-    return less + [_Other(one.what, option, (*given, one), False) for option, one in options.items() if option not in told]
+    # The same assumption may be given by another option.
+    present = [replace(one, option="") for one in given]
+    return less + [
+        _Other(one.what, f"--assume {name}", (*given, one), one, False)
+        for name, one in ASSUMPTIONS.items()
+        if one not in present
+    ]
 
 
 def _suspects(others: list[_Other], scores: Array, as_given: float) -> tuple[Suspect, ...]:
@@ -116,28 +121,31 @@ def _of_views(outlines: Sequence[_Outline], others: list[_Other], ious: Array, a
             name, other = outline.view.name, others[best]
             option = f"{other.option}@{name}"
             if other.fewer:
-                option = other.option if "@" in other.option else f"{other.option} for {name}"
+                option = other.option if other.change.view else f"{other.option} for {name}"
             suspects.append(Suspect(f"for {name} alone {other.what}", option, float(scores[best])))
     return tuple(suspects)
 
 
 def _of_all(other: _Other, rest: int) -> bool:
-    """Whether it cannot be said of one view: the cloud is the same for all, and of two views either may be the wrong one."""
-    return other.option.startswith("--assume cloud-") or (rest < 2 and "mask-inverted" not in other.option)
+    """Whether it cannot be said of one view: the cloud is the same for all, and of two views either may be the wrong one.
+
+    An inverted mask is known by its border, without other views.
+    """
+    return other.change.of_cloud or (rest < 2 and other.change.mask != "inverted")
 
 
 def _hidden(points: Array, views: Sequence[View]) -> tuple[Suspect, ...]:
     """Views in which something seems to be in front of the object."""
     suspects = []
     for view in views:
-        score = occluded(_told(view.camera.project(points)[0], view), view)
+        score = occluded(_on_known(view.camera.project(points)[0], view), view)
         if score is not None:
             suspects.append(Suspect(f"something hides a part of the object in {view.name}", "--ignore", score))
     return tuple(suspects)
 
 
-def _told(pixels: Array, view: View) -> Array:
-    """Those of ``pixels`` [N, 2] inside the image and not unknown: others say nothing."""
+def _on_known(pixels: Array, view: View) -> Array:
+    """Those of ``pixels`` [N, 2] that fall on known pixels of the image."""
     pixel, visible = pixels_under(pixels, np.asarray(np.isfinite(pixels).all(1)), *view.mask.shape)
     return pixels[visible if view.known is None else visible & view.known.ravel()[pixel]]
 
@@ -159,23 +167,23 @@ class _Outline:
             self.cells[True] = _Cells.of(~inside if view.known is None else ~inside & view.known)
 
     def iou(self, points: Array, assumptions: Sequence[Assumption]) -> float:
-        """With the cells that ``points`` [N, 3] fall in under these assumptions, in place of those given."""
+        """IoU of the mask's cells and those that ``points`` [N, 3] fall in, under these assumptions in place of the given."""
         view, given = self.view, about(self.view, self.given)
         assumptions, camera = about(view, assumptions), self.camera
         for assumption in assumptions:
             camera = assumption.of_camera(camera)
-        # What was done to the mask for what is given, and not undone; each is its own inverse.
+        # The mask has the given changes already; each change is its own inverse, so what occurs twice cancels.
         changes = [assumption.mask for assumption in (*given, *assumptions)] + ["left-right"] * mirrored(view)
         inverted, across, down = (changes.count(name) % 2 == 1 for name in ("inverted", "left-right", "upside-down"))
         if inverted and not self.may_be_inverted:
             return 0.0
         pixels, _ = camera.project(points @ axes_of(assumptions).T)
-        # The mask flipped is the cloud's picture flipped.
+        # The cells stay as they are: flipping the projection has the same effect as flipping the mask.
         if across:
             pixels[:, 0] = camera.width - 1.0 - pixels[:, 0]
         if down:
             pixels[:, 1] = camera.height - 1.0 - pixels[:, 1]
-        return self.cells[inverted].iou(_told(pixels, view))
+        return self.cells[inverted].iou(_on_known(pixels, view))
 
 
 class _Cells(NamedTuple):
@@ -196,7 +204,7 @@ class _Cells(NamedTuple):
         return cls(np.array([left, top]) - 0.5, edge, set((row * ROW + column).tolist()))
 
     def iou(self, pixels: Array) -> float:
-        """With the cells that ``pixels`` [N, 2] fall in."""
+        """IoU of the mask's cells and those that ``pixels`` [N, 2] fall in."""
         column, row = np.floor((pixels - self.low) / self.edge).astype(np.int64).T
         covered = set((row * ROW + column).tolist())
         return len(covered & self.inside) / max(1, len(covered | self.inside))

@@ -159,10 +159,10 @@ class _Batch:
         for scene in self.scenes:
             try:
                 views = 1 if isinstance(scene[1], View) else len(scene[1])
-                more, further = _work(self.config.settings(views), views, len(scene[0]))
+                of_scene, points_of_scene = _work(self.config.settings(views), views, len(scene[0]))
             except (TypeError, LookupError):
                 continue
-            comparisons, points = comparisons + more, points + further
+            comparisons, points = comparisons + of_scene, points + points_of_scene
         return comparisons, points
 
     def refine(self, number: int) -> RefineResult | TsoError:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,6 +22,7 @@ class Assumption:
 
     what : in words. axes : the x, y and z of the scene in those of the cloud. camera : from the camera of the file. mask :
     "inverted", "left-right" or "upside-down". option : that gave it. view : name of the only view that it is about, or "".
+    of_cloud : whether it is about the cloud, the same for all views.
     """
 
     what: str
@@ -30,6 +31,7 @@ class Assumption:
     mask: str = ""
     option: str = ""
     view: str = ""
+    of_cloud: bool = False
 
     @cached_property
     def matrix(self) -> Array:
@@ -83,21 +85,22 @@ def _exchanged(camera: Camera) -> Camera:
     return replace(camera, K=K)
 
 
+_of_cloud = partial(Assumption, of_cloud=True)
 ASSUMPTIONS = {
     "mask-inverted": Assumption("the mask is inverted", mask="inverted"),
     "mask-flipped": Assumption("the mask is flipped left to right", mask="left-right"),
     "mask-upside-down": Assumption("the mask is upside down", mask="upside-down"),
-    "cloud-z-up": Assumption("the cloud's z points up, the scene's y", "x z -y"),
-    "cloud-y-up": Assumption("the cloud's y points up, the scene's z", "x -z y"),
-    "cloud-upside-down": Assumption("the cloud is upside down", "x -y -z"),
-    "cloud-xy-swapped": Assumption("x and y of the cloud are exchanged", "y x z"),
-    "cloud-yz-swapped": Assumption("y and z of the cloud are exchanged", "x z y"),
-    "cloud-xz-swapped": Assumption("x and z of the cloud are exchanged", "z y x"),
-    "cloud-yzx": Assumption("the cloud's axes are y, z, x", "z x y"),
-    "cloud-zxy": Assumption("the cloud's axes are z, x, y", "y z x"),
-    "cloud-inches": Assumption("the cloud is in inches, the camera in metres", camera=_unit(0.0254)),
-    "cloud-millimetres": Assumption("the cloud is in millimetres, the camera in metres", camera=_unit(1e-3)),
-    "cloud-centimetres": Assumption("the cloud is in centimetres, the camera in metres", camera=_unit(1e-2)),
+    "cloud-z-up": _of_cloud("the cloud's z points up, the scene's y", "x z -y"),
+    "cloud-y-up": _of_cloud("the cloud's y points up, the scene's z", "x -z y"),
+    "cloud-upside-down": _of_cloud("the cloud is upside down", "x -y -z"),
+    "cloud-xy-swapped": _of_cloud("x and y of the cloud are exchanged", "y x z"),
+    "cloud-yz-swapped": _of_cloud("y and z of the cloud are exchanged", "x z y"),
+    "cloud-xz-swapped": _of_cloud("x and z of the cloud are exchanged", "z y x"),
+    "cloud-yzx": _of_cloud("the cloud's axes are y, z, x", "z x y"),
+    "cloud-zxy": _of_cloud("the cloud's axes are z, x, y", "y z x"),
+    "cloud-inches": _of_cloud("the cloud is in inches, the camera in metres", camera=_unit(0.0254)),
+    "cloud-millimetres": _of_cloud("the cloud is in millimetres, the camera in metres", camera=_unit(1e-3)),
+    "cloud-centimetres": _of_cloud("the cloud is in centimetres, the camera in metres", camera=_unit(1e-2)),
     "camera-millimetres": Assumption("the camera is in millimetres, the cloud in metres", camera=_unit(1e3)),
     "camera-centimetres": Assumption("the camera is in centimetres, the cloud in metres", camera=_unit(1e2)),
     "opengl": Assumption("the camera's axes are OpenGL's (y up, z backward)", camera=_axes(1.0, -1.0, -1.0)),
@@ -135,7 +138,7 @@ def assumptions_of(texts: Sequence[str]) -> list[Assumption]:
             raise InputError(
                 f"--assume is {text!r}, expected one of {', '.join(ASSUMPTIONS)}, or NAME@MASK for one mask of several"
             )
-        if at and name.startswith("cloud-"):
+        if at and ASSUMPTIONS[name].of_cloud:
             raise InputError(f"--assume is {text!r}, expected {name} alone: the cloud is the same for all masks")
         if texts.count(text) > 1:
             raise InputError(f"--assume {text} is given twice, expected once")

@@ -124,8 +124,8 @@ def outliers(points: Array) -> NDArray[np.bool_]:
     return far if far.mean() <= MOST_OUTLIERS else np.zeros(len(points), bool)
 
 
-def outliers_told(count: int) -> list[str]:
-    """The warning of so many outliers, none of none."""
+def outlier_warnings(count: int) -> list[str]:
+    """The warning of so many outliers; empty without any."""
     points = "1 point lies" if count == 1 else f"{count:,} points lie"
     return [f"{points} far from all others: left where found, and out of all measures"] if count else []
 

@@ -31,7 +31,7 @@ class CoarseToFine:
     follow : whether windows follow the cloud from stage to stage.
     evidence : `Problem.evidence`. The more views, the less is the detail of the last stage a guess: its part in the mean of
         the stages grows with the square.
-    further_terms : of a stage that starts at these points, beside masks, depth and prior.
+    stage_terms : terms of a stage that starts at these points, beside masks, depth and prior.
     """
 
     problem: Problem
@@ -41,7 +41,7 @@ class CoarseToFine:
     learning_rate: float
     follow: bool = True
     evidence: float = 1.0
-    further_terms: Callable[[Array, Stage], list[Term]] = lambda points, stage: []
+    stage_terms: Callable[[Array, Stage], list[Term]] = lambda points, stage: []
 
     def run(self, steps: int, on_progress: Progress | None = None, until: float = math.inf) -> tuple[Descent, Problem]:
         """Descend for ``steps`` in all; the stages share the time left ``until`` then (`time.perf_counter`).
@@ -69,7 +69,7 @@ class CoarseToFine:
                         prior = position_prior(initial, targets, finest, config, evidence)
                 resolvability = targets.resolvability(points, finest) if config.use_resolvability else None
                 mask_chamfer = MaskChamferObjective(targets, stage.robust_scale, resolvability)
-                objective = sum_of([mask_chamfer, prior, *self.further_terms(points, stage)])
+                objective = sum_of([mask_chamfer, prior, *self.stage_terms(points, stage)])
                 optimiser = (UniformAdam if config.uniform_adam else Adam)(stage.learning_rate_scale * self.learning_rate)
                 parameters = FieldParameters(points, finest.with_nodes(stage.nodes), stage.smoothness, optimiser)
                 end = round(steps * number / len(stages))

@@ -45,7 +45,6 @@ class RefineConfig:
     sigma_sq : variance of the projection's Gaussian in squared cells of the window, which has 64 a side; 0.4, the paper's.
         Used by the preset "paper" and by ``refine_camera``; the mask Chamfer loss of "best" has no Gaussian.
     device : where the network is: "cpu", "cuda", "auto" or any name torch knows. Points mode needs none, and is on the CPU.
-    seed : recorded in the result; no mode draws random numbers.
     preset : "best", or "paper": Eq. 7 with the paper's settings.
     symmetry : "auto" (best, points mode) searches a mirror plane of the start and uses it if the views agree; "none" (paper);
         "x", "y", "z": the axis normal to a plane through the middle of the start's bounding box; or "a,b,c,d": the plane
@@ -70,7 +69,6 @@ class RefineConfig:
     gamma: float | None = None
     sigma_sq: float | None = None
     device: str = "cpu"
-    seed: int = 0
     preset: str = "best"
     symmetry: str | None = None
     refine_camera: bool = False
@@ -85,10 +83,9 @@ class RefineConfig:
                 raise InputError(f"{name} is {getattr(self, name)!r}, expected one of {', '.join(known)}")
         if self.refine_camera and self.mode != "points":
             raise InputError(f"mode is {self.mode!r}, expected points to refine the camera")
-        for name in ("steps", "seed"):
-            value = getattr(self, name)
-            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 0):
-                raise InputError(f"{name} is {value!r}, expected a whole number, 0 or more")
+        steps = self.steps
+        if steps is not None and (isinstance(steps, bool) or not isinstance(steps, int) or steps < 0):
+            raise InputError(f"steps is {steps!r}, expected a whole number, 0 or more")
         for name, low, high in (("learning_rate", 0.0, 1e6), ("gamma", -1.0, 1e15), ("sigma_sq", 0.0, 1e9)):
             value = getattr(self, name)
             if value is not None and not (isinstance(value, (int, float)) and low < value <= high and value >= 0.0):
@@ -150,7 +147,6 @@ class Settings:
     symmetry: str
     sigma_sq: float
     device: str
-    seed: int
     refine_camera: bool
     accept_doubtful: bool
     points: int | None

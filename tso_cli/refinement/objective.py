@@ -134,8 +134,8 @@ class MaskChamferObjective:
 
     def in_parts(self, points: Array) -> tuple[float, Array, Array]:
         """Value and gradient, and what each point adds to the masks' part of the value [N]."""
-        costs, gradient, shown = self._of_masks(points)
-        total = float(costs.sum()) if shown else np.inf
+        costs, gradient, observed = self._of_masks(points)
+        total = float(costs.sum()) if observed else np.inf
         for view in self.targets.views:
             if view.depth is not None and view.weight > 0.0:
                 value, by_points = depth_loss(points, project(points, view.camera), view.depth, self.robust_scale)
@@ -143,8 +143,8 @@ class MaskChamferObjective:
         return total, gradient, costs
 
     def _of_masks(self, points: Array) -> tuple[Array, Array, bool]:
-        """What each point adds, [N], the gradient [N, 3], and whether all views show points."""
-        costs, gradient, shown = np.zeros(len(points)), np.zeros_like(points), True
+        """What each point adds, [N], the gradient [N, 3], and whether every view observes points."""
+        costs, gradient, observed = np.zeros(len(points)), np.zeros_like(points), True
         for number, view in enumerate(self.targets.views):
             if view.weight == 0.0:
                 continue
@@ -152,11 +152,12 @@ class MaskChamferObjective:
             if use_compiled():
                 from ..kernels.mask_chamfer_numba import mask_chamfer as compiled
 
-                shown &= compiled(points, view.compiled, self.robust_scale, resolved, view.weight, costs, gradient)
-                continue
-            projected = project(points, view.camera)
-            of_points, gradient_px = mask_chamfer(projected.points_px, projected.valid, view.mask, self.robust_scale, resolved)
-            costs += view.weight * of_points
-            gradient += view.weight * projected.pull_back(gradient_px)
-            shown &= bool(view.mask.observed(projected.points_px, projected.valid).any())
-        return costs, gradient, shown
+                observed &= compiled(points, view.compiled, self.robust_scale, resolved, view.weight, costs, gradient)
+            else:
+                projected = project(points, view.camera)
+                pixels, valid = projected.points_px, projected.valid
+                of_points, gradient_px = mask_chamfer(pixels, valid, view.mask, self.robust_scale, resolved)
+                costs += view.weight * of_points
+                gradient += view.weight * projected.pull_back(gradient_px)
+                observed &= bool(view.mask.observed(pixels, valid).any())
+        return costs, gradient, observed

@@ -9,18 +9,18 @@ from ..geometry.camera import Array
 from ..geometry.points import longest_side
 from ..geometry.view import View
 
-# Of the mask's longer side: the least length of the edge, and cells that silhouettes are compared in.
+# Least length of the edge as a share of the mask's longer side; cells along that side, in which silhouettes are compared.
 LEAST_EDGE, CELLS = 0.15, 16
-# The outline follows the edge to so many pixels, over so much of the mask's width behind it (so far, of its longer side).
+# Foreground at the edge is this near, px; it is at least this share, along the edge, of that behind (so far, of that side).
 WITHIN, LEAST_STRAIGHT, BEHIND = 1.5, 0.7, 0.15
-# The least share of the points beyond the edge (so far, of the mask's longer side), and the IoU that is gained without them.
+# Least share of the points over so far beyond the edge (of that side); least IoU that is gained without them.
 LEAST_BEYOND, BEYOND, GAIN = 0.05, 0.04, 0.1
 
 
 def occluded(pixels: Array, view: View) -> float | None:
-    """IoU with the view's object of ``pixels`` [N, 2], its cloud, up to a straight edge that the object ends at and they cross.
+    """IoU of the mask and those of ``pixels`` [N, 2], the projected cloud, that lie behind the edge of an occluder.
 
-    None where there is no such edge inside the picture.
+    Such an edge is straight, inside the picture, ends the mask, and has part of the cloud beyond it; None where there is none.
     """
     rows, columns = np.nonzero(view.inside)
     outline = np.stack([columns, rows], axis=1).astype(np.float64)

@@ -20,9 +20,9 @@ BEST_GAMMA = 0.0
 MAX_VIEWS_FOR_STEPS = 4
 
 FULL_STEPS = 2
-"""Times the steps of the default, with the budget "full": with more, validation shapes come no nearer."""
+"""Factor of the default's steps with the budget "full"; more steps do not improve validation shapes."""
 OPTIMISING = 0.8
-"""Share of the seconds of a budget after which the optimisation ends, and the result is judged."""
+"""Share of a budget's seconds that the optimisation may take; the rest is for judging the result."""
 SHORT_SECONDS = 0.3
 """For each view: with a budget of less, in which not all steps of 1,024 points may fit, `SHORT_POINTS` move."""
 SHORT_POINTS = 512
@@ -30,7 +30,7 @@ SHORT_POINTS = 512
 FIELD_NODES = 1024
 """Most nodes of a smooth displacement field; larger clouds interpolate between them."""
 FEWEST_POINTS = 16
-"""That may be asked to move by themselves, and that a result is judged of."""
+"""Least number of points that may be asked to move by themselves, and for which a result is judged."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,6 @@ class CoarseToFineConfig:
     local_prior : whether a part of the cloud that fits badly is held less than the rest.
     uniform_adam : whether Adam's step has one scale for the whole cloud (`UniformAdam`) or one per number.
     use_resolvability : whether parts too thin for the pixels to resolve are left out of the background term.
-    weigh_views : whether views that others contradict, or repeat, count less.
     """
 
     stages: tuple[Stage, ...] = STAGES
@@ -92,7 +91,6 @@ class CoarseToFineConfig:
     local_prior: bool = True
     uniform_adam: bool = True
     use_resolvability: bool = True
-    weigh_views: bool = True
 
 
 BEST = CoarseToFineConfig()

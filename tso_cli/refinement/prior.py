@@ -11,9 +11,9 @@ from .objective import Array, MaskChamferObjective, ViewTargets
 from .presets import CoarseToFineConfig
 from .smooth_field import SmoothField
 
-# Robust scale, px of a mask of 64, of the loss that tells how wrong the start is.
+# Robust scale of the loss by which the start is judged, px of a mask of 64.
 ROBUST_SCALE = 4.0
-# A start that fits better than to so many px^2 per mask pixel is held no more.
+# Least loss of the start that the prior weight is computed from, px^2 per mask pixel.
 LEAST_LOSS = 0.1
 # A part of the cloud is held by its own loss where that, averaged with this smoothness, is over so many px^2 per mask pixel.
 LOCAL_LOSS, LOCAL_SMOOTHNESS = 1.0, 1.0

@@ -14,7 +14,7 @@ from ..geometry.view import View
 from ..geometry.window import Box
 from .assumptions import Suspect
 from .budget import Decision
-from .cloud import outliers_told
+from .cloud import outlier_warnings
 from .placement import mask_doubts
 from .symmetry import SymmetryOutcome
 
@@ -45,7 +45,7 @@ class RefineResult:
         the preset "best" the objective changes from stage to stage: these two are both by the last.
     iou_before, iou_after : of the mask (> 0.5) and the cloud's silhouette, whose footprints follow the cloud's spacing
         (evaluation/footprint.py), in the square around both; mean over views.
-    view_ious : the two of each view. view_trust : the view's inlier weight, under 1 where the other views contradict it.
+    view_ious : the two of each view. inlier_weights : of each view, under 1 where the other views contradict it.
         view_weights : of its loss in the objective: the inlier weight, divided among views of the same side.
     moved_mean, moved_max : length of the points' displacements, in longest sides of the start.
     chamfer_to_initial : squared distances, mean over points, both directions summed, for a cloud of longest side 1.
@@ -81,7 +81,7 @@ class RefineResult:
     iou_before: float
     iou_after: float
     view_ious: list[tuple[float, float]]
-    view_trust: list[float]
+    inlier_weights: list[float]
     view_weights: list[float]
     view_windows: list[tuple[Box, int]]
     moved_mean: float
@@ -95,7 +95,6 @@ class RefineResult:
     gamma: float
     sigma_sq: float
     device: str
-    seed: int
     cameras: tuple[Camera, ...]
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
@@ -173,13 +172,13 @@ def result_warnings(result: RefineResult, views: Sequence[View], steps: int, sus
         messages.append(f"the result is doubtful{sure}{taken}: {result.reason}")
     elif suspicion:
         messages.append(suspicion)
-    messages += outliers_told(int(result.outliers.sum()))
+    messages += outlier_warnings(int(result.outliers.sum()))
     for view in views:
         messages += mask_doubts(view, result.moving)
     messages += [
-        f"{view.name}: the other views contradict it, so it counts for little (trust {weight:.2f} of 1); is its mask or camera "
-        "wrong?"
-        for view, weight in zip(views, result.view_trust, strict=True)
+        f"{view.name}: the other views contradict it, so it counts for little (inlier weight {weight:.2f} of 1); is its "
+        "mask or camera wrong?"
+        for view, weight in zip(views, result.inlier_weights, strict=True)
         if weight < DOUBTFUL_INLIER_WEIGHT
     ]
     return tuple(messages)

@@ -87,7 +87,7 @@ def _prepare(problem: Problem, settings: Settings, stopwatch: Stopwatch, interru
     with stopwatch.phase("prepare"):
         views = len(problem.views)
         weights = ViewWeights.even(views)
-        if settings.preset == "best" and settings.coarse_to_fine.weigh_views:
+        if settings.preset == "best":
             weights = ViewWeights.of(problem.resampled[:views], problem.cloud.normalised())
         field = SmoothField(problem.cloud.normalised()) if settings.staged else None
         checked = settings.symmetry == "auto" and len(problem.resampled) > views
@@ -113,7 +113,7 @@ def _optimise(
     if prepared.field:
         photos, colours = _photos(problem, prepared.view_weights.loss), np.asarray(problem.cloud.colours, dtype=np.float64)
 
-        def further_terms(points: Array, stage: Stage) -> list[Term]:
+        def stage_terms(points: Array, stage: Stage) -> list[Term]:
             return [*regulariser, *(PhotometricTerm.at(photo, colours, points, stage.blur) for photo in photos)]
 
         coarse_to_fine = CoarseToFine(
@@ -123,7 +123,7 @@ def _optimise(
             settings.coarse_to_fine,
             settings.learning_rate,
             evidence=problem.evidence(prepared.view_weights.loss),
-            further_terms=further_terms,
+            stage_terms=stage_terms,
         )
         descent, problem = coarse_to_fine.run(steps, on_progress, until)
     else:
@@ -188,7 +188,7 @@ def _result(
         iou_before=iou_before,
         iou_after=iou_after,
         view_ious=outcome.ious,
-        view_trust=prepared.view_weights.inlier,
+        inlier_weights=prepared.view_weights.inlier,
         view_weights=prepared.view_weights.loss,
         view_windows=[(view.box, view.camera.width) for view in problem.resampled[: len(problem.views)]],
         moved_mean=float(lengths.mean()),
@@ -202,7 +202,6 @@ def _result(
         gamma=settings.gamma,
         sigma_sq=settings.sigma_sq,
         device=settings.device,
-        seed=settings.seed,
         cameras=tuple(view.camera for view in problem.views),
         seconds=seconds,
         surface=(cloud.judged, moved.judged) if cloud.surface else None,

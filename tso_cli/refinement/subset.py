@@ -34,7 +34,7 @@ class Subset:
         self.samples: Array = self._inliers[self._chosen]
 
     def with_samples(self, most: int | None) -> Subset:
-        """The same cloud with at most so many samples, or all points; itself, where it has as many."""
+        """The same cloud with at most ``most`` samples, None for all points. Itself if the number stays."""
         count = len(self._inliers) if most is None else min(most, len(self._inliers))
         return self if count == len(self.samples) else Subset(self._given, self.kept, most)
 

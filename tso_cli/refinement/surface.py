@@ -48,7 +48,7 @@ class Surface:
         self.samples = self.at(self.vertices)
 
     def with_samples(self, most: int | None) -> Surface:
-        """The same mesh with so many samples, 4,096 at most; itself, where it has as many, or no number is asked for."""
+        """The same mesh with ``most`` samples, at most 4,096; None keeps their number. Itself if the number stays."""
         count = min(most or len(self.samples), MOST_SAMPLES)
         if count == len(self.samples):
             return self

@@ -182,10 +182,8 @@ class SymmetryDecision:
         if self.loss_ratio is None:
             return f"{fit} {limits}"
         limit = f"{'at most' if self.outcome == 'used' else 'over'} {self.most}"
-        return (
-            f"{fit} {limits}; with the flipped picture the loss that is left is {self.loss_ratio:.2f} times that without, "
-            f"for each picture ({limit})"
-        )
+        ratio = f"the final loss per view is {self.loss_ratio:.2f} times that without ({limit})"
+        return f"{fit} {limits}; with the flipped view {ratio}"
 
 
 def decide_symmetry(cloud: Cloud, symmetry: str) -> SymmetryDecision:

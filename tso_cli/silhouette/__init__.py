@@ -1,1 +1,1 @@
-"""Projection, and the losses of projected points against masks and depth maps."""
+"""Projection, and the losses of projected points against masks, in torch, for training."""

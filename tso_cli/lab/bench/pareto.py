@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,79 +14,21 @@ from threadpoolctl import threadpool_limits
 from ...errors import InputError
 from ...evaluation.metrics import chamfer
 from ...geometry.points import Array
-from ...geometry.view import View
 from ...io.shipped import default_checkpoint, examples_folder
 from ...network.model import BaseNetwork
-from ...refinement import RefineConfig
 from ...refinement.api import compile_loops
 from ..stability.peers import PEERS
 from ..studies.accuracy import CATEGORIES
 from ..studies.cases import Case, CaseBuilder, kinds_of
-from ..studies.refining import COMBINED, Variant, alone
 from ..studies.shapes import Shape, shapes_of_part, view_aligned_network, weights_hash
 from ..studies.summary import grouped, ratio_figures, rounded
 from ..study import DEVICE, LIMIT, SEED, SPLIT, VIEWS, Cases, Option, Plan, Progress, Record, Study, Table, claim, part
+from .pareto_chart import draw_pareto
 from .speed import machine
 from .timing import timed
+from .ways import DEFAULT, PAPER, PREDICTION, PUBLISHED, PUBLISHED_SECONDS, STARTS, WAYS, Way
 
 SHIPPED_SPLIT = Path(__file__).with_name("shipped_split.json")
-CLOUD, PREDICTION = "other", "network"
-STARTS = {CLOUD: "start: another shape of the type", PREDICTION: "start: the network's prediction"}
-"""Kind of the cases -> what it is called."""
-DEFAULT, PAPER = "points, best", "points, paper"
-# Steps of each mode and preset; None: the preset's own.
-STEPS: dict[str, tuple[int | None, ...]] = {
-    DEFAULT: (6, 12, 24, None, 96, 192),
-    PAPER: (12, 25, None, 100, 200),
-    **{f"{mode}, paper": (12, 25, None) for mode in ("encoder", "encoder-decoder")},
-    **{f"{mode}, best": (6, None, 24) for mode in ("encoder", "encoder-decoder")},
-    "latent, paper": (12, None, 100),
-    "latent, best": (15, None, 60),
-}
-BUDGETS = ("0.06", "0.1", "full")
-PUBLISHED_SECONDS, PUBLISHED = 1.0, (0.94, 0.97)
-"""The paper's own: 3 to 6 % nearer, in about a second."""
-
-
-@dataclass(frozen=True)
-class Way:
-    """A point of the chart, from starts of ``kinds``; ways of one ``line`` are joined. ``points``, ``size``: of cloud, mask."""
-
-    run: Variant | Callable[[Array, Sequence[View]], Array]
-    line: str = ""
-    kinds: tuple[str, ...] = (CLOUD, PREDICTION)
-    points: int = 1024
-    size: int = 64
-
-    @property
-    def masks(self) -> int:
-        return self.run.masks if isinstance(self.run, Variant) else 1
-
-    def refined(self, case: Case, device: str, network: BaseNetwork | None) -> Array:
-        if isinstance(self.run, Variant):
-            return alone(case, self.run, device, network).points
-        return self.run(case.initial, case.views[:1])
-
-
-def _by_steps(line: str) -> Iterator[tuple[str, Way]]:
-    mode, preset = line.split(", ")
-    for steps in STEPS[line]:
-        kinds = (PREDICTION,) if mode != "points" else (CLOUD,) if steps else (CLOUD, PREDICTION)
-        yield line + f", {steps} steps" * bool(steps), Way(Variant(RefineConfig(mode, preset=preset, steps=steps)), line, kinds)
-
-
-WAYS: dict[str, Way] = {
-    **dict(way for line in STEPS for way in _by_steps(line)),
-    **{f"{DEFAULT}, {number} masks": Way(Variant(masks=number), "masks") for number in (2, 4)},
-    **{f"{DEFAULT}, {count:,} points": Way(Variant(), "points", (CLOUD,), points=count) for count in (256, 4096, 16384)},
-    **{f"{DEFAULT}, {size} px": Way(Variant(), "pixels", (CLOUD,), size=size) for size in (32, 128, 256)},
-    **{f"{DEFAULT}, budget {budget}": Way(Variant(RefineConfig(budget=budget)), "budget") for budget in BUDGETS},
-    f"{DEFAULT}, 512 move": Way(Variant(RefineConfig(points=512)), "moving", (CLOUD,)),
-    f"{DEFAULT}, no mirror plane": Way(Variant(RefineConfig(symmetry="none"))),
-    **{name: Way(variant, kinds=(PREDICTION,)) for name, variant in COMBINED.items()},
-    **{name: Way(peer) for name, peer in PEERS.items()},
-}
-"""What is compared; one line more is one point more on the chart."""
 CONVENTION = {
     "ratio": "Chamfer distance after / before, mean of the cases' own; squared distances, mean over points, both directions "
     "added, longest side 1, to as many target points",
@@ -218,8 +160,6 @@ def tables(record: Record) -> list[Table]:
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
     """Ratio against seconds, a panel for each start."""
-    from .pareto_chart import draw_pareto
-
     draw_pareto(path, record["summary"], overwrite)
 
 

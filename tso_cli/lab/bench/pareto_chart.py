@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from ...plots.style import COLOURS, INK, PALE, page
+from ..stability.peers import PEERS
 from ..studies.refining import Variant
 from ..study import Record
-from .pareto import CLOUD, DEFAULT, PAPER, PEERS, PREDICTION, PUBLISHED, PUBLISHED_SECONDS, STARTS, STEPS, WAYS
+from .ways import CLOUD, DEFAULT, PAPER, PREDICTION, PUBLISHED, PUBLISHED_SECONDS, STARTS, STEPS, WAYS
 
 MODES = {"points": COLOURS[0], "encoder": COLOURS[4], "encoder-decoder": COLOURS[2], "latent": COLOURS[3]}
 OTHERS = "#777777"

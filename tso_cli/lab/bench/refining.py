@@ -99,7 +99,7 @@ def measure_object(setting: Setting, sizes: tuple[int, ...] = SIZES, steps: int 
     cases += [("best", sizes[0], views) for views in MORE_VIEWS]
     contestants = [IMPORT_TORCH]
     for (preset, points, views), form in product(cases, FORMS):
-        config = RefineConfig(preset=preset, steps=steps, seed=setting.seed)
+        config = RefineConfig(preset=preset, steps=steps)
         work = partial(refine, cloud(points, setting.seed), chair_views(views), config=config)
         fields = {"points": points, "preset": preset, "views": views, "form": form}
         contestants.append(Contestant(f"{preset}, {form}", timed(work, form), fields))
@@ -114,7 +114,7 @@ def measure_batch(
     clouds, views = [cloud(POINTS, setting.seed + number) for number in range(CLOUDS)], chair_views()
     contestants = [IMPORT_TORCH]
     for preset in PRESETS:
-        config = RefineConfig(preset=preset, steps=steps, seed=setting.seed)
+        config = RefineConfig(preset=preset, steps=steps)
         alone = timed(partial(refine, clouds[0], views, config=config))
         contestants.append(Contestant("refine", alone, {"preset": preset, "batch": 1, "processes": 1, "busy": False}))
         for size, count, busy in product(sizes, sorted({1, most or os.cpu_count() or 1}), (False, True)):

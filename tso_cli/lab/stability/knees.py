@@ -54,16 +54,18 @@ def works(row: Record) -> bool:
 
 
 def knee(rows: Cases) -> Record:
-    """Up to where an axis works, from where the tool speaks up where it fails, and where it fails; None where it does not.
+    """The levels of an axis that matter to a user, None where there is none, and the same in words.
 
-    ``rows`` are those of all levels, from harmless to hopeless.
+    works_to : the last level before the first that does not work. fails_at : the first level that fails. speaks_from : the
+    first level with a warning after the last failing one without (where none fails, the last one without). ``rows`` are those
+    of all levels, from harmless to hopeless.
     """
     levels, flags = [row["level"] for row in rows], {test: [test(row) for row in rows] for test in (works, speaks, fails)}
     working = flags[works].index(False) if False in flags[works] else len(rows)
     judged = flags[fails] if True in flags[fails] else [True] * len(rows)
     silent = [place for place in range(len(rows)) if judged[place] and not flags[speaks][place]]
-    told = [place for place in range(max(silent, default=-1) + 1, len(rows)) if flags[speaks][place]]
-    speaking = min(told, default=len(rows))
+    warned = [place for place in range(max(silent, default=-1) + 1, len(rows)) if flags[speaks][place]]
+    speaking = min(warned, default=len(rows))
     failing = flags[fails].index(True) if True in flags[fails] else len(rows)
     places = {"works_to": working - 1, "speaks_from": speaking, "fails_at": failing}
     found: Record = {key: levels[i] if 0 <= i < len(rows) else None for key, i in places.items()}

@@ -93,11 +93,11 @@ def judge(
     """A row for each level, of all seeds of each case."""
     masks = way.masks if isinstance(way, Variant) else 1
     runs = (run_of(cases, axis, *place, masks) for place in product(levels, range(len(cases)), seeds))
-    told, count = [_told(outcome) for outcome in outcomes_of(runs, way)], len(cases) * len(seeds)
-    return [_row(axis, name, level, told[i * count : (i + 1) * count]) for i, level in enumerate(levels)]
+    run_rows, count = [_run_row(outcome) for outcome in outcomes_of(runs, way)], len(cases) * len(seeds)
+    return [_row(axis, name, level, run_rows[i * count : (i + 1) * count]) for i, level in enumerate(levels)]
 
 
-def _told(outcome: Outcome) -> dict[str, Any]:
+def _run_row(outcome: Outcome) -> dict[str, Any]:
     """What a row says of a run."""
     verdict = getattr(outcome.result, "verdict", None) or "?"
     numbers = {key: digits(getattr(outcome.result, name, None)) for key, name in NUMBERS.items()}
@@ -110,9 +110,9 @@ def _told(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _row(axis: Axis, name: str, level: float, told: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def _row(axis: Axis, name: str, level: float, run_rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The level's figures, and the same of every run; what no run has is left out."""
-    of_runs = {key: [run[key] for run in told] for key in told[0]}
+    of_runs = {key: [run[key] for run in run_rows] for key in run_rows[0]}
     said, verdicts, ratios = "".join(of_runs.pop("said")), "".join(of_runs.pop("verdict")), of_runs.pop("ratio")
     head = {"axis": axis.name, "variant": name, "level": level, **figures(said, ratios, of_runs["took"]), "said": said}
     if verdicts.strip("?"):

@@ -36,7 +36,7 @@ from .summary import grouped, interval, mean, ratio_figures, ratios_of, rounded
 
 CATEGORIES = ("chair", "airplane", "car", "sofa", "table")
 GROUP = 32
-"""Cases that are refined together: their dense matrices fill 0.4 GiB."""
+"""Cases that are refined in one call."""
 STARTS = "Where the starts are from. May be repeated.  [default: all; with --ablation all but right]"
 F_THRESHOLD = 0.02
 # Of a row of the table, beside Chamfer.

@@ -122,9 +122,9 @@ def conclude_weights(cases: Cases) -> Record:
     for form, by_weight in summary.items() if chairs else ():
         theirs = {weight: by_weight[weight] for weight in PAPER}
         best, three = min(by_weight, key=by_weight.__getitem__), ", ".join(f"{value:.2f}" for value in theirs.values())
-        found = f"{three}; paper 4.63, 4.42, 5.3; best of all here: lambda = {best}, {by_weight[best]:.2f}"
+        measured = f"{three}; paper 4.63, 4.42, 5.3; best of all here: lambda = {best}, {by_weight[best]:.2f}"
         text = f"of 0.5e-4, 1e-4 and 5e-4, lambda = 1e-4 is the best (form {form!r})"
-        claims.append(claim(text, min(theirs, key=theirs.__getitem__) == "0.0001", found))
+        claims.append(claim(text, min(theirs, key=theirs.__getitem__) == "0.0001", measured))
     return {"summary": summary, "paper": {"chair": PAPER} if chairs else {}, "claims": claims}
 
 

@@ -124,8 +124,8 @@ def judge(name: str, question: Question, cases: list[tuple[Case, Truth]], seed: 
         results = refined(changed, variant, "cpu", None) if changed else []
         for number, case, result in zip(numbers, changed, results, strict=True):
             before, after = (chamfer(points, case.target).chamfer for points in (case.initial, result.points))
-            further = {PLANES: float(result.symmetry is None)} if question.planes else {}
-            records[number]["rows"][label] = rounded({"before": before, "chamfer": after, **further})
+            planes = {PLANES: float(result.symmetry is None)} if question.planes else {}
+            records[number]["rows"][label] = rounded({"before": before, "chamfer": after, **planes})
     return records
 
 
@@ -147,9 +147,9 @@ def _means(cases: Cases) -> Record:
         rows = [case["rows"][label] for case in cases if label in case["rows"]]
         ratios = np.array([row["chamfer"] / row["before"] for row in rows])
         columns = {key: [row[key] for row in rows] for key in rows[0] if key not in ("before", "chamfer")}
-        further = {key: float(np.mean(values)) for key, values in columns.items()}
+        averages = {key: float(np.mean(values)) for key, values in columns.items()}
         counts = {"cases": len(rows), "worse": int((ratios > 1.0).sum())}
-        means[label] = rounded({**counts, "mean_ratio": float(ratios.mean()), "worst_ratio": float(ratios.max()), **further})
+        means[label] = rounded({**counts, "mean_ratio": float(ratios.mean()), "worst_ratio": float(ratios.max()), **averages})
     return means
 
 

@@ -118,15 +118,15 @@ def conclude(cases: Cases) -> Record:
             shared, small = summary[wide]["body_width"], summary[narrow]["body_width"]
             widths = f"body width {shared:.2f} of the true one under 0.4, {small:.2f} under 0.1"
             spans = f"wing span {summary[wide]['span']:.2f} and {summary[narrow]['span']:.2f}"
-            text, found = f"aeroplanes {where} have", f"{widths}; {spans}"
+            text, measured = f"aeroplanes {where} have", f"{widths}; {spans}"
             claims.append(claim(f"{text} too narrow a body under sigma^2 = 0.4", shared < RIGHT, widths))
-            claims.append(claim(f"{text} a wider body under sigma^2 = 0.1", shared < RIGHT * small, found))
+            claims.append(claim(f"{text} a wider body under sigma^2 = 0.1", shared < RIGHT * small, measured))
     if ONE in summary:
         depth, across = (summary[ONE][key] / summary[FOUR][key] for key in ("depth", "across"))
-        found = f"squared error in depth {depth:.2f} times that with four masks, across {across:.2f} times; extent in depth "
-        found += f"{summary[ONE]['extent']:.2f} and {summary[FOUR]['extent']:.2f} of the true one"
+        measured = f"squared error in depth {depth:.2f} times that with four masks, across {across:.2f} times; extent in depth "
+        measured += f"{summary[ONE]['extent']:.2f} and {summary[FOUR]['extent']:.2f} of the true one"
         text = "cars trained with one mask are deformed in depth, more than across, and more masks correct it"
-        claims.append(claim(text, depth > 1.0 and depth > across, found))
+        claims.append(claim(text, depth > 1.0 and depth > across, measured))
     return {"summary": summary, "claims": claims}
 
 

@@ -77,14 +77,14 @@ def claims(summary: Record) -> list[Record]:
     named = {name: row for name, row in summary.items() if row["paper"] is not None and name != "all"}
     best = ", ".join(f"{name} {row['best']:g} (the paper's {row['paper']:g})" for name, row in named.items())
     missing, stray = overall["missing"], overall["stray"]
-    found = f"missing {missing[0]:.4f} to {missing[-1]:.4f}, stray {stray[0]:.4f} to {stray[-1]:.4f}"
+    measured = f"missing {missing[0]:.4f} to {missing[-1]:.4f}, stray {stray[0]:.4f} to {stray[-1]:.4f}"
     holes = bool(np.all(np.diff(missing) < 0.0) and np.all(np.diff(stray) > 0.0))
     near = all(0.5 <= row["best"] / row["paper"] <= 2.0 for row in named.values())
     answers = [
         claim(
             "a small sigma^2 leaves holes, a large one fills what is empty",
             holes,
-            f"from {SIGMAS[0]:g} to {SIGMAS[-1]:g} px^2 {found}",
+            f"from {SIGMAS[0]:g} to {SIGMAS[-1]:g} px^2 {measured}",
         ),
         claim("the paper's sigma^2 is within a factor of two of the best in every category", near, best),
     ]
