@@ -169,3 +169,7 @@ def test_two_wrong_views_of_four_are_both_named():
 )
 def test_assumptions_that_say_nothing_are_refused(texts, message):
     assert_refused(message, assumptions_of, texts)
+
+
+def test_assumptions_about_the_cloud_are_those_named_after_it():
+    assert {name for name, one in ASSUMPTIONS.items() if one.of_cloud} == {n for n in ASSUMPTIONS if n.startswith("cloud-")}

@@ -68,13 +68,13 @@ def knee(rows: Cases) -> Record:
     speaking = min(warned, default=len(rows))
     failing = flags[fails].index(True) if True in flags[fails] else len(rows)
     places = {"works_to": working - 1, "speaks_from": speaking, "fails_at": failing}
-    found: Record = {key: levels[i] if 0 <= i < len(rows) else None for key, i in places.items()}
+    knee_levels: Record = {key: levels[i] if 0 <= i < len(rows) else None for key, i in places.items()}
     refused = failing < len(rows) and rows[failing]["refused"] > 0.5
-    return {**found, "words": _words(AXIS[rows[0]["axis"]], found, levels, refused)}
+    return {**knee_levels, "words": _words(AXIS[rows[0]["axis"]], knee_levels, levels, refused)}
 
 
-def _words(axis: Axis, found: Record, levels: list[float], refused: bool) -> str:
-    works_to, speaks_from, fails_at = found["works_to"], found["speaks_from"], found["fails_at"]
+def _words(axis: Axis, knee_levels: Record, levels: list[float], refused: bool) -> str:
+    works_to, speaks_from, fails_at = knee_levels["works_to"], knee_levels["speaks_from"], knee_levels["fails_at"]
     if len(axis.levels) == 1:
         outcome = "fails" if fails_at is not None else "works" if works_to is not None else "fails at times"
         warned = ", with a warning" if speaks_from is not None else "" if works_to is not None else ", without a word"
