@@ -45,10 +45,21 @@ def test_with_few_seconds_fewer_points_move_but_for_those_asked_for():
 
 def test_a_result_whose_mirror_plane_was_not_checked_is_not_judged(chair, monkeypatch):
     points, mask, camera, _ = chair
-    monkeypatch.setattr("tso_cli.refinement.symmetry_check._seconds", lambda probe: math.inf)
+    monkeypatch.setattr("tso_cli.refinement.symmetry_check._in_time", lambda probe, end: False)
     result = refine(points, mask, camera, RefineConfig(budget=1e6))
     assert (result.steps, result.symmetry_outcome, result.verdict, result.confidence) == (48, "unchecked", None, None)
     assert "the budget left no time for the symmetry check: the result is not judged" in result.warnings
+
+
+def test_ctrl_c_while_the_symmetry_check_is_timed_ends_the_refinement(chair, monkeypatch):
+    def interrupted(probe, end):
+        raise KeyboardInterrupt
+
+    points, mask, camera, _ = chair
+    monkeypatch.setattr("tso_cli.refinement.symmetry_check._in_time", interrupted)
+    result = refine(points, mask, camera, RefineConfig(budget=1e6))
+    assert (result.stop_reason, result.steps) == ("interrupted", 0)
+    np.testing.assert_array_equal(result.points, points)
 
 
 def test_a_loss_that_is_no_number_is_the_reason_that_the_steps_end(chair):

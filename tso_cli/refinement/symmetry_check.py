@@ -35,15 +35,19 @@ def verified_symmetry(
         for of_views in ([*weights, *weights], weights)
         for probed in [replace(problem, resampled=problem.resampled[: len(of_views)])]
     ]
-    losses = []
+    unchecked = replace(problem, symmetry=replace(problem.symmetry, outcome="unchecked"))
     end = time.perf_counter() + TIME_SHARE * (until - time.perf_counter())
-    in_time = end == math.inf or (time.perf_counter() < end and time.perf_counter() + _seconds(probes[0]) < end)
+    try:
+        if end < math.inf and not _in_time(probes[0], end):
+            return unchecked.with_views(problem.views, settings), False
+    except KeyboardInterrupt:
+        return problem, True
+    losses = []
     for probe in probes:
-        descent, _ = probe.run(SYMMETRY_PROBE_STEPS if in_time else 0, until=end)
+        descent, _ = probe.run(SYMMETRY_PROBE_STEPS, until=end)
         if descent.interrupted:
             return problem, True
-        if descent.out_of_time or not in_time:
-            unchecked = replace(problem, symmetry=replace(problem.symmetry, outcome="unchecked"))
+        if descent.out_of_time:
             return unchecked.with_views(problem.views, settings), False
         losses.append(descent.best_loss)
     ratio = losses[0] / max(2.0 * losses[1], 1e-300)
@@ -54,9 +58,13 @@ def verified_symmetry(
     return problem if passed else problem.with_views(problem.views, settings), False
 
 
-def _seconds(probe: CoarseToFine) -> float:
-    """How long the check will take; ``probe`` is of all views, the other one of half as many."""
-    probe.run(0)  # the first time, factors are made that later ones use
-    started = time.perf_counter()
-    probe.run(TIMED_STEPS)
-    return 1.5 * SYMMETRY_PROBE_STEPS / TIMED_STEPS * (time.perf_counter() - started)
+def _in_time(probe: CoarseToFine, end: float) -> bool:
+    """Whether the check will be done by the ``end``; ``probe`` is of all views, the other one of half as many."""
+    # The first time, factors are made that later ones use.
+    for steps in (0, TIMED_STEPS):
+        if (started := time.perf_counter()) >= end:
+            return False
+        if probe.run(steps)[0].interrupted:
+            raise KeyboardInterrupt
+    now = time.perf_counter()
+    return now + 1.5 * SYMMETRY_PROBE_STEPS / TIMED_STEPS * (now - started) < end
