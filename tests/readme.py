@@ -158,6 +158,16 @@ def confidence() -> str:
     return markdown(["wrong is", "results worse by over 5 %", "of these flagged", "AUC"], rows) + f"\n\n{note}"
 
 
+def flagged() -> str:
+    """How many of the results that get worse in the harder half of the axes are flagged, by what is wrong."""
+    halves = record("stability")["halves"]
+    shares = [
+        f"{100 * halves[group]['flagged'] / halves[group]['hopeless_worse']:.0f} % ({group})"
+        for group in ("mask", "camera", "cloud")
+    ]
+    return f"Of worse results in the harder half of the axes tso flags {', '.join(shares)}."
+
+
 def network() -> str:
     """The shipped network on types that it has not seen."""
     keys = ("network", "mean_view", "mean_aligned", "nearest")
@@ -179,6 +189,13 @@ def machine() -> str:
     study = record("speed")
     cpu, versions = study["machine"], study["versions"]
     return f"{cpu['cpu']}, {cpu['cores']} cores, torch {versions['torch']}, numba {versions['numba']}."
+
+
+def installation() -> str:
+    """How much is installed."""
+    megabytes = record("speed")["installed_MB"]
+    size = f"`pip install .` takes {megabytes['in all']:,} MB, {megabytes['without torch']:,} MB without torch"
+    return f"{size} (for CPUs), which networks need."
 
 
 def _timed(what: str) -> list[dict[str, Any]]:
@@ -240,8 +257,8 @@ def stages() -> str:
     return markdown(["stage", *columns], rows)
 
 
-FIGURES = (initial_error, advice, types, starts, depth, cameras, confidence, network, photos)
-FIGURES += (machine, objects, batches, kernels, stages)
+FIGURES = (initial_error, advice, types, starts, depth, cameras, confidence, flagged, network, photos)
+FIGURES += (machine, installation, objects, batches, kernels, stages)
 FILLED: dict[str, Callable[[], str]] = {made.__name__: made for made in FIGURES}
 FILLED |= {f"{name}_targets": partial(targets, name) for name in ("accuracy", "speed")}
 

@@ -16,7 +16,7 @@ from typing import Any
 import click
 
 from .commands.lazy_group import LazyGroup
-from .errors import TsoError
+from .errors import TsoError, is_interrupt
 from .version import __version__
 
 # Heading -> name -> (module, one line of help), here so that `tso --help` imports no command.
@@ -114,10 +114,10 @@ def main(arguments: list[str] | None = None) -> None:
         code = _fail(f"{error.format_message()}{hint}", 2)
     except click.ClickException as error:
         code = _fail(error.format_message(), error.exit_code)
-    except ImportError as error:
-        if isinstance(error.__cause__, KeyboardInterrupt):  # in a module of C++
+    except (ImportError, SystemError) as error:
+        if is_interrupt(error):
             code = _fail("interrupted", 130)
-        elif error.name != "torch":
+        elif not isinstance(error, ImportError) or error.name != "torch":
             raise
         else:
             code = _fail("networks need torch, which is not installed: pip install torch", 1)
@@ -130,7 +130,7 @@ def main(arguments: list[str] | None = None) -> None:
     except MemoryError:
         code = _fail("out of memory", 1)
     except OSError as error:
-        code = _fail(f"{error.filename or 'a file'}: {error.strerror or error}", 1)
+        code = _fail(f"{error.filename or 'stdout, or a file'}: {error.strerror or error}", 1)
     sys.exit(code if isinstance(code, int) else 0)
 
 

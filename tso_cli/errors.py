@@ -17,3 +17,10 @@ class GateError(TsoError):
     """The work is done, but a target that was set is missed."""
 
     exit_code = 3
+
+
+def is_interrupt(error: BaseException) -> bool:
+    """Whether the first cause is Ctrl-C, which machine code and modules of C++ turn into other errors."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return isinstance(error, KeyboardInterrupt)

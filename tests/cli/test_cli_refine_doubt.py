@@ -9,6 +9,7 @@ from PIL import Image
 
 from tso_cli.io.cameras import CameraRecord, read_camera, write_cameras
 from tso_cli.io.clouds import read_cloud, write_cloud
+from tso_cli.io.images import read_mask
 from tso_cli.refinement.assumptions import ASSUMPTIONS
 
 POINTS = ("initial.ply", "mask.png")
@@ -62,7 +63,17 @@ def test_strict_writes_nothing_where_the_result_is_doubtful(inverted, refine, tm
 
 def test_strict_writes_nothing_that_a_short_budget_left_no_time_to_judge(folder, refine, tmp_path):
     run = refine(*POINTS, "--strict", "--budget", "1e-6", "-o", "strict.ply")
-    assert run.code == 3 and "the result is not judged, as 1e-06 s were too few; with --strict nothing" in run.err
+    assert run.code == 3 and "the result is not judged: 1e-06 s were too few; with --strict nothing" in run.err
+    assert not list(tmp_path.glob("**/strict*"))
+
+
+def test_strict_writes_nothing_that_is_not_judged(folder, refine, tmp_path):
+    np.save("depth.npy", np.where(read_mask("mask.png") > 0.5, 2.0, 0.0))
+    for reason, *options in ("11 steps are too few", "--steps", "11"), ("none with a depth map", "--depth", "depth.npy"):
+        run = refine(*POINTS, "--strict", *options, "-o", "strict.ply")
+        assert run.code == 3 and f"initial.ply: the result is not judged: {reason}" in run.err
+    paper = refine(*POINTS, "--strict", "--preset", "paper", "-o", "strict.ply")
+    assert "--strict is for results that are judged, of --mode points --preset best, found --mode points --pre" in paper.refusal
     assert not list(tmp_path.glob("**/strict*"))
 
 

@@ -20,8 +20,11 @@ from tests.lab.test_study import run_toys
 from tests.training import make_known
 from tso_cli.errors import InputError
 from tso_cli.io import output, reading
+from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.io.images import read_depth, read_mask
 from tso_cli.io.output import atomic_output, lock, sole_writer
+from tso_cli.io.ply_body import BinaryBody
+from tso_cli.io.reading import TextTable
 from tso_cli.lab.study import Progress
 from tso_cli.refinement.objective import SilhouetteObjective
 
@@ -256,6 +259,11 @@ def test_depths_beyond_all_bounds_are_refused(tmp_path, scale):
     )
 
 
+def test_a_depth_scale_that_leaves_no_depth_is_refused(tmp_path):
+    np.save(tmp_path / "depth.npy", np.full((4, 4), 2.0))
+    assert_refused(r"depth\.npy: .* is 2e-30, expected at least 1e-15", read_depth, tmp_path / "depth.npy", 1e-30)
+
+
 def test_a_loss_that_is_not_finite_names_the_file(refine, folder, monkeypatch):
     monkeypatch.setattr(SilhouetteObjective, "__call__", lambda self, points: (np.nan, points))
     run = refine("initial.ply", "mask.png", "--preset", "paper")
@@ -297,6 +305,16 @@ def test_ctrl_c_while_open3d_is_imported_is_ctrl_c(tso, tmp_path, monkeypatch, f
     assert (run.code, run.err.splitlines()[-1]) == (130, "tso: error: interrupted")
 
 
+def test_ctrl_c_while_a_compiled_loop_is_called_is_ctrl_c(refine, folder, monkeypatch):
+    def interrupted(self, points):
+        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+    monkeypatch.setattr(SilhouetteObjective, "__call__", interrupted)
+    run = refine("initial.ply", "mask.png", "--preset", "paper")
+    assert (run.code, run.err) == (130, "tso: error: interrupted\n")
+    assert written(folder) == []
+
+
 def test_what_does_not_fit_into_memory_is_refused_before_the_work(refine, folder, monkeypatch):
     monkeypatch.setattr(reading, "free_memory", lambda: 1.1e6)
     # Of 1,024 points all of which move by themselves, and of those that may follow.
@@ -309,6 +327,21 @@ def test_what_does_not_fit_into_memory_is_refused_before_the_work(refine, folder
     assert written(folder) == []
     monkeypatch.undo()
     assert reading.free_memory() > 1e8
+
+
+@pytest.mark.parametrize("name", ["cloud.ply", "cloud.npy", "cloud.xyz"])
+def test_a_cloud_too_large_for_the_memory_is_refused_before_it_is_parsed(tmp_path, monkeypatch, name):
+    points, path = np.random.default_rng(0).random((2000, 3)), tmp_path / name
+    if name == "cloud.npy":
+        np.save(path, points)
+    elif name == "cloud.xyz":
+        np.savetxt(path, points)
+    else:
+        write_cloud(path, points)
+    monkeypatch.setattr(reading, "free_memory", lambda: 4e5)
+    for parser in (TextTable, BinaryBody):
+        monkeypatch.setattr(parser, "__init__", lambda *_: pytest.fail("was parsed"))
+    assert_refused(re.escape(name) + r": needs about 0\.00\d+ GiB of memory", read_cloud, path)
 
 
 def test_a_full_disk_leaves_the_old_files_and_no_other(refine, folder, monkeypatch):

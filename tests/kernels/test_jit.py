@@ -1,6 +1,7 @@
 """Compiled code on disk, its threads, its exponentials, and its gradients."""
 
 import os
+import signal
 import threading
 import time
 
@@ -53,6 +54,18 @@ def test_a_full_disk_does_not_stop_the_work(monkeypatch):
     monkeypatch.setattr(jit, "_warned", [])
     with pytest.warns(UserWarning, match="No space left on device.*compiled anew"):
         assert jit.compiled(lambda x: 2.0 * x)(2.0) == 4.0
+
+
+def test_ctrl_c_while_a_loop_is_compiled_arrives_when_it_is():
+    loop = jit.compiled(lambda x: 2.0 * x)
+
+    def interrupted(*_):
+        signal.raise_signal(signal.SIGINT)
+
+    loop._cache.load_overload = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        loop(2.0)
+    assert loop.signatures and loop(2.0) == 4.0
 
 
 def test_after_an_interrupt_no_thread_writes():

@@ -14,7 +14,7 @@ from PIL import Image
 
 from tests.lab.studying import tso
 from tso_cli.errors import TsoError
-from tso_cli.lab.bench import PARTS, kernels, refining, speed, timing
+from tso_cli.lab.bench import PARTS, kernels, phases, refining, speed, timing
 from tso_cli.lab.bench.shown import STUDY, draw_speed
 from tso_cli.lab.bench.speed import claims
 from tso_cli.lab.bench.timing import Contestant, Setting, record, timed
@@ -45,6 +45,7 @@ def measured():
             *refining.measure_command(QUICK),
             *refining.measure_object(QUICK, (64,), steps=1),
             *refining.measure_batch(QUICK, (1, 2), steps=1, most=2),
+            *phases.measure_phases(QUICK, (64,), ()),
             *kernels.measure_silhouette(QUICK, [(64, 16), (128, 32)]),
             *kernels.measure_chamfer(QUICK, [64]),
         ]
@@ -62,12 +63,19 @@ def test_every_part_has_records_of_one_form_with_a_ratio_to_its_first_contestant
             assert row["runs"] == 0
         else:
             assert row["seconds"]["median"] > 0.0
-            assert {"over_import_torch", "over_tso"} & set(row)
+            assert {"over_import_torch", "over_tso", "phases"} & set(row)
     batches = [row for row in measured if row["what"] == "batch" and row.get("batch", 1) > 1 and row["preset"] == "paper"]
     assert {(row["processes"], row["busy"]) for row in batches} == {(1, False), (2, False), (1, True), (2, True)}
     (alone,) = (row for row in measured if row["name"] == "refine" and row.get("preset") == "paper")
     for row in batches:
         assert row["over_refine"] == pytest.approx(row["seconds"]["median"] / alone["seconds"]["median"])
+
+
+def test_the_default_is_taken_apart_in_phases_that_add_up(measured):
+    (row,) = (row for row in measured if row["what"] == "phases")
+    assert {"prepare", "check symmetry", "optimise", "judge"} >= set(row["phases"]) >= {"prepare", "optimise", "judge"}
+    assert sum(row["phases"].values()) == pytest.approx(row["seconds"]["median"], rel=0.5)
+    assert row["first"] >= row["seconds"]["low"] and (row["peak_MiB"] is None or row["peak_MiB"] > 10)
 
 
 @pytest.mark.parametrize(
@@ -215,6 +223,11 @@ def test_a_first_run_finds_no_byte_code_and_no_compiled_loops(tmp_path):
     assert timing.process("tso --version", (*refining.TSO, "--version"), timing.never_run)() > 0.0
 
 
+def test_an_installation_is_smaller_without_what_only_torch_requires():
+    assert speed.installed("tso-cli") > speed.installed("tso-cli", leave_out="torch") > speed.installed("numpy") > 10
+    assert speed.installed("no-such-package") == 0
+
+
 # The command
 
 
@@ -222,7 +235,7 @@ def test_the_command_writes_record_page_and_chart_and_overwrites_nothing(measure
     monkeypatch.setattr(speed, "compile_loops", lambda: None)
     for name in PARTS:
         rows = [row for row in measured if row["what"] == name]
-        part = {"refining": refining, "kernels": kernels}[PARTS[name]]
+        part = {"refining": refining, "kernels": kernels, "phases": phases}[PARTS[name]]
         monkeypatch.setattr(part, f"measure_{name}", lambda setting, rows=rows: rows if torch.get_num_threads() == 1 else [])
     record = speed.speed(QUICK)
     assert record["records"] == measured

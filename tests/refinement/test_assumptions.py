@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.corruption import assert_refused
-from tests.scenes import example, seen, turned
+from tests.scenes import example, in_photo, seen, turned
 from tso_cli import View
 from tso_cli.geometry.camera import Camera
 from tso_cli.losses.silhouette import silhouette_of
@@ -49,6 +49,20 @@ def test_right_input_is_not_suspected(name):
     scene = example(name)
     for points in (scene.points, scene.target):
         assert Agreement.of(points, [scene.view]).suspects == ()
+
+
+@pytest.mark.parametrize("name", ["chair", "car", "airplane"])
+@pytest.mark.parametrize("times", [24, 48, 64, 80, 96, 128, 160])
+def test_right_input_of_a_few_pixels_is_not_suspected(name, times):
+    scene = example(name)
+    corner = 20 * times + times // 3
+    large = in_photo(scene.view, 64 * times // len(scene.mask), corner, corner)
+    pixels = large.mask.reshape(64, times, 64, times).mean((1, 3)) > 0.5
+    K = large.camera.K / [[times], [times], [1.0]]
+    K[:2, 2] -= 0.5 - 0.5 / times
+    if pixels.any():
+        view = View(np.float32(pixels), replace(large.camera, K=K, width=64, height=64))
+        assert Agreement.of(scene.points, [view]).suspects == ()
 
 
 @pytest.mark.parametrize("name", ASSUMPTIONS)

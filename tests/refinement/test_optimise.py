@@ -1,6 +1,7 @@
 """The optimisation loop: the best iterate, whatever ends it, and Eq. 7."""
 
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -95,6 +96,20 @@ def test_an_interrupt_before_the_first_loss_is_raised():
         descend(Iterates(1.0), interrupt, 3)
     descent = descend(Iterates(1.0, 0.5, 0.4), _square, 3, interrupt)
     assert descent.interrupted and (descent.best_step, len(descent.losses)) == (1, 2)
+
+
+def test_an_interrupt_in_machine_code_is_an_interrupt():
+    def objective(points, error):
+        if (points == START).all():
+            return _square(points)
+        raise error
+
+    ctrl_c, other = SystemError("returned a result with an exception set"), SystemError("another")
+    ctrl_c.__cause__ = SystemError("the same")
+    ctrl_c.__cause__.__cause__ = KeyboardInterrupt()
+    assert descend(Iterates(1.0, 0.5), partial(objective, error=ctrl_c), 3).interrupted
+    with pytest.raises(SystemError, match="another"):
+        descend(Iterates(1.0, 0.5), partial(objective, error=other), 3)
 
 
 def test_a_sum_of_terms_adds_values_and_gradients():

@@ -84,13 +84,19 @@ def test_what_did_not_move_is_unchanged_and_sure():
     assert (result.verdict, result.confidence) == ("unchanged", 1.0)
 
 
-@pytest.mark.parametrize("config", [RefineConfig(preset="paper", steps=3), RefineConfig(steps=1)])
-def test_without_a_confidence_wrong_input_is_doubtful_and_right_input_is_not_judged(config):
+@pytest.mark.parametrize(
+    ("config", "why"),
+    [
+        (RefineConfig(preset="paper", steps=3), "only mode points with preset best is"),
+        (RefineConfig(steps=11), "11 steps are too few"),
+    ],
+)
+def test_without_a_confidence_wrong_input_is_doubtful_and_right_input_is_not_judged(config, why):
     scene = example("chair")
     wrong = refine(scene.points, replace(scene.view, mask=1.0 - scene.mask), config=config)
     assert (wrong.verdict, wrong.confidence) == ("doubtful", None) and "mask is inverted" in wrong.reason
     right = refine(scene.points, scene.view, config=config)
-    assert (right.verdict, right.confidence, right.reason) == (None, None, "")
+    assert (right.verdict, right.confidence, right.reason) == (None, None, why)
 
 
 def test_suspect_input_is_told_also_where_nothing_moves():

@@ -123,7 +123,7 @@ BRIEF = ("mode", "preset", "budget", "camera", "output", "overwrite", "overlay",
 @click.option("-o", "--output", type=PATH, help="Refined cloud, .ply.  [default: SOURCESTEM.refined.ply here]")
 @options.overwrite
 @click.option("--accept-doubtful", is_flag=True, help="Take the whole step also where it is doubtful, not a part or nothing.")
-@click.option("--strict", is_flag=True, help="Write nothing where the result is doubtful, or not judged in time; exit code 3.")
+@click.option("--strict", is_flag=True, help="Write nothing where the result is doubtful, or not judged; exit code 3.")
 @click.option("--overlay", type=PATH, help="Picture of mask, silhouette and cloud before and after, .png.")
 @click.option("--check", is_flag=True, help="Only print the camera, the scale and the overlap with the mask.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors and the document of --json.")
@@ -181,12 +181,14 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
     read = time.perf_counter() - started
     with options.loading():
         from ..refinement import RefineConfig, refine
-        from ..refinement.config import parse_budget
     if chosen["sigma_sq"] is None:
         chosen["sigma_sq"] = scene.sigma_sq
     elif inputs.preset == "best" and not refine_camera:
         warnings.warn("--sigma-sq is of the paper's projection, which the preset best does not use", stacklevel=1)
     config = options.pick(RefineConfig, chosen)
+    if strict and not config.settings().staged:
+        found = f"--mode {config.mode} --preset {config.preset}"
+        raise InputError(f"--strict is for results that are judged, of --mode points --preset best, found {found}")
     if scene.start and config.settings().points is None:
         require_memory(inputs.source, BYTES_A_MOVING_POINT * len(scene.start.given))
     bar = options.ProgressBar("tso: refining")
@@ -207,21 +209,19 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
     finally:
         bar.close()
     writing = time.perf_counter()
-    budget = parse_budget(config.budget)
-    judged = result.verdict is not None or not result.averaged or not isinstance(budget, float)
-    refused = strict and (result.verdict == "doubtful" or not judged)
+    refused = strict and result.verdict in ("doubtful", None)
     if not refused:
         outputs.write(result, scene, inputs.masks)
     finished = time.perf_counter()
     seconds = {"read": read, **result.seconds, "write": finished - writing, "total": finished - started}
     for text in result.warnings:
         warnings.warn(text, stacklevel=1)
-    report = RefineReport(result, scene, inputs, outputs, refine_camera, budget, seconds)
+    report = RefineReport(result, scene, inputs, outputs, refine_camera, config.parsed_budget, seconds)
     if as_json:
         options.echo_json(report.document(warned, written=not refused))
     if refused:
-        reason = f"doubtful: {result.reason}" if judged else f"not judged, as {budget:g} s were too few"
-        raise GateError(f"{inputs.source}: the result is {reason}; with --strict nothing is written")
+        verdict = "doubtful" if result.verdict else "not judged"
+        raise GateError(f"{inputs.source}: the result is {verdict}: {result.reason}; with --strict nothing is written")
     if not as_json and not quiet:
         report.print_summary()
         if verbose:

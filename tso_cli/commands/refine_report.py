@@ -123,10 +123,10 @@ class RefineReport:
             follow = f"points, which follow {result.moving:,} of them"
         masks = f"masks, mean of {count}" if count > 1 else "mask"
         sure = "" if result.confidence is None else f", confidence {result.confidence:.2f}"
-        verdict = f" ({result.verdict}{sure})" if result.verdict else ""
+        verdict = f"{result.verdict}{sure}" if result.verdict else "not judged; IoU proves nothing"
         used = [self.inputs.network, self._cameras(), self._symmetry(), self._discounted(), f"{self.seconds['total']:.1f} s"]
         click.echo(f"{self.outputs.output}: {len(result.points):,} {follow}")
-        click.echo(f"  IoU    {result.iou_before:.3f} -> {result.iou_after:.3f} with the {masks}{verdict}")
+        click.echo(f"  IoU    {result.iou_before:.3f} -> {result.iou_after:.3f} with the {masks} ({verdict})")
         click.echo(f"  moved  {self._moved()}")
         click.echo(f"  used   {'; '.join(part for part in used if part)}")
         for path, content in ((self.outputs.overlay, "picture"), (self.outputs.write_camera, "camera")):

@@ -14,11 +14,13 @@ from ..errors import InputError, TsoError
 from ..geometry.points import longest_side
 from .output import atomic_output, check_output
 from .ply import PlyFile, new_ply
-from .reading import TextTable, read_array, read_bytes
+from .reading import TextTable, read_array, read_bytes, require_memory
 
 Points = NDArray[np.float64]
 SUFFIXES = (".ply", ".npy", ".xyz", ".txt")
 _LARGEST = 1e100  # beyond it squares of coordinates overflow
+BYTES_A_POINT, BYTES_A_TEXT_LINE = 250, 800
+"""Most memory a point takes that follows others in a refinement; and a line of numbers while it is read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +58,7 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
     data = read_bytes(path, "a point cloud")
     try:
         if suffix == ".ply":
-            ply = PlyFile(data, path)
+            ply = PlyFile(data, path, BYTES_A_POINT)
             cloud = PointCloud(ply.read(), path, "float32" if set(ply.kinds) == {"f4"} else "float64", ply)
         elif suffix == ".npy":
             cloud = _from_array(data, path)
@@ -121,12 +123,14 @@ def _from_array(data: bytes, path: Path) -> PointCloud:
     array = read_array(data, path)
     if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "fiu":
         raise InputError(f"{path}: holds {array.dtype} {list(array.shape)}, expected numbers [N, 3]")
+    require_memory(path, BYTES_A_POINT * len(array))
     precision = "float32" if array.dtype.kind == "f" and array.dtype.itemsize <= 4 else "float64"
     with np.errstate(all="ignore"):
         return PointCloud(np.ascontiguousarray(array, dtype=np.float64), path, precision)
 
 
 def _from_text(data: bytes, path: Path) -> PointCloud:
+    require_memory(path, BYTES_A_TEXT_LINE * data.count(b"\n"))
     table = TextTable(data, path)
     table.drop_comments()
     short = table.counts < 3

@@ -60,8 +60,9 @@ def read_depth(path: str | Path, scale: float = 1.0) -> NDArray[np.float64]:
     if least == np.inf:
         raise InputError(f"{path}: holds no depth > 0, expected some (0 means unknown)")
     largest = float(np.nanmax(depth)) * scale
-    if not largest <= LARGEST_DEPTH:
-        raise InputError(f"{path}: its largest depth, times {scale:g}, is {largest:g}, expected at most {LARGEST_DEPTH:g}")
+    if not 1.0 / LARGEST_DEPTH <= largest <= LARGEST_DEPTH:
+        expected = f"at least {1.0 / LARGEST_DEPTH:g}" if largest < 1.0 else f"at most {LARGEST_DEPTH:g}"
+        raise InputError(f"{path}: its largest depth, times {scale:g}, is {largest:g}, expected {expected}")
     return depth * scale
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from .ply_body import BinaryBody, TextBody, layout
 from .ply_header import Element, parse_header
-from .reading import Integers, shown
+from .reading import Integers, require_memory, shown
 
 Points = NDArray[np.float64]
 AXES = ("x", "y", "z")
@@ -23,13 +23,16 @@ ORIENTED = {"normals": NORMALS, "rotations": {"rot_0"}, "scales": {"scale_0"}}
 class PlyFile:
     """A PLY file with the bytes ``data``, text or binary, with the vertex element anywhere among others.
 
-    Raises InputError if it is not a PLY file, has no x, y, z, or its body is shorter or longer than the header says.
+    Raises InputError if it is not a PLY file, has no x, y, z, or its body is shorter or longer than the header says; or if
+    there is no memory for ``bytes_a_vertex`` of each vertex.
     """
 
-    def __init__(self, data: bytes, path: Path) -> None:
+    def __init__(self, data: bytes, path: Path, bytes_a_vertex: int = 0) -> None:
         self.data, self.path = data, path
         self.header = parse_header(data, path)
         self.vertex = self._vertex()
+        # A file that is cut short has fewer vertices than its header says; each takes three bytes or more.
+        require_memory(path, bytes_a_vertex * min(self.vertex.count, len(data) // 3))
         self.kinds = [self.vertex.properties[axis].kind for axis in AXES]
         self._body = (
             BinaryBody(data, path, self.header.size, self.header.order)

@@ -11,6 +11,8 @@ import hashlib
 import itertools
 import os
 import pickle
+import signal
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -109,12 +111,31 @@ class _Cache(FunctionCache):
                 self.flush()
 
 
+@contextlib.contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Inside, signals wait: raised in a callback of LLVM, KeyboardInterrupt would be printed and forgotten."""
+    waiting: list[int] = []
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            if (number := getattr(signal, name, None)) and callable(signal.getsignal(number)):
+                before[number] = signal.signal(number, lambda number, frame: waiting.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if waiting:
+            signal.raise_signal(waiting[0])
+
+
 def compiled(function: Callable[..., Any], **changes: Any) -> Any:
     """``function`` compiled at its first call; the machine code is kept on disk where a folder can be written.
 
     Sums are reordered within a statement, and multiply-adds rounded once: the same way at every call.
     """
     dispatcher = njit(**SETTINGS | changes)(function)
+    dispatcher.compile = _uninterrupted()(dispatcher.compile)
     # RuntimeError: neither the package's folder nor the user's cache folder can be written; compiled in every process.
     with contextlib.suppress(RuntimeError):
         dispatcher._cache = _Cache(function)

@@ -25,6 +25,8 @@ SIMILAR, MOST_SUSPECTS = 0.03, 3
 BORDER = 0.6
 # A view of several is suspected if it agrees worse than the others by so much.
 LEFT_OUT = 0.1
+# A mask of fewer cells matches too much by chance: a cloud that shrinks to a point, or one that a sensor barely resolves.
+FEWEST_CELLS = 10
 GOLDEN = (5.0**0.5 - 1.0) / 2.0
 # A row of cells is so many columns further.
 ROW = 1 << 32
@@ -53,8 +55,9 @@ class Agreement:
         as_given = np.array([outline.iou(points, outline.given) for outline in outlines])
         ious = np.array([[outline.iou(points, other.assumptions) for outline in outlines] for other in others])
         scores = ious.mean(1)
-        suspects = _suspects(others, scores, as_given.mean())
-        of_views = () if suspects else (*_of_views(outlines, others, ious, as_given), *_hidden(points, views))
+        tells = np.array([len(outline.cells[False].inside) >= FEWEST_CELLS for outline in outlines])
+        suspects = _suspects(others, ious[:, tells].mean(1), as_given[tells].mean()) if tells.any() else ()
+        of_views = () if suspects else (*_of_views(outlines, others, ious, as_given, tells), *_hidden(points, views))
         return cls(float(as_given.mean()), float(scores.max()), suspects, of_views)
 
     @property
@@ -104,13 +107,15 @@ def _suspects(others: list[_Other], scores: Array, as_given: float) -> tuple[Sus
     return tuple(Suspect(others[i].what, others[i].option, float(scores[i])) for i in (fewer or likely)[:MOST_SUSPECTS])
 
 
-def _of_views(outlines: Sequence[_Outline], others: list[_Other], ious: Array, as_given: Array) -> tuple[Suspect, ...]:
-    """Where one view disagrees and the others agree: what would mend it, and not them."""
+def _of_views(
+    outlines: Sequence[_Outline], others: list[_Other], ious: Array, as_given: Array, tells: NDArray[np.bool_]
+) -> tuple[Suspect, ...]:
+    """Where one view that ``tells`` enough [V] disagrees and the others agree: what would mend it, and not them."""
     suspects = []
     for i, outline in enumerate(outlines):
-        rest = np.arange(len(outlines)) != i
+        rest = tells & (np.arange(len(outlines)) != i)
         # Another bad view among the rest hides none.
-        if not rest.any() or np.median(as_given[rest]) < as_given[i] + LEFT_OUT:
+        if not tells[i] or not rest.any() or np.median(as_given[rest]) < as_given[i] + LEFT_OUT:
             continue
         scores = [
             0.0 if _of_all(other, rest.sum()) or ious[k, rest].mean() >= as_given[rest].mean() + SIMILAR else ious[k, i]

@@ -96,13 +96,18 @@ class RefineConfig:
             parse_symmetry(self.symmetry)
         if self.points is not None and (not isinstance(self.points, int) or not FEWEST_POINTS <= self.points <= CANDIDATES):
             raise InputError(f"points is {self.points!r}, expected a whole number from {FEWEST_POINTS} to {CANDIDATES:,}")
-        budget = parse_budget(self.budget)
+        budget = self.parsed_budget
         if budget == "full" and self.coarse_to_fine is not BEST:
             raise InputError("budget is 'full', which has a coarse_to_fine of its own, found another")
         staged_only = {"coarse_to_fine": self.coarse_to_fine is not BEST, "points": self.points is not None}
         for name, used in (staged_only | {"budget full": budget == "full"}).items():
             if used and (self.preset, self.mode) != ("best", "points"):
                 raise InputError(f"{name} is for mode points with preset best, found {self.mode} with {self.preset}")
+
+    @property
+    def parsed_budget(self) -> str | float:
+        """``budget``, its seconds a number."""
+        return _parse_budget(self.budget)
 
     def settings(self, views: int = 1) -> Settings:
         """The same with the preset's values in place of None, for clouds with ``views`` views each."""
@@ -119,7 +124,7 @@ class RefineConfig:
             sigma_sq=PAPER_SIGMA_SQ,
             points=FIELD_NODES if staged else None,
         )
-        budget = parse_budget(self.budget)
+        budget = self.parsed_budget
         if budget == "full":
             defaults["steps"] = FULL_STEPS * steps
         elif isinstance(budget, float) and staged and budget < SHORT_SECONDS * views:
@@ -165,7 +170,7 @@ def staged_steps(views: int) -> int:
     return BEST_STEPS["points"] * min(views, MAX_VIEWS_FOR_STEPS)
 
 
-def parse_budget(budget: str | float) -> str | float:
+def _parse_budget(budget: str | float) -> str | float:
     """One of auto and full, or seconds, which may be given as text; InputError for anything else."""
     if isinstance(budget, str) and budget in ("auto", "full"):
         return budget

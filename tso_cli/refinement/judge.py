@@ -72,18 +72,34 @@ def judged(
         reason: StopReason = "not_improved" if before else "nothing_to_do"
         return Outcome(unmoved, ious, UNCHANGED, taken=0.0, unmoved=reason)
     signs: dict[str, float] = {}
-    # What a few steps leave undone looks like a mistake.
-    steps = len(descent.losses) - 1 if descent.out_of_time else settings.steps
-    enough = len(descent.stages) == len(STAGES) and steps >= FEWEST_STEPS and len(step) >= FEWEST_POINTS
-    # The confidence counts on a symmetry check of a cloud that has a mirror plane.
-    enough = enough and problem.symmetry.outcome != "unchecked"
-    if field and enough and _masks_alone(problem):
+    unjudged = _why_unjudged(problem, descent, settings)
+    if unjudged is not None:
+        verdict = Verdict("doubtful", None, problem.suspicion) if problem.suspicion else Verdict(None, None, unjudged)
+    else:
+        assert field is not None
         signs = signs_of(problem, field, descent, outcome.ious, view_weights.inlier)
-    verdict = Verdict.of(signs, problem.suspicion)
+        verdict = Verdict.of(signs, problem.suspicion)
     taken = 1.0 if settings.accept_doubtful else verdict.step
     if taken < 1.0:
         outcome = _after(problem, given_views, taken * step)
     return replace(outcome, verdict=verdict, taken=taken, unmoved=None if taken else "doubtful", signs=signs)
+
+
+def _why_unjudged(problem: Problem, descent: Descent, settings: Settings) -> str | None:
+    """Why there is no confidence, None where there is one."""
+    # What a few steps leave undone looks like a mistake.
+    steps = len(descent.losses) - 1 if descent.out_of_time else settings.steps
+    few = len(descent.stages) < len(STAGES) or steps < FEWEST_STEPS
+    reasons = {
+        "only mode points with preset best is": not settings.staged,
+        "none with a depth map or a photo is": not _masks_alone(problem),
+        f"{len(problem.cloud.initial)} points are too few": len(problem.cloud.initial) < FEWEST_POINTS,
+        "it was interrupted": few and descent.interrupted,
+        # The confidence counts on a symmetry check of a cloud that has a mirror plane.
+        f"{settings.seconds:g} s were too few": descent.out_of_time and few or problem.symmetry.outcome == "unchecked",
+        f"{steps} steps are too few": few,
+    }
+    return next((reason for reason, holds in reasons.items() if holds), None)
 
 
 def _after(problem: Problem, given_views: Sequence[View], displacements: Array) -> Outcome:

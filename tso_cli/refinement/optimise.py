@@ -11,6 +11,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import is_interrupt
+
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, float], None]
 """Called with (step, steps, loss)."""
@@ -99,8 +101,8 @@ def descend(
                 break
             if step < steps:
                 parameters.step(gradient)
-    except KeyboardInterrupt:
-        if not losses:
+    except (KeyboardInterrupt, SystemError) as error:
+        if not losses or not is_interrupt(error):
             raise
         interrupted = True
     # Ctrl-C may fall between the loss of the start and its being the lowest.

@@ -59,9 +59,9 @@ class RefineResult:
         symmetry_reason : the measurement, in words.
     suspects : what may be wrong with the input, likeliest first.
     verdict : "improved", "unchanged", or "doubtful": the whole step is likely to make the cloud worse, for the ``reason``; None
-        where only the default would be judged. confidence : in [0, 1], that the whole step does not make it worse by over 5 %
-        in Chamfer distance; None as before. signs : what it is from. step_taken : share of the step that was taken, under 1
-        only where it is doubtful.
+        where it is not judged, for the ``reason``. confidence : in [0, 1], that the whole step does not make it worse by over
+        5 % in Chamfer distance; None as before. signs : what it is from. step_taken : share of the step that was taken, under
+        1 only where it is doubtful.
     sigma_sq : squared cells. budget : what was decided from the scene, why, and what that saved.
     view_windows : left, top, right, bottom edges of the window of each mask, px, that the cloud was compared with at last,
         and cells along its side.

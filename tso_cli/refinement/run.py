@@ -90,8 +90,9 @@ def _prepare(problem: Problem, settings: Settings, stopwatch: Stopwatch, interru
         if settings.preset == "best":
             weights = ViewWeights.of(problem.resampled[:views], problem.cloud.normalised())
         field = SmoothField(problem.cloud.normalised()) if settings.staged else None
-        checked = settings.symmetry == "auto" and len(problem.resampled) > views
-        if checked and settings.steps and not interrupted and field:
+    checked = settings.symmetry == "auto" and len(problem.resampled) > views
+    if checked and settings.steps and not interrupted and field:
+        with stopwatch.phase("check symmetry"):
             problem, interrupted = verified_symmetry(problem, weights.loss, settings, field, until)
     loss_weights = weights.loss * (2 if len(problem.resampled) > views else 1)
     return _Prepared(problem, weights, loss_weights, interrupted, field)

@@ -56,7 +56,7 @@ class Verdict:
 
     name : "unchanged" where the result is the start; "doubtful" where it may well be worse, or a mistake in the input is
         suspected; "improved"; None if not judged.
-    confidence : that it is not worse by over 5 %, in [0, 1]; None if not judged. reason : why it is doubtful, else "".
+    confidence : that it is not worse by over 5 %, in [0, 1]; None if not judged. reason : why it is doubtful, or not judged.
     step : share of it that should be taken.
     """
 
@@ -67,9 +67,7 @@ class Verdict:
 
     @classmethod
     def of(cls, signs: dict[str, float], suspicion: str) -> Verdict:
-        """Of a refinement with ``signs``, empty for want of a model; ``suspicion`` : what looks wrong with the input."""
-        if not signs:
-            return cls("doubtful", None, suspicion) if suspicion else UNJUDGED
+        """Of a refinement with ``signs``; ``suspicion`` : what looks wrong with the input, "" where nothing does."""
         confidence, group = _judged(signs)
         if confidence < LEAST_CONFIDENCE or suspicion:
             step = float(np.interp(confidence, SUSPECT_STEP, (0.0, 1.0))) if suspicion else 1.0

@@ -18,7 +18,6 @@ from ..geometry.view import View
 from ..io.cameras import check_size, find_camera, pair_with_masks, read_camera
 from ..io.clouds import PointCloud, read_cloud
 from ..io.images import read_depth, read_image, read_mask
-from ..io.reading import require_memory
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from ..refinement.cloud import Cloud
 
 
-BYTES_A_POINT = 250  # that follows others, at its most
 # A mask is taken for a photo with this many grey pixels for one of the object, or of the background if that is smaller. Counted
 # in about so many rows or columns, and not for fewer such pixels: of a small mask all are at the outline.
 GREY_SHARE, GREY_ALONG, GREY_FEWEST = 1.2, 256, 400
@@ -208,7 +206,6 @@ def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = Fal
         if assumption.view and assumption.view not in masks:
             raise InputError(f"{assumption.option}: there is no such mask, expected one of {', '.join(masks)}")
     cloud = read_cloud(cloud_file)
-    require_memory(cloud_file, BYTES_A_POINT * len(cloud.points))
     colours = cloud.colours() if files.image else None
     start = Cloud(cloud.points, str(cloud_file), colours, cloud.faces())
     scene = Scene(start.given, (), (), "", "input", cloud=cloud, start=start)

@@ -18,7 +18,9 @@ def machine_line(record: Record) -> str:
     """Where and with what the record was made."""
     machine = record["machine"]
     versions = ", ".join(f"{name} {version}" for name, version in record["versions"].items() if version)
-    return f"{machine['cpu']}, {machine['cores']} cores; {versions}; seed {record['seed']}, {record['seconds']:.0f} s"
+    installed = ", ".join(f"{megabytes:,} MB {what}" for what, megabytes in record["installed_MB"].items())
+    measured = f"seed {record['seed']}, {record['seconds']:.0f} s"
+    return f"{machine['cpu']}, {machine['cores']} cores; {versions}; installed: {installed}; {measured}"
 
 
 def tables(record: Record) -> list[Table]:
@@ -39,6 +41,7 @@ def tables(record: Record) -> list[Table]:
     measured = [
         Table(["", "median", "low", "high", "x `import torch`"], commands, "whole processes: s"),
         _pivot("one object: ms (x `import torch`)", objects, lambda r: f"{_ms(r)} ({_digits(r['over_import_torch'])}x)"),
+        _phases(of("phases")),
         _pivot(
             "many objects: ms each (x `import torch`, x one `refine`)",
             batches,
@@ -54,6 +57,16 @@ def tables(record: Record) -> list[Table]:
         Table(["measured on"], [[machine_line(record)]]),
     ]
     return [table for table in measured if table.rows]
+
+
+def _phases(records: Records) -> Table:
+    names = list(dict.fromkeys(name for r in records for name in r["phases"]))
+    rows = [
+        [_size(r), *(_digits(1e3 * s) if (s := r["phases"].get(name)) else "" for name in names), _ms(r)]
+        + [_digits(1e3 * r["first"]), r["peak_MiB"]]
+        for r in records
+    ]
+    return Table(["points", *names, "all", "first call", "peak, MiB"], rows, "the default, phase by phase: ms")
 
 
 def _size(record: Record) -> str:

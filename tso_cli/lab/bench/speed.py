@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ CONVENTION = {
     "thread where nothing else is said",
     "command": "whole processes; a first run finds no byte code of tso and no compiled loops",
     "object": "`refine` in process, one chair, masks of 256x256; after the first call",
+    "phases": "of the default, in a process of its own: the median of later calls, the first call, and the peak of its memory",
     "batch": "seconds of a call over the objects in it, 1,024 points each; a busy neighbour spins on every core",
     "silhouette": "from projected points to the gradient by them of sums and cross-entropy, one picture, sigma^2 0.4 px^2; tso "
     "in numpy float64, else float32; the scatter lacks the term for mask pixels that no window reaches",
@@ -54,6 +56,7 @@ def speed(setting: Setting, only: Sequence[str] = ()) -> Record:
         "bench": "speed",
         "command": "tso bench speed",
         "machine": machine(),
+        "installed_MB": {"in all": installed("tso-cli"), "without torch": installed("tso-cli", leave_out="torch")},
         "versions": {"tso": __version__, "python": platform.python_version()}
         | {package: _version(package) for package in ("torch", "numpy", "numba", "scipy")},
         "seed": setting.seed,
@@ -67,6 +70,21 @@ def speed(setting: Setting, only: Sequence[str] = ()) -> Record:
 def machine() -> dict[str, Any]:
     """Where times are taken."""
     return {"cpu": _processor(), "cores": os.cpu_count(), "platform": platform.platform(terse=True)}
+
+
+def installed(package: str, leave_out: str = "") -> int:
+    """Megabytes of a package and all that it requires, without extras, and without what only ``leave_out`` requires."""
+    names, size, waiting = {leave_out}, 0, [package]
+    while waiting:
+        if (name := waiting.pop().lower().replace("_", "-")) in names:
+            continue
+        names.add(name)
+        with suppress(PackageNotFoundError):
+            of_package = distribution(name)
+            size += sum(path.stat().st_size for file in of_package.files or [] if (path := Path(str(file.locate()))).exists())
+            required = [text for text in of_package.requires or [] if "extra ==" not in text]
+            waiting += [re.split(r"[^\w.-]", text, maxsplit=1)[0] for text in required]
+    return round(size / 1e6)
 
 
 def _processor() -> str:

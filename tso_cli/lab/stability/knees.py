@@ -28,11 +28,16 @@ def figures(said: str, ratios: Sequence[float | None], seconds: Sequence[float |
     done = np.array([np.inf if ratio is None else ratio for ratio, word in zip(ratios, said, strict=True) if word != REFUSED])
     median, high, worst = np.quantile(done, (0.5, 0.95, 1.0), method="nearest") if len(done) else [np.nan] * 3
     spoke = np.array([word in (WARNED, DOUBTFUL, REFUSED) for word in said])
-    worse = np.array([word != REFUSED and (ratio is None or ratio > WORSE) for ratio, word in zip(ratios, said, strict=True)])
+    worse = np.array([got_worse(ratio, word) for ratio, word in zip(ratios, said, strict=True)])
     took = [value for value in seconds if value is not None]
     shares = [float(share) / len(said) for share in (worse.sum(), said.count(NON_FINITE), said.count(REFUSED), spoke.sum())]
     values = [median, high, worst, *shares, float((worse & ~spoke).mean()), float(np.median(took)) if took else None]
     return {name: digits(value) for name, value in zip(FIGURES, values, strict=True)}
+
+
+def got_worse(ratio: float | None, word: str) -> bool:
+    """Whether a run with this ratio, of which the tool said ``word``, ended worse than it started."""
+    return word != REFUSED and (ratio is None or ratio > WORSE)
 
 
 def digits(value: float | None, count: int = 3) -> float | None:

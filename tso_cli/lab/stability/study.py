@@ -29,7 +29,7 @@ from ..studies.summary import grouped
 from ..study import SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table, part
 from .axes import AXES, Axis
 from .chart import draw_axes
-from .knees import AXIS, FIGURES, SILENT, WORSE, knee
+from .knees import AXIS, FIGURES, SILENT, WORSE, got_worse, knee
 from .runs import Way, judge, outcomes_of, run_of
 
 # What other packages, and with --quick other variants, are compared on.
@@ -164,7 +164,8 @@ def _worst(rows: Cases, cases: Sequence[Case], seeds: Sequence[int]) -> list[tup
 
 
 def conclude(cases: Cases) -> Record:
-    """{"knees": {variant: {axis: knee}}, "silence": of the default preset's runs that got worse, shares without a word}."""
+    """{"knees": {variant: {axis: knee}}, and of the default preset "silence", shares of runs that got worse without a word, and
+    "halves" of the axes, from harmless to hopeless}."""
     knees = {
         variant: {name: knee(rows) for name, rows in grouped(of_variant, "axis").items()}
         for variant, of_variant in grouped(cases, "variant").items()
@@ -177,7 +178,27 @@ def conclude(cases: Cases) -> Record:
             key: sum(row[key] * len(row["said"]) for row in rows) / max(1, runs) for key in ("refused", "worse", "silent")
         }
         silence[what] = {"runs": runs, **{key: round(share, 4) for key, share in shares.items()}}
-    return {"knees": knees, "silence": silence}
+    ours = [row for row in cases if row["variant"] == DEFAULT]
+    halves = {group: _halves(rows) for group in GROUPS if (rows := [row for row in ours if AXIS[row["axis"]].group == group])}
+    return {"knees": knees, "silence": silence, "halves": halves}
+
+
+def _halves(rows: Cases) -> Record:
+    """Of axes with several levels: axes, those with a worse case in the harmless half, and in the other worse runs, flagged."""
+    axes = worse_axes = worse = flagged = 0
+    for of_axis in grouped(rows, "axis").values():
+        if len(of_axis) > 1:
+            middle = len(of_axis) // 2
+            axes += 1
+            worse_axes += any(_worse(row) for row in of_axis[:middle])
+            words = [word for row in of_axis[middle:] for word in _worse(row)]
+            worse, flagged = worse + len(words), flagged + sum(word != SILENT for word in words)
+    return {"axes": axes, "harmless_worse": worse_axes, "hopeless_worse": worse, "flagged": flagged}
+
+
+def _worse(row: Record) -> list[str]:
+    """What became of each run that got worse."""
+    return [word for ratio, word in zip(row["ratio"], row["said"], strict=True) if got_worse(ratio, word)]
 
 
 def tables(record: Record) -> list[Table]:
@@ -189,11 +210,13 @@ def tables(record: Record) -> list[Table]:
     compared = [[row["axis"], AXIS[row["axis"]].at(row["level"]), row["variant"], *_figures(row)] for row in chosen]
     words = [[AXIS[name].group, name, found["words"]] for name, found in record["knees"][DEFAULT].items()]
     silence = [[what, *row.values()] for what, row in record["silence"].items()]
+    halves = [[group, *row.values()] for group, row in record["halves"].items()]
     return [
         Table(["axis", "level", *FIGURES], rows, "Default preset", decimals=2),
         Table(["axis", "level", "by", *FIGURES], compared, "Variants and other ways", decimals=2),
         Table(["", "axis", "knee"], words, "Knees of the default preset"),
         Table(["default preset", "runs", "refused", "worse", "worse, without a word"], silence, decimals=3),
+        Table(["wrong is", "axes", "harmless half: with a worse run", "other half: worse runs", "flagged"], halves),
     ]
 
 
