@@ -104,10 +104,10 @@ def _around() -> list[View]:
 @pytest.mark.parametrize("name", ["mask-inverted", "mask-upside-down", "opengl", "camera-to-world"])
 def test_a_mistake_in_one_view_of_several_is_named_with_the_view(name):
     views = _around()[:3]
-    assert str(Agreement.of(PLANE.points, views)) == ""
+    assert Agreement.of(PLANE.points, views).suspicion is None
     agreement = Agreement.of(PLANE.points, [*views[:2], ASSUMPTIONS[name].of_view(views[2])])
     assert agreement.suspects == () and [one.option for one in agreement.of_views] == [f"--assume {name}@2.png"]
-    assert f"for 2.png alone {ASSUMPTIONS[name].what}: try --assume {name}@2.png" in str(agreement)
+    assert f"for 2.png alone {ASSUMPTIONS[name].what}: try --assume {name}@2.png" in agreement.suspicion
     assert about(views[1], assumptions_of([f"{name}@2.png"])) == []
 
 

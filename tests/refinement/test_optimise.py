@@ -1,6 +1,7 @@
 """The optimisation loop: the best iterate, whatever ends it, and Eq. 7."""
 
 import sys
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -24,12 +25,14 @@ class Iterates:
     def __init__(self, *factors: float) -> None:
         self.points, self.number = [START * factor for factor in factors], 0
 
-    def forward(self) -> np.ndarray:
-        return self.points[self.number]
+    def forward(self) -> tuple[np.ndarray, Callable[[np.ndarray], None]]:
+        points = self.points[self.number]
 
-    def step(self, gradient: np.ndarray) -> None:
-        np.testing.assert_array_equal(gradient, 2.0 * self.forward())
-        self.number += 1
+        def step(gradient: np.ndarray) -> None:
+            np.testing.assert_array_equal(gradient, 2.0 * points)
+            self.number += 1
+
+        return points, step
 
 
 def _square(points: np.ndarray) -> tuple[float, np.ndarray]:

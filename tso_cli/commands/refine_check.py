@@ -36,7 +36,7 @@ def check_scene(scene: Scene, as_json: bool, quiet: bool, warned: list[str]) -> 
         warnings.warn(doubt, stacklevel=1)
     overlaps = [placement.box_iou > SMALLEST_BOX_IOU for placement in placements]
     agreement = None if scene.network else Agreement.of(scene.moving, scene.views)
-    suspicion = str(agreement or "")
+    suspicion = agreement.suspicion if agreement else None
     if suspicion and all(overlaps):
         warnings.warn(suspicion, stacklevel=1)
     elif suspicion:
@@ -44,7 +44,7 @@ def check_scene(scene: Scene, as_json: bool, quiet: bool, warned: list[str]) -> 
         warned.append(suspicion)
     if as_json:
         suspects = agreement.named if agreement else ()
-        judged = verdict_document(None, "doubtful" if suspicion else None, suspicion, warned, suspects)
+        judged = verdict_document(None, "doubtful" if suspicion else None, suspicion or "", warned, suspects)
         options.echo_json(_document(scene, placements, overlaps, judged))
     elif not quiet:
         _print(scene, placements, overlaps)

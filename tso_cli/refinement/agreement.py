@@ -65,10 +65,11 @@ class Agreement:
         """Suspects of the input as a whole, else of single views."""
         return self.suspects or self.of_views
 
-    def __str__(self) -> str:
-        """The suspects in words, nothing without any."""
+    @property
+    def suspicion(self) -> str | None:
+        """The suspects in words, None without any."""
         if not self.suspects:
-            return "; ".join(f"it looks as if {suspect.what}: try {suspect.option}" for suspect in self.of_views)
+            return "; ".join(f"it looks as if {suspect.what}: try {suspect.option}" for suspect in self.of_views) or None
         others = "".join(f", or {suspect.option}" for suspect in self.suspects[1:])
         return f"it looks as if {self.suspects[0].what}: try {self.suspects[0].option}{others}"
 

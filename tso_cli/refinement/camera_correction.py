@@ -18,7 +18,7 @@ from ..losses.silhouette import silhouette_bce
 from .adam import Adam
 from .config import Settings
 from .objective import Array, MaskChamferObjective, ViewTargets
-from .optimise import descend
+from .optimise import StepDown, descend
 from .presets import PAPER_GAMMA, PAPER_LEARNING_RATE, PAPER_STEPS
 from .problem import Problem
 from .resampled_view import ResampledView, resample_view
@@ -76,10 +76,10 @@ class _PointsAndCameras:
         rates[: len(initial)] = PAPER_LEARNING_RATE["points"]
         self._rates, self._adam = rates, Adam(1.0)
 
-    def forward(self) -> Array:
-        return self._rows
+    def forward(self) -> tuple[Array, StepDown]:
+        return self._rows, self._step
 
-    def step(self, gradient: Array) -> None:
+    def _step(self, gradient: Array) -> None:
         self._rows = self._rows + self._rates * self._adam.step(gradient)
 
 

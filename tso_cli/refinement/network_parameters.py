@@ -15,7 +15,7 @@ from .. import device as devices
 from ..errors import InputError
 from ..network.model import BaseNetwork
 from .cloud import Cloud
-from .optimise import Array
+from .optimise import Array, StepDown
 
 
 class NetworkParameters:
@@ -43,19 +43,17 @@ class NetworkParameters:
         self._optimiser = TorchAdam(moving, learning_rate)
         with torch.no_grad():
             self.cloud = Cloud(self._predict(self._input)[0], "the network's prediction", predicted=True)
-        self._prediction: Tensor | None = None
 
-    def forward(self) -> Array:
-        """The predicted cloud [N, 3], normalised as it was at the start."""
-        self._prediction = self._predict(self._input)[0]
-        points: Array = (self._prediction.detach().cpu().numpy().astype(np.float64) - self.cloud.centre) / self.cloud.scale
-        return points
+    def forward(self) -> tuple[Array, StepDown]:
+        """The predicted cloud [N, 3], normalised as it was at the start, and the step of the weights by its gradient."""
+        prediction = self._predict(self._input)[0]
 
-    def step(self, gradient: Array) -> None:
-        """One step down a loss, by its gradient [N, 3] at the normalised points of the last `forward`."""
-        assert self._prediction is not None
-        by_prediction = torch.as_tensor(gradient / self.cloud.scale).to(self._prediction)
-        self._optimiser.apply(torch.autograd.grad(self._prediction, self._optimiser.parameters, by_prediction))
+        def step(gradient: Array) -> None:
+            by_prediction = torch.as_tensor(gradient / self.cloud.scale).to(prediction)
+            self._optimiser.apply(torch.autograd.grad(prediction, self._optimiser.parameters, by_prediction))
+
+        points: Array = (prediction.detach().cpu().numpy().astype(np.float64) - self.cloud.centre) / self.cloud.scale
+        return points, step
 
 
 class TorchAdam:

@@ -20,14 +20,15 @@ Term = Callable[[Array], tuple[float, Array]]
 """The value of a loss at points [N, 3], and its gradient [N, 3]."""
 
 
+StepDown = Callable[[Array], None]
+"""Takes one step down a loss, by its gradient [N, 3] at the points that came with this function."""
+
+
 class Parameters(Protocol):
     """What moves points."""
 
-    def forward(self) -> Array:
-        """The points [N, 3]."""
-
-    def step(self, gradient: Array) -> None:
-        """One step down a loss, by its gradient [N, 3] at the points of the last `forward`."""
+    def forward(self) -> tuple[Array, StepDown]:
+        """The points [N, 3], and the step from there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,12 +81,12 @@ def descend(
 
     Raises KeyboardInterrupt before the loss of the start is known; later it ends the loop.
     """
-    best, lowest, best_step = parameters.forward(), np.inf, 0
+    best, lowest, best_step = parameters.forward()[0], np.inf, 0
     losses: list[float] = []
     interrupted = out_of_time = False
     try:
         for step in range(steps + 1):
-            points = parameters.forward()
+            points, step_down = parameters.forward()
             # Views do not see points that are not finite, and a search for their neighbours would fail.
             value, gradient = objective(points) if np.isfinite(points).all() else (np.nan, points)
             losses.append(value if np.isfinite(value) else np.nan)
@@ -100,7 +101,7 @@ def descend(
             if value == 0.0 or out_of_time:
                 break
             if step < steps:
-                parameters.step(gradient)
+                step_down(gradient)
     except (KeyboardInterrupt, SystemError) as error:
         if not losses or not is_interrupt(error):
             raise

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .adam import Adam
-from .optimise import Array
+from .optimise import Array, StepDown
 from .smooth_field import SmoothField
 
 
@@ -15,10 +15,10 @@ class PointParameters:
     def __init__(self, initial: Array, optimiser: Adam) -> None:
         self._points, self._optimiser = initial, optimiser
 
-    def forward(self) -> Array:
-        return self._points
+    def forward(self) -> tuple[Array, StepDown]:
+        return self._points, self._step
 
-    def step(self, gradient: Array) -> None:
+    def _step(self, gradient: Array) -> None:
         self._points = self._points + self._optimiser.step(gradient)
 
 
@@ -30,9 +30,9 @@ class FieldParameters:
         self._smoothness = smoothness
         self._values = np.zeros((len(field.nodes), 3))
 
-    def forward(self) -> Array:
-        return self._initial + self._field.spread(self._field.smoothed(self._values, self._smoothness))
+    def forward(self) -> tuple[Array, StepDown]:
+        return self._initial + self._field.spread(self._field.smoothed(self._values, self._smoothness)), self._step
 
-    def step(self, gradient: Array) -> None:
+    def _step(self, gradient: Array) -> None:
         by_values = self._field.smoothed(self._field.gather(gradient), self._smoothness)
         self._values = self._values + self._optimiser.step(by_values)

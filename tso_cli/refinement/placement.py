@@ -97,7 +97,7 @@ def box_iou(a: Box, b: Box) -> float:
     return common / union if union > 0.0 else 0.0
 
 
-def require_overlap(placement: Placement, view: View, warn: bool = True, advice: str = "") -> None:
+def require_overlap(placement: Placement, view: View, warn: bool = True, advice: str | None = None) -> None:
     """Raise InputError with ``advice`` for a cloud and a mask that do not meet; warn of points behind it where ``warn``."""
     advice = advice or (
         "check the camera's axes (OpenCV: x right, y down, z forward; X_camera = R X_world + t) and units, "

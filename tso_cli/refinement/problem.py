@@ -48,7 +48,7 @@ class Problem:
         cloud = cloud.with_moving(settings.points)
         agreement = Agreement.of(cloud.initial, views) if settings.mode == "points" else None
         for view in views:
-            require_overlap(place(cloud.initial, view), view, advice=str(agreement or ""))
+            require_overlap(place(cloud.initial, view), view, advice=agreement.suspicion if agreement else None)
         symmetry = decide_symmetry(cloud, settings.symmetry)
         if symmetry.outcome == "given":
             _require_plane_through(cloud, views, symmetry, settings.symmetry)
@@ -81,9 +81,9 @@ class Problem:
         return replace(self, resampled=tuple(resampled))
 
     @property
-    def suspicion(self) -> str:
-        """What may be wrong with the input, in words; nothing where all looks right."""
-        return str(self.agreement or "")
+    def suspicion(self) -> str | None:
+        """What may be wrong with the input, in words; None where all looks right."""
+        return self.agreement.suspicion if self.agreement else None
 
     def evidence(self, weights: list[float]) -> float:
         """Weighted number of masks and depth maps; a flipped mask counts a quarter."""

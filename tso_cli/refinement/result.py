@@ -146,7 +146,7 @@ def why_unmoved(result: RefineResult) -> str | None:
     }["doubtful" if doubted else result.stop_reason]
 
 
-def result_warnings(result: RefineResult, views: Sequence[View], steps: int, suspicion: str) -> tuple[str, ...]:
+def result_warnings(result: RefineResult, views: Sequence[View], steps: int, suspicion: str | None) -> tuple[str, ...]:
     """The ``warnings`` of a result that lacks them; ``steps`` : how many were asked for; ``suspicion`` : of the input."""
     messages = []
     reason = why_unmoved(result)

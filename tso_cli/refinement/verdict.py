@@ -66,8 +66,8 @@ class Verdict:
     step: float = 1.0
 
     @classmethod
-    def of(cls, signs: dict[str, float], suspicion: str) -> Verdict:
-        """Of a refinement with ``signs``; ``suspicion`` : what looks wrong with the input, "" where nothing does."""
+    def of(cls, signs: dict[str, float], suspicion: str | None) -> Verdict:
+        """Of a refinement with ``signs``; ``suspicion`` : what looks wrong with the input, None where nothing does."""
         confidence, group = _judged(signs)
         if confidence < LEAST_CONFIDENCE or suspicion:
             step = float(np.interp(confidence, SUSPECT_STEP, (0.0, 1.0))) if suspicion else 1.0
