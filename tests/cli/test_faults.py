@@ -372,3 +372,15 @@ def test_a_process_that_is_killed_leaves_nothing_that_the_next_does_not_remove(f
     again = started("refine", *OUTPUTS)
     again.communicate()
     assert again.returncode == 0 and written(folder) == sorted(NAMES)
+
+
+def test_ctrl_c_while_the_command_line_is_imported_ends_it_without_a_traceback():
+    program = "import sys; sys.argv[0] = 'tso'; from tso_cli.__main__ import main; main()"
+    command = [sys.executable, "-X", "importtime", "-c", program, "refine", "--help"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(command, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        # A module of click is there, and others are to come.
+        next(line for line in process.stderr if " click." in line)
+        process.send_signal(signal.SIGINT)
+        assert "Traceback" not in process.stderr.read()
+        assert process.wait() in (-signal.SIGINT, 130)
