@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..geometry.camera import Camera
+    from ..refinement.agreement import Agreement
     from ..refinement.assumptions import Suspect
     from ..refinement.placement import Placement
     from ..scene.load import Scene
@@ -36,6 +37,8 @@ def check_scene(scene: Scene, as_json: bool, quiet: bool, warned: list[str]) -> 
         warnings.warn(doubt, stacklevel=1)
     overlaps = [placement.box_iou > SMALLEST_BOX_IOU for placement in placements]
     agreement = None if scene.network else Agreement.of(scene.moving, scene.views)
+    if agreement and agreement.hint and all(overlaps):
+        agreement = _checked(scene)
     suspicion = agreement.suspicion if agreement else None
     if suspicion and all(overlaps):
         warnings.warn(suspicion, stacklevel=1)
@@ -50,6 +53,22 @@ def check_scene(scene: Scene, as_json: bool, quiet: bool, warned: list[str]) -> 
         _print(scene, placements, overlaps)
     for placement, view in zip(placements, scene.views, strict=True):
         require_overlap(placement, view, advice=suspicion)
+
+
+def _checked(scene: Scene) -> Agreement | None:
+    """With its hint checked as a refinement does it."""
+    from ..refinement.config import RefineConfig
+    from ..refinement.mistake_check import checked_hint
+    from ..refinement.problem import Problem
+    from ..refinement.smooth_field import SmoothField
+    from ..refinement.view_weights import ViewWeights
+
+    assert scene.start is not None
+    settings = RefineConfig().settings(len(scene.views))
+    problem = Problem.of(scene.start, tuple(scene.views), settings)
+    points = problem.cloud.normalised()
+    weights = ViewWeights.of(problem.resampled[: len(problem.views)], points)
+    return checked_hint(problem, weights.loss, settings, SmoothField(points))[0].agreement
 
 
 def camera_document(camera: Camera, source: str) -> dict[str, Any]:

@@ -19,6 +19,8 @@ from .occlusion import occluded
 CELLS, POINTS = 16, 1024
 # An assumption is suspected if silhouettes then agree better than as given by this IoU, and at least so far.
 MARGIN, LEAST_IOU = 0.16, 0.4
+# With so much it is a hint, which `mistake_check` follows.
+HINT_MARGIN = 0.04
 # Others that fit about as well as the best.
 SIMILAR, MOST_SUSPECTS = 0.03, 3
 # An inverted mask is foreground along at least so much of the picture's border.
@@ -38,12 +40,16 @@ class Agreement:
 
     as_given : of the input as it is. best : under the best of `ASSUMPTIONS`. suspects : what may be wrong, likeliest first.
     of_views : what may be wrong with single views of several, where the input as a whole looks right.
+    hint : of an input that nothing was assumed of and nothing is suspected of, the assumption under which silhouettes agree
+        somewhat better, if there is one. confirmed : that a descent agrees better under it too (`mistake_check`).
     """
 
     as_given: float
     best: float
     suspects: tuple[Suspect, ...]
     of_views: tuple[Suspect, ...] = ()
+    hint: Hint | None = None
+    confirmed: bool = False
 
     @classmethod
     def of(cls, points: Array, views: Sequence[View]) -> Agreement:
@@ -58,20 +64,32 @@ class Agreement:
         tells = np.array([len(outline.cells[False].inside) >= FEWEST_CELLS for outline in outlines])
         suspects = _suspects(others, ious[:, tells].mean(1), as_given[tells].mean()) if tells.any() else ()
         of_views = () if suspects else (*_of_views(outlines, others, ious, as_given, tells), *_hidden(points, views))
-        return cls(float(as_given.mean()), float(scores.max()), suspects, of_views)
+        hint = None if suspects or not tells.all() or outlines[0].given else _hint(others, scores, as_given.mean())
+        return cls(float(as_given.mean()), float(scores.max()), suspects, of_views, hint)
 
     @property
     def named(self) -> tuple[Suspect, ...]:
         """Suspects of the input as a whole, else of single views."""
-        return self.suspects or self.of_views
+        return self._of_all or self.of_views
+
+    @property
+    def _of_all(self) -> tuple[Suspect, ...]:
+        return (self.hint.suspect,) if self.hint and self.confirmed else self.suspects
 
     @property
     def suspicion(self) -> str | None:
         """The suspects in words, None without any."""
-        if not self.suspects:
+        if not self._of_all:
             return "; ".join(f"it looks as if {suspect.what}: try {suspect.option}" for suspect in self.of_views) or None
-        others = "".join(f", or {suspect.option}" for suspect in self.suspects[1:])
-        return f"it looks as if {self.suspects[0].what}: try {self.suspects[0].option}{others}"
+        first, *others = self._of_all
+        return f"it looks as if {first.what}: try {first.option}" + "".join(f", or {suspect.option}" for suspect in others)
+
+
+class Hint(NamedTuple):
+    """What may be wrong, and the assumption that mends it."""
+
+    suspect: Suspect
+    assumption: Assumption
 
 
 class _Other(NamedTuple):
@@ -106,6 +124,14 @@ def _suspects(others: list[_Other], scores: Array, as_given: float) -> tuple[Sus
     likely = [i for i in np.argsort(-scores, kind="stable") if scores[i] >= scores.max() - SIMILAR]
     fewer = [i for i in likely if others[i].fewer]
     return tuple(Suspect(others[i].what, others[i].option, float(scores[i])) for i in (fewer or likely)[:MOST_SUSPECTS])
+
+
+def _hint(others: list[_Other], scores: Array, as_given: float) -> Hint | None:
+    best = others[int(np.argmax(scores))]
+    score = float(scores.max())
+    if score < max(as_given + HINT_MARGIN, LEAST_IOU):
+        return None
+    return Hint(Suspect(best.what, best.option, score), best.change)
 
 
 def _of_views(

@@ -52,6 +52,10 @@ class Assumption:
     def of_camera(self, camera: Camera) -> Camera:
         return self.camera(camera) if self.camera else camera
 
+    def read(self, view: View) -> View:
+        """The view as it is meant, of points in the axes of the cloud."""
+        return in_axes_of_cloud(self.of_view(view), self.matrix)
+
 
 def _axes(*signs: float) -> Callable[[Camera], Camera]:
     """The axes of the camera's frame turned: ``signs`` of x, y and z."""

@@ -64,7 +64,7 @@ def judged(
     outcome = _after(problem, given_views, step)
     # Corrected cameras may lower the IoU rightly.
     compared = settings.staged and problem.views == given_views
-    fits = problem.cloud.partial and compared and _masks_alone(problem)
+    fits = problem.cloud.partial and compared and problem.masks_alone
     before, after = _misfits(problem, outcome.moved, view_weights.loss) if fits else (1.0, 0.0)
     if descent.best_step == 0 or after >= before or (compared and _agrees_less(problem, outcome.ious, view_weights.loss)):
         unmoved = problem.cloud.moved(np.zeros_like(step))
@@ -92,7 +92,7 @@ def _why_unjudged(problem: Problem, descent: Descent, settings: Settings) -> str
     few = len(descent.stages) < len(STAGES) or steps < FEWEST_STEPS
     reasons = {
         "only mode points with preset best is": not settings.staged,
-        "none with a depth map or a photo is": not _masks_alone(problem),
+        "none with a depth map or a photo is": not problem.masks_alone,
         f"{len(problem.cloud.initial)} points are too few": len(problem.cloud.initial) < FEWEST_POINTS,
         "it was interrupted": few and descent.interrupted,
         # The confidence counts on a symmetry check of a cloud that has a mirror plane.
@@ -117,16 +117,12 @@ def view_ious(initial: Array, refined: Array, given: Sequence[View], corrected: 
     return ious
 
 
-def _masks_alone(problem: Problem) -> bool:
-    return all(view.depth is None and view.image is None for view in problem.views)
-
-
 def _agrees_less(problem: Problem, ious: list[tuple[float, float]], weights: list[float]) -> bool:
     """Whether masks are all there is, and the IoU fell.
 
     The mask Chamfer loss counts distances, and may fall while the IoU falls too, as for a right start and a coarse mask.
     """
-    if not _masks_alone(problem):
+    if not problem.masks_alone:
         return False
     before, after = np.average(ious, axis=0, weights=weights)
     return bool(after < before and before >= FEEBLE_IOU)

@@ -85,6 +85,11 @@ class Problem:
         """What may be wrong with the input, in words; None where all looks right."""
         return self.agreement.suspicion if self.agreement else None
 
+    @property
+    def masks_alone(self) -> bool:
+        """Whether no view has a depth map or a photo."""
+        return all(view.depth is None and view.image is None for view in self.views)
+
     def evidence(self, weights: list[float]) -> float:
         """Weighted number of masks and depth maps; a flipped mask counts a quarter."""
         flipped = 0.0 if self.symmetry.plane is None else FLIPPED_EVIDENCE

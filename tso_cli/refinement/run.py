@@ -19,6 +19,7 @@ from .cloud import Array
 from .coarse_to_fine import CoarseToFine, network_objective
 from .config import Settings
 from .judge import Outcome, judged
+from .mistake_check import checked_hint
 from .objective import SilhouetteObjective, ViewTargets
 from .optimise import Descent, Parameters, Progress, Term, descend, sum_of
 from .parameters import PointParameters
@@ -90,6 +91,9 @@ def _prepare(problem: Problem, settings: Settings, stopwatch: Stopwatch, interru
         if settings.preset == "best":
             weights = ViewWeights.of(problem.resampled[:views], problem.cloud.normalised())
         field = SmoothField(problem.cloud.normalised()) if settings.staged else None
+    if field and settings.steps and not interrupted:
+        with stopwatch.phase("check mistake"):
+            problem, interrupted = checked_hint(problem, weights.loss, settings, field, until)
     checked = settings.symmetry == "auto" and len(problem.resampled) > views
     if checked and settings.steps and not interrupted and field:
         with stopwatch.phase("check symmetry"):
