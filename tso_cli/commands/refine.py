@@ -14,9 +14,7 @@ from ..errors import GateError, InputError
 from ..io.reading import require_memory
 from ..refinement.presets import MODES, PRESETS
 from . import options
-from .refine_check import check_scene
 from .refine_files import CameraPath, RefineInputs, RefineOutputs
-from .refine_report import RefineReport
 
 PATH = options.FilePath()
 BYTES_A_MOVING_POINT = 1100
@@ -168,6 +166,8 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
             options.log(f"tso: checkpoint: {inputs.checkpoint}")
         options.log(f"tso: camera: {', '.join(dict.fromkeys(scene.camera_sources))}")
     if check:
+        from .refine_check import check_scene
+
         check_scene(scene, as_json, quiet, warned)
         return
     if write_camera:
@@ -181,6 +181,7 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
     read = time.perf_counter() - started
     with options.loading():
         from ..refinement import RefineConfig, refine
+        from .refine_report import RefineReport
     if chosen["sigma_sq"] is None:
         chosen["sigma_sq"] = scene.sigma_sq
     elif inputs.preset == "best" and not refine_camera:

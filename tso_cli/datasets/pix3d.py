@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.camera import Array, Camera
 from ..geometry.points import bounding_box_normalisation
+from ..io.meshes import read_mesh
 from ..io.reading import read_json, shown
 from . import common
 from .items import Dataset, Floats, ObjectItem, Pixels, ViewItem
@@ -47,12 +48,11 @@ class _Entry:
     camera: Camera
 
 
-def open_pix3d(folder: Path | str, strict: bool = False) -> Dataset:
+def open_pix3d(root: Path, strict: bool = False) -> Dataset:
     """The objects of Pix3D; they are named after their models, CATEGORY/FOLDER/FILE, and every photo is a view.
 
     No picture and no model is read yet. Entries with part of the object out of sight are left out even with ``strict``.
     """
-    root = Path(folder)
     table = root / TABLE
     document = read_json(table, "the entries of Pix3D", "the entries of Pix3D")
     if not isinstance(document, list):
@@ -129,9 +129,7 @@ def _name(path: str, category: str) -> str:
 
 
 def _read(path: str) -> tuple[Array, NDArray[np.int64]]:
-    from ..io.meshes import read_mesh
-
-    mesh = read_mesh(path, textures=False)
+    mesh = read_mesh(Path(path), textures=False)
     return mesh.vertices, mesh.faces
 
 

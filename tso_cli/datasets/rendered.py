@@ -40,10 +40,8 @@ CAMERAS, TARGET, RECORD = "cameras.json", "target.ply", "render.json"
 UNFINISHED = ".unfinished"
 
 
-def open_rendered(folder: Path | str, strict: bool = False) -> Dataset:
+def open_rendered(root: Path, strict: bool = False) -> Dataset:
     """The objects of a rendered folder, or of one object in it; the category of CATEGORY/NAME is CATEGORY, of NAME ""."""
-    root = Path(folder)
-    common.require_folder(root, "one that tso render wrote")
     skipped, objects = common.Skipped(strict), []
     for name, path, complete in sorted(_walk(root)):
         try:
@@ -103,17 +101,11 @@ class ObjectWriter:
         samples: NDArray[np.float32],
         target: NDArray[np.float32],
         record: dict[str, Any],
-        overwrite: bool = False,
     ) -> None:
-        """Write one object of images [H, W, 3], masks [H, W] and cameras.
-
-        Raises InputError if it exists (without ``overwrite``) or is not an object (with it), TsoError if writing failed.
-        """
+        """Write one object of images [H, W, 3], masks [H, W] and cameras, in place of one that exists; TsoError if it fails."""
         folder, unfinished = self.root / name, self.root / UNFINISHED
         # A name of its own for each process, should the system have no locks.
         new, old = unfinished / f"new.{os.getpid()}", unfinished / "old" / name
-        if stored_record(folder) is not None and not overwrite:
-            raise InputError(f"{folder}: exists already, expected a new name or --overwrite")
         made = [parent for parent in folder.parents if not parent.exists()]
         try:
             folder.parent.mkdir(parents=True, exist_ok=True)

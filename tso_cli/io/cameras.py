@@ -47,9 +47,8 @@ class CameraRecord:
     image: Path | None = None
 
 
-def find_camera(mask_path: str | Path) -> Path | None:
+def find_camera(mask_path: Path) -> Path | None:
     """The camera file beside a mask: ``MASKSTEM.camera.json``, else ``camera.json``, else ``cameras.json`` of `tso render`."""
-    mask_path = Path(mask_path)
     for name in (f"{mask_path.stem}.camera.json", "camera.json", "cameras.json"):
         path = mask_path.with_name(name)
         if path.is_file():
@@ -113,7 +112,7 @@ def check_size(path: str | Path, camera: Camera, width: int, height: int, mask: 
         )
 
 
-def named_masks(path: str | Path) -> list[Path]:
+def named_masks(path: Path) -> list[Path]:
     """The masks that the views of a camera file name, in their order; InputError as `read_cameras`, or if one names none."""
     masks = [record.mask for record in read_cameras(path)]
     if None in masks:
@@ -122,14 +121,14 @@ def named_masks(path: str | Path) -> list[Path]:
     return [mask for mask in masks if mask is not None]
 
 
-def pair_with_masks(path: str | Path, masks: Sequence[str | Path]) -> list[Camera]:
+def pair_with_masks(path: Path, masks: Sequence[Path]) -> list[Camera]:
     """The camera of each of several masks: of the view that names its path, or the last part of it, else by order.
 
     Raises InputError as `read_cameras`, or if the views do not name all masks, and are not as many or contradict the order.
     """
     records = read_cameras(path)
     naming: list[list[int]] = []  # views, of each mask
-    for alike in (same_file, lambda a, b: Path(a).name == Path(b).name):
+    for alike in (same_file, lambda a, b: a.name == b.name):
         naming = [[i for i, r in enumerate(records) if r.mask is not None and alike(r.mask, mask)] for mask in masks]
         if all(len(views) == 1 for views in naming) and len({views[0] for views in naming}) == len(masks):
             return [records[views[0]].camera for views in naming]
@@ -148,9 +147,8 @@ def pair_with_masks(path: str | Path, masks: Sequence[str | Path]) -> list[Camer
     return [record.camera for record in records]
 
 
-def write_cameras(path: str | Path, records: Sequence[CameraRecord], overwrite: bool = False) -> None:
+def write_cameras(path: Path, records: Sequence[CameraRecord], overwrite: bool = False) -> None:
     """Write a camera file that reads back exactly; one record without files in the flat form, others as views."""
-    path = Path(path)
     check_output(path, overwrite)
     views = [_as_json(record, path) for record in records]
     if len(records) == 1 and records[0].mask is None and records[0].image is None:

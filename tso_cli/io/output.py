@@ -20,7 +20,6 @@ _written: set[Path] = set()  # temporaries of this process
 
 def check_output(path: Path, overwrite: bool) -> None:
     """Before the work starts, raise InputError for an output that cannot or, without ``overwrite``, must not be written."""
-    path = Path(path)
     try:
         folder = Path(os.path.realpath(path)).parent
         if path.is_dir():
@@ -47,7 +46,6 @@ def atomic_output(path: Path, overwrite: bool = True) -> Iterator[Path]:
 
     Raises InputError if writing failed or, without ``overwrite``, if by then another file has the name.
     """
-    path = Path(path)
     if path in _written:
         yield path
         return
