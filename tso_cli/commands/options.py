@@ -32,6 +32,18 @@ class FilePath(click.Path):
         super().__init__(path_type=Path)
 
 
+FIT = Path("fit")
+"""What `--camera` takes instead of a file, to estimate the camera."""
+
+
+class CameraPath(FilePath):
+    """A camera file, or ``FIT``; a file of that name, written ./fit, becomes absolute."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        path = super().convert(value, param, ctx)
+        return path.absolute() if path == FIT and str(value) != str(FIT) else path
+
+
 class Command(click.Command):
     """A command whose help shows defaults, and options under headings.
 

@@ -14,7 +14,6 @@ from ..errors import GateError, InputError
 from ..io.reading import require_memory
 from ..refinement.presets import MODES, PRESETS
 from . import options
-from .refine_files import CameraPath, RefineInputs, RefineOutputs
 
 PATH = options.FilePath()
 BYTES_A_MOVING_POINT = 1100
@@ -96,7 +95,7 @@ BRIEF = ("mode", "preset", "budget", "camera", "output", "overwrite", "overlay",
 )
 @click.option(
     "--camera",
-    type=CameraPath(),
+    type=options.CameraPath(),
     help="Camera file, for several masks with a view of each; or `fit`: estimated from one mask and the cloud.  "
     "[default: MASKSTEM.camera.json, else camera.json or cameras.json beside the mask, else canonical]",
 )
@@ -149,6 +148,8 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
     if quiet and verbose:
         raise InputError("--quiet and --verbose, expected one of the two")
     warned = ctx.with_resource(options.collected_warnings(quiet))
+    with options.loading():
+        from .refine_files import RefineInputs, RefineOutputs
     inputs = options.pick(RefineInputs, chosen)
     refine_camera, write_camera = chosen["refine_camera"], chosen["write_camera"]
     for name, used in (("--camera fit", inputs.fit), ("--refine-camera", refine_camera), ("--write-camera", write_camera)):
