@@ -10,7 +10,7 @@ from tests.scenes import EXAMPLES, block
 from tso_cli import Camera, View
 from tso_cli.geometry.resampling import area_resize
 from tso_cli.io.images import read_image
-from tso_cli.network.input import crop_box, network_input
+from tso_cli.network.input import network_input
 from tso_cli.network.model import NetworkConfig, build_network
 from tso_cli.scene.network import network_scene
 
@@ -61,7 +61,8 @@ def test_the_cropped_camera_projects_points_to_their_pixels_in_the_crop():
     rows, columns = np.mgrid[:64, :64]
     for point, pixel in zip(points, pixels, strict=True):
         spot = np.exp(-((u - pixel[0]) ** 2 + (v - pixel[1]) ** 2) / (2 * 4.0**2))
-        crop = network_input(spot, View(mask, camera), background="keep")
+        photo = np.rint(255.0 * spot[..., None]).astype(np.uint8).repeat(3, 2)
+        crop = network_input(photo, View(mask, camera), background="keep")
         light = crop.image[0].astype(float)
         centre = np.array([(light * columns).sum(), (light * rows).sum()]) / light.sum()
         np.testing.assert_allclose(centre, crop.camera.project(point[None])[0][0], atol=1e-2)
@@ -117,12 +118,9 @@ def test_a_photo_enlarged_gives_the_same_input_and_soft_mask_values_are_kept():
     assert np.isclose(one.mask, 0.7).any()
 
 
-def test_wrong_sizes_and_settings_are_refused():
+def test_wrong_sizes_are_refused():
     view, image = rectangle(40, 40, np.s_[10:30, 10:30]), np.zeros((40, 40, 3), np.uint8)
     assert_refused("the image is 30x40, the mask 40x40", network_input, image[:, :30], view)
-    assert_refused("background is 'blue'", network_input, image, view, background="blue")
-    assert_refused("crop share", crop_box, view.box(), 0.0)
-    assert_refused("outside 0 to 1", network_input, image.astype(float) + 3.0, view)
     assert_refused("box is", area_resize, image, (3.0, 0.0, 3.0, 5.0), 4, 4)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 from ..datasets.items import Dataset, Floats, ObjectItem, ViewItem
 from ..datasets.scale import of_unit_diagonal
 from ..geometry.points import normalise_longest_side
+from ..io.cameras import read_camera
+from ..io.clouds import read_cloud
+from ..io.images import read_image, read_mask
+from ..io.meshes import read_mesh
+from ..io.shipped import CATEGORIES, examples_folder
+from ..render import RenderedView, RenderSettings, render_mesh
 from .data import TrainingData
-
-if TYPE_CHECKING:
-    from ..render import RenderedView
 
 T = TypeVar("T")
 # Pictures of each shipped mesh, and their side in pixels: about the size of the network's input once cropped.
@@ -34,9 +37,6 @@ def from_meshes(
 
     A ``crop_share`` of 0 gives them a unit diagonal, as ShapeNet's models have, so that the pictures show sizes.
     """
-    from ..io.meshes import read_mesh
-    from ..render import RenderSettings, render_mesh
-
     settings = RenderSettings(views=views, size=(EXAMPLE_SIZE, EXAMPLE_SIZE))
     objects = []
     for number, path in enumerate(meshes):
@@ -67,11 +67,6 @@ def rendered_object(name: str, category: str, views: Sequence[RenderedView], tar
 
 def shipped_examples(crop_share: float = 0.9, background: str = "black") -> TrainingData:
     """The pictures and true shapes of the shipped examples, which a network trained on the shipped meshes has not seen."""
-    from ..io.cameras import read_camera
-    from ..io.clouds import read_cloud
-    from ..io.images import read_image, read_mask
-    from ..io.shipped import CATEGORIES, examples_folder
-
     objects = []
     for category in CATEGORIES:
         folder = examples_folder() / category
