@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import InputError
-from ..io.cameras import CameraRecord, named_masks, write_cameras
+from ..io.cameras import CameraRecord, camera_text, named_masks
 from ..io.clouds import write_cloud
 from ..io.output import atomic_output
 from ..io.shipped import DEFAULT, named_checkpoint
@@ -143,6 +143,6 @@ class RefineOutputs:
             if self.write_camera is not None:
                 records = [CameraRecord(camera, mask) for camera, mask in zip(result.cameras, masks, strict=True)]
                 temporary = stack.enter_context(atomic_output(self.write_camera, self.overwrite))
-                write_cameras(temporary, records, overwrite=True)
+                temporary.write_text(camera_text(self.write_camera, records), encoding="utf-8")
             self.check([])  # before the first of them takes its name
             write_cloud(self.output, scene.to_output(result.points), like=scene.cloud, overwrite=self.overwrite)

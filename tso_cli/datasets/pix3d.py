@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, prefixed
 from ..geometry.camera import Array, Camera
 from ..geometry.points import bounding_box_normalisation
 from ..io.meshes import read_mesh
@@ -89,10 +89,8 @@ def _entry(values: Any, where: str) -> _Entry:
     focal = float(_numbers(values, "focal_length", (), where)) / SENSOR_MM * width
     K = np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
     rotation, translation = _numbers(values, "rot_mat", (3, 3), where), _numbers(values, "trans_mat", (3,), where)
-    try:
+    with prefixed(f"{where}: "):
         camera = Camera(K, _IMAGE_AXES @ rotation, _IMAGE_AXES @ translation, width, height)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
     return _Entry(image, mask, model, category, camera)
 
 

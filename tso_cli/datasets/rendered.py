@@ -32,7 +32,7 @@ from ..geometry.camera import Camera
 from ..io.cameras import CameraRecord, read_cameras, write_cameras
 from ..io.clouds import write_cloud
 from ..io.images import write_image
-from ..io.output import atomic_output, reason, sole_writer
+from ..io.output import reason, sole_writer, write_file
 from . import common
 from .items import Dataset, ObjectItem, Pixels, ViewItem
 
@@ -119,8 +119,7 @@ class ObjectWriter:
             write_cameras(new / CAMERAS, records)
             write_cloud(new / f"target_{len(samples)}.ply", samples.astype(np.float64), dtype="float32")
             write_cloud(new / TARGET, target.astype(np.float64), dtype="float32")
-            with atomic_output(new / RECORD) as temporary:
-                temporary.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+            write_file(new / RECORD, (json.dumps(record, indent=2) + "\n").encode())
             if folder.exists():
                 old.parent.mkdir(parents=True)
                 folder.rename(old)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, prefixed
 from ..geometry.points import Array, farthest_point_sample, normalise_longest_side
 from ..geometry.view import View
 from ..io.shapes import read_shape, shape_kind
@@ -87,7 +86,7 @@ def _measure(pair: Pair, config: EvalConfig) -> dict[str, Any]:
     target = _read(pair.target, config, config.seed)
     record: dict[str, Any] = {"name": pair.name}
     capnet = config.protocol == "capnet"
-    with _prefixed(f"{pair.prediction} against {pair.target}"):
+    with prefixed(f"{pair.prediction} against {pair.target}: "):
         compared = prediction, target
         if capnet:
             compared = normalise_longest_side(prediction, "prediction"), normalise_longest_side(target, "target")
@@ -135,7 +134,7 @@ def _measure_iou(points: Array, pair: Pair, sigma_sq: float | None) -> dict[str,
             continue
         from ..losses.silhouette import silhouette_of
 
-        with _prefixed(f"{pair.prediction} against {file}"):
+        with prefixed(f"{pair.prediction} against {file}: "):
             scores.append(iou(silhouette_of(points, camera, sigma_sq), mask))
     return {"iou": float(np.mean(scores)), "views": len(scores)}
 
@@ -168,11 +167,3 @@ def _convention(config: EvalConfig) -> dict[str, Any]:
         "precision": "float64",
         "version": __version__,
     }
-
-
-@contextmanager
-def _prefixed(files: str) -> Iterator[None]:
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{files}: {error}") from None

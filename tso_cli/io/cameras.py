@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, prefixed
 from ..geometry.camera import Camera
 from .images import PIXEL_LIMIT
-from .output import atomic_output, check_output
+from .output import write_file
 from .reading import read_json, shown
 
 _FILE_LIMIT = 64 << 20
@@ -149,14 +149,17 @@ def pair_with_masks(path: Path, masks: Sequence[Path]) -> list[Camera]:
 
 def write_cameras(path: Path, records: Sequence[CameraRecord], overwrite: bool = False) -> None:
     """Write a camera file that reads back exactly; one record without files in the flat form, others as views."""
-    check_output(path, overwrite)
+    write_file(path, camera_text(path, records).encode(), overwrite)
+
+
+def camera_text(path: Path, records: Sequence[CameraRecord]) -> str:
+    """What `write_cameras` writes; the files of ``records`` are named relative to ``path``."""
     views = [_as_json(record, path) for record in records]
     if len(records) == 1 and records[0].mask is None and records[0].image is None:
         text = _lines(views[0], "")
     else:
         text = '{\n  "views": [\n    ' + ",\n    ".join(_lines(view, "    ") for view in views) + "\n  ]\n}"
-    with atomic_output(path, overwrite) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+    return text + "\n"
 
 
 def _lines(view: dict[str, Any], indent: str) -> str:
@@ -211,11 +214,8 @@ def _record(path: Path, where: str, view: dict[str, Any]) -> CameraRecord:
         raise InputError(f"{path}: {where}width x height is {width}x{height}, expected at most {PIXEL_LIMIT:,} pixels")
     K, R = (_numbers(path, where + key, view[key], "3x3") for key in ("K", "R"))
     t = _numbers(path, where + "t", view["t"], "[3]")
-    try:
-        with np.errstate(all="ignore"):
-            camera = Camera(np.array(K), np.array(R), np.array(t), width, height, view.get("model", "perspective"))
-    except InputError as error:
-        raise InputError(f"{path}: {where}{error}") from None
+    with prefixed(f"{path}: {where}"), np.errstate(all="ignore"):
+        camera = Camera(np.array(K), np.array(R), np.array(t), width, height, view.get("model", "perspective"))
     return CameraRecord(camera, _file(path, where, view, "mask"), _file(path, where, view, "image"))
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
-from .output import atomic_output, check_output, reason
+from .output import reason, write_file
 from .reading import read_bytes, shown
 
 if TYPE_CHECKING:
@@ -49,12 +49,11 @@ def save_tensors(
     """Write network tensors, ``training.*`` tensors and the JSON-able training ``state`` to one file."""
     from safetensors.torch import save
 
-    check_output(path, overwrite)
     about = {"format": FORMAT, "config": dataclasses.asdict(config), **({"training": state} if state else {})}
     metadata = {METADATA_KEY: json.dumps(about, sort_keys=True, allow_nan=False)}
-    with atomic_output(path, overwrite) as temporary:
-        # Not save_file: it would make the file readable for its owner alone.
-        temporary.write_bytes(save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, metadata))
+    # Not save_file: it would make the file readable for its owner alone.
+    data = save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, metadata)
+    write_file(path, data, overwrite)
 
 
 def load_network(path: Path) -> tuple[BaseNetwork, NetworkConfig]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .output import atomic_output, check_output, reason
+from .output import reason, write_file
 from .ply import new_ply
 from .reading import read_bytes
 from .textures import Pictures, Texture
@@ -137,6 +137,4 @@ def _face_colours(part: Any, count: int) -> NDArray[np.uint8] | None:
 
 def write_mesh(path: Path, mesh: Mesh, overwrite: bool = False) -> None:
     """Write vertices (float32) and faces as binary little-endian PLY; colours are left out."""
-    check_output(path, overwrite)
-    with atomic_output(path, overwrite) as temporary:
-        temporary.write_bytes(new_ply(mesh.vertices, "float32", faces=mesh.faces))
+    write_file(path, new_ply(mesh.vertices, "float32", faces=mesh.faces), overwrite)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, prefixed
 from ..geometry.points import Array, sample_surface
 from .clouds import SUFFIXES as CLOUD_SUFFIXES
 from .clouds import read_cloud
@@ -69,10 +69,8 @@ def read_shape(path: Path, samples: int = 16384, seed: int | Sequence[int] = 0, 
         vertices, faces = mesh.vertices, mesh.faces
     else:
         vertices, faces = grid_surface(path)
-    try:
+    with prefixed(f"{path}: "):
         return sample_surface(vertices, faces, samples, np.random.default_rng(seed))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def grid_surface(path: Path) -> tuple[Array, NDArray[np.int64]]:
