@@ -25,14 +25,12 @@ class NetworkInput:
     mask : float32 [size, size] in [0, 1], the photo's mask resampled the same way; 0 where it is not known.
     camera : the photo's camera, cropped the same way.
     known : bool [size, size], False where more than half of the pixel lies outside the photo or is ignored.
-    box : left, top, right, bottom edges of the crop in pixels of the photo; it may reach outside.
     """
 
     image: NDArray[np.float32]
     mask: NDArray[np.float32]
     camera: Camera
     known: NDArray[np.bool_]
-    box: Box
 
     def view(self, name: str = "mask") -> View:
         """Mask and camera of the crop as a view."""
@@ -108,5 +106,4 @@ def network_input(
         mask=np.where(known, np.clip(cropped, 0.0, 1.0), 0.0).astype(np.float32),
         camera=view.camera.cropped(box, size, size),
         known=known,
-        box=box,
     )
