@@ -149,6 +149,8 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
         raise InputError("--quiet and --verbose, expected one of the two")
     warned = ctx.with_resource(options.collected_warnings(quiet))
     with options.loading():
+        from ..refinement.assumptions import mirrored
+        from .refine_check import check_scene
         from .refine_files import RefineInputs, RefineOutputs
     inputs = options.pick(RefineInputs, chosen)
     refine_camera, write_camera = chosen["refine_camera"], chosen["write_camera"]
@@ -167,18 +169,13 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
             options.log(f"tso: checkpoint: {inputs.checkpoint}")
         options.log(f"tso: camera: {', '.join(dict.fromkeys(scene.camera_sources))}")
     if check:
-        from .refine_check import check_scene
-
         check_scene(scene, as_json, quiet, warned)
         return
-    if write_camera:
-        from ..refinement.assumptions import mirrored
-
-        if any(map(mirrored, scene.views)):
-            raise InputError(
-                f"--write-camera {write_camera}: the cloud has left-handed axes, which no camera has; found --assume "
-                f"{' '.join(inputs.assume)}, expected a cloud with right-handed axes"
-            )
+    if write_camera and any(map(mirrored, scene.views)):
+        raise InputError(
+            f"--write-camera {write_camera}: the cloud has left-handed axes, which no camera has; found --assume "
+            f"{' '.join(inputs.assume)}, expected a cloud with right-handed axes"
+        )
     read = time.perf_counter() - started
     with options.loading():
         from ..refinement import RefineConfig, refine

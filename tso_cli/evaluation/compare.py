@@ -13,6 +13,7 @@ from ..errors import InputError, prefixed
 from ..geometry.points import Array, farthest_point_sample, normalise_longest_side
 from ..geometry.view import View
 from ..io.shapes import read_shape, shape_kind
+from ..losses.silhouette import silhouette_of
 from ..version import __version__
 from .footprint import IOU_MEANS, window_iou
 from .metrics import F_SCORE_SHARE, chamfer, emd, f_score, iou
@@ -132,8 +133,6 @@ def _measure_iou(points: Array, pair: Pair, sigma_sq: float | None) -> dict[str,
         if sigma_sq is None:
             scores.append(window_iou(points, View(mask, camera, name=str(file))))
             continue
-        from ..losses.silhouette import silhouette_of
-
         with prefixed(f"{pair.prediction} against {file}: "):
             scores.append(iou(silhouette_of(points, camera, sigma_sq), mask))
     return {"iou": float(np.mean(scores)), "views": len(scores)}

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_ROTATION, Array, Camera
 from ..geometry.view import View
+from ..io.checkpoints import load_network
 from ..io.images import read_image
 from ..losses.projection import project
 from ..losses.silhouette import silhouette_bce
@@ -55,8 +56,6 @@ def load_network_scene(
 
     Raises InputError if a file cannot be used, sizes of image and mask differ, or the frame or placing needs a camera file.
     """
-    from ..io.checkpoints import load_network
-
     files = ViewFiles([mask_file], camera_file, invert, [ignore_file] if ignore_file else [])
     (view,), (camera_file,) = load_views(files)
     image = read_image(image_file)
