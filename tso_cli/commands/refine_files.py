@@ -11,11 +11,9 @@ from ..io.cameras import CameraRecord, camera_text, named_masks
 from ..io.clouds import write_cloud
 from ..io.output import atomic_output
 from ..io.shipped import DEFAULT, named_checkpoint
-from ..plots.overlay import draw_overlay
 from ..refinement import RefineResult
 from ..refinement.assumptions import assumptions_of
-from ..scene.load import Scene, ViewFiles, load_points_scene
-from ..scene.network import Placing, load_network_scene
+from ..scene.load import Placing, Scene, ViewFiles, load_points_scene
 from .options import FIT, require_output
 
 
@@ -105,6 +103,8 @@ class RefineInputs:
                 assumptions_of(self.assume),
             )
             return load_points_scene(self.source, views, self.fit)
+        from ..scene.network import load_network_scene
+
         ignore, world = self.ignore[0] if self.ignore else None, self.frame == "world"
         return load_network_scene(
             self.source, self.masks[0], self.checkpoint, camera, self.invert_mask, ignore, world, self.place or "silhouette"
@@ -139,6 +139,8 @@ class RefineOutputs:
         """Write all files, or none: the others take their names once the cloud is written."""
         with ExitStack() as stack:
             if self.overlay is not None:
+                from ..plots.overlay import draw_overlay
+
                 draw_overlay(stack.enter_context(atomic_output(self.overlay, self.overwrite)), result, scene.views)
             if self.write_camera is not None:
                 records = [CameraRecord(camera, mask) for camera, mask in zip(result.cameras, masks, strict=True)]

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from ..geometry.view import View
 from ..io.cameras import check_size, find_camera, pair_with_masks, read_camera
 from ..io.clouds import PointCloud, read_cloud
 from ..io.images import read_depth, read_image, read_mask
-from ..pose import fit_camera
 from ..refinement.assumptions import INVERT_MASK, AssumedView, Assumption, about, axes_of, in_axes_of_cloud, mirrored
 from ..refinement.cloud import Cloud
 
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
 # A mask is taken for a photo with this many grey pixels for one of the object, or of the background if that is smaller. Counted
 # in about so many rows or columns, and not for fewer such pixels: of a small mask all are at the outline.
 GREY_SHARE, GREY_ALONG, GREY_FEWEST = 1.2, 256, 400
+Placing = Literal["silhouette", "box", "camera"]
 NO_FILE = "(no camera file was given or found beside the mask)"
 MIRRORED = " (mirrored with its mask: the cloud has left-handed axes)"
 
@@ -211,6 +211,8 @@ def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = Fal
 
 
 def _with_fitted_camera(scene: Scene, files: ViewFiles) -> Scene:
+    from ..pose import fit_camera
+
     (ignore,) = files.one_each("--ignore", "ignore maps", files.ignore)
     if any(assumption.camera for assumption in files.assumptions):
         raise InputError("--camera fit finds the camera by itself, expected no --assume about a camera")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +22,11 @@ from ..refinement.adam import Adam
 from ..refinement.optimise import descend
 from ..refinement.parameters import PointParameters
 from ..refinement.placement import mask_doubts
-from .load import NO_FILE, Scene, ViewFiles, camera_source, load_views, require_same_size
+from .load import NO_FILE, Placing, Scene, ViewFiles, camera_source, load_views, require_same_size
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork, NetworkConfig
 
-Placing = Literal["silhouette", "box", "camera"]
 # Twenty steps of a 200th shift a cloud by a tenth of its longest side; more change no result.
 ALIGNMENT_STEPS, ALIGNMENT_STEP = 20, 0.005
 
