@@ -15,7 +15,7 @@ from typing import Any
 
 import click
 
-from .commands.lazy_group import LazyGroup
+from .commands.options import LazyGroup
 from .errors import TsoError, is_interrupt
 from .version import __version__
 

@@ -23,7 +23,7 @@ def views(folder):
         around = turned(camera, degrees).resized(*size)
         Image.fromarray((silhouette_of(target, around) * 255.0).astype(np.uint8)).save(name)
         records.append(CameraRecord(around, Path(name)))
-    write_cameras("views.json", records)
+    write_cameras(Path("views.json"), records)
     return [record.mask for record in records]
 
 

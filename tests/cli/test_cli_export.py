@@ -19,7 +19,7 @@ CONFIG = NetworkConfig(points=16, training_set="two chairs", settings={"views": 
 @pytest.fixture
 def base(tmp_path, tiny_network, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    save_network("base.safetensors", build_network(16, seed=1), CONFIG)
+    save_network(Path("base.safetensors"), build_network(16, seed=1), CONFIG)
     return Path("base.safetensors")
 
 
@@ -28,7 +28,7 @@ def test_the_copy_is_half_the_size_and_predicts_the_same(base, tso):
     assert {tensor.dtype for tensor in load_file("small.safetensors").values()} == {torch.float16}
     weights = sum(tensor.nbytes for tensor in load_file(base).values())
     assert base.stat().st_size - Path("small.safetensors").stat().st_size > 0.45 * weights
-    (first, about), (second, kept) = load_network(base), load_network("small.safetensors")
+    (first, about), (second, kept) = load_network(base), load_network(Path("small.safetensors"))
     assert kept == about
     image = torch.rand(1, 3, 64, 64)
     torch.testing.assert_close(second(image), first(image), atol=2e-3, rtol=0.0)
@@ -55,7 +55,7 @@ def test_the_largest_change_is_that_of_the_examples_points(base, tso):
 def test_the_state_of_a_training_is_left_behind(base, tso):
     network, _ = load_network(base)
     tensors = {**network.state_dict(), "training.moment": torch.ones(3)}
-    save_tensors("unfinished.safetensors", tensors, CONFIG, {"step": 7})
+    save_tensors(Path("unfinished.safetensors"), tensors, CONFIG, {"step": 7})
     assert tso("export", "unfinished.safetensors", "-o", "small.safetensors").code == 0
     assert set(load_file("small.safetensors")) == set(network.state_dict())
     assert read_metadata(Path("small.safetensors"))[1] == {}

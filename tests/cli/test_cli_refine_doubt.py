@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ def to_world(folder):
     """The chair's camera, given as a pose."""
     camera = read_camera("camera.json", 256, 256)
     pose = replace(camera, R=camera.R.T, t=camera.position)
-    write_cameras("camera.json", [CameraRecord(pose)], overwrite=True)
+    write_cameras(Path("camera.json"), [CameraRecord(pose)], overwrite=True)
 
 
 def test_the_json_of_a_result_and_of_a_check_hold_the_same_judgement(folder, refine):

@@ -80,7 +80,7 @@ def test_an_object_of_a_few_pixels_in_a_photo_is_warned_of_in_every_mode(mode, r
     camera = read_camera("camera.json", 256, 256)
     focal = 0.75 * rows * camera.t[2]
     K = np.array([[focal, 0.0, 300.0 + (columns - 1) / 2], [0.0, focal, 200.0 + (rows - 1) / 2], [0.0, 0.0, 1.0]])
-    write_cameras("few.camera.json", [CameraRecord(replace(camera, K=K, width=640, height=480))])
+    write_cameras(Path("few.camera.json"), [CameraRecord(replace(camera, K=K, width=640, height=480))])
     seen = f"only {rows * columns} pixels: details smaller than 1/{rows} of its size cannot be seen"
     expected = "a single pixel, which tells where it is and nothing of its shape" if rows == 1 else seen
     source = ("initial.ply",) if mode == "points" else ("photo.png", "--checkpoint", checkpoint)

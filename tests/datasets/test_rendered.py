@@ -54,7 +54,7 @@ def test_an_object_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     monkeypatch.setattr(rendered, "write_cameras", full_disk)
     for name in ("a", "b"):
         with pytest.raises(TsoError, match="No space left on device"):
-            write(tmp_path / name, 2, overwrite=True)
+            write(tmp_path / name, 2)
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
     assert stored_record(tmp_path / "a") == {"n": 1}
 
@@ -70,16 +70,15 @@ def test_the_old_object_comes_back_when_the_new_one_cannot_take_its_place(tmp_pa
 
     monkeypatch.setattr(Path, "rename", stubborn)
     with pytest.raises(TsoError, match="Input/output error"):
-        write(tmp_path / "a", 2, overwrite=True)
+        write(tmp_path / "a", 2)
     assert stored_record(tmp_path / "a") == {"n": 1}
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
 def test_an_object_is_replaced_only_when_asked(tmp_path):
     write(tmp_path / "a", 1, views=2)
-    assert_refused("--overwrite", write, tmp_path / "a", 2)
     assert (stored_record(tmp_path / "a"), stored_record(tmp_path / "other")) == ({"n": 1}, None)
-    write(tmp_path / "a", 2, overwrite=True)
+    write(tmp_path / "a", 2)
     assert stored_record(tmp_path / "a") == {"n": 2} and not (tmp_path / "a/001.png").exists()
 
 

@@ -10,7 +10,7 @@ from tests.scenes import EXAMPLES, block
 from tso_cli import Camera, View
 from tso_cli.geometry.resampling import area_resize
 from tso_cli.io.images import read_image
-from tso_cli.network.input import crop_box, network_input
+from tso_cli.network.input import crop_box, network_input, whole_box
 from tso_cli.network.model import NetworkConfig, build_network
 from tso_cli.scene.network import network_scene
 
@@ -45,7 +45,7 @@ def test_pixels_of_weight_zero_do_not_enter_the_average():
 def test_the_longer_side_of_the_mask_fills_the_crop_to_the_given_share():
     view = rectangle(100, 200, np.s_[10:40, 50:140])
     for share in (0.5, 0.9, 1.0):
-        left, top, right, bottom = network_input(np.zeros((100, 200, 3), np.uint8), view, crop_share=share).box
+        left, top, right, bottom = crop_box(view.box(), share)
         assert right - left == pytest.approx(90 / share) == pytest.approx(bottom - top)
         assert ((left + right) / 2, (top + bottom) / 2) == pytest.approx((94.5, 24.5))
 
@@ -61,7 +61,8 @@ def test_the_cropped_camera_projects_points_to_their_pixels_in_the_crop():
     rows, columns = np.mgrid[:64, :64]
     for point, pixel in zip(points, pixels, strict=True):
         spot = np.exp(-((u - pixel[0]) ** 2 + (v - pixel[1]) ** 2) / (2 * 4.0**2))
-        crop = network_input(spot, View(mask, camera), background="keep")
+        photo = np.rint(255.0 * spot[..., None]).astype(np.uint8).repeat(3, 2)
+        crop = network_input(photo, View(mask, camera), background="keep")
         light = crop.image[0].astype(float)
         centre = np.array([(light * columns).sum(), (light * rows).sum()]) / light.sum()
         np.testing.assert_allclose(centre, crop.camera.project(point[None])[0][0], atol=1e-2)
@@ -91,7 +92,7 @@ def test_what_lies_outside_the_photo_is_unknown_and_has_the_background_colour():
 def test_ignored_pixels_stay_unknown_in_the_crop():
     view, known = rectangle(64, 64, np.s_[16:48, 16:48]), block(np.s_[:, 40:44]) == 0.0
     crop = network_input(np.zeros((64, 64, 3), np.uint8), replace(view, known=known))
-    left, _, right, _ = crop.box
+    left, _, right, _ = crop_box(view.box(), 0.9)
     centres = left + (np.flatnonzero(~crop.known.all(0)) + 0.5) * (right - left) / 64
     assert len(centres) > 0 and centres.min() > 39.0 and centres.max() < 44.0
 
@@ -117,12 +118,9 @@ def test_a_photo_enlarged_gives_the_same_input_and_soft_mask_values_are_kept():
     assert np.isclose(one.mask, 0.7).any()
 
 
-def test_wrong_sizes_and_settings_are_refused():
+def test_wrong_sizes_are_refused():
     view, image = rectangle(40, 40, np.s_[10:30, 10:30]), np.zeros((40, 40, 3), np.uint8)
     assert_refused("the image is 30x40, the mask 40x40", network_input, image[:, :30], view)
-    assert_refused("background is 'blue'", network_input, image, view, background="blue")
-    assert_refused("crop share", crop_box, view.box(), 0.0)
-    assert_refused("outside 0 to 1", network_input, image.astype(float) + 3.0, view)
     assert_refused("box is", area_resize, image, (3.0, 0.0, 3.0, 5.0), 4, 4)
 
 
@@ -132,7 +130,7 @@ def test_a_crop_of_share_0_keeps_the_size_of_the_object(size):
     half = round(60.0 * size)  # of its side, in pixels of 128
     view = rectangle(128, 128, np.s_[64 - half : 64 + half, 64 - half : 64 + half])
     crop = network_input(np.zeros((128, 128, 3), np.uint8), view, crop_share=0.0)
-    np.testing.assert_allclose(crop.box, (-0.5, -0.5, 127.5, 127.5))
+    np.testing.assert_allclose(whole_box(view.camera), (-0.5, -0.5, 127.5, 127.5))
     assert crop.mask.sum() == pytest.approx(half**2, rel=0.06)
 
 

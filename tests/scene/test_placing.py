@@ -7,8 +7,8 @@ import pytest
 
 from tests.scenes import block, seen
 from tso_cli import Camera, View
-from tso_cli.scene import placing
-from tso_cli.scene.placing import align_silhouette, place_in_front, view_to_world
+from tso_cli.scene import network
+from tso_cli.scene.network import align_silhouette, place_in_front, view_to_world
 
 CANONICAL = Camera.canonical(64, 64)
 
@@ -51,7 +51,7 @@ def test_alignment_is_not_misled_by_one_stray_point_as_the_box_is(cloud):
 def test_alignment_never_ends_at_a_worse_place_than_it_began(cloud, monkeypatch):
     view = seen(cloud, CANONICAL)
     np.testing.assert_array_equal(align_silhouette(cloud, view, steps=0).t, view.camera.t)
-    monkeypatch.setattr(placing, "ALIGNMENT_STEP", 3.0)
+    monkeypatch.setattr(network, "ALIGNMENT_STEP", 3.0)
     np.testing.assert_array_equal(align_silhouette(cloud, view).t, view.camera.t)
 
 

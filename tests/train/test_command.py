@@ -66,7 +66,7 @@ def test_a_damaged_3d_file_does_not_stop_training_by_masks(tso_train, tmp_path):
 
 def test_data_without_any_points_are_trained_on_by_masks_alone(tso_train, tmp_path, monkeypatch):
     bare = TrainingData([replace(item, target=None) for item in make_objects(2)], "boxes without points")
-    monkeypatch.setattr("tso_cli.commands.train.load", lambda wanted, quiet: bare)
+    monkeypatch.setattr("tso_cli.commands.training_data.load", lambda wanted, quiet: bare)
     assert "box0: has no points to learn from" in tso_train(tmp_path).refusal
     assert not (tmp_path / "base.safetensors").exists()
     assert "2 steps" in tso_train(tmp_path, *MASKS).out

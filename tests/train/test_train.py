@@ -114,9 +114,9 @@ def test_data_that_lack_what_the_supervision_needs_are_refused(data, changes, ma
 
 @pytest.mark.parametrize(
     "change",
-    [{"steps": 0}, {"views": 0}, {"batch_size": -1}, {"seed": -1}, {"learning_rate": 0.0}, {"learning_rate": float("nan")},
-     {"sigma_sq": -0.4}, {"affinity_weight": -1.0}, {"supervision": "depth"}, {"frame": "world"}, {"affinity": "none"},
-     {"precision": "float16"}, {"averaging": 1.0}, {"workers": 0}, {"category_sigma_sq": {"car": 0.0}}, {"joint_weight": 0.0}],
+    [{"steps": 0}, {"views": 0}, {"batch_size": -1}, {"learning_rate": 0.0}, {"learning_rate": float("nan")},
+     {"sigma_sq": -0.4}, {"affinity_weight": -1.0}, {"averaging": 1.0}, {"workers": 0}, {"category_sigma_sq": {"car": 0.0}},
+     {"joint_weight": 0.0}],
 )  # fmt: skip
 def test_impossible_settings_are_refused(change):
     assert_refused("expected", config, **change)

@@ -27,7 +27,6 @@ def command(logs: tuple[Path, ...], output: Path, overwrite: bool, count: int, *
     from ..io.logs import read_log
     from ..io.shipped import named_checkpoint
     from ..plots.curves import draw_curves, draw_samples, labels, lambda_drop, running_mean, sample_predictions
-    from .training_data import DataSelection, load
 
     checkpoint, data, split_file = (chosen[name] for name in ("checkpoint", "data", "split_file"))
     if (checkpoint is None) != (data is None):
@@ -40,6 +39,8 @@ def command(logs: tuple[Path, ...], output: Path, overwrite: bool, count: int, *
     histories = [read_log(path) for path in logs]
     samples, scale = [], ""
     if checkpoint and data:
+        from .training_data import DataSelection, load
+
         network, config = load_network(named_checkpoint(checkpoint))
         selection = DataSelection(data, split_file, crop_share=config.crop_share, background=config.background, part="test")
         training = load(selection)

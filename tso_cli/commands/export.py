@@ -5,8 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
+import numpy as np
 
 from ..errors import InputError
+from ..io.checkpoints import load_network, save_network
+from ..io.images import read_image
+from ..io.shipped import CATEGORIES, examples_folder
+from ..network.input import network_input
+from ..scene.load import ViewFiles, load_views
 from ..version import __version__
 from . import options
 
@@ -24,9 +30,6 @@ def command(checkpoint: Path, output: Path, overwrite: bool, as_json: bool) -> N
     """
     options.require_output(output, ".safetensors", overwrite)
     import torch
-
-    from ..io.checkpoints import load_network, save_network
-    from ..io.shipped import CATEGORIES, examples_folder
 
     network, config = load_network(checkpoint)
     if output.exists() and output.samefile(checkpoint):
@@ -46,13 +49,7 @@ def command(checkpoint: Path, output: Path, overwrite: bool, as_json: bool) -> N
 
 def _largest_change(folder: Path, *checkpoints: Path) -> float:
     """The largest distance between corresponding points that two checkpoints predict for an example."""
-    import numpy as np
     import torch
-
-    from ..io.checkpoints import load_network
-    from ..io.images import read_image
-    from ..network.input import network_input
-    from ..scene.load import ViewFiles, load_views
 
     (view,), _ = load_views(ViewFiles([folder / "mask.png"]))
     clouds = []

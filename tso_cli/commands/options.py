@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
+from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -30,6 +31,44 @@ class FilePath(click.Path):
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
+
+
+FIT = Path("fit")
+"""What `--camera` takes instead of a file, to estimate the camera."""
+
+
+class CameraPath(FilePath):
+    """A camera file, or ``FIT``; a file of that name, written ./fit, becomes absolute."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        path = super().convert(value, param, ctx)
+        return path.absolute() if path == FIT and str(value) != str(FIT) else path
+
+
+class LazyGroup(click.Group):
+    """A click group of modules that each hold a ``command``, imported to run it: `tso --help` must not wait for torch.
+
+    sections : heading -> name of a command -> (its module, its line of help).
+    """
+
+    def __init__(self, *args: Any, sections: dict[str, dict[str, tuple[str, str]]], **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.sections = sections
+        self._modules = {name: module for section in sections.values() for name, (module, _) in section.items()}
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self._modules)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in self._modules:
+            return None
+        command: click.Command = import_module(self._modules[cmd_name]).command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        for heading, commands in self.sections.items():
+            with formatter.section(heading):
+                formatter.write_dl([(name, line) for name, (_, line) in commands.items()])
 
 
 class Command(click.Command):

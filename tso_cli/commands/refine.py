@@ -14,9 +14,6 @@ from ..errors import GateError, InputError
 from ..io.reading import require_memory
 from ..refinement.presets import MODES, PRESETS
 from . import options
-from .refine_check import check_scene
-from .refine_files import CameraPath, RefineInputs, RefineOutputs
-from .refine_report import RefineReport
 
 PATH = options.FilePath()
 BYTES_A_MOVING_POINT = 1100
@@ -98,7 +95,7 @@ BRIEF = ("mode", "preset", "budget", "camera", "output", "overwrite", "overlay",
 )
 @click.option(
     "--camera",
-    type=CameraPath(),
+    type=options.CameraPath(),
     help="Camera file, for several masks with a view of each; or `fit`: estimated from one mask and the cloud.  "
     "[default: MASKSTEM.camera.json, else camera.json or cameras.json beside the mask, else canonical]",
 )
@@ -151,6 +148,10 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
     if quiet and verbose:
         raise InputError("--quiet and --verbose, expected one of the two")
     warned = ctx.with_resource(options.collected_warnings(quiet))
+    with options.loading():
+        from ..refinement.assumptions import mirrored
+        from .refine_check import check_scene
+        from .refine_files import RefineInputs, RefineOutputs
     inputs = options.pick(RefineInputs, chosen)
     refine_camera, write_camera = chosen["refine_camera"], chosen["write_camera"]
     for name, used in (("--camera fit", inputs.fit), ("--refine-camera", refine_camera), ("--write-camera", write_camera)):
@@ -170,17 +171,15 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
     if check:
         check_scene(scene, as_json, quiet, warned)
         return
-    if write_camera:
-        from ..refinement.assumptions import mirrored
-
-        if any(map(mirrored, scene.views)):
-            raise InputError(
-                f"--write-camera {write_camera}: the cloud has left-handed axes, which no camera has; found --assume "
-                f"{' '.join(inputs.assume)}, expected a cloud with right-handed axes"
-            )
+    if write_camera and any(map(mirrored, scene.views)):
+        raise InputError(
+            f"--write-camera {write_camera}: the cloud has left-handed axes, which no camera has; found --assume "
+            f"{' '.join(inputs.assume)}, expected a cloud with right-handed axes"
+        )
     read = time.perf_counter() - started
     with options.loading():
         from ..refinement import RefineConfig, refine
+        from .refine_report import RefineReport
     if chosen["sigma_sq"] is None:
         chosen["sigma_sq"] = scene.sigma_sq
     elif inputs.preset == "best" and not refine_camera:

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from ..geometry.camera import Array, Camera
+from ..refinement.agreement import Agreement
+from ..refinement.assumptions import Suspect
+from ..refinement.cloud import outlier_warnings
+from ..refinement.placement import SMALLEST_BOX_IOU, Placement, describe_box, mask_doubts, place, require_overlap
+from ..scene.load import Scene
 from ..version import __version__
 from . import options
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from ..geometry.camera import Camera
-    from ..refinement.agreement import Agreement
-    from ..refinement.assumptions import Suspect
-    from ..refinement.placement import Placement
-    from ..scene.load import Scene
 
 
 def check_scene(scene: Scene, as_json: bool, quiet: bool, warned: list[str]) -> None:
@@ -27,10 +23,6 @@ def check_scene(scene: Scene, as_json: bool, quiet: bool, warned: list[str]) -> 
 
     ``warned`` collects the warnings so far and those to come.
     """
-    from ..refinement.agreement import Agreement
-    from ..refinement.cloud import outlier_warnings
-    from ..refinement.placement import SMALLEST_BOX_IOU, mask_doubts, place, require_overlap
-
     placements = [place(scene.moving, view) for view in scene.views]
     doubts = outlier_warnings(_outliers(scene))
     for doubt in (*doubts, *(doubt for view in scene.views for doubt in mask_doubts(view, len(scene.moving)))):
@@ -123,9 +115,7 @@ def _print(scene: Scene, placements: list[Placement], overlaps: list[bool]) -> N
         _print_view(view.camera, scene.camera_sources[number], size, placement, overlaps[number])
 
 
-def _print_view(camera: Camera, source: str, size: NDArray[np.float64], placement: Placement, overlap: bool) -> None:
-    from ..refinement.placement import SMALLEST_BOX_IOU, describe_box
-
+def _print_view(camera: Camera, source: str, size: Array, placement: Placement, overlap: bool) -> None:
     K = camera.K
     share = 100.0 / placement.points
     depth = "all points lie behind the camera"

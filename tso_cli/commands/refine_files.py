@@ -5,30 +5,16 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import click
 
 from ..errors import InputError
+from ..io.cameras import CameraRecord, camera_text, named_masks
+from ..io.clouds import write_cloud
 from ..io.output import atomic_output
 from ..io.shipped import DEFAULT, named_checkpoint
-from .options import FilePath, loading, require_output
-
-if TYPE_CHECKING:
-    from ..refinement import RefineResult
-    from ..scene.load import Scene
-    from ..scene.network import Placing
-
-FIT = Path("fit")
-"""What `--camera` takes instead of a file, to estimate the camera."""
-
-
-class CameraPath(FilePath):
-    """A camera file, or ``FIT``; a file of that name, written ./fit, becomes absolute."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        path = super().convert(value, param, ctx)
-        return path.absolute() if path == FIT and str(value) != str(FIT) else path
+from ..refinement import RefineResult
+from ..refinement.assumptions import assumptions_of
+from ..scene.load import Placing, Scene, ViewFiles, load_points_scene
+from .options import FIT, require_output
 
 
 @dataclass
@@ -79,10 +65,7 @@ class RefineInputs:
         if not self.masks:
             if self.camera is None or self.fit:
                 raise InputError("no MASK was given, expected one or more, or --camera FILE whose views name their masks")
-            from ..io.cameras import named_masks
-
             self.masks = tuple(named_masks(self.camera))
-
         if self.assume and self.mode != "points":
             raise InputError(f"--assume is for --mode points, found --mode {self.mode}, which places its cloud itself")
 
@@ -113,12 +96,8 @@ class RefineInputs:
 
     def load(self) -> Scene:
         """Read everything."""
-        with loading():
-            from ..scene.load import ViewFiles, load_points_scene
         camera = None if self.fit else self.camera
         if self.checkpoint is None:
-            from ..refinement.assumptions import assumptions_of
-
             views = ViewFiles(
                 *(self.masks, camera, self.invert_mask, self.ignore, self.depth, self.depth_scale or 1.0, self.image),
                 assumptions_of(self.assume),
@@ -158,18 +137,14 @@ class RefineOutputs:
 
     def write(self, result: RefineResult, scene: Scene, masks: tuple[Path, ...]) -> None:
         """Write all files, or none: the others take their names once the cloud is written."""
-        from ..io.clouds import write_cloud
-
         with ExitStack() as stack:
             if self.overlay is not None:
                 from ..plots.overlay import draw_overlay
 
                 draw_overlay(stack.enter_context(atomic_output(self.overlay, self.overwrite)), result, scene.views)
             if self.write_camera is not None:
-                from ..io.cameras import CameraRecord, write_cameras
-
                 records = [CameraRecord(camera, mask) for camera, mask in zip(result.cameras, masks, strict=True)]
                 temporary = stack.enter_context(atomic_output(self.write_camera, self.overwrite))
-                write_cameras(temporary, records, overwrite=True)
+                temporary.write_text(camera_text(self.write_camera, records), encoding="utf-8")
             self.check([])  # before the first of them takes its name
             write_cloud(self.output, scene.to_output(result.points), like=scene.cloud, overwrite=self.overwrite)

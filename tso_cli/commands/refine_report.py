@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
+import numpy as np
 
+from ..evaluation.footprint import IOU_MEANS
+from ..geometry.camera import Camera
+from ..geometry.rotations import angle_between
+from ..geometry.view import View
+from ..refinement.camera_correction import MISFIT_LEFT
+from ..refinement.result import DOUBTFUL_INLIER_WEIGHT, SMALL_DISPLACEMENT, RefineResult, why_unmoved
+from ..scene.load import Scene
 from ..version import __version__
 from .refine_check import camera_document, verdict_document
-
-if TYPE_CHECKING:
-    from ..geometry.camera import Camera
-    from ..geometry.view import View
-    from ..refinement import RefineResult
-    from ..scene.load import Scene
-    from .refine_files import RefineInputs, RefineOutputs
+from .refine_files import RefineInputs, RefineOutputs
 
 # Entries of the document that are attributes of the result.
 FROM_RESULT = (
@@ -44,8 +46,6 @@ class RefineReport:
 
     def document(self, warnings: list[str], written: bool = True) -> dict[str, Any]:
         """The JSON document; ``written`` : whether the outputs are."""
-        from ..evaluation.footprint import IOU_MEANS
-
         result, scene = self.result, self.scene
         views = []
         for i, view in enumerate(scene.views):
@@ -102,10 +102,6 @@ class RefineReport:
     @cached_property
     def corrections(self) -> list[tuple[View, Camera, float, float]]:
         """For each view: the refined camera, its turn in degrees, and the cloud's shift relative to its distance."""
-        import numpy as np
-
-        from ..geometry.rotations import angle_between
-
         start = self.result.judged[0]
         middle = (start.min(0) + start.max(0)) / 2.0
         rows = []
@@ -134,8 +130,6 @@ class RefineReport:
                 click.echo(f"{path}: {content}")
 
     def _moved(self) -> str:
-        from ..refinement.result import SMALL_DISPLACEMENT, why_unmoved
-
         if why := why_unmoved(self.result):
             return f"nothing: {why}"
         mean, largest = (
@@ -171,17 +165,12 @@ class RefineReport:
         }[self.result.symmetry_outcome]
 
     def _discounted(self) -> str | None:
-        from ..refinement.result import DOUBTFUL_INLIER_WEIGHT
-
         weights = zip(self.scene.views, self.result.inlier_weights, strict=True)
         names = [view.name for view, weight in weights if weight < DOUBTFUL_INLIER_WEIGHT]
         return f"little of {', '.join(names)} (contradicted by the others)" if names else None
 
     def print_details(self) -> None:
         """Every measure and setting."""
-        from ..evaluation.footprint import IOU_MEANS
-        from ..refinement.camera_correction import MISFIT_LEFT
-
         result = self.result
         best = f"best at step {result.best_step}"
         if result.averaged and result.best_step:

@@ -9,7 +9,10 @@ from typing import Any
 
 import click
 
+from ..datasets.splits import read_part
 from ..errors import InputError
+from ..render import RenderSettings, render_folder
+from ..version import __version__
 from . import options
 
 
@@ -51,15 +54,8 @@ def command(source: Path, output: Path, seed: int, as_json: bool, **chosen: Any)
     Every mesh is centred and scaled to longest side 1. Textures are read from its folder, the rendered folder and those below.
     Views are random, reproducible from the seed. Started again after an interruption, the command skips what is rendered.
     """
-    from ..render import RenderSettings, render_folder
-    from ..version import __version__
-
     settings = options.pick(RenderSettings, chosen)
-    names = None
-    if chosen["split"] is not None:
-        from ..datasets.splits import read_part
-
-        names = read_part(chosen["split"], chosen["part"])
+    names = None if chosen["split"] is None else read_part(chosen["split"], chosen["part"])
     summary = render_folder(source, output, settings, seed, chosen["overwrite"], options.ProgressBar("rendering"), names)
     for message in summary.failed.values():
         options.log(message)

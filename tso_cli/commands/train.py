@@ -11,8 +11,6 @@ import click
 
 from ..errors import InputError
 from . import options
-from .train_report import print_summary, training_document, unusable
-from .training_data import DataSelection, load
 
 if TYPE_CHECKING:
     from ..network.model import NetworkConfig
@@ -168,6 +166,8 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
     from ..train.processes import joined
     from ..train.speed import images_per_second
     from ..train.state import stored_window
+    from .train_report import print_summary, training_document, unusable
+    from .training_data import DataSelection, load
 
     started = time.perf_counter()
     outputs, on_examples = options.pick(TrainOutputs, chosen), chosen["data"] is None

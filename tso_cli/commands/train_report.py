@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from ..train import TrainConfig, TrainResult, evaluate
+from ..train.data import TrainingData
+from ..train.sources import shipped_examples
+from ..train.state import state_path
 from ..version import __version__
-
-if TYPE_CHECKING:
-    from ..train import TrainConfig, TrainResult
-    from ..train.data import TrainingData
 
 FROM_CONFIG = ("supervision", "frame", "points", "sigma_sq", "learning_rate", "batch_size", "device", "seed")
 
@@ -20,9 +20,6 @@ def training_document(
     result: TrainResult, config: TrainConfig, output: Path, training: TrainingData, on_examples: bool
 ) -> dict[str, Any]:
     """Evaluate the network, if ``on_examples`` on the shipped pictures too; the JSON document without times and failures."""
-    from ..train import evaluate
-    from ..train.sources import shipped_examples
-    from ..train.state import state_path
 
     def measure(data: TrainingData) -> dict[str, float | int]:
         forward, backward, shapes = evaluate(result.network, data, config.frame)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from ..datasets.items import Dataset
+from ..datasets.opening import open_dataset
+from ..datasets.splits import read_part
 from ..errors import InputError
+from ..io.shipped import example_meshes
+from ..train.backgrounds import Backgrounds
+from ..train.data import TrainingData
+from ..train.sources import from_meshes
 from .options import ProgressBar, log
-
-if TYPE_CHECKING:
-    from ..datasets.items import Dataset
-    from ..train.data import TrainingData
 
 # Of the skipped items so many are named on stderr.
 NAMED = 10
@@ -44,14 +46,9 @@ class DataSelection:
 
 def load(selection: DataSelection, quiet: bool = False) -> TrainingData:
     """Open the data set, or render the shipped meshes; name skipped items on stderr."""
-    from ..train.data import TrainingData
-
     if selection.data is None:
         if selection.split_file is not None or selection.categories or selection.behind is not None:
             raise InputError("--split, --category or --backgrounds without DATA, expected a data set")
-        from ..io.shipped import example_meshes
-        from ..train.sources import from_meshes
-
         meshes = example_meshes()
         description = f"{len(meshes)} shipped example meshes"
         if not quiet:
@@ -63,20 +60,13 @@ def load(selection: DataSelection, quiet: bool = False) -> TrainingData:
         for item, reason in list(dataset.skipped.items())[:NAMED]:
             log(f"tso: {reason if item in reason else f'{item}: {reason}'}; left out")
         log(f"tso: {len(dataset.skipped)} items left out in all (--strict stops at the first, --json names all)")
-    backgrounds = None
-    if selection.behind is not None:
-        from ..train.backgrounds import Backgrounds
-
-        backgrounds = Backgrounds(selection.behind, selection.strict)
+    backgrounds = None if selection.behind is None else Backgrounds(selection.behind, selection.strict)
     description = f"{dataset.description}: {len(dataset.objects)} objects"
     pictures = (selection.crop_share, selection.background, selection.strict, backgrounds)
     return TrainingData(dataset.objects, description, *pictures, dataset.skipped, dataset.scale)
 
 
 def _select(selection: DataSelection, folder: Path) -> Dataset:
-    from ..datasets.opening import open_dataset
-    from ..datasets.splits import read_part
-
     dataset = open_dataset(folder, selection.strict, own_scale=selection.crop_share == 0.0)
     categories = selection.categories
     if categories:

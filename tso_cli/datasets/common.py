@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.camera import Camera
 from ..geometry.points import Array, farthest_point_sample, sample_surface
+from ..io.clouds import read_cloud
 from ..io.images import read_image, read_mask
 from ..io.output import reason
 from ..io.reading import read_bytes, shown
@@ -85,12 +86,6 @@ def listed(folder: Path) -> tuple[list[str], set[str]]:
     except (OSError, ValueError) as error:
         raise InputError(f"{folder}: cannot be listed ({reason(error)}), expected a folder") from None
     return sorted(name for name in kinds if kinds[name]), {name for name in kinds if not kinds[name]}
-
-
-def require_folder(folder: Path, what: str) -> None:
-    """InputError unless ``folder`` is one; ``what`` is expected there."""
-    if not folder.is_dir():
-        raise InputError(f"{folder}: {'is a file' if folder.exists() else 'does not exist'}, expected {what}")
 
 
 class Picture(NamedTuple):
@@ -231,6 +226,4 @@ def surface_target(vertices: Array, faces: NDArray[np.int64]) -> Floats:
 
 def cloud_target(path: str) -> Floats:
     """The points of a cloud file [P, 3], in its own frame and scale."""
-    from ..io.clouds import read_cloud
-
     return read_cloud(path).points.astype(np.float32)

@@ -24,7 +24,7 @@ LAYOUTS = (
 )
 
 
-def open_dataset(folder: Path | str, strict: bool = False, own_scale: bool = False) -> Dataset:
+def open_dataset(folder: Path, strict: bool = False, own_scale: bool = False) -> Dataset:
     """Open the data set in ``folder``; its layout shows in the names of the folders and files in it.
 
     What cannot be used is named in ``skipped`` and left out, with ``strict`` it is an InputError; pictures are read, and found
@@ -33,8 +33,9 @@ def open_dataset(folder: Path | str, strict: bool = False, own_scale: bool = Fal
 
     Raises InputError if ``folder`` has no layout known here or two of them, or no object of it can be used.
     """
-    folder = Path(folder)
-    common.require_folder(folder, f"a data set: {LAYOUTS}")
+    if not folder.is_dir():
+        found = "is a file" if folder.exists() else "does not exist"
+        raise InputError(f"{folder}: {found}, expected a data set: {LAYOUTS}")
     folders, files = common.listed(folder)
     layouts: dict[str, Opener] = {}
     if TABLE in files:

@@ -23,9 +23,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, prefixed
 from ..geometry.camera import Array, Camera
 from ..geometry.points import bounding_box_normalisation
+from ..io.meshes import read_mesh
 from ..io.reading import read_json, shown
 from . import common
 from .items import Dataset, Floats, ObjectItem, Pixels, ViewItem
@@ -47,12 +48,11 @@ class _Entry:
     camera: Camera
 
 
-def open_pix3d(folder: Path | str, strict: bool = False) -> Dataset:
+def open_pix3d(root: Path, strict: bool = False) -> Dataset:
     """The objects of Pix3D; they are named after their models, CATEGORY/FOLDER/FILE, and every photo is a view.
 
     No picture and no model is read yet. Entries with part of the object out of sight are left out even with ``strict``.
     """
-    root = Path(folder)
     table = root / TABLE
     document = read_json(table, "the entries of Pix3D", "the entries of Pix3D")
     if not isinstance(document, list):
@@ -89,10 +89,8 @@ def _entry(values: Any, where: str) -> _Entry:
     focal = float(_numbers(values, "focal_length", (), where)) / SENSOR_MM * width
     K = np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
     rotation, translation = _numbers(values, "rot_mat", (3, 3), where), _numbers(values, "trans_mat", (3,), where)
-    try:
+    with prefixed(f"{where}: "):
         camera = Camera(K, _IMAGE_AXES @ rotation, _IMAGE_AXES @ translation, width, height)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
     return _Entry(image, mask, model, category, camera)
 
 
@@ -129,9 +127,7 @@ def _name(path: str, category: str) -> str:
 
 
 def _read(path: str) -> tuple[Array, NDArray[np.int64]]:
-    from ..io.meshes import read_mesh
-
-    mesh = read_mesh(path, textures=False)
+    mesh = read_mesh(Path(path), textures=False)
     return mesh.vertices, mesh.faces
 
 

@@ -27,6 +27,7 @@ from ..errors import InputError
 from ..geometry.camera import Camera
 from ..io.images import read_image
 from ..io.reading import read_bytes, shown
+from ..io.shapes import grid_surface
 from . import common
 from .items import Dataset, Floats, Pixels, ViewItem
 
@@ -38,12 +39,10 @@ LENS_MM, SENSOR_MM = 35.0, 32.0
 _PICTURE = re.compile(r"([0-9]{2,9})\.png")
 
 
-def open_r2n2(folder: Path | str, strict: bool = False) -> Dataset:
+def open_r2n2(root: Path, strict: bool = False) -> Dataset:
     """The objects of this layout; they are named SYNSET/MODEL, in the frame and scale of ShapeNet's models."""
-    root = Path(folder)
     if (root / RENDERED).is_dir():
         root = root / RENDERED
-    common.require_folder(root, "the renders of 3D-R2N2")
     place = root.resolve()
     targets, voxels = common.clouds_beside(place), place.with_name(VOXELS)
     if targets is None and voxels.is_dir():
@@ -69,9 +68,7 @@ def r2n2_camera(azimuth: float, elevation: float, ratio: float, size: tuple[int,
 
 def voxel_target(path: str) -> Floats:
     """Points of the boundary of the occupied voxels: [POINTS, 3] in the frame of the model."""
-    from ..io.shapes import grid_surface
-
-    return common.surface_target(*grid_surface(path))
+    return common.surface_target(*grid_surface(Path(path)))
 
 
 def _pictures(folder: Path) -> list[common.Picture]:

@@ -32,7 +32,7 @@ from ..geometry.camera import Camera
 from ..io.cameras import CameraRecord, read_cameras, write_cameras
 from ..io.clouds import write_cloud
 from ..io.images import write_image
-from ..io.output import atomic_output, reason, sole_writer
+from ..io.output import reason, sole_writer, write_file
 from . import common
 from .items import Dataset, ObjectItem, Pixels, ViewItem
 
@@ -40,10 +40,8 @@ CAMERAS, TARGET, RECORD = "cameras.json", "target.ply", "render.json"
 UNFINISHED = ".unfinished"
 
 
-def open_rendered(folder: Path | str, strict: bool = False) -> Dataset:
+def open_rendered(root: Path, strict: bool = False) -> Dataset:
     """The objects of a rendered folder, or of one object in it; the category of CATEGORY/NAME is CATEGORY, of NAME ""."""
-    root = Path(folder)
-    common.require_folder(root, "one that tso render wrote")
     skipped, objects = common.Skipped(strict), []
     for name, path, complete in sorted(_walk(root)):
         try:
@@ -103,17 +101,11 @@ class ObjectWriter:
         samples: NDArray[np.float32],
         target: NDArray[np.float32],
         record: dict[str, Any],
-        overwrite: bool = False,
     ) -> None:
-        """Write one object of images [H, W, 3], masks [H, W] and cameras.
-
-        Raises InputError if it exists (without ``overwrite``) or is not an object (with it), TsoError if writing failed.
-        """
+        """Write one object of images [H, W, 3], masks [H, W] and cameras, in place of one that exists; TsoError if it fails."""
         folder, unfinished = self.root / name, self.root / UNFINISHED
         # A name of its own for each process, should the system have no locks.
         new, old = unfinished / f"new.{os.getpid()}", unfinished / "old" / name
-        if stored_record(folder) is not None and not overwrite:
-            raise InputError(f"{folder}: exists already, expected a new name or --overwrite")
         made = [parent for parent in folder.parents if not parent.exists()]
         try:
             folder.parent.mkdir(parents=True, exist_ok=True)
@@ -127,8 +119,7 @@ class ObjectWriter:
             write_cameras(new / CAMERAS, records)
             write_cloud(new / f"target_{len(samples)}.ply", samples.astype(np.float64), dtype="float32")
             write_cloud(new / TARGET, target.astype(np.float64), dtype="float32")
-            with atomic_output(new / RECORD) as temporary:
-                temporary.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+            write_file(new / RECORD, (json.dumps(record, indent=2) + "\n").encode())
             if folder.exists():
                 old.parent.mkdir(parents=True)
                 folder.rename(old)

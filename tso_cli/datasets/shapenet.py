@@ -40,13 +40,11 @@ _CLOUD_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 _IMAGE_AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
-def open_shapenet(folder: Path | str, strict: bool = False) -> Dataset:
+def open_shapenet(root: Path, strict: bool = False) -> Dataset:
     """The objects of this layout in ROOT or ROOT/ShapeNet_rendered; they are named SYNSET/MODEL, as their clouds are."""
-    root = Path(folder)
     if not (root / RENDERED).is_dir() and root.resolve().name == RENDERED:
         root = root.resolve().parent
     models = root / RENDERED
-    common.require_folder(models, "the pictures of the ShapeNet models")
     return common.open_models(root.resolve().name, models, _LAYOUT, common.clouds_beside(models), strict)
 
 

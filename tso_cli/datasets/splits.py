@@ -16,7 +16,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..io.output import reason
-from ..io.reading import array_type, read_array, read_bytes, read_json, shown
+from ..io.reading import array_header, read_array, read_bytes, read_json, shown
 from . import common
 from .shapenet import RENDERED, SPLITS
 
@@ -25,9 +25,8 @@ _FILE = re.compile(r"(?P<category>.+)_(?P<part>train|val|test)_list\.(?P<kind>tx
 _LIMIT = 1 << 28
 
 
-def read_split(path: Path | str) -> dict[str, list[str]]:
+def read_split(path: Path) -> dict[str, list[str]]:
     """Names of the objects of each part, each once; InputError if there are none, or an object is in two parts."""
-    path = Path(path)
     split = _from_folder(path) if path.is_dir() else _from_json(path)
     split = {part: list(dict.fromkeys(split[part])) for part in PARTS if part in split}
     if not any(split.values()):
@@ -41,7 +40,7 @@ def read_split(path: Path | str) -> dict[str, list[str]]:
     return split
 
 
-def read_part(path: Path | str, part: str) -> list[str]:
+def read_part(path: Path, part: str) -> list[str]:
     """Names of the objects of one ``part``; InputError if the split has no such list."""
     split = read_split(path)
     if part not in split:
@@ -88,7 +87,7 @@ def _lines(path: Path) -> list[str]:
 
 def _array(path: Path) -> list[str]:
     data = read_bytes(path, "an array of texts", limit=_LIMIT)
-    dtype, shape = array_type(data, path)
+    dtype, shape, _, _ = array_header(data, path)
     if dtype.hasobject:
         raise InputError(
             f"{path}: holds pickled Python objects, which are not loaded because that could run anything; "

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, prefixed
 from ..geometry.points import Array, farthest_point_sample, normalise_longest_side
 from ..geometry.view import View
 from ..io.shapes import read_shape, shape_kind
+from ..losses.silhouette import silhouette_of
 from ..version import __version__
 from .footprint import IOU_MEANS, window_iou
 from .metrics import F_SCORE_SHARE, chamfer, emd, f_score, iou
@@ -65,11 +65,6 @@ class EvalConfig:
             if value is not None and not 0.0 < value < np.inf:
                 raise InputError(f"{name} is {value:g}, expected a number > 0")
 
-    @property
-    def capnet(self) -> bool:
-        """Whether the protocol is the paper's."""
-        return self.protocol == "capnet"
-
 
 def evaluate(pairs: Sequence[Pair], config: EvalConfig, progress: Progress | None = None) -> dict[str, Any]:
     """Measure every pair; ``progress`` is called with (done, total) after each.
@@ -91,9 +86,10 @@ def _measure(pair: Pair, config: EvalConfig) -> dict[str, Any]:
     prediction = _read(pair.prediction, config, [config.seed, 1])
     target = _read(pair.target, config, config.seed)
     record: dict[str, Any] = {"name": pair.name}
-    with _prefixed(f"{pair.prediction} against {pair.target}"):
+    capnet = config.protocol == "capnet"
+    with prefixed(f"{pair.prediction} against {pair.target}: "):
         compared = prediction, target
-        if config.capnet:
+        if capnet:
             compared = normalise_longest_side(prediction, "prediction"), normalise_longest_side(target, "target")
         if "chamfer" in config.metrics:
             distance = chamfer(*compared)
@@ -102,7 +98,7 @@ def _measure(pair: Pair, config: EvalConfig) -> dict[str, Any]:
             score = f_score(*compared, config.threshold)
             record.update(precision=score.precision, recall=score.recall, f_score=score.f_score, threshold=score.threshold)
         if "emd" in config.metrics:
-            record["emd"] = emd(*compared, squared=config.capnet)
+            record["emd"] = emd(*compared, squared=capnet)
     if "iou" in config.metrics:
         record.update(_measure_iou(prediction, pair, config.sigma_sq))
     return record | {
@@ -119,7 +115,7 @@ def _measure(pair: Pair, config: EvalConfig) -> dict[str, Any]:
 
 def _read(path: Path, config: EvalConfig, seed: int | list[int]) -> Array:
     points = read_shape(path, config.samples, seed, config.as_vertices)
-    if config.points is None and (not config.capnet or len(points) <= CAPNET_POINTS):
+    if config.points is None and (config.protocol != "capnet" or len(points) <= CAPNET_POINTS):
         return points
     count = config.points or CAPNET_POINTS
     if len(points) < count:
@@ -137,22 +133,21 @@ def _measure_iou(points: Array, pair: Pair, sigma_sq: float | None) -> dict[str,
         if sigma_sq is None:
             scores.append(window_iou(points, View(mask, camera, name=str(file))))
             continue
-        from ..losses.silhouette import silhouette_of
-
-        with _prefixed(f"{pair.prediction} against {file}"):
+        with prefixed(f"{pair.prediction} against {file}: "):
             scores.append(iou(silhouette_of(points, camera, sigma_sq), mask))
     return {"iou": float(np.mean(scores)), "views": len(scores)}
 
 
 def _convention(config: EvalConfig) -> dict[str, Any]:
-    count = config.points or (CAPNET_POINTS if config.capnet else None)
+    capnet = config.protocol == "capnet"
+    count = config.points or (CAPNET_POINTS if capnet else None)
     at_most = " at most" if config.points is None else ""
     threshold = f"{config.threshold:g}" if config.threshold else f"{F_SCORE_SHARE:.0%} of the target's longest side"
     metrics = {
         "chamfer": "squared distances, mean over points; forward target -> prediction, backward prediction -> target, "
         "chamfer their sum",
         "f_score": f"distance < threshold, {threshold}",
-        "emd": f"optimal one-to-one assignment, mean {'squared' if config.capnet else 'Euclidean'} distance",
+        "emd": f"optimal one-to-one assignment, mean {'squared' if capnet else 'Euclidean'} distance",
         "iou": IOU_MEANS
         if config.sigma_sq is None
         else f"Gaussian silhouette (sigma^2 {config.sigma_sq:g} px^2) > 0.5 against mask > 0.5 over the image, mean over views",
@@ -160,7 +155,7 @@ def _convention(config: EvalConfig) -> dict[str, Any]:
     return {
         **{name: text for name, text in metrics.items() if name in config.metrics},
         "protocol": config.protocol,
-        "normalisation": "each cloud, once thinned, centred on its bounding box, longest side 1" if config.capnet else "none",
+        "normalisation": "each cloud, once thinned, centred on its bounding box, longest side 1" if capnet else "none",
         "points": count,
         "thinning": f"{count} points{at_most} (farthest-point)" if count else "all points",
         "samples": config.samples,
@@ -171,11 +166,3 @@ def _convention(config: EvalConfig) -> dict[str, Any]:
         "precision": "float64",
         "version": __version__,
     }
-
-
-@contextmanager
-def _prefixed(files: str) -> Iterator[None]:
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{files}: {error}") from None

@@ -67,14 +67,11 @@ def chamfer(prediction: ArrayLike, target: ArrayLike) -> Chamfer:
 def f_score(prediction: ArrayLike, target: ArrayLike, threshold: float | None = None) -> FScore:
     """F-score at a distance (Knapitsch et al., "Tanks and Temples", 2017), clouds as of `chamfer`.
 
-    Points count if they are closer than ``threshold``, by default 1 % of the longest side of the target's bounding box;
-    InputError where that is not a finite number > 0.
+    Points count if they are closer than ``threshold``, by default 1 % of the longest side of the target's bounding box.
     """
     prediction, target = as_points(prediction, "prediction"), as_points(target, "target")
     if threshold is None:
         threshold = F_SCORE_SHARE * bounding_box_normalisation(target, "target")[1]
-    if not 0.0 < threshold < np.inf:
-        raise InputError(f"F-score threshold is {threshold:g}, expected a distance > 0")
     precision = np.sqrt(nearest_squared(prediction, target)) < threshold
     recall = np.sqrt(nearest_squared(target, prediction)) < threshold
     return FScore(float(precision.mean()), float(recall.mean()), float(threshold))

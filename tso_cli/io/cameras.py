@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, prefixed
 from ..geometry.camera import Camera
 from .images import PIXEL_LIMIT
-from .output import atomic_output, check_output
+from .output import write_file
 from .reading import read_json, shown
 
 _FILE_LIMIT = 64 << 20
@@ -47,9 +47,8 @@ class CameraRecord:
     image: Path | None = None
 
 
-def find_camera(mask_path: str | Path) -> Path | None:
+def find_camera(mask_path: Path) -> Path | None:
     """The camera file beside a mask: ``MASKSTEM.camera.json``, else ``camera.json``, else ``cameras.json`` of `tso render`."""
-    mask_path = Path(mask_path)
     for name in (f"{mask_path.stem}.camera.json", "camera.json", "cameras.json"):
         path = mask_path.with_name(name)
         if path.is_file():
@@ -113,7 +112,7 @@ def check_size(path: str | Path, camera: Camera, width: int, height: int, mask: 
         )
 
 
-def named_masks(path: str | Path) -> list[Path]:
+def named_masks(path: Path) -> list[Path]:
     """The masks that the views of a camera file name, in their order; InputError as `read_cameras`, or if one names none."""
     masks = [record.mask for record in read_cameras(path)]
     if None in masks:
@@ -122,14 +121,14 @@ def named_masks(path: str | Path) -> list[Path]:
     return [mask for mask in masks if mask is not None]
 
 
-def pair_with_masks(path: str | Path, masks: Sequence[str | Path]) -> list[Camera]:
+def pair_with_masks(path: Path, masks: Sequence[Path]) -> list[Camera]:
     """The camera of each of several masks: of the view that names its path, or the last part of it, else by order.
 
     Raises InputError as `read_cameras`, or if the views do not name all masks, and are not as many or contradict the order.
     """
     records = read_cameras(path)
     naming: list[list[int]] = []  # views, of each mask
-    for alike in (same_file, lambda a, b: Path(a).name == Path(b).name):
+    for alike in (same_file, lambda a, b: a.name == b.name):
         naming = [[i for i, r in enumerate(records) if r.mask is not None and alike(r.mask, mask)] for mask in masks]
         if all(len(views) == 1 for views in naming) and len({views[0] for views in naming}) == len(masks):
             return [records[views[0]].camera for views in naming]
@@ -148,17 +147,19 @@ def pair_with_masks(path: str | Path, masks: Sequence[str | Path]) -> list[Camer
     return [record.camera for record in records]
 
 
-def write_cameras(path: str | Path, records: Sequence[CameraRecord], overwrite: bool = False) -> None:
+def write_cameras(path: Path, records: Sequence[CameraRecord], overwrite: bool = False) -> None:
     """Write a camera file that reads back exactly; one record without files in the flat form, others as views."""
-    path = Path(path)
-    check_output(path, overwrite)
+    write_file(path, camera_text(path, records).encode(), overwrite)
+
+
+def camera_text(path: Path, records: Sequence[CameraRecord]) -> str:
+    """What `write_cameras` writes; the files of ``records`` are named relative to ``path``."""
     views = [_as_json(record, path) for record in records]
     if len(records) == 1 and records[0].mask is None and records[0].image is None:
         text = _lines(views[0], "")
     else:
         text = '{\n  "views": [\n    ' + ",\n    ".join(_lines(view, "    ") for view in views) + "\n  ]\n}"
-    with atomic_output(path, overwrite) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+    return text + "\n"
 
 
 def _lines(view: dict[str, Any], indent: str) -> str:
@@ -213,11 +214,8 @@ def _record(path: Path, where: str, view: dict[str, Any]) -> CameraRecord:
         raise InputError(f"{path}: {where}width x height is {width}x{height}, expected at most {PIXEL_LIMIT:,} pixels")
     K, R = (_numbers(path, where + key, view[key], "3x3") for key in ("K", "R"))
     t = _numbers(path, where + "t", view["t"], "[3]")
-    try:
-        with np.errstate(all="ignore"):
-            camera = Camera(np.array(K), np.array(R), np.array(t), width, height, view.get("model", "perspective"))
-    except InputError as error:
-        raise InputError(f"{path}: {where}{error}") from None
+    with prefixed(f"{path}: {where}"), np.errstate(all="ignore"):
+        camera = Camera(np.array(K), np.array(R), np.array(t), width, height, view.get("model", "perspective"))
     return CameraRecord(camera, _file(path, where, view, "mask"), _file(path, where, view, "image"))
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
-from .output import atomic_output, check_output, reason
+from .output import reason, write_file
 from .reading import read_bytes, shown
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ MOST_POINTS = 1_000_000
 
 
 def save_network(
-    path: Path | str, network: BaseNetwork, config: NetworkConfig, overwrite: bool = False, dtype: torch.dtype | None = None
+    path: Path, network: BaseNetwork, config: NetworkConfig, overwrite: bool = False, dtype: torch.dtype | None = None
 ) -> None:
     """Write one safetensors file, weights as ``dtype`` (None: as they are); InputError where one is too large for it."""
     tensors = network.state_dict()
@@ -44,27 +44,24 @@ def save_network(
 
 
 def save_tensors(
-    path: Path | str, tensors: dict[str, Tensor], config: NetworkConfig, state: dict[str, Any], overwrite: bool = False
+    path: Path, tensors: dict[str, Tensor], config: NetworkConfig, state: dict[str, Any], overwrite: bool = False
 ) -> None:
     """Write network tensors, ``training.*`` tensors and the JSON-able training ``state`` to one file."""
     from safetensors.torch import save
 
-    path = Path(path)
-    check_output(path, overwrite)
     about = {"format": FORMAT, "config": dataclasses.asdict(config), **({"training": state} if state else {})}
     metadata = {METADATA_KEY: json.dumps(about, sort_keys=True, allow_nan=False)}
-    with atomic_output(path, overwrite) as temporary:
-        # Not save_file: it would make the file readable for its owner alone.
-        temporary.write_bytes(save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, metadata))
+    # Not save_file: it would make the file readable for its owner alone.
+    data = save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, metadata)
+    write_file(path, data, overwrite)
 
 
-def load_network(path: Path | str) -> tuple[BaseNetwork, NetworkConfig]:
+def load_network(path: Path) -> tuple[BaseNetwork, NetworkConfig]:
     """Read a network, as float32 on the CPU in evaluation mode; InputError unless its tensors fit its configuration."""
     import torch
 
     from ..network.model import BaseNetwork, Decoder, Encoder
 
-    path = Path(path)
     config, _ = read_metadata(path)
     with torch.device("meta"):  # no memory is taken before the file has been found to fit
         network = BaseNetwork(Encoder(), Decoder(config.points))
@@ -76,18 +73,17 @@ def load_network(path: Path | str) -> tuple[BaseNetwork, NetworkConfig]:
     return network.eval(), config
 
 
-def load_state(path: Path | str, expected: dict[str, tuple[int, ...]]) -> dict[str, Tensor]:
+def load_state(path: Path, expected: dict[str, tuple[int, ...]]) -> dict[str, Tensor]:
     """Read the ``training.*`` tensors of ``path``, names without that prefix; refused unless they are as expected."""
     state = {STATE_PREFIX + name: shape for name, shape in expected.items()}
-    tensors = _read_tensors(Path(path), state, lambda name: name.startswith(STATE_PREFIX))
+    tensors = _read_tensors(path, state, lambda name: name.startswith(STATE_PREFIX))
     return {name.removeprefix(STATE_PREFIX): tensor for name, tensor in tensors.items()}
 
 
-def read_metadata(path: Path | str) -> tuple[NetworkConfig, dict[str, Any]]:
+def read_metadata(path: Path) -> tuple[NetworkConfig, dict[str, Any]]:
     """The configuration in a checkpoint, and the training state in it (empty if there is none)."""
     from safetensors import SafetensorError, safe_open
 
-    path = Path(path)
     _refuse_other_files(path)
     try:
         with safe_open(path, framework="pt") as file:

@@ -45,12 +45,11 @@ def read_mask(path: str | Path, invert: bool = False) -> NDArray[np.float32]:
     return np.float32(1.0) - mask if invert else mask
 
 
-def read_depth(path: str | Path, scale: float = 1.0) -> NDArray[np.float64]:
+def read_depth(path: Path, scale: float = 1.0) -> NDArray[np.float64]:
     """Read a depth map [H, W] from a picture of one grey channel or a .npy file, ``scale`` units of the camera to a step.
 
     0, NaN and infinity are unknown: NaN. Raises InputError if the file is not such a map, or a depth is negative.
     """
-    path = Path(path)
     with np.errstate(invalid="ignore"):  # signalling NaN
         depth = _read_values(path, "a depth map", "a depth map [H, W]", "fiu", _depth_values).astype(np.float64)
     depth[~np.isfinite(depth) | (depth == 0.0)] = np.nan
@@ -91,11 +90,10 @@ def as_colours(image: Image.Image, path: Path) -> NDArray[np.uint8]:
     return _colours(image, path)
 
 
-def write_image(path: str | Path, array: NDArray[np.uint8], overwrite: bool = False) -> None:
+def write_image(path: Path, array: NDArray[np.uint8], overwrite: bool = False) -> None:
     """Write ``array``, [H, W], [H, W, 3] or [H, W, 4] of uint8 (or bool, [H, W]), as PNG."""
     from PIL import Image
 
-    path = Path(path)
     check_output(path, overwrite)
     with atomic_output(path, overwrite) as temporary:
         Image.fromarray(array).save(temporary, format="PNG")

@@ -28,9 +28,8 @@ class TrainingLog:
     columns: dict[str, NDArray[np.float64]]
 
 
-def read_log(path: Path | str) -> TrainingLog:
+def read_log(path: Path) -> TrainingLog:
     """Read one log; InputError where it cannot be read, a line is not of the form of the others, or there is no step."""
-    path = Path(path)
     try:
         lines = read_bytes(path, EXPECTED, LIMIT).decode("utf-8").splitlines()
     except UnicodeDecodeError:

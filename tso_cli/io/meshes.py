@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .output import atomic_output, check_output, reason
+from .output import reason, write_file
 from .ply import new_ply
 from .reading import read_bytes
 from .textures import Pictures, Texture
@@ -34,9 +34,8 @@ class Mesh:
     textures: tuple[Texture, ...] = ()  # used in place of the colours of their faces
 
 
-def find_meshes(folder: Path | str) -> list[Path]:
+def find_meshes(folder: Path) -> list[Path]:
     """All mesh files under ``folder``, sorted, without hidden ones; InputError if it is not a folder or holds no mesh."""
-    folder = Path(folder)
     if not folder.is_dir():
         raise InputError(f"{folder}: not a folder, expected one with meshes ({', '.join(SUFFIXES)})")
     meshes = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in SUFFIXES and path.is_file()]
@@ -46,7 +45,7 @@ def find_meshes(folder: Path | str) -> list[Path]:
     return meshes
 
 
-def read_mesh(path: Path | str, textures: bool = True, within: Path | None = None) -> Mesh:
+def read_mesh(path: Path, textures: bool = True, within: Path | None = None) -> Mesh:
     """Read a triangle mesh; faces stay in order and vertices in place, polygons become triangles.
 
     With ``textures`` also pictures on it: baseColorTexture (times baseColorFactor) of .glb, map_Kd of .obj, inside the file or
@@ -54,7 +53,6 @@ def read_mesh(path: Path | str, textures: bool = True, within: Path | None = Non
 
     Raises InputError if the file cannot be read, holds no face, one of a missing vertex, or no area; or is not finite.
     """
-    path = Path(path)
     if path.suffix.lower() not in SUFFIXES and path.is_file():
         raise InputError(f"{path}: the suffix is {path.suffix!a}, expected a mesh: {', '.join(SUFFIXES)}")
     content = read_bytes(path, f"a mesh ({', '.join(SUFFIXES)})")
@@ -137,9 +135,6 @@ def _face_colours(part: Any, count: int) -> NDArray[np.uint8] | None:
         return None
 
 
-def write_mesh(path: Path | str, mesh: Mesh, overwrite: bool = False) -> None:
+def write_mesh(path: Path, mesh: Mesh, overwrite: bool = False) -> None:
     """Write vertices (float32) and faces as binary little-endian PLY; colours are left out."""
-    path = Path(path)
-    check_output(path, overwrite)
-    with atomic_output(path, overwrite) as temporary:
-        temporary.write_bytes(new_ply(mesh.vertices, "float32", faces=mesh.faces))
+    write_file(path, new_ply(mesh.vertices, "float32", faces=mesh.faces), overwrite)

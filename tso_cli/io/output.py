@@ -15,12 +15,9 @@ from pathlib import Path
 
 from ..errors import InputError
 
-_written: set[Path] = set()  # temporaries of this process
-
 
 def check_output(path: Path, overwrite: bool) -> None:
     """Before the work starts, raise InputError for an output that cannot or, without ``overwrite``, must not be written."""
-    path = Path(path)
     try:
         folder = Path(os.path.realpath(path)).parent
         if path.is_dir():
@@ -43,14 +40,10 @@ def check_output(path: Path, overwrite: bool) -> None:
 def atomic_output(path: Path, overwrite: bool = True) -> Iterator[Path]:
     """Yield a temporary path beside ``path``, with its suffix; on success it takes that name, else it is removed.
 
-    A symbolic link stays, and the file it points to is replaced. Such a temporary path is itself yielded as it is.
+    A symbolic link stays, and the file it points to is replaced.
 
     Raises InputError if writing failed or, without ``overwrite``, if by then another file has the name.
     """
-    path = Path(path)
-    if path in _written:
-        yield path
-        return
     try:
         target = Path(os.path.realpath(path))
         temporary = target.with_name(f".{target.stem[:40]}.{os.urandom(6).hex()}{target.suffix}")
@@ -60,7 +53,6 @@ def atomic_output(path: Path, overwrite: bool = True) -> Iterator[Path]:
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be written ({reason(error)})") from None
     held = lock(temporary)
-    _written.add(temporary)
     try:
         yield temporary
         # A full disk may show only when the data leave the memory.
@@ -78,11 +70,17 @@ def atomic_output(path: Path, overwrite: bool = True) -> Iterator[Path]:
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({reason(error)}), nothing was kept") from None
     finally:
-        _written.discard(temporary)
         with suppress(OSError):
             temporary.unlink()
         if held is not None:
             os.close(held)
+
+
+def write_file(path: Path, data: bytes, overwrite: bool = False) -> None:
+    """Write a whole file, or none; InputError as `check_output` and `atomic_output`."""
+    check_output(path, overwrite)
+    with atomic_output(path, overwrite) as temporary:
+        temporary.write_bytes(data)
 
 
 def _take_name(temporary: Path, target: Path) -> None:

@@ -90,17 +90,12 @@ def shown(value: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def array_type(data: bytes, path: Path) -> tuple[np.dtype[Any], tuple[int, ...]]:
-    """Type and shape of the array in the bytes of a .npy file; InputError where it is none."""
-    return _header(data, path)[:2]
-
-
 def read_array(data: bytes, path: Path, kinds: str = "biufc", expected: str = "numbers") -> NDArray[Any]:
     """The read-only array in the bytes of a .npy file, its type one of numpy's ``kinds``, which messages call ``expected``.
 
     Raises InputError if it is no such file, or is shorter or longer than its header says.
     """
-    dtype, shape, fortran, begin = _header(data, path)
+    dtype, shape, fortran, begin = array_header(data, path)
     if dtype.kind not in kinds:
         raise InputError(f"{path}: holds values of type {shown(str(dtype))}, expected {expected}")
     size = math.prod(shape) * dtype.itemsize
@@ -113,8 +108,8 @@ def read_array(data: bytes, path: Path, kinds: str = "biufc", expected: str = "n
         raise InputError(f"{path}: is not a readable .npy file ({reason(error)})") from None
 
 
-def _header(data: bytes, path: Path) -> tuple[np.dtype[Any], tuple[int, ...], bool, int]:
-    """Type, shape, order (whether Fortran's) and the byte where the values begin."""
+def array_header(data: bytes, path: Path) -> tuple[np.dtype[Any], tuple[int, ...], bool, int]:
+    """Of a .npy file type, shape, order (whether Fortran's) and the byte where values begin; InputError where it is none."""
     stream = io.BytesIO(data)
     try:
         with warnings.catch_warnings():

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, prefixed
 from ..geometry.points import Array, sample_surface
 from .clouds import SUFFIXES as CLOUD_SUFFIXES
 from .clouds import read_cloud
@@ -38,9 +38,8 @@ _FACES = re.compile(rb"[\r\n]element[ \t]+face[ \t]+0*[1-9]")
 _THREE_SIDES = re.compile(rb"\A\x93NUMPY[^\n]{0,200}'shape': *\([0-9]+, *[0-9]+, *[0-9]+,?\)", re.DOTALL)
 
 
-def shape_kind(path: Path | str) -> str:
+def shape_kind(path: Path) -> str:
     """What the file at ``path`` will be read as: "cloud" (also if it cannot be read), "mesh" or "voxels"."""
-    path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES and not path.is_dir():
         raise InputError(f"{path}: ends in {suffix or 'nothing'!r}, expected a cloud, mesh or grid: {', '.join(SUFFIXES)}")
@@ -55,12 +54,11 @@ def shape_kind(path: Path | str) -> str:
     return "voxels" if suffix == ".binvox" or _THREE_SIDES.search(head) else "cloud"
 
 
-def read_shape(path: Path | str, samples: int = 16384, seed: int | Sequence[int] = 0, as_vertices: bool = False) -> Array:
+def read_shape(path: Path, samples: int = 16384, seed: int | Sequence[int] = 0, as_vertices: bool = False) -> Array:
     """The points [N, 3] by which the shape in a file is judged; InputError if it describes no points and no surface.
 
     ``samples`` points are drawn from a surface; a cloud keeps its points, and with ``as_vertices`` a mesh its vertices.
     """
-    path = Path(path)
     kind = shape_kind(path)
     if kind == "cloud" or (as_vertices and path.suffix.lower() == ".ply"):
         return read_cloud(path, extended=False).points
@@ -71,15 +69,12 @@ def read_shape(path: Path | str, samples: int = 16384, seed: int | Sequence[int]
         vertices, faces = mesh.vertices, mesh.faces
     else:
         vertices, faces = grid_surface(path)
-    try:
+    with prefixed(f"{path}: "):
         return sample_surface(vertices, faces, samples, np.random.default_rng(seed))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
-def grid_surface(path: Path | str) -> tuple[Array, NDArray[np.int64]]:
+def grid_surface(path: Path) -> tuple[Array, NDArray[np.int64]]:
     """Vertices [V, 3] and faces [F, 3] of the closed boundary of the voxel grid in a .npy or .binvox file."""
-    path = Path(path)
     placed = path.suffix.lower() != ".binvox"
     grid, side = (_read_npy_grid(path), 1.0) if placed else _read_binvox(path)
     occupied = grid > 0.5

@@ -25,14 +25,12 @@ class NetworkInput:
     mask : float32 [size, size] in [0, 1], the photo's mask resampled the same way; 0 where it is not known.
     camera : the photo's camera, cropped the same way.
     known : bool [size, size], False where more than half of the pixel lies outside the photo or is ignored.
-    box : left, top, right, bottom edges of the crop in pixels of the photo; it may reach outside.
     """
 
     image: NDArray[np.float32]
     mask: NDArray[np.float32]
     camera: Camera
     known: NDArray[np.bool_]
-    box: Box
 
     def view(self, name: str = "mask") -> View:
         """Mask and camera of the crop as a view."""
@@ -41,8 +39,6 @@ class NetworkInput:
 
 def crop_box(mask_box: Box, crop_share: float) -> Box:
     """The square around ``mask_box`` whose side is the box's longer side divided by ``crop_share``."""
-    if not 0.0 < crop_share <= 1.0:
-        raise InputError(f"crop share is {crop_share!r}, expected 0 to 1")
     left, top, right, bottom = (float(edge) for edge in mask_box)
     half = max(right - left, bottom - top) / crop_share / 2.0
     u, v = (left + right) / 2.0, (top + bottom) / 2.0
@@ -63,26 +59,21 @@ def whole_box(camera: Camera, name: str = "mask") -> Box:
 
 
 def network_input(
-    image: NDArray[np.generic], view: View, size: int = 64, crop_share: float = 0.9, background: str = "black"
+    image: NDArray[np.uint8], view: View, size: int = 64, crop_share: float = 0.9, background: str = "black"
 ) -> NetworkInput:
     """Crop, composite and resample a photo to the network's input, by exact area averaging.
 
     Parameters
     ----------
-    image : [H, W], [H, W, 3] or [H, W, 4]; uint8, or float in [0, 1].
+    image : [H, W, 3] or [H, W, 4].
     view : mask [H, W] and camera of the photo. size : pixels of the network's input along each side.
     crop_share : the longer side of the object's box is this share of the crop's (`crop_box`); 0 takes `whole_box`.
     background : "black" or "white" puts the object, cut out by its mask, on that colour; "keep" leaves the photo as it
         is. Transparent parts and what lies outside the photo then are black.
 
-    Raises InputError if sizes of image and mask differ, a setting is none of the above, or the crop misses the object.
+    Raises InputError if sizes of image and mask differ, or the crop misses the object.
     """
-    if background not in BACKGROUNDS:
-        raise InputError(f"background is {background!r}, expected one of {', '.join(BACKGROUNDS)}")
-    image = np.asarray(image)
     height, width = view.mask.shape
-    if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (3, 4)):
-        raise InputError(f"image has shape {list(image.shape)}, expected [H, W, 3] or [H, W, 4]")
     if image.shape[:2] != (height, width):
         raise InputError(
             f"{view.name}: the image is {image.shape[1]}x{image.shape[0]}, the mask {width}x{height} (width x height), "
@@ -94,11 +85,13 @@ def network_input(
     left, top = max(0, int(np.floor(box[0] + 0.5))), max(0, int(np.floor(box[1] + 0.5)))
     part = (slice(top, max(top, int(np.ceil(box[3] + 0.5)))), slice(left, max(left, int(np.ceil(box[2] + 0.5)))))
     shifted = (box[0] - left, box[1] - top, box[2] - left, box[3] - top)
-    pixels = _as_unit_floats(image[part], keep_alpha=background == "keep")
+    pixels, alpha = np.split(image[part].astype(np.float32) / np.float32(255.0), [3], axis=2)
     mask = view.mask[part]
     fill = 1.0 if background == "white" else 0.0
     if background != "keep":
         pixels = pixels * mask[:, :, None] + np.float32(fill) * (1.0 - mask[:, :, None])
+    elif alpha.shape[2]:
+        pixels = pixels * alpha
     values, coverage = area_resize(pixels, shifted, size, size)
     values = values * coverage[:, :, None] + fill * (1.0 - coverage[:, :, None])
     cropped, known_share = area_resize(mask, shifted, size, size, None if view.known is None else view.known[part])
@@ -113,19 +106,4 @@ def network_input(
         mask=np.where(known, np.clip(cropped, 0.0, 1.0), 0.0).astype(np.float32),
         camera=view.camera.cropped(box, size, size),
         known=known,
-        box=box,
     )
-
-
-def _as_unit_floats(image: NDArray[np.generic], keep_alpha: bool) -> NDArray[np.float32]:
-    """Colours [H, W, 3] in [0, 1]; with ``keep_alpha`` transparent parts turn black, else the mask decides alone."""
-    values = image.astype(np.float32)
-    if image.dtype == np.uint8:
-        values /= 255.0
-    elif not (np.isfinite(values).all() and (values.size == 0 or (values.min() >= 0.0 and values.max() <= 1.0))):
-        raise InputError("image holds values outside 0 to 1, expected bytes or numbers in [0, 1]")
-    if values.ndim == 2:
-        return np.repeat(values[:, :, None], 3, axis=2)
-    if values.shape[2] == 4:
-        return values[:, :, :3] * values[:, :, 3:] if keep_alpha else values[:, :, :3]
-    return values

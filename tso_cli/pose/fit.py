@@ -110,8 +110,6 @@ def fit_camera(
     centre, unit = bounding_box_normalisation(array)
     local = _spread_points((array - centre) / unit)
     image = np.asarray(mask, dtype=np.float32)
-    if image.ndim != 2:
-        raise InputError(f"{name}: mask has shape {list(image.shape)}, expected [H, W]")
     height, width = image.shape
     view = View(image, Camera.canonical(width, height), known, name)
     crop = _Crop.around(view)

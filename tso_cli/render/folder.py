@@ -73,8 +73,8 @@ class RenderSummary:
 
 
 def render_folder(
-    source: Path | str,
-    output: Path | str,
+    source: Path,
+    output: Path,
     settings: RenderSettings,
     seed: int = 0,
     overwrite: bool = False,
@@ -91,7 +91,6 @@ def render_folder(
     Raises InputError if there is no mesh, one of ``only`` is missing or none can be rendered, names collide, or an object was
     rendered with other settings and ``overwrite`` is false; TsoError if open3d is missing or writing failed.
     """
-    source, output = Path(source), Path(output)
     _check_folder(output)
     meshes = _names(source, output)
     if only is not None:
@@ -124,7 +123,7 @@ def render_folder(
                 summary.failed[name] = str(error) if str(path) in str(error) else f"{path}: {error}"
             else:
                 views = [(view.image, view.mask, view.camera) for view in rendered.views]
-                writer.write(name, views, rendered.samples, rendered.target, {"mesh": path.name, **record}, overwrite)
+                writer.write(name, views, rendered.samples, rendered.target, {"mesh": path.name, **record})
                 summary.written.append(name)
             if progress is not None:
                 progress(done, len(waiting), name)

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +18,16 @@ from ..geometry.view import View
 from ..io.cameras import check_size, find_camera, pair_with_masks, read_camera
 from ..io.clouds import PointCloud, read_cloud
 from ..io.images import read_depth, read_image, read_mask
+from ..refinement.assumptions import INVERT_MASK, AssumedView, Assumption, about, axes_of, in_axes_of_cloud, mirrored
+from ..refinement.cloud import Cloud
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork
-    from ..refinement.assumptions import Assumption
-    from ..refinement.cloud import Cloud
-
 
 # A mask is taken for a photo with this many grey pixels for one of the object, or of the background if that is smaller. Counted
 # in about so many rows or columns, and not for fewer such pixels: of a small mask all are at the outline.
 GREY_SHARE, GREY_ALONG, GREY_FEWEST = 1.2, 256, 400
+Placing = Literal["silhouette", "box", "camera"]
 NO_FILE = "(no camera file was given or found beside the mask)"
 MIRRORED = " (mirrored with its mask: the cloud has left-handed axes)"
 
@@ -96,11 +96,7 @@ class ViewFiles:
     @property
     def given(self) -> tuple[Assumption, ...]:
         """The assumptions, and what ``invert`` assumes."""
-        if not self.invert:
-            return tuple(self.assumptions)
-        from ..refinement.assumptions import INVERT_MASK
-
-        return (INVERT_MASK, *self.assumptions)
+        return (INVERT_MASK, *self.assumptions) if self.invert else tuple(self.assumptions)
 
 
 def load_views(files: ViewFiles) -> tuple[list[View], list[Path | None]]:
@@ -140,15 +136,10 @@ def _with_depth_and_images(views: Sequence[View], files: ViewFiles) -> list[View
             image = read_image(image_file)
             require_same_size(image_file, image.shape, view.name, view.mask.shape)
             view = replace(view, image=image[..., :3] / np.float32(255.0))
-        completed.append(_in_axes_of_cloud(view))
+        if isinstance(view, AssumedView):
+            view = in_axes_of_cloud(view, axes_of(about(view, view.given)))
+        completed.append(view)
     return completed
-
-
-def _in_axes_of_cloud(view: View) -> View:
-    """The view with its camera in the axes of the cloud, where they are assumed to be others than those of the scene."""
-    from ..refinement.assumptions import AssumedView, about, axes_of, in_axes_of_cloud
-
-    return in_axes_of_cloud(view, axes_of(about(view, view.given))) if isinstance(view, AssumedView) else view
 
 
 def _read_view(
@@ -171,8 +162,6 @@ def _read_view(
     view = View(mask, camera, known, name=str(mask_file))
     if not files.given:
         return view
-    from ..refinement.assumptions import AssumedView, about
-
     view = AssumedView(mask, camera, known, view.name, given=files.given, camera_read=camera)
     for assumption in about(view, files.assumptions):
         view = assumption.of_view(view)
@@ -198,9 +187,6 @@ def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = Fal
         raise InputError(
             f"--camera fit finds the camera of one mask, found {len(files.masks)} masks; expected one, or a camera file"
         )
-    from ..refinement.assumptions import mirrored
-    from ..refinement.cloud import Cloud
-
     masks = [str(mask) for mask in files.masks]
     for assumption in files.assumptions:
         if assumption.view and assumption.view not in masks:
@@ -226,7 +212,6 @@ def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = Fal
 
 def _with_fitted_camera(scene: Scene, files: ViewFiles) -> Scene:
     from ..pose import fit_camera
-    from ..refinement.assumptions import AssumedView, about
 
     (ignore,) = files.one_each("--ignore", "ignore maps", files.ignore)
     if any(assumption.camera for assumption in files.assumptions):

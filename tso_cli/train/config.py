@@ -8,10 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..errors import InputError
-from ..network.model import FRAMES, SUPERVISIONS
-from ..silhouette.affinity import AFFINITIES
-
-PRECISIONS = ("float32", "bfloat16")
 
 
 @dataclass(frozen=True)
@@ -57,17 +53,11 @@ class TrainConfig:
     device: str = "cpu"
 
     def __post_init__(self) -> None:
-        choices = {"supervision": SUPERVISIONS, "frame": FRAMES, "affinity": AFFINITIES, "precision": PRECISIONS}
-        for name, allowed in choices.items():
-            if getattr(self, name) not in allowed:
-                raise InputError(f"{name} is {getattr(self, name)!r}, expected {' or '.join(allowed)}")
         if self.saturation_steps is None:
             object.__setattr__(self, "saturation_steps", min(500, max(10, self.steps // 6)))
         for name in ("steps", "batch_size", "views", "saturation_steps", "points", "workers"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} is {getattr(self, name)}, expected 1 or more")
-        if not 0 <= self.seed < 2**63:
-            raise InputError(f"seed is {self.seed}, expected 0 or more, below 2^63")
         if not 0.0 <= self.averaging < 1.0:
             raise InputError(f"averaging is {self.averaging:g}, expected 0 or more and below 1")
         positive = {name: getattr(self, name) for name in ("learning_rate", "sigma_sq", "joint_weight")}

@@ -56,11 +56,6 @@ class TrainingData:
     not_judged: dict[str, str] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not self.objects:
-            raise InputError("the training set holds no object, expected at least one")
-        for item in self.objects:
-            if not item.views:
-                raise InputError(f"{item.name}: has no view, expected at least one")
         # The other cameras are checked when they are loaded: some need a model to be read first.
         first = self.objects[0].views[0]
         _require_perspective(first.name, first.camera)

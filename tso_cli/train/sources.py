@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..datasets.common import load_pair
 from ..datasets.items import Dataset, Floats, ObjectItem, ViewItem
 from ..datasets.scale import of_unit_diagonal
 from ..geometry.points import normalise_longest_side
+from ..io.cameras import read_cameras
+from ..io.clouds import read_cloud
+from ..io.meshes import read_mesh
+from ..io.shipped import CATEGORIES, examples_folder
+from ..render import RenderedView, RenderSettings, render_mesh
 from .data import TrainingData
 
-if TYPE_CHECKING:
-    from ..render import RenderedView
-
-T = TypeVar("T")
 # Pictures of each shipped mesh, and their side in pixels: about the size of the network's input once cropped.
 EXAMPLE_VIEWS, EXAMPLE_SIZE = 32, 96
 
@@ -34,9 +36,6 @@ def from_meshes(
 
     A ``crop_share`` of 0 gives them a unit diagonal, as ShapeNet's models have, so that the pictures show sizes.
     """
-    from ..io.meshes import read_mesh
-    from ..render import RenderSettings, render_mesh
-
     settings = RenderSettings(views=views, size=(EXAMPLE_SIZE, EXAMPLE_SIZE))
     objects = []
     for number, path in enumerate(meshes):
@@ -67,21 +66,15 @@ def rendered_object(name: str, category: str, views: Sequence[RenderedView], tar
 
 def shipped_examples(crop_share: float = 0.9, background: str = "black") -> TrainingData:
     """The pictures and true shapes of the shipped examples, which a network trained on the shipped meshes has not seen."""
-    from ..io.cameras import read_camera
-    from ..io.clouds import read_cloud
-    from ..io.images import read_image, read_mask
-    from ..io.shipped import CATEGORIES, examples_folder
-
     objects = []
     for category in CATEGORIES:
         folder = examples_folder() / category
-        image, mask = read_image(folder / "image.png"), read_mask(folder / "mask.png")
-        camera = read_camera(folder / "camera.json", mask.shape[1], mask.shape[0])
-        view = ViewItem(str(folder / "mask.png"), camera, _returning((image[..., :3], mask)))
-        target = normalise_longest_side(read_cloud(folder / "target.ply").points).astype(np.float32)
-        objects.append(ObjectItem(category, category, [view], _returning(target)))
+        camera = read_cameras(folder / "camera.json")[0].camera
+        load = partial(load_pair, folder / "image.png", folder / "mask.png", camera, "as its camera")
+        view = ViewItem(str(folder / "mask.png"), camera, load)
+        objects.append(ObjectItem(category, category, [view], partial(_normalised_cloud, folder / "target.ply")))
     return sized(Dataset(objects, "shipped examples"), crop_share, background)
 
 
-def _returning(value: T) -> Callable[[], T]:
-    return lambda: value
+def _normalised_cloud(path: Path) -> Floats:
+    return normalise_longest_side(read_cloud(path).points).astype(np.float32)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ..errors import InputError
 from ..io.checkpoints import STATE_PREFIX, load_network, load_state, read_metadata, save_network, save_tensors
-from ..io.output import atomic_output
+from ..io.output import write_file
 from ..io.reading import shown
 from ..network.model import BaseNetwork, NetworkConfig
 from .losses import AffinitySchedule
@@ -163,5 +163,4 @@ def write_history(path: Path, history: History, config: NetworkConfig, overwrite
     lines = [json.dumps(dataclasses.asdict(config), allow_nan=False)]
     for step, row in enumerate(history, 1):
         lines.append(json.dumps(dict(zip(names, (step, *row), strict=False))))
-    with atomic_output(path, overwrite) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_file(path, ("\n".join(lines) + "\n").encode(), overwrite)

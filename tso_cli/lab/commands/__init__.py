@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from ...commands.lazy_group import LazyGroup
+from ...commands.options import LazyGroup
 from ..studies import QUESTIONS
 
 TOOLS = {

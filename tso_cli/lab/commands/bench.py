@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from ...commands import options
-from ...commands.lazy_group import LazyGroup
+from ...commands.options import LazyGroup
 from ..bench import PARTS
 from . import records
 from .tools import load
