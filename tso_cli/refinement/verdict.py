@@ -31,8 +31,8 @@ Name = Literal["improved", "unchanged", "doubtful"]
 MODEL = Path(__file__).with_name("confidence.json")
 # A result of less confidence is doubtful.
 LEAST_CONFIDENCE = 0.5
-# No step up to the first confidence is taken, and a part of it up to the second: where a common mistake is suspected, and where
-# none is. A cloud far off its mask looks as a wrong camera does: with the first pair half of such clouds would stay.
+# No step up to the first confidence is taken, and a part of it up to the second: where silhouettes show a common mistake, and
+# elsewhere. A cloud far off its mask looks as a wrong camera does: with the first pair half of such clouds would stay.
 SUSPECT_STEP, DOUBT_STEP = (0.3, 0.5), (0.05, 0.1)
 # What is said where signs of this group took most of the confidence.
 REASONS = {
@@ -66,11 +66,16 @@ class Verdict:
     step: float = 1.0
 
     @classmethod
-    def of(cls, signs: dict[str, float], suspicion: str | None) -> Verdict:
-        """Of a refinement with ``signs``; ``suspicion`` : what looks wrong with the input, None where nothing does."""
+    def of(cls, signs: dict[str, float], suspicion: str | None, only_hinted: bool = False) -> Verdict:
+        """Of a refinement with ``signs``.
+
+        ``suspicion`` : what looks wrong with the input, None where nothing does; ``only_hinted`` : the silhouettes do not show it
+        by themselves.
+        """
         confidence, group = _judged(signs)
         if confidence < LEAST_CONFIDENCE or suspicion:
-            step = float(np.interp(confidence, SUSPECT_STEP if suspicion else DOUBT_STEP, (0.0, 1.0)))
+            likely = suspicion and not only_hinted
+            step = float(np.interp(confidence, SUSPECT_STEP if likely else DOUBT_STEP, (0.0, 1.0)))
             return cls("doubtful", confidence, suspicion or REASONS[group], step)
         return cls("improved", confidence)
 
