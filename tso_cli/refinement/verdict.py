@@ -69,8 +69,8 @@ class Verdict:
     def of(cls, signs: dict[str, float], suspicion: str | None, only_hinted: bool = False) -> Verdict:
         """Of a refinement with ``signs``.
 
-        ``suspicion`` : what looks wrong with the input, None where nothing does; ``only_hinted`` : the silhouettes do not show it
-        by themselves.
+        ``suspicion`` : what looks wrong with the input, None where nothing does; ``only_hinted`` : the silhouettes alone do not
+        show it.
         """
         confidence, group = _judged(signs)
         if confidence < LEAST_CONFIDENCE or suspicion:
