@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -48,3 +49,10 @@ def rng() -> np.random.Generator:
 
 def holding(claims: list[dict]) -> list[bool]:
     return [claim["holds"] for claim in claims]
+
+
+def timeless(value: Any) -> Any:
+    """Without what a clock decides."""
+    if isinstance(value, dict):
+        return {key: timeless(item) for key, item in value.items() if "seconds" not in key}
+    return [timeless(item) for item in value] if isinstance(value, list) else value

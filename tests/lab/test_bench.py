@@ -13,12 +13,10 @@ import torch
 from PIL import Image
 
 from tests.lab.studying import tso
+from tests.training import make_known
 from tso_cli.errors import TsoError
 from tso_cli.lab.bench import PARTS, kernels, phases, refining, speed, timing
-from tso_cli.lab.bench.shown import STUDY, draw_speed
-from tso_cli.lab.bench.speed import claims
 from tso_cli.lab.bench.timing import Contestant, Setting, record, timed
-from tso_cli.lab.study import answer
 from tso_cli.losses.chamfer import ChamferToStart
 from tso_cli.losses.silhouette import silhouette_sums
 
@@ -102,7 +100,7 @@ def test_claims_tell_met_targets_from_missed_ones(row, fields, met):
     rows += [record("batch", "one process", seconds=took(1.0), **fields) for fields in alone]
     rows += [record(what, "tso, numpy", points=n, seconds=took(1.0)) for what, n in (("silhouette", 1024), ("chamfer", 16384))]
     what, name, seconds = row
-    judged = claims([*rows, record(what, name, seconds=took(seconds)) | fields])
+    judged = speed.conclude([*rows, record(what, name, seconds=took(seconds)) | fields])["claims"]
     assert met in [(claim["holds"], claim["found"]) for claim in judged]
 
 
@@ -231,45 +229,22 @@ def test_an_installation_is_smaller_without_what_only_torch_requires():
 # The command
 
 
-def test_the_command_writes_record_page_and_chart_and_overwrites_nothing(measured, tmp_path, capsys, monkeypatch):
+def test_the_command_writes_record_page_and_chart(measured, tmp_path, capsys, monkeypatch):
+    make_known(monkeypatch)
     monkeypatch.setattr(speed, "compile_loops", lambda: None)
     for name in PARTS:
         rows = [row for row in measured if row["what"] == name]
         part = {"refining": refining, "kernels": kernels, "phases": phases}[PARTS[name]]
         monkeypatch.setattr(part, f"measure_{name}", lambda setting, rows=rows: rows if torch.get_num_threads() == 1 else [])
-    record = speed.speed(QUICK)
-    assert record["records"] == measured
-    assert set(record["convention"]) == {"seconds", *PARTS}
-    text = answer(STUDY, {**record, "claims": [{"claim": "fast", "found": "slow", "holds": False}]})
-    assert all(row["name"] in text for row in measured)
-    assert "target missed: fast (slow)" in text
-    draw_speed(tmp_path / "all.png", record)
-    with Image.open(tmp_path / "all.png") as chart:
-        assert min(chart.size) > 500
-
-    monkeypatch.setattr("tso_cli.lab.studies.fingerprint.today", lambda part: {"IoU": 1.0})
     output = tmp_path / "speed.json"
-    arguments = ("bench", "speed", "--only", "chamfer", "-o", output, "--json")
-    assert tso(*arguments) == 0
+    assert tso("bench", "speed", "-o", output) == 0
+    printed = capsys.readouterr().out
+    assert all(row["name"] in printed for row in measured)
     record = json.loads(output.read_text())
-    assert record.pop("fingerprint").keys() == set(STUDY.parts)
-    assert json.loads(capsys.readouterr().out) == record
-    assert (record["bench"], {row["what"] for row in record["records"]}) == ("speed", {"chamfer"})
-    assert output.with_suffix(".png").exists()
-    assert output.with_suffix(".md").exists()
-    before = output.read_bytes()
-    assert tso(*arguments) == 2
-    assert "exists" in capsys.readouterr().err
-    assert output.read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [("--only", "nothing"), ("--seconds", "0"), ("--seconds", "nan"), ("--seconds", "inf"), ("-o", "speed.txt")],
-)
-def test_bad_options_are_refused_in_one_line(arguments, capsys):
-    assert tso("bench", "speed", *arguments) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("tso: error:")
-    assert error.count("\n") == 1
-    assert arguments[-1] in error or arguments[0] in error
+    assert record["cases"] == json.loads(json.dumps(measured))
+    assert (record["study"], record["command"]) == ("speed", "tso bench speed")
+    with Image.open(output.with_suffix(".png")) as chart:
+        assert min(chart.size) > 500
+    assert tso("bench", "speed", "--only", "chamfer", "--json") == 0
+    assert {row["what"] for row in json.loads(capsys.readouterr().out)["cases"]} == {"chamfer"}
+    assert tso("bench", "speed", "--only", "nothing") == 2

@@ -187,7 +187,6 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 
 STUDY = Study(
     name="budget",
-    about="What does `--budget auto` save, and what does that cost, from a brick to a lattice of struts?",
     parts=("points, best",),
     tables=tables,
     draw=draw,
@@ -201,5 +200,4 @@ STUDY = Study(
     ),
     plan=plan,
     conclude=conclude,
-    group="bench",
 )

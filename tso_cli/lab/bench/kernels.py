@@ -24,8 +24,9 @@ from ...losses.silhouette import silhouette_bce
 from ...refinement import RefineConfig, refine
 from ...refinement.optimise import Array, Term
 from ...refinement.presets import PAPER_SIGMA_SQ
+from ..study import Cases
 from .refining import chair_views, cloud
-from .timing import FORMS, Contestant, Records, Setting, record, timed
+from .timing import FORMS, Contestant, Setting, record, timed
 
 # Points and pixels each way; points.
 PICTURES, CLOUDS = ((256, 32), (1024, 64), (4096, 128), (16384, 256)), (1024, 4096, 16384)
@@ -35,7 +36,7 @@ STEPS = (10, 30, 50)
 CDIST_UP_TO = 4096
 
 
-def measure_silhouette(setting: Setting, sizes: Sequence[tuple[int, int]] = PICTURES) -> Records:
+def measure_silhouette(setting: Setting, sizes: Sequence[tuple[int, int]] = PICTURES) -> Cases:
     """Seconds of the loss of points and a mask at every size, on one thread; tso's compiled loops are first."""
     records = []
     for count, side in sizes:
@@ -78,7 +79,7 @@ def scattered_loss(points_px: Tensor, mask: Tensor) -> Tensor:
     return torch.nn.functional.binary_cross_entropy(silhouette, mask, reduction="sum")
 
 
-def measure_chamfer(setting: Setting, sizes: Sequence[int] = CLOUDS) -> Records:
+def measure_chamfer(setting: Setting, sizes: Sequence[int] = CLOUDS) -> Cases:
     """Seconds a step of every contestant at every size, on one thread unless its name says otherwise."""
     records = []
     for count in sizes:

@@ -165,8 +165,6 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 
 STUDY = Study(
     name="pareto",
-    about="What accuracy costs in seconds: every mode and preset, swept over steps, points, pixels and masks, beside other "
-    "ways to compare points with a mask.",
     parts=("pictures", "points, paper", "points, best", "network modes, paper", "network modes, best"),
     tables=tables,
     draw=draw,
@@ -187,5 +185,4 @@ STUDY = Study(
     ),
     plan=plan,
     conclude=conclude,
-    group="bench",
 )

@@ -9,21 +9,22 @@ from pathlib import Path
 import numpy as np
 
 from ...refinement import RefineConfig, refine
+from ..study import Cases, Record
 from .refining import MORE_VIEWS, SIZES, chair_views, cloud
-from .timing import Record, Records, Setting, record
+from .timing import Setting, record
 
 LARGE = 262_144
 RUNS = 3
 PROCESS = Path("/proc/self/status")
 
 
-def measure_phases(setting: Setting, sizes: tuple[int, ...] = (*SIZES, LARGE), views: tuple[int, ...] = MORE_VIEWS) -> Records:
+def measure_phases(setting: Setting, sizes: tuple[int, ...] = (*SIZES, LARGE), views: tuple[int, ...] = MORE_VIEWS) -> Cases:
     """The default at every size, and at the smallest with more views; each in a process that does nothing else."""
-    records = []
-    for points, count in [*((points, 1) for points in sizes), *((sizes[0], count) for count in views)]:
-        setting.report(f"phases: {points:,} points, {count} views")
+    records, scenes = [], [*((points, 1) for points in sizes), *((sizes[0], count) for count in views)]
+    for number, (points, count) in enumerate(scenes, 1):
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
             records.append(pool.submit(_taken_apart, points, count, setting.seed).result())
+        setting.report("phases", number, len(scenes))
     return records
 
 

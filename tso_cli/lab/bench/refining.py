@@ -26,11 +26,11 @@ from ...io.meshes import read_mesh
 from ...io.shipped import examples_folder
 from ...losses.silhouette import silhouette_of
 from ...refinement import PRESETS, RefineConfig, refine, refine_batch
+from ..study import Cases
 from .timing import (
     FORMS,
     IMPORT_TORCH,
     Contestant,
-    Records,
     Sample,
     Setting,
     as_installed,
@@ -75,7 +75,7 @@ def chair_views(count: int = 1) -> list[View]:
     return views
 
 
-def measure_command(setting: Setting) -> Records:
+def measure_command(setting: Setting) -> Cases:
     """Processes of bare Python, of `import torch` and of `tso` commands; a first run finds no byte code and no compiled loops.
 
     Raises TsoError if a command fails, InputError if the shipped examples are missing.
@@ -93,7 +93,7 @@ def measure_command(setting: Setting) -> Records:
         return setting.race("command", contestants, "over_import_torch")
 
 
-def measure_object(setting: Setting, sizes: tuple[int, ...] = SIZES, steps: int | None = None) -> Records:
+def measure_object(setting: Setting, sizes: tuple[int, ...] = SIZES, steps: int | None = None) -> Cases:
     """Both presets in both forms of the loops at every size, and the default with more views."""
     cases = [(preset, points, 1) for points in sizes for preset in PRESETS]
     cases += [("best", sizes[0], views) for views in MORE_VIEWS]
@@ -108,7 +108,7 @@ def measure_object(setting: Setting, sizes: tuple[int, ...] = SIZES, steps: int 
 
 def measure_batch(
     setting: Setting, sizes: tuple[int, ...] = BATCHES, steps: int | None = None, most: int | None = None
-) -> Records:
+) -> Cases:
     """Seconds an object of `refine` and of `refine_batch`, in one process and on all cores (or ``most``)."""
     neighboured = sizes[min(1, len(sizes) - 1)]
     clouds, views = [cloud(POINTS, setting.seed + number) for number in range(CLOUDS)], chair_views()

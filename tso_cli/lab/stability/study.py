@@ -235,7 +235,6 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 
 STUDY = Study(
     name="stability",
-    about="How wrong may masks, cameras, clouds and settings be, and does the tool say so?",
     parts=("pictures", "points, paper", "points, best"),
     tables=tables,
     draw=draw,
@@ -258,5 +257,4 @@ STUDY = Study(
     ),
     plan=plan,
     conclude=conclude,
-    group="bench",
 )
