@@ -233,7 +233,7 @@ def kernels() -> str:
     points = (1024, 16384)
     ways = {
         "silhouette": ("tso, compiled", "tso, numpy", "scatter 9x9, torch"),
-        "chamfer": ("tso, compiled", "tso, numpy", "two k-d trees a step, all workers", "point_cloud_utils"),
+        "chamfer": ("tso, compiled", "tso, numpy", "two k-d trees a step, all workers"),
     }
     rows = []
     for what, names in ways.items():

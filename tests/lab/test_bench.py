@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import types
 
 import numpy as np
@@ -23,7 +22,6 @@ from tso_cli.losses.silhouette import silhouette_sums
 ONE_OBJECT = {"preset": "best", "views": 1}
 BATCH = {"preset": "best", "processes": 2, "busy": False, "over_import_torch": 1.0}
 QUICK = Setting(budget=1e-9)
-PEERS = ("chamferdist", "pykeops", "point_cloud_utils", "pytorch3d")
 
 
 def took(seconds):
@@ -122,36 +120,10 @@ def test_every_contestant_computes_the_same_chamfer_distance_and_gradient():
     # Far enough that many nearest neighbours change.
     moved = initial + np.random.default_rng(0).normal(scale=0.05, size=initial.shape)
     expected, by_points = ChamferToStart(initial)(moved)
-    terms = {name: term for name, term in kernels.terms(initial).items() if not isinstance(term, str)}
-    assert set(kernels.terms(initial)) - set(terms) <= set(PEERS)
-    assert len(terms) >= 6
-    for name, term in terms.items():
+    for name, term in kernels.terms(initial).items():
         value, gradient = term(moved)
         assert value == pytest.approx(expected, rel=1e-3), name
         np.testing.assert_allclose(gradient, by_points, rtol=1e-3, atol=1e-6, err_msg=name)
-
-
-@pytest.mark.parametrize(
-    ("package", "reason"),
-    [
-        (None, "not installed"),
-        (RuntimeError("needs\na GPU"), "does not run here (needs a GPU)"),
-        (ImportError("no torch"), "cannot be imported (no torch)"),
-        (0, None),
-    ],
-)
-def test_another_package_is_measured_or_recorded_with_the_reason(package, reason, monkeypatch):
-    def distance(moved, initial, **_):
-        print("loading")
-        if package:
-            raise package
-        return (moved - initial).square().sum()
-
-    installed = types.SimpleNamespace(ChamferDistance=lambda: distance)
-    monkeypatch.setitem(sys.modules, "chamferdist", None if package is None else installed)
-    (row,) = (row for row in kernels.measure_chamfer(QUICK, [32]) if row["name"] == "chamferdist")
-    assert row.get("left_out") == reason
-    assert bool(row["seconds"]) == (reason is None)
 
 
 def test_a_contestant_that_would_hold_too_much_at_once_is_left_out(monkeypatch):
