@@ -50,6 +50,7 @@ def plan(progress: Progress, *, meshes: Path, split: Path | None, **settings: An
     compile_loops()
     warm = set[str]()
 
+    @threadpool_limits.wrap(limits=1)
     def judge(shape: Shape) -> Cases:
         cases = []
         for kind in kinds_of(shape.category, tuple(STARTS)):
@@ -66,11 +67,7 @@ def plan(progress: Progress, *, meshes: Path, split: Path | None, **settings: An
                 cases.append({"kind": kind, "category": shape.category, "shape": shape.name, "view": view, "ways": rows})
         return cases
 
-    def alone_on_a_thread(shape: Shape) -> Cases:
-        with threadpool_limits(1):
-            return judge(shape)
-
-    return Plan(settings, [({"shape": shape.name}, partial(alone_on_a_thread, shape)) for shape in shapes])
+    return Plan(settings, [({"shape": shape.name}, partial(judge, shape)) for shape in shapes])
 
 
 def _judged(case: Case, way: Way, device: str, network: BaseNetwork | None) -> Record:

@@ -8,24 +8,20 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import replace
 from functools import partial
 from itertools import product
 from unittest.mock import patch
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ...errors import TsoError
 from ...geometry.points import Array, normalise_longest_side, sample_surface, spread_subset
 from ...geometry.view import View
-from ...io.cameras import read_camera
-from ...io.clouds import read_cloud
-from ...io.images import read_mask
 from ...io.meshes import read_mesh
 from ...io.shipped import examples_folder
-from ...losses.silhouette import silhouette_of
 from ...refinement import PRESETS, RefineConfig, refine, refine_batch
+from ...scene.load import load_points_scene
+from ..studies.cases import views_around
 from ..study import Cases
 from .timing import (
     FORMS,
@@ -39,8 +35,9 @@ from .timing import (
     timed,
 )
 
-# The shipped example of a chair starts from points of this shape.
-START = "q17_ChairHandle.ply"
+CHAIR = examples_folder() / "chair"
+# The example starts from points of this shape.
+START = examples_folder() / "meshes" / "chair" / "q17_ChairHandle.ply"
 # Clouds of up to so many points are spread evenly, like those of data sets: else no mirror plane would be found.
 SPREAD, SAMPLES = 1024, 8192
 DEGREES_BETWEEN_VIEWS = 50.0
@@ -57,22 +54,15 @@ TSO = ("-m", "tso_cli")
 
 def cloud(count: int, seed: int = 0) -> Array:
     """Initial points [count, 3], longest side 1."""
-    mesh = read_mesh(examples_folder() / "meshes" / "chair" / START)
+    mesh = read_mesh(START)
     samples = sample_surface(mesh.vertices, mesh.faces, max(count, SAMPLES), np.random.default_rng([seed, count]))
     return normalise_longest_side(samples[spread_subset(samples, count)] if count <= SPREAD else samples[:count])
 
 
 def chair_views(count: int = 1) -> list[View]:
     """The mask of the shipped chair, and silhouettes of its cloud turned about the vertical axis."""
-    folder = examples_folder() / "chair"
-    mask = read_mask(folder / "mask.png")
-    camera = read_camera(folder / "camera.json", mask.shape[1], mask.shape[0])
-    views = [View(mask, camera)]
-    for number in range(1, count):
-        turn = Rotation.from_euler("y", number * DEGREES_BETWEEN_VIEWS, degrees=True).as_matrix()
-        turned = replace(camera, R=camera.R @ turn)
-        views.append(View(silhouette_of(read_cloud(folder / "target.ply").points, turned), turned))
-    return views
+    scene = load_points_scene(CHAIR / "target.ply", CHAIR / "mask.png")
+    return views_around(scene.view, scene.points, np.radians(DEGREES_BETWEEN_VIEWS * np.arange(1, count)))
 
 
 def measure_command(setting: Setting) -> Cases:
@@ -86,7 +76,7 @@ def measure_command(setting: Setting) -> Cases:
         for points in SIZES:
             path = f"{folder}/{points}.npy"
             np.save(path, cloud(points, setting.seed))
-            arguments = (*TSO, "refine", "--mode", "points", path, str(examples_folder() / "chair" / "mask.png"))
+            arguments = (*TSO, "refine", "--mode", "points", path, str(CHAIR / "mask.png"))
             for call, environment in (("steady", as_installed), ("first", never_run)):
                 name = f"tso refine --mode points, {points:,} points" + (", first run" if call == "first" else "")
                 contestants.append(Contestant(name, process(name, arguments, environment), {"points": points, "call": call}))

@@ -45,10 +45,10 @@ def plan(progress: Progress, *, parts: tuple[str, ...], seed: int) -> Plan:
     compile_loops()
     setting = Setting(seed=seed, report=progress.report)
 
+    @threadpool_limits.wrap(limits=1)
     def measure(name: str) -> Cases:
         measure_part = getattr(import_module(f".{PARTS[name]}", __package__), f"measure_{name}")
-        with threadpool_limits(1):
-            return measure_part(setting)
+        return measure_part(setting)
 
     packages = {package: _version(package) for package in ("torch", "numpy", "numba", "scipy")}
     settings = {

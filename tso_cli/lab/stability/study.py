@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from textwrap import fill
@@ -12,17 +11,14 @@ from typing import Any
 import numpy as np
 
 from ...errors import InputError
-from ...geometry.rotations import from_vectors
-from ...geometry.view import View
 from ...io.clouds import read_cloud
 from ...io.output import check_output
 from ...io.shipped import examples_folder
-from ...losses.silhouette import silhouette_of
 from ...refinement import RefineConfig
 from ...scene.load import load_points_scene
 from ..charts import draw_cases
 from ..studies.accuracy import CATEGORIES
-from ..studies.cases import MASKS, Case, CaseBuilder
+from ..studies.cases import MASKS, Case, CaseBuilder, views_around
 from ..studies.refining import DEFAULT, FOUR_MASKS, POINTS, Variant
 from ..studies.shapes import shapes_of_part
 from ..studies.summary import grouped
@@ -63,10 +59,7 @@ def example_cases() -> list[Case]:
     for category in ("chair", "car", "airplane"):
         folder = examples_folder() / category
         scene, target = load_points_scene(folder / "initial.ply", folder / "mask.png"), read_cloud(folder / "target.ply").points
-        camera = scene.view.camera
-        turns = (from_vectors(np.array([0.0, 2.0 * np.pi * number / MASKS, 0.0])) for number in range(1, MASKS))
-        cameras = [replace(camera, R=camera.R @ turn) for turn in turns]
-        views = (scene.view, *(View(silhouette_of(target, camera), camera) for camera in cameras))
+        views = tuple(views_around(scene.view, target, 2.0 * np.pi * np.arange(1, MASKS) / MASKS))
         cases.append(Case("example", category, category, 0, "initial.ply", scene.points, target, target, views, float("nan")))
     return cases
 
