@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tso_cli.cli import main
 from tso_cli.io.checkpoints import save_network
 from tso_cli.network import model as networks
 from tso_cli.network.model import NetworkConfig, build_network
@@ -34,13 +33,6 @@ def thin_checkpoint(folder: Path, monkeypatch: pytest.MonkeyPatch, points: int, 
     config = NetworkConfig(points=points, **settings)  # type: ignore[arg-type]
     save_network(path, build_network(points, seed=0), config, overwrite=True)
     return path
-
-
-def tso(*arguments: object) -> int:
-    """The exit code of `tso` with these arguments."""
-    with pytest.raises(SystemExit) as stopped:
-        main([str(argument) for argument in arguments])
-    return int(stopped.value.code or 0)
 
 
 def rng() -> np.random.Generator:

@@ -11,7 +11,6 @@ import pytest
 import torch
 from PIL import Image
 
-from tests.lab.studying import tso
 from tests.training import make_known
 from tso_cli.errors import TsoError
 from tso_cli.lab.bench import PARTS, kernels, phases, refining, speed, timing
@@ -201,7 +200,7 @@ def test_an_installation_is_smaller_without_what_only_torch_requires():
 # The command
 
 
-def test_the_command_writes_record_page_and_chart(measured, tmp_path, capsys, monkeypatch):
+def test_the_command_writes_record_page_and_chart(tso, measured, tmp_path, monkeypatch):
     make_known(monkeypatch)
     monkeypatch.setattr(speed, "compile_loops", lambda: None)
     for name in PARTS:
@@ -209,14 +208,12 @@ def test_the_command_writes_record_page_and_chart(measured, tmp_path, capsys, mo
         part = {"refining": refining, "kernels": kernels, "phases": phases}[PARTS[name]]
         monkeypatch.setattr(part, f"measure_{name}", lambda setting, rows=rows: rows if torch.get_num_threads() == 1 else [])
     output = tmp_path / "speed.json"
-    assert tso("bench", "speed", "-o", output) == 0
-    printed = capsys.readouterr().out
+    printed = tso("bench", "speed", "-o", output).out
     assert all(row["name"] in printed for row in measured)
     record = json.loads(output.read_text())
     assert record["cases"] == json.loads(json.dumps(measured))
     assert (record["study"], record["command"]) == ("speed", "tso bench speed")
     with Image.open(output.with_suffix(".png")) as chart:
         assert min(chart.size) > 500
-    assert tso("bench", "speed", "--only", "chamfer", "--json") == 0
-    assert {row["what"] for row in json.loads(capsys.readouterr().out)["cases"]} == {"chamfer"}
-    assert tso("bench", "speed", "--only", "nothing") == 2
+    assert {row["what"] for row in tso("bench", "speed", "--only", "chamfer", "--json").document["cases"]} == {"chamfer"}
+    assert "nothing" in tso("bench", "speed", "--only", "nothing").refusal

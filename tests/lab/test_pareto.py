@@ -20,7 +20,7 @@ from tso_cli.lab.studies.refining import Variant
 from tso_cli.refinement import RefineConfig
 
 from ..training import make_known
-from .studying import MESHES, tso
+from .studying import MESHES
 
 # Few different numbers, so that some are equal.
 NUMBERS = st.integers(0, 6).map(float)
@@ -78,9 +78,7 @@ def test_sweeps_of_the_input_go_through_the_default():
 
 
 @pytest.mark.slow
-def test_the_command_writes_record_chart_and_page_and_a_line_more_in_the_table_is_a_way_more(
-    split, tmp_path, capsys, monkeypatch
-):
+def test_the_command_writes_record_chart_and_page_and_a_line_more_in_the_table_is_a_way_more(tso, split, tmp_path, monkeypatch):
     make_known(monkeypatch)
     kept = (
         DEFAULT,
@@ -100,8 +98,7 @@ def test_the_command_writes_record_chart_and_page_and_a_line_more_in_the_table_i
     output = tmp_path / "pareto.json"
     categories = [word for name in CATEGORIES for word in ("--category", name)]
     arguments = ("bench", "pareto", "--meshes", MESHES, "--split", split, *categories, "-o", output)
-    assert tso(*arguments) == 0
-    assert "start: the network's prediction: 3 cases of 3 shapes" in capsys.readouterr().out
+    assert "start: the network's prediction: 3 cases of 3 shapes" in tso(*arguments).out
     record = json.loads(output.read_text())
     assert (record["complete"], record["command"][:16]) == (True, "tso bench pareto")
     assert {"cpu", "cores"} <= set(record["settings"]["machine"])
@@ -115,5 +112,5 @@ def test_the_command_writes_record_chart_and_page_and_a_line_more_in_the_table_i
     with Image.open(output.with_suffix(".png")) as picture:
         assert picture.width == 900
     monkeypatch.setattr(pareto, "_judged", None)
-    assert tso(*arguments, "--resume") == 0
+    assert tso(*arguments, "--resume").code == 0
     assert json.loads(output.read_text())["cases"] == record["cases"]

@@ -21,7 +21,7 @@ from tso_cli.refinement import RefineConfig
 from ..readme import RECORDS
 from ..training import make_known
 from . import studying
-from .studying import thin_checkpoint, timeless, tso
+from .studying import thin_checkpoint, timeless
 
 SETTINGS = {"length": 1}
 
@@ -144,25 +144,22 @@ def test_outputs_that_cannot_be_are_refused_before_the_work(toy, tmp_path):
         assert output.read_text() == content
 
 
-def test_pages_are_written_anew_of_complete_records(tmp_path, monkeypatch, capsys):
+def test_pages_are_written_anew_of_complete_records(tso, tmp_path, monkeypatch):
     monkeypatch.setattr(pages, "load", lambda name: TOY)
     path = tmp_path / "toys.json"
     path.write_text(json.dumps({"study": "pose", "convention": {"size": "in cm"}, "cases": [{"size": 3}]}))
-    assert tso("lab", "page", path) == 0
-    assert capsys.readouterr().out == f"{path.with_suffix('.md')}\n"
+    assert tso("lab", "page", path).out == f"{path.with_suffix('.md')}\n"
     assert "| 1.000 | car |" in path.with_suffix(".md").read_text()
     for content, message in (
         ('{"study": "cooking"}', "of the study 'cooking', expected one of accuracy, "),
         ('{"study": "pose", "complete": false}', "is not complete, expected a finished record"),
     ):
         path.write_text(content)
-        assert tso("lab", "page", path) == 2
-        assert message in capsys.readouterr().err
+        assert message in tso("lab", "page", path).refusal
 
 
-def test_a_study_asks_for_its_meshes(capsys):
-    assert tso("lab", "pose") == 2
-    assert "--meshes" in capsys.readouterr().err
+def test_a_study_asks_for_its_meshes(tso):
+    assert "--meshes" in tso("lab", "pose").refusal
 
 
 @pytest.mark.parametrize("path", sorted(RECORDS.glob("*.json")), ids=lambda path: path.stem)
@@ -206,7 +203,7 @@ COMMANDS: dict[str, tuple[tuple[Any, ...], int, tuple[str, ...]]] = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", QUESTIONS)
 def test_each_command_writes_record_chart_and_page_and_resumes_to_the_same_cases(
-    name, split, small, tmp_path, monkeypatch, capsys
+    tso, name, split, small, tmp_path, monkeypatch
 ):
     arguments, first, words = COMMANDS[name]
     if name in ("tso", "network"):
@@ -222,8 +219,7 @@ def test_each_command_writes_record_chart_and_page_and_resumes_to_the_same_cases
     )
     output = tmp_path / "record.json"
     arguments = ("lab", name, "--meshes", studying.MESHES, "--split", split, *arguments, "-o", output)
-    assert tso(*arguments) == 0
-    printed, text = capsys.readouterr().out, output.with_suffix(".md").read_text()
+    printed, text = tso(*arguments).out, output.with_suffix(".md").read_text()
     for word in words:
         assert word in printed and word in text
     assert output.with_suffix(".png").stat().st_size > 3000
@@ -231,7 +227,7 @@ def test_each_command_writes_record_chart_and_page_and_resumes_to_the_same_cases
     assert whole["complete"] and whole["command"].startswith(f"tso lab {name} --meshes DIR")
     assert len(output.read_text().splitlines()) > len(whole["cases"])
     output.write_text(json.dumps({**whole, "complete": False, "cases": whole["cases"][:first]}))
-    assert tso(*arguments, "--resume", "--json") == 0
+    assert tso(*arguments, "--resume", "--json").code == 0
     resumed = json.loads(output.read_text())
     assert resumed["cases"][:first] == whole["cases"][:first]
     assert timeless(resumed) == timeless(whole)
@@ -247,11 +243,11 @@ def test_each_command_writes_record_chart_and_page_and_resumes_to_the_same_cases
         (["accuracy", "--kind", "near", "--category", "chair"], "kinds are near, expected some that chair have"),
     ],
 )
-def test_unusable_input_is_one_line(arguments, message, split, tmp_path, monkeypatch, capsys):
+def test_unusable_input_is_one_line(tso, arguments, message, split, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("other.json").write_text(json.dumps({"study": "points", "settings": {}, "cases": []}))
     Path("absent.json").write_text(json.dumps({"train": ["car/nothing"], "test": ["car/qreal_SUV"]}))
-    assert tso("lab", arguments[0], "--meshes", studying.MESHES, "--split", split, *arguments[1:]) == 2
-    errors = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("tso: checkpoint")]
-    assert len(errors) == 1 and message in errors[0]
+    run = tso("lab", arguments[0], "--meshes", studying.MESHES, "--split", split, *arguments[1:])
+    errors = [line for line in run.err.splitlines() if not line.startswith("tso: checkpoint")]
+    assert run.code == 2 and len(errors) == 1 and message in errors[0]
     assert len(list(tmp_path.iterdir())) == 2
