@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from functools import cache, partial
 from pathlib import Path
 from textwrap import fill
-from typing import Any
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from ..studies.cases import MASKS, Case, CaseBuilder, views_around
 from ..studies.refining import DEFAULT, FOUR_MASKS, POINTS, Variant
 from ..studies.shapes import shapes_of_part
 from ..studies.summary import grouped
-from ..study import SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table, part
+from ..study import SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table
 from .axes import AXES, Axis
 from .chart import draw_axes
 from .knees import AXIS, FIGURES, SILENT, WORSE, got_worse, knee
@@ -64,16 +63,7 @@ def example_cases() -> list[Case]:
     return cases
 
 
-def plan(
-    progress: Progress,
-    *,
-    quick: bool,
-    meshes: Path | None,
-    split: Path | None,
-    groups: tuple[str, ...],
-    pictures: Path | None,
-    **settings: Any,
-) -> Plan:
+def plan(progress: Progress, *, quick: bool, meshes: Path | None, split: Path | None, pictures: Path | None, seed: int) -> Plan:
     """Every axis with the default preset; fewer levels and seeds with the other variants, and some axes with peers.
 
     Raises InputError without ``meshes``, unless ``quick``.
@@ -81,22 +71,19 @@ def plan(
     if pictures is not None:
         check_output(pictures, progress.overwrite)
     if quick:
-        settings |= {"part": "examples", "categories": [], "seeds": 1}
-        names, cases_of = ["chair", "car", "airplane"], example_cases
+        names, cases_of, seeds = ["chair", "car", "airplane"], example_cases, [seed]
     else:
         if meshes is None:
             raise InputError("--meshes is missing, expected a folder of meshes (or --quick, for the shipped examples)")
-        settings["categories"] = list(settings["categories"])
-        shapes = shapes_of_part(meshes, split, settings["part"], settings["categories"], settings["limit"])
-        builder = CaseBuilder(meshes, split, 1, SIZE, COUNT, settings["seed"])
-        names = [shape.name for shape in shapes]
+        shapes = shapes_of_part(meshes, split, "test", CATEGORIES, SHAPES)
+        builder = CaseBuilder(meshes, split, 1, SIZE, COUNT, seed)
+        names, seeds = [shape.name for shape in shapes], [seed, seed + 1]
 
         @cache
         def cases_of() -> list[Case]:
             return [case for shape in shapes for case in builder.cases(shape, "other")]
 
-    settings |= {"quick": quick, "groups": list(groups), "shapes": names}
-    seeds = [settings["seed"] + number for number in range(settings["seeds"])]
+    settings = {"quick": quick, "seed": seed, "seeds": len(seeds), "shapes": names}
 
     def judge_axis(axis: Axis, name: str, way: Way) -> Cases:
         in_full = name == DEFAULT and not quick
@@ -106,7 +93,6 @@ def plan(
     jobs = [
         ({"axis": axis.name, "variant": name}, partial(judge_axis, axis, name, way))
         for axis in AXES
-        if axis.group in groups
         for name, way in _ways(axis, quick).items()
     ]
 
@@ -240,11 +226,6 @@ STUDY = Study(
         Option("--quick", "Shipped examples, every second level, one seed.", bool, False),
         Option("--meshes", "Folder with CATEGORY/NAME for every name of the split; not with --quick.", Path),
         SPLIT,
-        part("test", "train", "validation", "test"),
-        Option("--category", "May be repeated.", default=CATEGORIES, multiple=True, name="categories"),
-        Option("--limit", "At most so many shapes of each category.", int, SHAPES, least=1),
-        Option("--only", "Axes of this group alone. May be repeated.", str, GROUPS, GROUPS, multiple=True, name="groups"),
-        Option("--seeds", "Random directions and places of each case.", int, 2, least=1),
         SEED,
         Option("--pictures", "Draw results that are worst without a word here (.png).", Path),
     ),
