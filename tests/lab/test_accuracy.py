@@ -155,4 +155,5 @@ def test_the_command_draws_extreme_cases_and_overwrites_no_picture(tso, split, t
         assert 0.0 < row["f_score"] <= 1.0
     with Image.open(tmp_path / "cases.png") as picture:
         assert min(picture.size) > 100
-    assert "exists" in tso("lab", *arguments).refusal
+    run = tso("lab", *arguments)
+    assert run.code == 2 and "exists" in run.err
