@@ -22,7 +22,7 @@ from ..studies.cases import Case, CaseBuilder, kinds_of
 from ..studies.shapes import Shape, shapes_of_part, view_aligned_network, weights_hash
 from ..studies.summary import grouped, ratio_figures, rounded
 from ..study import COMMON, DEVICE, VIEWS, Cases, Option, Plan, Progress, Record, Study, Table, claim, part
-from .pareto_chart import draw_pareto
+from .pareto_chart import draw
 from .speed import machine
 from .timing import timed
 from .ways import DEFAULT, PAPER, PREDICTION, PUBLISHED, PUBLISHED_SECONDS, STARTS, WAYS, Way
@@ -143,11 +143,6 @@ def tables(record: Record) -> list[Table]:
     of = record["settings"]["machine"]
     found.append(Table(["measured on"], [[f"{of['cpu']}, {of['cores']} cores, device {record['settings']['device']}"]]))
     return found
-
-
-def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """Ratio against seconds, a panel for each start."""
-    draw_pareto(path, record["summary"], overwrite)
 
 
 STUDY = Study(

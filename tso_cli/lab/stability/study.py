@@ -20,10 +20,10 @@ from ..studies.accuracy import CATEGORIES
 from ..studies.cases import MASKS, Case, CaseBuilder, views_around
 from ..studies.refining import DEFAULT, FOUR_MASKS, POINTS, Variant
 from ..studies.shapes import shapes_of_part
-from ..studies.summary import grouped
+from ..studies.summary import grouped, summarised
 from ..study import SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table
 from .axes import AXES, Axis
-from .chart import draw_axes
+from .chart import draw
 from .knees import AXIS, FIGURES, SILENT, WORSE, got_worse, knee
 from .runs import Way, judge, outcomes_of, run_of
 
@@ -145,10 +145,7 @@ def _worst(rows: Cases, cases: Sequence[Case], seeds: Sequence[int]) -> list[tup
 def conclude(cases: Cases) -> Record:
     """{"knees": {variant: {axis: knee}}, and of the default preset "silence", shares of runs that got worse without a word, and
     "halves" of the axes, from harmless to hopeless}."""
-    knees = {
-        variant: {name: knee(rows) for name, rows in grouped(of_variant, "axis").items()}
-        for variant, of_variant in grouped(cases, "variant").items()
-    }
+    knees = summarised(cases, ("variant", "axis"), knee)
     silence = {}
     for what, gross in (("gross mistakes", True), ("other mistakes", False)):
         rows = [row for row in cases if row["variant"] == DEFAULT and AXIS[row["axis"]].gross == gross]
@@ -182,7 +179,11 @@ def _worse(row: Record) -> list[str]:
 
 def tables(record: Record) -> list[Table]:
     """The figures of every level of the default preset, of the other ways all together, the knees, and the silence."""
-    rows = [[row["axis"], AXIS[row["axis"]].at(row["level"]), *_figures(row)] for row in _of(record, DEFAULT)]
+    rows = [
+        [row["axis"], AXIS[row["axis"]].at(row["level"]), *_figures(row)]
+        for row in record["cases"]
+        if row["variant"] == DEFAULT
+    ]
     several = {row["axis"] for row in record["cases"] if row["variant"] != DEFAULT}.intersection(COMPARED)
     chosen = [row for row in record["cases"] if row["axis"] in several and row["level"] in fewer_levels(AXIS[row["axis"]])]
     chosen.sort(key=lambda row: (COMPARED.index(row["axis"]), row["level"]))
@@ -199,17 +200,8 @@ def tables(record: Record) -> list[Table]:
     ]
 
 
-def _of(record: Record, variant: str) -> Cases:
-    return [row for row in record["cases"] if row["variant"] == variant]
-
-
 def _figures(row: Record) -> list[float | None]:
     return [row[name] for name in FIGURES]
-
-
-def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """A row for each axis, by the default preset."""
-    draw_axes(path, grouped(_of(record, DEFAULT), "axis"), record["knees"][DEFAULT], overwrite)
 
 
 STUDY = Study(
