@@ -160,6 +160,7 @@ def test_pages_are_written_anew_of_complete_records(tso, tmp_path, monkeypatch):
 
 def test_a_study_asks_for_its_meshes(tso):
     assert "--meshes" in tso("lab", "pose").refusal
+    assert "No such command 'posing'" in tso("lab", "posing").refusal
 
 
 @pytest.mark.parametrize("path", sorted(RECORDS.glob("*.json")), ids=lambda path: path.stem)

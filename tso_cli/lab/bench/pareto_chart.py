@@ -25,10 +25,10 @@ def draw(path: Path, record: Record, overwrite: bool) -> None:
     from matplotlib.ticker import LogLocator, NullFormatter
 
     # Predictions gain little: with more masks than one on the axis, the modes of the network could not be told apart.
-    shown = {kind: dict(group) for kind, group in record["summary"].items()}
-    if PREDICTION in shown:
-        ways = shown[PREDICTION]["ways"].items()
-        shown[PREDICTION]["ways"] = {name: row for name, row in ways if WAYS[name].masks == 1}
+    shown = {
+        kind: {**group, "ways": {name: row for name, row in group["ways"].items() if kind == CLOUD or WAYS[name].masks == 1}}
+        for kind, group in record["summary"].items()
+    }
     with page(path, overwrite, (9.0, 5.8), dpi=100) as figure:
         axes = figure.subplots(1, len(shown), squeeze=False)[0]
         for axis, (kind, group) in zip(axes, shown.items(), strict=True):
