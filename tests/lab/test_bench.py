@@ -13,7 +13,7 @@ from PIL import Image
 
 from tests.training import make_known
 from tso_cli.errors import TsoError
-from tso_cli.lab.bench import PARTS, kernels, phases, refining, speed, timing
+from tso_cli.lab.bench import PARTS, kernels, refining, speed, timing
 from tso_cli.lab.bench.timing import Contestant, Setting, record, timed
 from tso_cli.losses.chamfer import ChamferToStart
 from tso_cli.losses.silhouette import silhouette_sums
@@ -40,7 +40,7 @@ def measured():
             *refining.measure_command(QUICK),
             *refining.measure_object(QUICK, (64,), steps=1),
             *refining.measure_batch(QUICK, (1, 2), steps=1, most=2),
-            *phases.measure_phases(QUICK, (64,), ()),
+            *refining.measure_phases(QUICK, (64,), ()),
             *kernels.measure_silhouette(QUICK, [(64, 16), (128, 32)]),
             *kernels.measure_chamfer(QUICK, [64]),
         ]
@@ -205,7 +205,7 @@ def test_the_command_writes_record_page_and_chart(tso, measured, tmp_path, monke
     monkeypatch.setattr(speed, "compile_loops", lambda: None)
     for name in PARTS:
         rows = [row for row in measured if row["what"] == name]
-        part = {"refining": refining, "kernels": kernels, "phases": phases}[PARTS[name]]
+        part = {"refining": refining, "kernels": kernels}[PARTS[name]]
         monkeypatch.setattr(part, f"measure_{name}", lambda setting, rows=rows: rows if torch.get_num_threads() == 1 else [])
     output = tmp_path / "speed.json"
     printed = tso("bench", "speed", "-o", output).out

@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 
 from tso_cli.errors import InputError
 from tso_cli.lab.commands import tools as pages
-from tso_cli.lab.commands.records import command_of
 from tso_cli.lab.studies import QUESTIONS, accuracy, evidence, fingerprint, pose, refining
 from tso_cli.lab.study import MESHES, Option, Plan, Progress, Study, Table, claim, page
 from tso_cli.refinement import RefineConfig
@@ -93,22 +91,18 @@ def test_a_record_of_another_study_or_of_other_settings_is_not_resumed(earlier, 
 
 
 @pytest.fixture
-def toy(tmp_path, monkeypatch):
+def toy(tso, tmp_path, monkeypatch):
     """A function that runs the command of the toy study; and the path of its record."""
     make_known(monkeypatch)
-    output = tmp_path / "toys.json"
-
-    def call(*arguments):
-        return CliRunner().invoke(command_of(TOY), ["--meshes", str(tmp_path), *map(str, arguments)])
-
-    return call, output
+    monkeypatch.setattr(pages, "load", lambda name: TOY)
+    return partial(tso, "lab", "pose", "--meshes", tmp_path), tmp_path / "toys.json"
 
 
 def test_the_command_writes_record_chart_and_page_and_goes_on_from_the_record(toy):
     call, output = toy
     result = call("-o", output, "--deep", "--size", 1, "--size", 3, "--size", 1)
-    assert "Toys\n size  name\n" in result.stdout
-    assert "target missed: sizes shrink (2 > 1)" in result.stdout
+    assert "Toys\n size  name\n" in result.out
+    assert "target missed: sizes shrink (2 > 1)" in result.out
     record = json.loads(output.read_text())
     assert [case["size"] for case in record["cases"]] == [1, 3]
     assert record["command"] == "tso lab pose --meshes DIR --size 1 --size 3 --size 1 --deep"
@@ -128,19 +122,19 @@ def test_the_command_writes_record_chart_and_page_and_goes_on_from_the_record(to
         "- size: in cm",
     ):
         assert part in text
-    assert "exists already" in str(call("-o", output).exception)
+    assert "exists already" in call("-o", output).refusal
     resumed = call("-o", output, "--resume", "--json", "--size", 1, "--size", 3, "--size", 5)
-    assert [case["size"] for case in json.loads(resumed.stdout)["cases"]] == [1, 3, 5]
-    assert call("--size", 0).exit_code == 2
+    assert [case["size"] for case in resumed.document["cases"]] == [1, 3, 5]
+    assert "--size" in call("--size", 0).refusal
 
 
 def test_outputs_that_cannot_be_are_refused_before_the_work(toy, tmp_path):
     call, output = toy
-    assert "--resume goes on from a record" in str(call("--resume").exception)
-    assert "expected .json" in str(call("-o", tmp_path / "toys.txt").exception)
+    assert "--resume goes on from a record" in call("--resume").refusal
+    assert "expected .json" in call("-o", tmp_path / "toys.txt").refusal
     for content, message in (("precious", "is not JSON"), ("[1]", "no JSON object"), ('{"study": "sigma"}', "'sigma'")):
         output.write_text(content)
-        assert message in str(call("-o", output, "--resume").exception)
+        assert message in call("-o", output, "--resume").refusal
         assert output.read_text() == content
 
 

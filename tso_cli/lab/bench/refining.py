@@ -1,4 +1,4 @@
-"""Refinements: whole commands, single objects and batches."""
+"""Refinements: whole commands, single objects, their phases and memory, and batches."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from itertools import product
+from multiprocessing import get_context
+from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
@@ -22,7 +25,7 @@ from ...io.shipped import examples_folder
 from ...refinement import PRESETS, RefineConfig, refine, refine_batch
 from ...scene.load import load_points_scene
 from ..studies.cases import views_around
-from ..study import Cases
+from ..study import Cases, Record
 from .timing import (
     FORMS,
     IMPORT_TORCH,
@@ -32,6 +35,7 @@ from .timing import (
     as_installed,
     never_run,
     process,
+    record,
     timed,
 )
 
@@ -44,6 +48,8 @@ DEGREES_BETWEEN_VIEWS = 50.0
 SIZES = (1024, 16384)
 # Numbers of views of the default preset, at the smallest size.
 MORE_VIEWS = (2, 4)
+# Points of the largest cloud that is taken apart in phases, calls after the first, and where Linux tells how much they took.
+LARGE, RUNS, PROCESS = 262_144, 3, Path("/proc/self/status")
 BATCHES = (16, 64)
 # Of each object of a batch; so many clouds differ.
 POINTS, CLOUDS = 1024, 16
@@ -94,6 +100,28 @@ def measure_object(setting: Setting, sizes: tuple[int, ...] = SIZES, steps: int 
         fields = {"points": points, "preset": preset, "views": views, "form": form}
         contestants.append(Contestant(f"{preset}, {form}", timed(work, form), fields))
     return setting.race("object", contestants, "over_import_torch")
+
+
+def measure_phases(setting: Setting, sizes: tuple[int, ...] = (*SIZES, LARGE), views: tuple[int, ...] = MORE_VIEWS) -> Cases:
+    """The default at every size, and at the smallest with more views; each in a process that does nothing else."""
+    records, scenes = [], [*((points, 1) for points in sizes), *((sizes[0], count) for count in views)]
+    for number, (points, count) in enumerate(scenes, 1):
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            records.append(pool.submit(_taken_apart, points, count, setting.seed).result())
+        setting.report("phases", number, len(scenes))
+    return records
+
+
+def _taken_apart(points: int, views: int, seed: int) -> Record:
+    work, seen = cloud(points, seed), chair_views(views)
+    first, *later = (refine(work, seen, config=RefineConfig()).seconds for _ in range(1 + RUNS))
+    phases = {name: float(np.median([seconds[name] for seconds in later])) for name in later[0]}
+    low, median, high = np.percentile([sum(seconds.values()) for seconds in later], [25, 50, 75]).tolist()
+    # Linux alone says so; what `resource` says begins with the peak of the process that started this one.
+    status = PROCESS.read_text() if PROCESS.exists() else ""
+    peak = [round(int(line.split()[1]) / 1024.0) for line in status.splitlines() if line.startswith("VmHWM:")]
+    fields = {"points": points, "views": views, "phases": phases, "first": sum(first.values()), "peak_MiB": (*peak, None)[0]}
+    return record("phases", "best", seconds={"median": median, "low": low, "high": high}, runs=RUNS) | fields
 
 
 def measure_batch(

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...io.meshes import Mesh
-from .draws import Range, chance, draw, pick
-from .parts import X_AXIS, Array, both, loft, oval, rod, turned, wheel
+from .parts import X_AXIS, Array, Range, both, chance, draw, loft, oval, pick, rod, turned, wheel
 
 # Standard deviation of the logarithms by which an aeroplane is stretched along x, y and z.
 SPREAD = 0.06

@@ -10,8 +10,26 @@ from numpy.typing import ArrayLike
 
 from ...geometry.points import Array
 from ...io.meshes import Mesh
-from .draws import Range, chance, draw, pick
-from .parts import X_AXIS, both, box, curve, cushion, flat, loft, oval, plate, rectangle, rod, superellipse, sweep, turned
+from .parts import (
+    X_AXIS,
+    Range,
+    both,
+    box,
+    chance,
+    curve,
+    cushion,
+    draw,
+    flat,
+    loft,
+    oval,
+    pick,
+    plate,
+    rectangle,
+    rod,
+    superellipse,
+    sweep,
+    turned,
+)
 
 # Standard deviation of the logarithms by which a chair is stretched along x, y and z.
 SPREAD = 0.08
