@@ -111,7 +111,7 @@ def test_the_command_tells_records_of_the_method_from_others(tso, tmp_path, fixe
     run = tso("lab", "fingerprint", path)
     assert run.code == 3 and "of another method\n  it has no fingerprint" in run.out
     fixed(number=1.0)
-    write_record({"study": "pose"}, ["camera fit"], path)
+    write_record({"study": "pose", "cases": []}, ["camera fit"], path)
     run = tso("lab", "fingerprint", path)
     assert run.code == 0 and "pose.json: of the method as it is" in run.out
     fixed(number=7.0)

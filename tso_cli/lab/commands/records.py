@@ -73,13 +73,9 @@ def write_record(record: dict[str, Any], parts: Sequence[str], output: Path) -> 
     from ..studies.fingerprint import today
 
     record = {**record, "fingerprint": {part: today(part) for part in parts}}
-    cases = record.pop("cases", None)
-    text = json.dumps(record, indent=1)
-    if cases is not None:
-        lines = ",\n".join(json.dumps(case, separators=(",", ":")) for case in cases)
-        text = f'{text[:-2]},\n "cases": [\n{lines}\n]}}'
+    cases = ",\n".join(json.dumps(case, separators=(",", ":")) for case in record.pop("cases"))
     with atomic_output(output) as temporary:
-        temporary.write_text(text + "\n")
+        temporary.write_text(f'{json.dumps(record, indent=1)[:-2]},\n "cases": [\n{cases}\n]}}\n')
 
 
 class Reporter:
