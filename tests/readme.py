@@ -186,20 +186,20 @@ def photos() -> str:
 
 def machine() -> str:
     """Where the times were taken."""
-    study = record("speed")
-    cpu, versions = study["machine"], study["versions"]
+    settings = record("speed")["settings"]
+    cpu, versions = settings["machine"], settings["versions"]
     return f"{cpu['cpu']}, {cpu['cores']} cores, torch {versions['torch']}, numba {versions['numba']}."
 
 
 def installation() -> str:
     """How much is installed."""
-    megabytes = record("speed")["installed_MB"]
+    megabytes = record("speed")["settings"]["installed_MB"]
     size = f"`pip install .` takes {megabytes['in all']:,} MB, {megabytes['without torch']:,} MB without torch"
     return f"{size} (for CPUs), which networks need."
 
 
 def _timed(what: str) -> list[dict[str, Any]]:
-    return [row for row in record("speed")["records"] if row["what"] == what and row.get("seconds")]
+    return [row for row in record("speed")["cases"] if row["what"] == what and row.get("seconds")]
 
 
 def objects() -> str:
@@ -233,7 +233,7 @@ def kernels() -> str:
     points = (1024, 16384)
     ways = {
         "silhouette": ("tso, compiled", "tso, numpy", "scatter 9x9, torch"),
-        "chamfer": ("tso, compiled", "tso, numpy", "two k-d trees a step, all workers", "point_cloud_utils"),
+        "chamfer": ("tso, compiled", "tso, numpy", "two k-d trees a step, all workers"),
     }
     rows = []
     for what, names in ways.items():

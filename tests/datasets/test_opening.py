@@ -5,17 +5,9 @@ import pytest
 
 from tests.corruption import assert_refused
 from tests.dataset_trees import CHAIR, write_pix3d, write_r2n2, write_shapenet
+from tests.datasets.test_rendered import write
 from tso_cli.datasets.opening import open_dataset
-from tso_cli.datasets.rendered import writing
 from tso_cli.datasets.splits import read_split
-from tso_cli.geometry.camera import Camera
-
-
-def write_rendered(root):
-    image, mask = np.zeros((8, 8, 3), dtype=np.uint8), np.eye(8, dtype=np.uint8) * 255
-    points = np.random.default_rng(0).random((9, 3)).astype(np.float32)
-    with writing(root) as writer:
-        writer.write("chair/abc", [(image, mask, Camera.canonical(8, 8))], points, points, {})
 
 
 @pytest.mark.parametrize(
@@ -25,7 +17,7 @@ def write_rendered(root):
         (write_shapenet, "ShapeNet_rendered", f"{CHAIR}/abc"),
         (write_r2n2, "", f"{CHAIR}/abc"),
         (write_pix3d, "", "chair/IKEA_X/model"),
-        (write_rendered, "", "chair/abc"),
+        (lambda root: write(root / "chair/abc", 0), "", "chair/abc"),
     ],
 )
 def test_every_layout_is_recognised(tmp_path, make, inside, name):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from tso_cli.cli import main
 from tso_cli.io.checkpoints import save_network
 from tso_cli.network import model as networks
 from tso_cli.network.model import NetworkConfig, build_network
@@ -35,16 +35,16 @@ def thin_checkpoint(folder: Path, monkeypatch: pytest.MonkeyPatch, points: int, 
     return path
 
 
-def tso(*arguments: object) -> int:
-    """The exit code of `tso` with these arguments."""
-    with pytest.raises(SystemExit) as stopped:
-        main([str(argument) for argument in arguments])
-    return int(stopped.value.code or 0)
-
-
 def rng() -> np.random.Generator:
     return np.random.default_rng(0)
 
 
 def holding(claims: list[dict]) -> list[bool]:
     return [claim["holds"] for claim in claims]
+
+
+def timeless(value: Any) -> Any:
+    """Without what a clock decides."""
+    if isinstance(value, dict):
+        return {key: timeless(item) for key, item in value.items() if "seconds" not in key}
+    return [timeless(item) for item in value] if isinstance(value, list) else value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +17,7 @@ from tso_cli.refinement.presets import BEST
 from tso_cli.scene.load import load_points_scene
 
 from ..training import make_known
-from .studying import MESHES, tso
+from .studying import MESHES
 
 
 @pytest.mark.slow
@@ -143,19 +142,18 @@ def test_the_table_of_an_ablation_has_a_row_an_ingredient_and_a_column_a_kind():
 
 
 @pytest.mark.slow
-def test_the_command_draws_extreme_cases_and_overwrites_no_picture(split, tmp_path, capsys, monkeypatch):
+def test_the_command_draws_extreme_cases_and_overwrites_no_picture(tso, split, tmp_path, monkeypatch):
     make_known(monkeypatch)
     quick = {name: replace(variant, config=replace(variant.config, steps=3)) for name, variant in POINTS.items()}
     monkeypatch.setattr(accuracy, "variants_of", lambda kind, ablation: quick)
     arguments = ["accuracy", "--meshes", MESHES, "--split", split, "--category", "car", "--kind", "near", "--views", 1]
     arguments += ["--pictures", tmp_path / "cases.png"]
-    assert tso("lab", *arguments, "--json") == 0
-    (case,) = json.loads(capsys.readouterr().out)["cases"]
+    (case,) = tso("lab", *arguments, "--json").document["cases"]
     assert set(case["variants"]) == set(POINTS)
     for row in case["variants"].values():
         assert row["chamfer"] != case["before"]["chamfer"]
         assert 0.0 < row["f_score"] <= 1.0
     with Image.open(tmp_path / "cases.png") as picture:
         assert min(picture.size) > 100
-    assert tso("lab", *arguments) == 2
-    assert "exists" in capsys.readouterr().err
+    run = tso("lab", *arguments)
+    assert run.code == 2 and "exists" in run.err

@@ -8,8 +8,6 @@ import pytest
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.lab.bench import budget
 
-from .studying import tso
-
 
 def test_a_start_is_the_truth_stretched_and_bent_and_its_mask_is_of_the_truth():
     start, target, view = budget.scene("car", 64, 256, seed=0)
@@ -37,10 +35,9 @@ def test_ways_are_compared_with_auto_in_the_scenes_that_both_refine():
     assert [claim["holds"] for claim in found["claims"]] == [False, True]
 
 
-def test_the_command_writes_a_record_its_chart_and_its_page(tmp_path, capsys):
+def test_the_command_writes_a_record_its_chart_and_its_page(tso, tmp_path):
     output = tmp_path / "budget.json"
-    assert tso("bench", "budget", "--shape", "brick", "--scenes", 1, "-o", output) == 0
-    assert "auto's ratio / this" in capsys.readouterr().out
+    assert "auto's ratio / this" in tso("bench", "budget", "--shape", "brick", "--scenes", 1, "-o", output).out
     record = json.loads(output.read_text())
     assert set(record["cases"][0]["ways"]) == set(budget.WAYS)
     assert "brick, 64 px, 256 points" in output.with_suffix(".md").read_text()

@@ -18,8 +18,6 @@ from tso_cli.render import rays
 from tso_cli.silhouette import affinity, bce
 from tso_cli.train import losses
 
-from .studying import tso
-
 
 def of_today(*parts: str) -> dict:
     return json.loads(json.dumps({"fingerprint": {part: today(part) for part in parts}}))
@@ -107,26 +105,23 @@ def test_a_record_of_another_method_is_not_resumed(tmp_path, fixed):
     assert earlier_record("sigma", path, True)["study"] == "pose"
 
 
-def test_the_command_tells_records_of_the_method_from_others(tmp_path, fixed, capsys):
+def test_the_command_tells_records_of_the_method_from_others(tso, tmp_path, fixed):
     path = tmp_path / "pose.json"
     path.write_text('{"study": "pose"}')
-    assert tso("lab", "fingerprint", path) == 3
-    assert "of another method\n  it has no fingerprint" in capsys.readouterr().out
+    run = tso("lab", "fingerprint", path)
+    assert run.code == 3 and "of another method\n  it has no fingerprint" in run.out
     fixed(number=1.0)
-    write_record({"study": "pose"}, ["camera fit"], path)
-    assert tso("lab", "fingerprint", path) == 0
-    assert "pose.json: of the method as it is" in capsys.readouterr().out
+    write_record({"study": "pose", "cases": []}, ["camera fit"], path)
+    run = tso("lab", "fingerprint", path)
+    assert run.code == 0 and "pose.json: of the method as it is" in run.out
     fixed(number=7.0)
-    assert tso("lab", "fingerprint", path) == 3
-    printed = capsys.readouterr()
-    assert "  camera fit: number 1.0, now 7.0\n" in printed.out
-    assert "1 of 1 records" in printed.err
+    run = tso("lab", "fingerprint", path)
+    assert run.code == 3 and "  camera fit: number 1.0, now 7.0\n" in run.out and "1 of 1 records" in run.err
 
 
 @pytest.mark.parametrize(("text", "message"), [("{", "is not JSON"), ("[1]", "holds no JSON object")])
-def test_what_is_no_record_gets_one_line(text, message, tmp_path, capsys):
+def test_what_is_no_record_gets_one_line(tso, text, message, tmp_path):
     path = tmp_path / "record.json"
     path.write_text(text)
-    assert tso("lab", "fingerprint", path) == 2
-    error = capsys.readouterr().err
-    assert str(path) in error and message in error and error.count("\n") == 1
+    refusal = tso("lab", "fingerprint", path).refusal
+    assert str(path) in refusal and message in refusal

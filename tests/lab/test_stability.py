@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.lab.studying import tso
 from tso_cli.errors import InputError
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.rotations import angle_between
@@ -208,15 +207,14 @@ def test_the_plain_cross_entropy_does_what_the_paper_does_near_the_mask_and_stay
 
 
 @pytest.mark.slow
-def test_the_command_writes_record_chart_page_and_pictures_and_goes_on_where_it_was(tmp_path, capsys, monkeypatch):
+def test_the_command_writes_record_chart_page_and_pictures_and_goes_on_where_it_was(tso, tmp_path, monkeypatch):
     names = ("mask inverted", "yaw of the camera", "start far off")
     monkeypatch.setattr(study, "AXES", tuple(AXIS[name] for name in names))
     monkeypatch.setattr(study, "COMPARED", ("mask inverted",))
     monkeypatch.setattr("tso_cli.lab.studies.fingerprint.today", lambda part: {"IoU": 1.0})
     output, pictures = tmp_path / "stability.json", tmp_path / "stability.pictures.png"
     arguments = ("bench", "stability", "--quick", "-o", output, "--pictures", pictures)
-    assert tso(*arguments) == 0
-    assert "works to" in capsys.readouterr().out
+    assert "works to" in tso(*arguments).out
     record = json.loads(output.read_text())
     assert record["complete"]
     assert record["command"].startswith("tso bench stability --quick")
@@ -226,10 +224,9 @@ def test_the_command_writes_record_chart_page_and_pictures_and_goes_on_where_it_
     for suffix in (".png", ".md", ".pictures.png"):
         assert output.with_suffix(suffix).stat().st_size > 1000
     monkeypatch.setattr(study, "judge", None)
-    assert tso(*arguments, "--resume") == 0
+    assert tso(*arguments, "--resume").code == 0
     assert json.loads(output.read_text())["cases"] == record["cases"]
 
 
-def test_without_meshes_only_the_quick_run_is_there(capsys):
-    assert tso("bench", "stability") == 2
-    assert "--meshes is missing" in capsys.readouterr().err
+def test_without_meshes_only_the_quick_run_is_there(tso):
+    assert "--meshes is missing" in tso("bench", "stability").refusal

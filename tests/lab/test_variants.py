@@ -22,7 +22,7 @@ from tso_cli.refinement.objective import SilhouetteObjective
 from tso_cli.render import RayScene, RenderSettings, look_at
 from tso_cli.scene.network import network_scene
 
-from .studying import MESHES, holding, thin_checkpoint, tso, write_split
+from .studying import MESHES, holding, thin_checkpoint, write_split
 
 COP = Shape("car/qreal_Cop", MESHES / "car" / "qreal_Cop.ply")
 
@@ -166,7 +166,7 @@ def test_a_gain_that_depends_on_the_choice_of_shapes_does_not_count():
 
 
 @pytest.mark.slow
-def test_ctrl_c_keeps_the_shapes_done(checkpoint, tmp_path, monkeypatch):
+def test_ctrl_c_keeps_the_shapes_done(tso, checkpoint, tmp_path, monkeypatch):
     output, split = tmp_path / "tso.json", write_split(tmp_path, test=["car/qreal_Cop", "chair/q19_Chair"])
     calls = iter(range(1000))
     true_call = SilhouetteObjective.__call__
@@ -178,7 +178,7 @@ def test_ctrl_c_keeps_the_shapes_done(checkpoint, tmp_path, monkeypatch):
 
     monkeypatch.setattr(SilhouetteObjective, "__call__", interrupted)
     arguments = ("--meshes", MESHES, "--split", split, "--checkpoint", checkpoint, "--views", 1, "--steps", 1, "-o", output)
-    assert tso("lab", "tso", *arguments) == 130
+    assert tso("lab", "tso", *arguments).code == 130
     record = json.loads(output.read_text())
     assert not record["complete"]
     assert [case["shape"] for case in record["cases"]] == ["car/qreal_Cop"]

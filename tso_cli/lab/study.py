@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from ..errors import InputError
 from ..io.output import reason
 from ..plots.table import Cell, text_table
 from ..version import __version__
-from .studies import QUESTIONS
+from .studies import BENCHES, QUESTIONS
 
 Record = dict[str, Any]
 Cases = list[Record]
@@ -123,72 +124,67 @@ class Plan:
     finish: Callable[[Record], None] = lambda record: None
 
 
-@dataclass(frozen=True)
-class Shown:
-    """How the record of a study or measurement is shown.
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """A question to the method: ``plan`` says what to do for ``options``, ``conclude`` what all cases together say.
 
-    ``parts`` are those of the method that its `fingerprint` is of; ``tables`` and ``draw`` (path, record, overwrite) show a
-    record, ``reading`` says on its page what it means.
+    ``about`` is the help of its command, below the question. ``parts`` are those of the method that its `fingerprint` is of;
+    ``tables`` and ``draw`` (path, record, overwrite) show a record, ``reading`` says on its page what it means.
     """
 
     name: str
-    about: str
+    about: str = ""
     parts: tuple[str, ...]
     tables: Callable[[Record], list[Table]]
     draw: Callable[[Path, Record, bool], None]
     reading: str
-
-    @property
-    def question(self) -> str:
-        return QUESTIONS[self.name][1] if self.name in QUESTIONS else self.about
-
-
-@dataclass(frozen=True)
-class Study(Shown):
-    """A question to the method: ``plan`` says what to do for ``options``, ``conclude`` what all cases together say.
-
-    ``group`` says of which group its command is.
-    """
-
     convention: Record
     options: tuple[Option, ...]
     plan: Callable[..., Plan]
     conclude: Callable[[Cases], Record]
-    group: str = "lab"
+
+    @property
+    def question(self) -> str:
+        return (QUESTIONS | BENCHES)[self.name][1]
+
+    @property
+    def command(self) -> str:
+        return f"tso {'bench' if self.name in BENCHES else 'lab'} {self.name}"
 
     def run(self, progress: Progress, **options: Any) -> Record:
         """The record of all cases; those of ``progress.earlier`` are not judged again.
 
         Raises InputError if the earlier record is of another study or of other settings.
         """
+        began = time.monotonic()
         plan = self.plan(progress, **options)
         cases = self._earlier_cases(progress, plan.settings)
-        record = self._checked_record(plan, cases, progress)
+        record = self._checked_record(plan, cases, progress, began)
         progress.keep(record)
         for number, (shared, judge) in enumerate(plan.jobs, 1):
             if not _judged(shared, cases):
                 cases = [*cases, *judge()]
-                record = self._checked_record(plan, cases, progress)
+                record = self._checked_record(plan, cases, progress, began)
                 progress.keep(record)
             progress.report(plan.doing, number, len(plan.jobs))
         plan.finish(record)
         return record
 
-    def _checked_record(self, plan: Plan, cases: Cases, progress: Progress) -> Record:
+    def _checked_record(self, plan: Plan, cases: Cases, progress: Progress, began: float) -> Record:
         """The record; InputError where cases of an earlier one cannot be concluded from or shown."""
         if progress.earlier is None:
-            return self._record(plan, cases)
+            return self._record(plan, cases, time.monotonic() - began)
         with undamaged(progress.source):
-            record = self._record(plan, cases)
+            record = self._record(plan, cases, progress.earlier.get("seconds", 0.0) + time.monotonic() - began)
             for table in self.tables(record) if record["complete"] else ():
                 table.text()
         return record
 
-    def _record(self, plan: Plan, cases: Cases) -> Record:
+    def _record(self, plan: Plan, cases: Cases, seconds: float) -> Record:
         complete = all(_judged(shared, cases) for shared, _ in plan.jobs)
         head = {"study": self.name, "version": __version__, "convention": self.convention, "complete": complete}
         conclusions = self.conclude(cases) if complete else {}
-        return {**head, "settings": plan.settings, **conclusions, "cases": cases}
+        return {**head, "seconds": seconds, "settings": plan.settings, **conclusions, "cases": cases}
 
     def _earlier_cases(self, progress: Progress, settings: Record) -> Cases:
         if progress.earlier is None:
@@ -196,7 +192,7 @@ class Study(Shown):
         name, before, cases = (progress.earlier.get(key) for key in ("study", "settings", "cases"))
         text = progress.source
         if name != self.name or not isinstance(before, dict) or not isinstance(cases, list):
-            raise InputError(f"{text} is of the study {name!r}, expected one of tso lab {self.name}")
+            raise InputError(f"{text} is of the study {name!r}, expected one of {self.command}")
         for key, value in settings.items():
             if before.get(key) != value:
                 raise InputError(f"{text} has {key} {before.get(key)!r}, now it is {value!r}; expected the same")
@@ -217,17 +213,17 @@ def claim_line(claim: Record) -> str:
     return f"{'holds' if claim['holds'] else 'target missed'}: {claim['claim']} ({claim['found']})"
 
 
-def answer(study: Shown, record: Record) -> str:
+def answer(study: Study, record: Record) -> str:
     """Tables, convention and claims of a record, for a terminal."""
     claims = "\n".join(map(claim_line, record.get("claims", [])))
     return "\n\n".join(filter(None, (*(table.text() for table in study.tables(record)), _convention(record), claims)))
 
 
-def page(study: Shown, record: Record, file_name: str, more_charts: Sequence[str] = ()) -> str:
+def page(study: Study, record: Record, file_name: str, more_charts: Sequence[str] = ()) -> str:
     """The page of the record in ``file_name``, NAME.json, as Markdown; its chart is NAME.png beside it."""
     parts = [
         f"# {study.question}",
-        f"    {record.get('command', f'tso lab {study.name}')} -o {file_name}",
+        f"    {record.get('command', study.command)} -o {file_name}",
         study.reading,
         f"![{study.question}]({file_name.removesuffix('.json')}.png)",
         *(f"![{name}]({name})" for name in more_charts),

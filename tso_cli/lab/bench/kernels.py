@@ -1,13 +1,9 @@
-"""The kernels of the paper's preset beside torch and other packages, value and gradient."""
+"""The kernels of the paper's preset beside other ways in torch and scipy, value and gradient."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import redirect_stdout
+from collections.abc import Callable, Sequence
 from functools import partial
-from importlib import import_module
-from typing import Any
 
 import numpy as np
 import torch
@@ -24,8 +20,9 @@ from ...losses.silhouette import silhouette_bce
 from ...refinement import RefineConfig, refine
 from ...refinement.optimise import Array, Term
 from ...refinement.presets import PAPER_SIGMA_SQ
+from ..study import Cases
 from .refining import chair_views, cloud
-from .timing import FORMS, Contestant, Records, Setting, record, timed
+from .timing import FORMS, Contestant, Setting, record, timed
 
 # Points and pixels each way; points.
 PICTURES, CLOUDS = ((256, 32), (1024, 64), (4096, 128), (16384, 256)), (1024, 4096, 16384)
@@ -35,7 +32,7 @@ STEPS = (10, 30, 50)
 CDIST_UP_TO = 4096
 
 
-def measure_silhouette(setting: Setting, sizes: Sequence[tuple[int, int]] = PICTURES) -> Records:
+def measure_silhouette(setting: Setting, sizes: Sequence[tuple[int, int]] = PICTURES) -> Cases:
     """Seconds of the loss of points and a mask at every size, on one thread; tso's compiled loops are first."""
     records = []
     for count, side in sizes:
@@ -78,7 +75,7 @@ def scattered_loss(points_px: Tensor, mask: Tensor) -> Tensor:
     return torch.nn.functional.binary_cross_entropy(silhouette, mask, reduction="sum")
 
 
-def measure_chamfer(setting: Setting, sizes: Sequence[int] = CLOUDS) -> Records:
+def measure_chamfer(setting: Setting, sizes: Sequence[int] = CLOUDS) -> Cases:
     """Seconds a step of every contestant at every size, on one thread unless its name says otherwise."""
     records = []
     for count in sizes:
@@ -112,7 +109,7 @@ def terms(initial: Array) -> dict[str, Term | str]:
     result["cdist, torch"] = f"{float(count) ** 2:.1e} pairs held at once"
     if count <= CDIST_UP_TO:
         result["cdist, torch"] = differentiated(lambda moved: _cdist(start, moved))
-    return result | {name: tried(name, make, initial) for name, make in chamfer_terms(initial).items()}
+    return result
 
 
 def _k_d_trees(initial: Array, kept: cKDTree | None, workers: int, moved: Array) -> tuple[float, Array]:
@@ -139,57 +136,6 @@ def differentiated(loss: Callable[[Tensor], Tensor]) -> Term:
         return value.item(), torch.autograd.grad(value, leaf)[0].numpy()
 
     return term
-
-
-def tried(package: str, make: Callable[[Any], Term], points: Array) -> Term | str:
-    """The term that ``make`` makes of the package if one call of it at ``points`` succeeds; else why not."""
-    # A package may print; stdout is for the answer alone.
-    with redirect_stdout(sys.stderr):
-        try:
-            term = make(import_module(package))
-            term(points)
-        except ImportError as error:
-            return "not installed" if error.name == package else f"cannot be imported ({_line(error)})"
-        except Exception as error:
-            # Whatever another package raises, the run goes on without it.
-            return f"does not run here ({_line(error)})"
-    return term
-
-
-def _line(error: Exception) -> str:
-    text = " ".join(str(error).split()) or type(error).__name__
-    return text if len(text) <= 120 else text[:117] + "..."
-
-
-def chamfer_terms(initial: Array) -> Mapping[str, Callable[[Any], Term]]:
-    """Package -> what makes of it the Chamfer distance to ``initial`` [N, 3], both ways."""
-    start = tensor(initial)
-
-    def chamferdist(module: Any) -> Term:
-        distance = module.ChamferDistance()
-        return differentiated(lambda moved: distance(moved[None], start[None], bidirectional=True, point_reduction="mean"))
-
-    def pykeops(module: Any) -> Term:
-        lazy = import_module("pykeops.torch").LazyTensor
-
-        def term(moved: Array) -> tuple[float, Array]:
-            squared = ((lazy(tensor(moved)[:, None]) - lazy(start[None])) ** 2).sum(-1)  # [N, N], never held
-            return paired(initial, moved, *(squared.argmin(axis).flatten().numpy() for axis in (1, 0)))
-
-        return term
-
-    def point_cloud_utils(module: Any) -> Term:
-        def term(moved: Array) -> tuple[float, Array]:
-            pairs = ((moved, initial), (initial, moved))
-            return paired(initial, moved, *(module.k_nearest_neighbors(*pair, 1)[1].reshape(-1) for pair in pairs))
-
-        return term
-
-    def pytorch3d(module: Any) -> Term:
-        distance = import_module("pytorch3d.loss").chamfer_distance
-        return differentiated(lambda moved: distance(moved[None], start[None])[0])
-
-    return {make.__name__: make for make in (chamferdist, pykeops, point_cloud_utils, pytorch3d)}
 
 
 def paired(initial: Array, moved: Array, to_initial: NDArray[np.int64], to_moved: NDArray[np.int64]) -> tuple[float, Array]:

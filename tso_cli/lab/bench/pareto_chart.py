@@ -19,13 +19,16 @@ SPOTS = [(distance, side) for distance in (6, 14, 24, 36, 50) for side in produc
 ACROSS, UP = {1: "left", 0: "center", -1: "right"}, {1: "bottom", 0: "center", -1: "top"}
 
 
-def draw_pareto(path: Path, summary: Record, overwrite: bool) -> None:
-    """A panel for each start, seconds logarithmic. Raises InputError if ``path`` cannot be written to."""
+def draw(path: Path, record: Record, overwrite: bool) -> None:
+    """Ratio against seconds, logarithmic, a panel for each start."""
     from matplotlib.lines import Line2D
     from matplotlib.ticker import LogLocator, NullFormatter
 
     # Predictions gain little: with more masks than one on the axis, the modes of the network could not be told apart.
-    shown = {kind: group if kind == CLOUD else _with_one_mask(group) for kind, group in summary.items()}
+    shown = {
+        kind: {**group, "ways": {name: row for name, row in group["ways"].items() if kind == CLOUD or WAYS[name].masks == 1}}
+        for kind, group in record["summary"].items()
+    }
     with page(path, overwrite, (9.0, 5.8), dpi=100) as figure:
         axes = figure.subplots(1, len(shown), squeeze=False)[0]
         for axis, (kind, group) in zip(axes, shown.items(), strict=True):
@@ -51,10 +54,6 @@ def draw_pareto(path: Path, summary: Record, overwrite: bool) -> None:
         figure.draw_without_rendering()  # labels are placed in pixels: the axes must stand where they will
         for axis, (kind, group) in zip(axes, shown.items(), strict=True):
             _label(axis, group, others=kind == CLOUD)
-
-
-def _with_one_mask(group: Record) -> Record:
-    return {**group, "ways": {name: row for name, row in group["ways"].items() if WAYS[name].masks == 1}}
 
 
 def _place(row: Record) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Refinements: whole commands, single objects and batches."""
+"""Refinements: whole commands, single objects, their phases and memory, and batches."""
 
 from __future__ import annotations
 
@@ -7,46 +7,49 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, nullcontext
-from dataclasses import replace
 from functools import partial
 from itertools import product
+from multiprocessing import get_context
+from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ...errors import TsoError
 from ...geometry.points import Array, normalise_longest_side, sample_surface, spread_subset
 from ...geometry.view import View
-from ...io.cameras import read_camera
-from ...io.clouds import read_cloud
-from ...io.images import read_mask
 from ...io.meshes import read_mesh
 from ...io.shipped import examples_folder
-from ...losses.silhouette import silhouette_of
 from ...refinement import PRESETS, RefineConfig, refine, refine_batch
+from ...scene.load import load_points_scene
+from ..studies.cases import views_around
+from ..study import Cases, Record
 from .timing import (
     FORMS,
     IMPORT_TORCH,
     Contestant,
-    Records,
     Sample,
     Setting,
     as_installed,
     never_run,
     process,
+    record,
     timed,
 )
 
-# The shipped example of a chair starts from points of this shape.
-START = "q17_ChairHandle.ply"
+CHAIR = examples_folder() / "chair"
+# The example starts from points of this shape.
+START = examples_folder() / "meshes" / "chair" / "q17_ChairHandle.ply"
 # Clouds of up to so many points are spread evenly, like those of data sets: else no mirror plane would be found.
 SPREAD, SAMPLES = 1024, 8192
 DEGREES_BETWEEN_VIEWS = 50.0
 SIZES = (1024, 16384)
 # Numbers of views of the default preset, at the smallest size.
 MORE_VIEWS = (2, 4)
+# Points of the largest cloud that is taken apart in phases, calls after the first, and where Linux tells how much they took.
+LARGE, RUNS, PROCESS = 262_144, 3, Path("/proc/self/status")
 BATCHES = (16, 64)
 # Of each object of a batch; so many clouds differ.
 POINTS, CLOUDS = 1024, 16
@@ -57,25 +60,18 @@ TSO = ("-m", "tso_cli")
 
 def cloud(count: int, seed: int = 0) -> Array:
     """Initial points [count, 3], longest side 1."""
-    mesh = read_mesh(examples_folder() / "meshes" / "chair" / START)
+    mesh = read_mesh(START)
     samples = sample_surface(mesh.vertices, mesh.faces, max(count, SAMPLES), np.random.default_rng([seed, count]))
     return normalise_longest_side(samples[spread_subset(samples, count)] if count <= SPREAD else samples[:count])
 
 
 def chair_views(count: int = 1) -> list[View]:
     """The mask of the shipped chair, and silhouettes of its cloud turned about the vertical axis."""
-    folder = examples_folder() / "chair"
-    mask = read_mask(folder / "mask.png")
-    camera = read_camera(folder / "camera.json", mask.shape[1], mask.shape[0])
-    views = [View(mask, camera)]
-    for number in range(1, count):
-        turn = Rotation.from_euler("y", number * DEGREES_BETWEEN_VIEWS, degrees=True).as_matrix()
-        turned = replace(camera, R=camera.R @ turn)
-        views.append(View(silhouette_of(read_cloud(folder / "target.ply").points, turned), turned))
-    return views
+    scene = load_points_scene(CHAIR / "target.ply", CHAIR / "mask.png")
+    return views_around(scene.view, scene.points, np.radians(DEGREES_BETWEEN_VIEWS * np.arange(1, count)))
 
 
-def measure_command(setting: Setting) -> Records:
+def measure_command(setting: Setting) -> Cases:
     """Processes of bare Python, of `import torch` and of `tso` commands; a first run finds no byte code and no compiled loops.
 
     Raises TsoError if a command fails, InputError if the shipped examples are missing.
@@ -86,14 +82,14 @@ def measure_command(setting: Setting) -> Records:
         for points in SIZES:
             path = f"{folder}/{points}.npy"
             np.save(path, cloud(points, setting.seed))
-            arguments = (*TSO, "refine", "--mode", "points", path, str(examples_folder() / "chair" / "mask.png"))
+            arguments = (*TSO, "refine", "--mode", "points", path, str(CHAIR / "mask.png"))
             for call, environment in (("steady", as_installed), ("first", never_run)):
                 name = f"tso refine --mode points, {points:,} points" + (", first run" if call == "first" else "")
                 contestants.append(Contestant(name, process(name, arguments, environment), {"points": points, "call": call}))
         return setting.race("command", contestants, "over_import_torch")
 
 
-def measure_object(setting: Setting, sizes: tuple[int, ...] = SIZES, steps: int | None = None) -> Records:
+def measure_object(setting: Setting, sizes: tuple[int, ...] = SIZES, steps: int | None = None) -> Cases:
     """Both presets in both forms of the loops at every size, and the default with more views."""
     cases = [(preset, points, 1) for points in sizes for preset in PRESETS]
     cases += [("best", sizes[0], views) for views in MORE_VIEWS]
@@ -106,9 +102,31 @@ def measure_object(setting: Setting, sizes: tuple[int, ...] = SIZES, steps: int 
     return setting.race("object", contestants, "over_import_torch")
 
 
+def measure_phases(setting: Setting, sizes: tuple[int, ...] = (*SIZES, LARGE), views: tuple[int, ...] = MORE_VIEWS) -> Cases:
+    """The default at every size, and at the smallest with more views; each in a process that does nothing else."""
+    records, scenes = [], [*((points, 1) for points in sizes), *((sizes[0], count) for count in views)]
+    for number, (points, count) in enumerate(scenes, 1):
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            records.append(pool.submit(_taken_apart, points, count, setting.seed).result())
+        setting.report("phases", number, len(scenes))
+    return records
+
+
+def _taken_apart(points: int, views: int, seed: int) -> Record:
+    work, seen = cloud(points, seed), chair_views(views)
+    first, *later = (refine(work, seen, config=RefineConfig()).seconds for _ in range(1 + RUNS))
+    phases = {name: float(np.median([seconds[name] for seconds in later])) for name in later[0]}
+    low, median, high = np.percentile([sum(seconds.values()) for seconds in later], [25, 50, 75]).tolist()
+    # Linux alone says so; what `resource` says begins with the peak of the process that started this one.
+    status = PROCESS.read_text() if PROCESS.exists() else ""
+    peak = [round(int(line.split()[1]) / 1024.0) for line in status.splitlines() if line.startswith("VmHWM:")]
+    fields = {"points": points, "views": views, "phases": phases, "first": sum(first.values()), "peak_MiB": (*peak, None)[0]}
+    return record("phases", "best", seconds={"median": median, "low": low, "high": high}, runs=RUNS) | fields
+
+
 def measure_batch(
     setting: Setting, sizes: tuple[int, ...] = BATCHES, steps: int | None = None, most: int | None = None
-) -> Records:
+) -> Cases:
     """Seconds an object of `refine` and of `refine_batch`, in one process and on all cores (or ``most``)."""
     neighboured = sizes[min(1, len(sizes) - 1)]
     clouds, views = [cloud(POINTS, setting.seed + number) for number in range(CLOUDS)], chair_views()

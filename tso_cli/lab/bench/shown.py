@@ -1,33 +1,33 @@
-"""The record of `tso bench speed` as tables, chart and page."""
+"""The record of `tso bench speed` as tables and chart."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from ...plots.style import COLOURS, INK, PALE, page
-from ..study import Record, Shown, Table
+from ..study import Cases, Record, Table
 
-Records = Sequence[Record]
 Label = Callable[[Record], str]
 MARKERS = "osD^vP*Xh"
 
 
 def machine_line(record: Record) -> str:
     """Where and with what the record was made."""
-    machine = record["machine"]
-    versions = ", ".join(f"{name} {version}" for name, version in record["versions"].items() if version)
-    installed = ", ".join(f"{megabytes:,} MB {what}" for what, megabytes in record["installed_MB"].items())
-    measured = f"seed {record['seed']}, {record['seconds']:.0f} s"
+    settings = record["settings"]
+    machine = settings["machine"]
+    versions = ", ".join(f"{name} {version}" for name, version in settings["versions"].items() if version)
+    installed = ", ".join(f"{megabytes:,} MB {what}" for what, megabytes in settings["installed_MB"].items())
+    measured = f"seed {settings['seed']}, {record['seconds']:.0f} s"
     return f"{machine['cpu']}, {machine['cores']} cores; {versions}; installed: {installed}; {measured}"
 
 
 def tables(record: Record) -> list[Table]:
     """Of whatever was measured; the last says what was left out, and where the record was made."""
 
-    def of(what: str) -> Records:
-        return [r for r in record["records"] if r["what"] == what and r["seconds"]]
+    def of(what: str) -> Cases:
+        return [r for r in record["cases"] if r["what"] == what and r["seconds"]]
 
     objects, batches = ([r for r in of(what) if "preset" in r] for what in ("object", "batch"))
     commands = [
@@ -35,7 +35,7 @@ def tables(record: Record) -> list[Table]:
         for r in of("command")
     ]
     left_out: dict[str, list[str]] = {}
-    for r in record["records"]:
+    for r in record["cases"]:
         if "left_out" in r:
             left_out.setdefault(f"{r['what']}, {r['name']}: {r['left_out']}", []).append(_size(r))
     measured = [
@@ -59,7 +59,7 @@ def tables(record: Record) -> list[Table]:
     return [table for table in measured if table.rows]
 
 
-def _phases(records: Records) -> Table:
+def _phases(records: Cases) -> Table:
     names = list(dict.fromkeys(name for r in records for name in r["phases"]))
     rows = [
         [_size(r), *(_digits(1e3 * s) if (s := r["phases"].get(name)) else "" for name in names), _ms(r)]
@@ -83,7 +83,7 @@ def _digits(value: float) -> str:
     return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
 
 
-def _pivot(title: str, records: Records, cell: Label, row: Label = lambda r: str(r["name"]), column: Label = _size) -> Table:
+def _pivot(title: str, records: Cases, cell: Label, row: Label = lambda r: str(r["name"]), column: Label = _size) -> Table:
     """A table of cells; ``row`` and ``column`` are their labels, by default a name and a size."""
     cells: dict[str, dict[str, str]] = {}
     for record in records:
@@ -92,12 +92,9 @@ def _pivot(title: str, records: Records, cell: Label, row: Label = lambda r: str
     return Table(["", *columns], [[label, *map(values.get, columns)] for label, values in cells.items()], title)
 
 
-def draw_speed(path: Path, record: Record, overwrite: bool = False) -> None:
-    """A panel for each part of which sizes grow: medians and quartiles of each contestant; `import torch` as a level.
-
-    Raises InputError if ``path`` cannot be written to.
-    """
-    measured = [r for r in record["records"] if r["seconds"]]
+def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+    """A panel for each part of which sizes grow: medians and quartiles of each contestant; `import torch` as a level."""
+    measured = [r for r in record["cases"] if r["seconds"]]
     panels = [(title, rows) for what, title in PANELS.items() if (rows := [r for r in measured if r["what"] == what])]
     with page(path, overwrite, (max(7.0, 5.6 * len(panels)), 5.0)) as figure:
         for number, (title, rows) in enumerate(panels, 1):
@@ -108,7 +105,7 @@ def draw_speed(path: Path, record: Record, overwrite: bool = False) -> None:
         figure.suptitle(machine_line(record).partition(";")[0], fontsize=11, color=INK)
 
 
-def _draw_lines(axis: Any, records: Records) -> None:
+def _draw_lines(axis: Any, records: Cases) -> None:
     series = [r for r in records if r["points"] and r.get("views", 1) == 1]
     for i, name in enumerate(dict.fromkeys(r["name"] for r in series)):
         rows = [r for r in series if r["name"] == name]
@@ -130,14 +127,3 @@ PANELS = {
     "silhouette": "silhouette and cross-entropy, value and gradient",
     "chamfer": "Chamfer to the start, a step, value and gradient",
 }
-
-
-STUDY = Shown(
-    name="speed",
-    about="How fast is it, beside other ways and other packages?",
-    parts=("points, paper", "points, best"),
-    tables=tables,
-    draw=draw_speed,
-    reading="Contestants for the same work take turns in one process. Trust ratios before times: two runs on a shared machine "
-    "differ by up to half.",
-)

@@ -1,13 +1,13 @@
-"""All measurements in one record, and the targets that it meets."""
+"""`tso bench speed`: all measurements, and the targets that they meet."""
 
 from __future__ import annotations
 
 import os
 import platform
 import re
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import partial
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
@@ -17,9 +17,10 @@ from threadpoolctl import threadpool_limits
 
 from ...refinement.api import compile_loops
 from ...version import __version__
-from ..study import claim
+from ..study import SEED, Cases, Option, Plan, Progress, Record, Study, claim
 from . import PARTS
-from .timing import Record, Records, Setting
+from .shown import draw, tables
+from .timing import Setting
 
 CONVENTION = {
     "seconds": "wall clock; median and quartiles (low, high) of the runs, contestants of a part by turns in one process; one "
@@ -35,36 +36,29 @@ CONVENTION = {
 PROCESSORS = Path("/proc/cpuinfo")
 
 
-def speed(setting: Setting, only: Sequence[str] = ()) -> Record:
-    """Measure the parts named in ``only``; all of them where it is empty.
+def plan(progress: Progress, *, parts: tuple[str, ...], seed: int) -> Plan:
+    """Measure the parts, on one thread where nothing else is said.
 
-    Returns
-    -------
-    {"bench": "speed", "command", "machine", "versions", "seed", "seconds" in all, "convention", "claims", "records"}; every
-    record holds "what", "name", "points", "side", "runs", and "seconds" ("median", "low", "high"; None where it was left out,
-    which "left_out" explains), with a ratio to the first contestant: "over_import_torch" or "over_tso".
+    Every case holds "what", "name", "points", "side", "runs", and "seconds" ("median", "low", "high"; None where it was left
+    out, which "left_out" explains), with a ratio to the first contestant: "over_import_torch" or "over_tso".
     """
-    begun = time.perf_counter()
     compile_loops()
-    chosen = [name for name in PARTS if name in (only or PARTS)]
-    records = []
-    for name in chosen:
-        measure = getattr(import_module(f".{PARTS[name]}", __package__), f"measure_{name}")
-        with threadpool_limits(1):
-            records += measure(setting)
-    return {
-        "bench": "speed",
-        "command": "tso bench speed",
+    setting = Setting(seed=seed, report=progress.report)
+
+    @threadpool_limits.wrap(limits=1)
+    def measure(name: str) -> Cases:
+        measure_part = getattr(import_module(f".{PARTS[name]}", __package__), f"measure_{name}")
+        return measure_part(setting)
+
+    packages = {package: _version(package) for package in ("torch", "numpy", "numba", "scipy")}
+    settings = {
+        "parts": list(parts),
         "machine": machine(),
         "installed_MB": {"in all": installed("tso-cli"), "without torch": installed("tso-cli", leave_out="torch")},
-        "versions": {"tso": __version__, "python": platform.python_version()}
-        | {package: _version(package) for package in ("torch", "numpy", "numba", "scipy")},
-        "seed": setting.seed,
-        "seconds": time.perf_counter() - begun,
-        "convention": {name: text for name, text in CONVENTION.items() if name in ("seconds", *chosen)},
-        "claims": claims(records),
-        "records": records,
+        "versions": {"tso": __version__, "python": platform.python_version(), **packages},
+        "seed": seed,
     }
+    return Plan(settings, [({"what": name}, partial(measure, name)) for name in parts], "measuring")
 
 
 def machine() -> dict[str, Any]:
@@ -99,17 +93,17 @@ def _version(package: str) -> str | None:
     return None
 
 
-def claims(records: Records) -> list[dict[str, Any]]:
-    """A claim for every target that the records allow to judge."""
-    measured = [row | {"median": row["seconds"]["median"]} for row in records if row["seconds"]]
+def conclude(cases: Cases) -> Record:
+    """A claim for every target that the cases allow to judge."""
+    measured = [row | {"median": row["seconds"]["median"]} for row in cases if row["seconds"]]
 
     def chosen(what: str, **fields: Any) -> list[Record]:
         return [row for row in measured if row["what"] == what and fields.items() <= row.items()]
 
-    return [claim(*judged) for judged in _judged(chosen)]
+    return {"claims": [claim(*judged) for judged in _judged(chosen)]}
 
 
-def _judged(chosen: Callable[..., Records]) -> Iterator[tuple[str, bool, str]]:
+def _judged(chosen: Callable[..., Cases]) -> Iterator[tuple[str, bool, str]]:
     """(target, whether it is met, what was measured)."""
     seconds = {row["name"]: row["median"] for row in chosen("command")}
     for name in ("tso --version", "tso --help"):
@@ -152,3 +146,20 @@ def _judged(chosen: Callable[..., Records]) -> Iterator[tuple[str, bool, str]]:
         if ours and theirs:
             ratio = min(theirs) / min(ours)
             yield f"{what} of {points:,} points: at least {factor:g}x faster than {peer}", ratio >= factor, f"{ratio:.1f}x"
+
+
+STUDY = Study(
+    name="speed",
+    about="command: whole processes; object: `refine` with one to four views; phases: what it consists of; batch: many objects "
+    "in one call, on one thread and on all cores; silhouette, chamfer: the kernels at growing sizes. Contestants for the same "
+    "work take turns on the CPU; all of it takes some five minutes.",
+    parts=("points, paper", "points, best"),
+    tables=tables,
+    draw=draw,
+    reading="Contestants for the same work take turns in one process. Trust ratios before times: two runs on a shared machine "
+    "differ by up to half.",
+    convention=CONVENTION,
+    options=(Option("--only", "May be repeated.", str, tuple(PARTS), tuple(PARTS), multiple=True, name="parts"), SEED),
+    plan=plan,
+    conclude=conclude,
+)

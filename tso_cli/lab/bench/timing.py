@@ -18,11 +18,10 @@ import numpy as np
 
 from ...errors import TsoError
 from ...kernels.dispatch import planned
+from ..study import Cases, Record, Report
 
 Sample = Callable[[], float]
 """Does the work once, and returns the seconds that it took."""
-Record = dict[str, Any]
-Records = list[Record]
 
 PACKAGE = Path(__file__).resolve().parents[2]
 # Quick work is repeated for so many seconds at a time: with cold caches each turn would measure these.
@@ -50,16 +49,16 @@ class Setting:
 
     budget: float = 0.5
     seed: int = 0
-    report: Callable[[str], None] = lambda _: None
+    report: Report = lambda what, done, total: None
 
-    def race(self, what: str, contestants: Sequence[Contestant], ratio: str) -> Records:
+    def race(self, what: str, contestants: Sequence[Contestant], ratio: str) -> Cases:
         """A record of each contestant, timed by turns after a warm-up; its field ``ratio`` is its time over the first one's.
 
         Each is given the budget in 3 to 200 blocks; work that lasts thirty times the budget is done once.
         """
-        for contestant in contestants:
-            self.report(f"{what}: {contestant.name}")
+        for number, contestant in enumerate(contestants, 1):
             contestant.sample()
+            self.report(f"warming up, {what}", number, len(contestants))
         blocks: list[list[float]] = [[] for _ in contestants]
         while waiting := [i for i, taken in enumerate(blocks) if not self._enough(taken)]:
             for i in waiting:

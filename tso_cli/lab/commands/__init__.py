@@ -12,25 +12,30 @@ TOOLS = {
     "fingerprint": "Whether records are of the method as it is.",
     "generate": "Draw chairs, cars and aeroplanes by rule, to train on.",
 }
-SECTIONS = {
-    "Studies": {name: ("", question) for name, (_, question) in QUESTIONS.items()},
-    "Tools": {name: ("", text) for name, text in TOOLS.items()},
-}
 
 
-class _Lab(LazyGroup):
-    """The tools are in one module, and studies have one command for all of them."""
+class StudyGroup(LazyGroup):
+    """Studies have one command for all of them, and the tools are in one module."""
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in self.list_commands(ctx):
+            return None
         from . import tools
         from .records import command_of
 
-        if cmd_name in QUESTIONS:
-            return command_of(tools.load(cmd_name))
-        command: click.Command | None = getattr(tools, cmd_name) if cmd_name in TOOLS else None
+        command: click.Command = getattr(tools, cmd_name) if cmd_name in TOOLS else command_of(tools.load(cmd_name))
         return command
 
 
-@click.group("lab", cls=_Lab, sections=SECTIONS)
+def lines(questions: dict[str, tuple[str, str]]) -> dict[str, tuple[str, str]]:
+    """The section of a group with these studies."""
+    return {name: ("", question) for name, (_, question) in questions.items()}
+
+
+@click.group(
+    "lab",
+    cls=StudyGroup,
+    sections={"Studies": lines(QUESTIONS), "Tools": {name: ("", text) for name, text in TOOLS.items()}},
+)
 def command() -> None:
     """Ask a question of the method, on many shapes, and keep the answer as JSON beside a chart and a page."""

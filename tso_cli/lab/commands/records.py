@@ -14,7 +14,7 @@ from ...errors import InputError
 from ...io.output import atomic_output, check_output, sole_writer
 from ...io.reading import read_bytes
 from ...io.shipped import named_checkpoint
-from ..study import Option, Progress, Record, Shown, Study, answer, page, undamaged
+from ..study import Option, Progress, Record, Study, answer, page, undamaged
 
 output_option = click.option(
     "-o", "--output", type=options.FilePath(), help="Write the record here (.json), a chart (.png) and a page (.md) beside it."
@@ -73,13 +73,9 @@ def write_record(record: dict[str, Any], parts: Sequence[str], output: Path) -> 
     from ..studies.fingerprint import today
 
     record = {**record, "fingerprint": {part: today(part) for part in parts}}
-    cases = record.pop("cases", None)
-    text = json.dumps(record, indent=1)
-    if cases is not None:
-        lines = ",\n".join(json.dumps(case, separators=(",", ":")) for case in cases)
-        text = f'{text[:-2]},\n "cases": [\n{lines}\n]}}'
+    cases = ",\n".join(json.dumps(case, separators=(",", ":")) for case in record.pop("cases"))
     with atomic_output(output) as temporary:
-        temporary.write_text(text + "\n")
+        temporary.write_text(f'{json.dumps(record, indent=1)[:-2]},\n "cases": [\n{cases}\n]}}\n')
 
 
 class Reporter:
@@ -94,7 +90,7 @@ class Reporter:
         self._bar(done, total)
 
 
-def write_page(study: Shown, record: Record, output: Path) -> None:
+def write_page(study: Study, record: Record, output: Path) -> None:
     """The chart and the page of the record at ``output``, beside it."""
     study.draw(output.with_suffix(".png"), record, True)
     with atomic_output(output.with_suffix(".md")) as temporary:
@@ -103,7 +99,7 @@ def write_page(study: Shown, record: Record, output: Path) -> None:
 
 
 def command_of(study: Study) -> click.Command:
-    """`tso lab NAME`."""
+    """`tso lab NAME` or `tso bench NAME`."""
 
     def run(output: Path | None, overwrite: bool, as_json: bool, resume: bool, **values: Any) -> None:
         check_outputs(output, overwrite, resume)
@@ -133,7 +129,7 @@ def command_of(study: Study) -> click.Command:
     function: Callable[..., Any] = run
     for decorate in (options.as_json, options.overwrite, resumed, output_option, *map(_click_option, study.options[::-1])):
         function = decorate(function)
-    return click.command(study.name, help="\n\n".join(dict.fromkeys((study.question, study.about))))(function)
+    return click.command(study.name, help="\n\n".join(filter(None, (study.question, study.about))))(function)
 
 
 def _click_option(option: Option) -> Callable[..., Any]:
@@ -158,7 +154,7 @@ def _click_option(option: Option) -> Callable[..., Any]:
 
 def _command_line(study: Study, values: dict[str, Any]) -> str:
     """The command line that makes the record; folders and files of this machine by their last names."""
-    words = [f"tso {study.group} {study.name}"]
+    words = [study.command]
     for option in study.options:
         value = values[option.parameter]
         if option.required:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -12,25 +11,18 @@ from ...commands import options
 from ...errors import GateError, InputError
 from ...io.reading import shown
 from ...version import __version__
-from ..studies import QUESTIONS
-from ..study import answer, undamaged
+from ..studies import BENCHES, QUESTIONS
+from ..study import Study, answer, undamaged
 from .records import read_record, write_page
 
 records_argument = click.argument("records", nargs=-1, required=True, type=options.FilePath())
 
 
-BENCHES = {
-    "speed": "bench.shown.STUDY",
-    "stability": "stability.study.STUDY",
-    "pareto": "bench.pareto.STUDY",
-    "budget": "bench.budget.STUDY",
-}
-
-
-def load(name: str) -> Any:
-    """The `Study` of that name, or what shows the record of `tso bench speed`."""
-    module, attribute = (BENCHES.get(name) or f"studies.{QUESTIONS[name][0]}").rsplit(".", 1)
-    return getattr(import_module(f"tso_cli.lab.{module}"), attribute)
+def load(name: str) -> Study:
+    """The study of that name."""
+    module, attribute = (QUESTIONS | BENCHES)[name][0].rsplit(".", 1)
+    study: Study = getattr(import_module(f"tso_cli.lab.{module}"), attribute)
+    return study
 
 
 @click.command("page")
@@ -39,7 +31,7 @@ def page(records: tuple[Path, ...]) -> None:
     """Write the pages and charts of RECORDS anew, beside them, and run nothing."""
     for path in records:
         record = read_record(path)
-        name = record.get("study", record.get("bench"))
+        name = record.get("study")
         if name not in (*QUESTIONS, *BENCHES):
             raise InputError(f"{path}: is of the study {shown(name)}, expected one of {', '.join((*QUESTIONS, *BENCHES))}")
         if not record.get("complete", True):

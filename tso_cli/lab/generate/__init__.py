@@ -15,8 +15,7 @@ from ...errors import InputError
 from ...io.meshes import Mesh, write_mesh
 from ...io.output import check_output, reason
 from . import airplane, car, chair
-from .draws import pick
-from .parts import join
+from .parts import join, pick
 
 _MAKERS = {"chair": chair, "car": car, "airplane": airplane}
 CATEGORIES = tuple(_MAKERS)

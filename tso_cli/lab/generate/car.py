@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...io.meshes import Mesh
-from .draws import Range, chance, draw
-from .parts import Array, both, box, cushion, loft, wheel
+from .parts import Array, Range, both, box, chance, cushion, draw, loft, wheel
 
 # Standard deviation of the logarithms by which a car is stretched along x, y and z.
 SPREAD = 0.05

@@ -1,8 +1,8 @@
-"""Closed solids that shapes are put together from, in the unit of their arguments."""
+"""Random draws, and the closed solids that shapes are put together from, in the unit of their arguments."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +11,25 @@ from scipy.interpolate import CubicHermiteSpline
 from ...io.meshes import Mesh
 
 Array = NDArray[np.float64]
+Range = tuple[float, float]
 X_AXIS = np.array([1.0, 0.0, 0.0])
+
+
+def chance(rng: np.random.Generator, probability: float) -> bool:
+    """True with this probability."""
+    return bool(rng.random() < probability)
+
+
+def pick(rng: np.random.Generator, weights: Mapping[str, float]) -> str:
+    """One of the keys, drawn by weight."""
+    probabilities = np.array(list(weights.values()), dtype=np.float64)
+    return list(weights)[int(rng.choice(len(weights), p=probabilities / probabilities.sum()))]
+
+
+def draw(rng: np.random.Generator, ranges: Sequence[Range]) -> list[float]:
+    """A number from each range (low, high)."""
+    low, high = np.array(ranges).T
+    return [float(value) for value in rng.uniform(low, high)]
 
 
 def join(parts: Iterable[Mesh]) -> Mesh:
@@ -143,13 +161,6 @@ def cushion(size: Sequence[float], centre: ArrayLike, rounding: float = 0.5, pow
 def flat(outline: Array, y: float) -> Array:
     """Outline [P, 2] in x and z laid at height y: [P, 3]."""
     return np.insert(outline, 1, y, axis=1)
-
-
-def ellipsoid(radii: Sequence[float], centre: ArrayLike, rings: int = 7, sides: int = 12) -> Mesh:
-    """Ellipsoid with half axes ``radii`` [3]."""
-    angle = np.linspace(0.02, np.pi - 0.02, rings)
-    ball = turned((0, -1, 0), (0, 1, 0), (1.0 - np.cos(angle)) / 2.0, np.sin(angle), sides)
-    return Mesh(ball.vertices * np.asarray(radii) + np.asarray(centre), ball.faces)
 
 
 def plate(grid: ArrayLike, thickness: ArrayLike) -> Mesh:

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from ...plots.style import INK, PALE, page
-from ..study import Cases, Record
+from ..studies.refining import DEFAULT
+from ..studies.summary import grouped
+from ..study import Record
 from .knees import AXIS, WORSE, fails, speaks
 
 # Colours by the ratio, each up to that one: better, hardly changed, worse, far worse.
@@ -18,11 +20,10 @@ ROW = 0.19
 """Inches."""
 
 
-def draw_axes(path: Path, axes: dict[str, Cases], knees: dict[str, Record], overwrite: bool) -> None:
-    """Cells of levels coloured by the median ratio, and the knee in words; ``axes`` has the rows of each one's levels.
-
-    Raises InputError if ``path`` cannot be written to.
-    """
+def draw(path: Path, record: Record, overwrite: bool) -> None:
+    """By the default preset: cells of levels coloured by the median ratio, and the knee in words."""
+    axes = grouped([row for row in record["cases"] if row["variant"] == DEFAULT], "axis")
+    knees = record["knees"][DEFAULT]
     columns = max(len(rows) for rows in axes.values())
     groups = [AXIS[name].group for name in axes]
     with page(path, overwrite, (13.0, 1.3 + ROW * (len(axes) + len(set(groups)))), dpi=100) as figure:

@@ -3,32 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from textwrap import fill
-from typing import Any
 
 import numpy as np
 
 from ...errors import InputError
-from ...geometry.rotations import from_vectors
-from ...geometry.view import View
 from ...io.clouds import read_cloud
 from ...io.output import check_output
 from ...io.shipped import examples_folder
-from ...losses.silhouette import silhouette_of
 from ...refinement import RefineConfig
 from ...scene.load import load_points_scene
 from ..charts import draw_cases
 from ..studies.accuracy import CATEGORIES
-from ..studies.cases import MASKS, Case, CaseBuilder
+from ..studies.cases import MASKS, Case, CaseBuilder, views_around
 from ..studies.refining import DEFAULT, FOUR_MASKS, POINTS, Variant
 from ..studies.shapes import shapes_of_part
-from ..studies.summary import grouped
-from ..study import SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table, part
+from ..studies.summary import grouped, summarised
+from ..study import SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table
 from .axes import AXES, Axis
-from .chart import draw_axes
+from .chart import draw
 from .knees import AXIS, FIGURES, SILENT, WORSE, got_worse, knee
 from .runs import Way, judge, outcomes_of, run_of
 
@@ -63,24 +58,12 @@ def example_cases() -> list[Case]:
     for category in ("chair", "car", "airplane"):
         folder = examples_folder() / category
         scene, target = load_points_scene(folder / "initial.ply", folder / "mask.png"), read_cloud(folder / "target.ply").points
-        camera = scene.view.camera
-        turns = (from_vectors(np.array([0.0, 2.0 * np.pi * number / MASKS, 0.0])) for number in range(1, MASKS))
-        cameras = [replace(camera, R=camera.R @ turn) for turn in turns]
-        views = (scene.view, *(View(silhouette_of(target, camera), camera) for camera in cameras))
+        views = tuple(views_around(scene.view, target, 2.0 * np.pi * np.arange(1, MASKS) / MASKS))
         cases.append(Case("example", category, category, 0, "initial.ply", scene.points, target, target, views, float("nan")))
     return cases
 
 
-def plan(
-    progress: Progress,
-    *,
-    quick: bool,
-    meshes: Path | None,
-    split: Path | None,
-    groups: tuple[str, ...],
-    pictures: Path | None,
-    **settings: Any,
-) -> Plan:
+def plan(progress: Progress, *, quick: bool, meshes: Path | None, split: Path | None, pictures: Path | None, seed: int) -> Plan:
     """Every axis with the default preset; fewer levels and seeds with the other variants, and some axes with peers.
 
     Raises InputError without ``meshes``, unless ``quick``.
@@ -88,22 +71,19 @@ def plan(
     if pictures is not None:
         check_output(pictures, progress.overwrite)
     if quick:
-        settings |= {"part": "examples", "categories": [], "seeds": 1}
-        names, cases_of = ["chair", "car", "airplane"], example_cases
+        names, cases_of, seeds = ["chair", "car", "airplane"], example_cases, [seed]
     else:
         if meshes is None:
             raise InputError("--meshes is missing, expected a folder of meshes (or --quick, for the shipped examples)")
-        settings["categories"] = list(settings["categories"])
-        shapes = shapes_of_part(meshes, split, settings["part"], settings["categories"], settings["limit"])
-        builder = CaseBuilder(meshes, split, 1, SIZE, COUNT, settings["seed"])
-        names = [shape.name for shape in shapes]
+        shapes = shapes_of_part(meshes, split, "test", CATEGORIES, SHAPES)
+        builder = CaseBuilder(meshes, split, 1, SIZE, COUNT, seed)
+        names, seeds = [shape.name for shape in shapes], [seed, seed + 1]
 
         @cache
         def cases_of() -> list[Case]:
             return [case for shape in shapes for case in builder.cases(shape, "other")]
 
-    settings |= {"quick": quick, "groups": list(groups), "shapes": names}
-    seeds = [settings["seed"] + number for number in range(settings["seeds"])]
+    settings = {"quick": quick, "seed": seed, "seeds": len(seeds), "shapes": names}
 
     def judge_axis(axis: Axis, name: str, way: Way) -> Cases:
         in_full = name == DEFAULT and not quick
@@ -113,7 +93,6 @@ def plan(
     jobs = [
         ({"axis": axis.name, "variant": name}, partial(judge_axis, axis, name, way))
         for axis in AXES
-        if axis.group in groups
         for name, way in _ways(axis, quick).items()
     ]
 
@@ -166,10 +145,7 @@ def _worst(rows: Cases, cases: Sequence[Case], seeds: Sequence[int]) -> list[tup
 def conclude(cases: Cases) -> Record:
     """{"knees": {variant: {axis: knee}}, and of the default preset "silence", shares of runs that got worse without a word, and
     "halves" of the axes, from harmless to hopeless}."""
-    knees = {
-        variant: {name: knee(rows) for name, rows in grouped(of_variant, "axis").items()}
-        for variant, of_variant in grouped(cases, "variant").items()
-    }
+    knees = summarised(cases, ("variant", "axis"), knee)
     silence = {}
     for what, gross in (("gross mistakes", True), ("other mistakes", False)):
         rows = [row for row in cases if row["variant"] == DEFAULT and AXIS[row["axis"]].gross == gross]
@@ -203,7 +179,11 @@ def _worse(row: Record) -> list[str]:
 
 def tables(record: Record) -> list[Table]:
     """The figures of every level of the default preset, of the other ways all together, the knees, and the silence."""
-    rows = [[row["axis"], AXIS[row["axis"]].at(row["level"]), *_figures(row)] for row in _of(record, DEFAULT)]
+    rows = [
+        [row["axis"], AXIS[row["axis"]].at(row["level"]), *_figures(row)]
+        for row in record["cases"]
+        if row["variant"] == DEFAULT
+    ]
     several = {row["axis"] for row in record["cases"] if row["variant"] != DEFAULT}.intersection(COMPARED)
     chosen = [row for row in record["cases"] if row["axis"] in several and row["level"] in fewer_levels(AXIS[row["axis"]])]
     chosen.sort(key=lambda row: (COMPARED.index(row["axis"]), row["level"]))
@@ -220,22 +200,12 @@ def tables(record: Record) -> list[Table]:
     ]
 
 
-def _of(record: Record, variant: str) -> Cases:
-    return [row for row in record["cases"] if row["variant"] == variant]
-
-
 def _figures(row: Record) -> list[float | None]:
     return [row[name] for name in FIGURES]
 
 
-def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """A row for each axis, by the default preset."""
-    draw_axes(path, grouped(_of(record, DEFAULT), "axis"), record["knees"][DEFAULT], overwrite)
-
-
 STUDY = Study(
     name="stability",
-    about="How wrong may masks, cameras, clouds and settings be, and does the tool say so?",
     parts=("pictures", "points, paper", "points, best"),
     tables=tables,
     draw=draw,
@@ -248,15 +218,9 @@ STUDY = Study(
         Option("--quick", "Shipped examples, every second level, one seed.", bool, False),
         Option("--meshes", "Folder with CATEGORY/NAME for every name of the split; not with --quick.", Path),
         SPLIT,
-        part("test", "train", "validation", "test"),
-        Option("--category", "May be repeated.", default=CATEGORIES, multiple=True, name="categories"),
-        Option("--limit", "At most so many shapes of each category.", int, SHAPES, least=1),
-        Option("--only", "Axes of this group alone. May be repeated.", str, GROUPS, GROUPS, multiple=True, name="groups"),
-        Option("--seeds", "Random directions and places of each case.", int, 2, least=1),
         SEED,
         Option("--pictures", "Draw results that are worst without a word here (.png).", Path),
     ),
     plan=plan,
     conclude=conclude,
-    group="bench",
 )

@@ -32,7 +32,7 @@ from .refining import (
     variants_of,
 )
 from .shapes import Shape, shapes_of_part, view_aligned_network, weights_hash
-from .summary import grouped, interval, mean, ratio_figures, ratios_of, rounded
+from .summary import grouped, interval, mean, ratio_figures, ratios_of, rounded, summarised
 
 CATEGORIES = ("chair", "airplane", "car", "sofa", "table")
 GROUP = 32
@@ -156,10 +156,7 @@ def _extremes(record: Record, builder: CaseBuilder, shapes: list[Shape]) -> list
 
 def conclude(cases: Cases) -> Record:
     """{"summary": {kind: {category: {"cases", "before", "variants": {variant: {...}}}}}, "claims"}; of an ablation none."""
-    summary = {
-        kind: {category: _means(group) for category, group in grouped(of_kind, "category").items()}
-        for kind, of_kind in grouped(cases, "kind").items()
-    }
+    summary = summarised(cases, ("kind", "category"), _means)
     return {"summary": summary, "claims": claims(cases, summary) if TWO_MASKS in cases[0]["variants"] else []}
 
 

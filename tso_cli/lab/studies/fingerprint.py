@@ -22,6 +22,7 @@ from ...scene.load import load_points_scene
 from ...scene.network import load_network_scene
 from ...train import TrainConfig, train
 from ...train.sources import shipped_examples
+from .cases import views_around
 from .shapes import Shape, see
 
 Numbers = dict[str, float]
@@ -40,8 +41,7 @@ def _points(preset: str) -> Numbers:
     """The chair with one mask, with four, truncated by the border, and with the depth map of a plane."""
     scene, truth = load_points_scene(CHAIR / "initial.ply", CHAIR / "mask.png"), read_cloud(CHAIR / "target.ply").points
     view, camera, numbers = scene.view, scene.view.camera, Numbers()
-    turned = [replace(camera, R=camera.R @ from_vectors(np.array([0.0, turn * np.pi, 0.0]))) for turn in (0.5, 1.0, 1.5)]
-    seen = {"one mask": [view], "four masks": [view, *(View(silhouette_of(truth, camera), camera) for camera in turned)]}
+    seen = {"one mask": [view], "four masks": views_around(view, truth, np.pi * np.array([0.5, 1.0, 1.5]))}
     seen["truncated"] = [View(view.mask[:, :128], replace(camera, width=128))]
     if preset == "best":
         seen["depth"] = [replace(view, depth=np.full(view.mask.shape, camera.t[2]))]

@@ -14,13 +14,12 @@ from ...evaluation.metrics import chamfer
 from ...io.checkpoints import load_network
 from ...io.shipped import CATEGORIES
 from ...train.batches import Draw, assemble
-from ...train.data import TrainingData
 from ..charts import draw_bars
 from ..study import CATEGORY, CHECKPOINT, MESHES, SEED, SPLIT, Cases, Plan, Progress, Record, Study, Table
 from .judging import Floats, Material, mean_shape
 from .shapes import SPLIT as SHIPPED_SPLIT
 from .shapes import weights_hash
-from .summary import grouped, mean
+from .summary import mean, summarised
 
 PARTS = ("validation", "test")
 CONVENTION = {
@@ -51,7 +50,8 @@ def plan(
 
     def judge(category: str) -> Cases:
         training = materials[PARTS[0]].data(category, training=True)
-        mean_view = mean_shape(view_targets(training), seed)
+        draws = [Draw(index, view) for index, item in enumerate(training.objects) for view in range(min(8, len(item.views)))]
+        mean_view = mean_shape(assemble(training, draws, "view").targets, seed)
         clouds = [training.target(i) for i in range(len(training.objects))]
         mean_aligned = aligned_mean(clouds, seed)
         cases = []
@@ -75,12 +75,6 @@ def plan(
     return Plan(settings, [({"category": category}, partial(judge, category)) for category in categories], "judging")
 
 
-def view_targets(data: TrainingData, views: int = 8) -> list[Floats]:
-    """Targets as the first cameras of each object see them."""
-    draws = [Draw(index, view) for index, item in enumerate(data.objects) for view in range(min(views, len(item.views)))]
-    return assemble(data, draws, "view").targets
-
-
 def nearest_of(clouds: Sequence[Floats], truth: Floats) -> float:
     """Chamfer distance from ``truth`` to the nearest of ``clouds``, in the best of four quarter turns."""
     return min(chamfer(cloud, truth @ turn).chamfer for cloud in clouds for turn in TURNS)
@@ -97,14 +91,11 @@ def aligned_mean(targets: Sequence[Floats], seed: int = 0) -> Floats:
 
 def conclude(cases: Cases) -> Record:
     """{"summary": {part: {category: {"shapes", "network", "nearest", ...}}}}, means over the shapes."""
-    summary = {
-        part: {
-            category: {"shapes": len(rows), **{name: mean(row[name] for row in rows) for name in LABELS}}
-            for category, rows in grouped(of_part, "category").items()
-        }
-        for part, of_part in grouped(cases, "part").items()
-    }
-    return {"summary": summary}
+
+    def means(rows: Cases) -> Record:
+        return {"shapes": len(rows), **{name: mean(row[name] for row in rows) for name in LABELS}}
+
+    return {"summary": summarised(cases, ("part", "category"), means)}
 
 
 def tables(record: Record) -> list[Table]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -46,6 +47,13 @@ def interval(shapes: Sequence[str], values: np.ndarray, weights: np.ndarray | No
     drawn = np.random.default_rng(0).integers(len(totals), size=(RESAMPLED, len(totals)))
     low, high = np.percentile(totals[drawn].sum(1) / counts[drawn].sum(1), ENDS)
     return [float(low), float(high)]
+
+
+def summarised(cases: Cases, keys: Sequence[str], figures: Callable[[Cases], Any]) -> Any:
+    """Value of the first key -> value of the second -> ... -> the figures of those cases."""
+    if not keys:
+        return figures(cases)
+    return {value: summarised(group, keys[1:], figures) for value, group in grouped(cases, keys[0]).items()}
 
 
 def grouped(cases: Cases, key: str) -> dict[str, Cases]:
