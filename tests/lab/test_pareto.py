@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from tso_cli.io.shipped import CATEGORIES
 from tso_cli.lab.bench import pareto
 from tso_cli.lab.bench.pareto import conclude, front
 from tso_cli.lab.bench.pareto_chart import _lines
@@ -20,7 +19,6 @@ from tso_cli.lab.studies.refining import Variant
 from tso_cli.refinement import RefineConfig
 
 from ..training import make_known
-from .studying import MESHES
 
 # Few different numbers, so that some are equal.
 NUMBERS = st.integers(0, 6).map(float)
@@ -77,8 +75,12 @@ def test_sweeps_of_the_input_go_through_the_default():
     assert lines["alpha points"] == ["alpha points"]
 
 
+def test_without_meshes_only_the_quick_run_is_there(tso):
+    assert "--meshes is missing" in tso("bench", "pareto").refusal
+
+
 @pytest.mark.slow
-def test_the_command_writes_record_chart_and_page_and_a_line_more_in_the_table_is_a_way_more(tso, split, tmp_path, monkeypatch):
+def test_the_command_writes_record_chart_and_page_and_a_line_more_in_the_table_is_a_way_more(tso, tmp_path, monkeypatch):
     make_known(monkeypatch)
     kept = (
         DEFAULT,
@@ -96,11 +98,10 @@ def test_the_command_writes_record_chart_and_page_and_a_line_more_in_the_table_i
             monkeypatch.setitem(WAYS, name, replace(way, run=replace(way.run, config=replace(way.run.config, steps=2))))
     monkeypatch.setitem(WAYS, "budget auto", Way(Variant(RefineConfig(steps=1))))
     output = tmp_path / "pareto.json"
-    categories = [word for name in CATEGORIES for word in ("--category", name)]
-    arguments = ("bench", "pareto", "--meshes", MESHES, "--split", split, *categories, "-o", output)
+    arguments = ("bench", "pareto", "--quick", "-o", output)
     assert "start: the network's prediction: 3 cases of 3 shapes" in tso(*arguments).out
     record = json.loads(output.read_text())
-    assert (record["complete"], record["command"][:16]) == (True, "tso bench pareto")
+    assert (record["complete"], record["command"]) == (True, "tso bench pareto --quick")
     assert {"cpu", "cores"} <= set(record["settings"]["machine"])
     assert set(record["summary"]["network"]["ways"]) == {name for name, way in WAYS.items() if "network" in way.kinds}
     for row in record["cases"]:

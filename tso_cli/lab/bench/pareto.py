@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from ...errors import InputError
 from ...evaluation.metrics import chamfer
 from ...geometry.points import Array
-from ...io.shipped import default_checkpoint
+from ...io.shipped import default_checkpoint, examples_folder
 from ...network.model import BaseNetwork
 from ...refinement.api import compile_loops
 from ..stability.peers import PEERS
@@ -21,12 +22,13 @@ from ..studies.accuracy import CATEGORIES
 from ..studies.cases import Case, CaseBuilder, kinds_of
 from ..studies.shapes import Shape, shapes_of_part, view_aligned_network, weights_hash
 from ..studies.summary import grouped, ratio_figures, rounded
-from ..study import COMMON, DEVICE, VIEWS, Cases, Option, Plan, Progress, Record, Study, Table, claim, part
+from ..study import DEVICE, LIMIT, SEED, SPLIT, VIEWS, Cases, Option, Plan, Progress, Record, Study, Table, claim, part
 from .pareto_chart import draw
 from .speed import machine
 from .timing import timed
 from .ways import DEFAULT, PAPER, PREDICTION, PUBLISHED, PUBLISHED_SECONDS, STARTS, WAYS, Way
 
+SHIPPED_SPLIT = Path(__file__).with_name("shipped_split.json")
 CONVENTION = {
     "ratio": "Chamfer distance after / before, mean of the cases' own; squared distances, mean over points, both directions "
     "added, longest side 1, to as many target points",
@@ -39,12 +41,20 @@ CONVENTION = {
 }
 
 
-def plan(progress: Progress, *, meshes: Path, split: Path | None, **settings: Any) -> Plan:
-    """Refine every case in every way, one call after the other; a job is a shape, so that a busy while slows all ways alike."""
+def plan(progress: Progress, *, quick: bool, meshes: Path | None, split: Path | None, **settings: Any) -> Plan:
+    """Refine every case in every way, one call after the other; a job is a shape, so that a busy while slows all ways alike.
+
+    Raises InputError without ``meshes``, unless ``quick``.
+    """
+    if quick:
+        meshes, split = examples_folder() / "meshes", SHIPPED_SPLIT
+        settings |= {"part": "test", "categories": (), "views": 1}
+    if meshes is None:
+        raise InputError("--meshes is missing, expected a folder of meshes (or --quick, for the shipped examples)")
     shapes = shapes_of_part(meshes, split, settings["part"], settings["categories"], settings["limit"])
     network, about = view_aligned_network(default_checkpoint())
     builder = CaseBuilder(meshes, split, settings["views"], 64, 1024, settings["seed"], network, about)
-    settings["categories"] = sorted({shape.category for shape in shapes})
+    settings |= {"quick": quick, "categories": sorted({shape.category for shape in shapes})}
     settings |= {"shapes": [shape.name for shape in shapes], "ways": list(WAYS), "machine": machine()}
     settings["network"] = weights_hash(network)
     compile_loops()
@@ -155,10 +165,14 @@ STUDY = Study(
     "any setting. Modes of the network start from its prediction, so that the two panels are not to be mixed.",
     convention=CONVENTION,
     options=(
-        *COMMON,
+        Option("--quick", "The shipped examples, one view.", bool, False),
+        Option("--meshes", "Folder with CATEGORY/NAME for every name of the split; not with --quick.", Path),
+        SPLIT,
         part("test"),
         Option("--category", "May be repeated.", default=CATEGORIES, multiple=True, name="categories"),
+        LIMIT,
         replace(VIEWS, default=1),
+        SEED,
         DEVICE,
     ),
     plan=plan,
