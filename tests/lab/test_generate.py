@@ -111,6 +111,7 @@ def test_parts_have_the_volume_of_what_they_are():
     assert volume(parts.box((2, 3, 4), (5, 6, 7))) == pytest.approx(24)
     frustum = parts.rod((0, 0, 0), (0, 2, 0), 0.5, 0.25, sides=200)
     assert volume(frustum) == pytest.approx(np.pi * 2 / 3 * (0.25 + 0.125 + 0.0625), rel=1e-3)
+    assert volume(parts.ellipsoid((1, 2, 3), (9, 9, 9), 60, 60)) == pytest.approx(8 * np.pi, rel=0.01)
     u, v = np.meshgrid(np.linspace(0, 2, 5), np.linspace(0, 3, 4))
     assert volume(parts.plate(np.stack([u, v, 0 * u], axis=-1), 0.1)) == pytest.approx(0.6)
     assert [volume(part) for part in parts.both(parts.box((1, 1, 1), (3, 0, 0)))] == pytest.approx([1, 1])

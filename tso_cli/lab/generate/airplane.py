@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...io.meshes import Mesh
-from .parts import X_AXIS, Array, Range, both, chance, draw, loft, oval, pick, rod, turned, wheel
+from .parts import X_AXIS, Array, Range, both, chance, draw, ellipsoid, loft, oval, pick, rectangle, rod, sweep, turned, wheel
 
 # Standard deviation of the logarithms by which an aeroplane is stretched along x, y and z.
 SPREAD = 0.06
@@ -18,7 +18,7 @@ SPREAD = 0.06
 class Kind(NamedTuple):
     """How often a kind of aeroplane is drawn, weights of its tails and engines, and what it has.
 
-    rounded : chance of round wing tips. gear : of wheels.
+    rounded : chance of round wing tips. gear : of wheels. canopy : ranges of the x, length and height of a glass hood.
     """
 
     weight: float
@@ -26,17 +26,19 @@ class Kind(NamedTuple):
     engines: dict[str, float]
     rounded: float = 0.0
     gear: float = 0.5
+    canopy: tuple[Range, Range, Range] | None = None
 
 
+CABIN = ((-0.18, -0.05), (0.25, 0.45), (0.02, 0.07))
 KINDS = {
     "airliner": Kind(20, {"low": 1}, {"under": 1}),
     "rear jet": Kind(14, {"t": 5, "cross": 1}, {"rear": 1}),
     "turboprop": Kind(8, {"low": 3, "t": 2, "cross": 1}, {"wing": 1}, 0.3),
     "transport": Kind(8, {"t": 3, "low": 2}, {"under": 1, "wing": 1}),
-    "low wing": Kind(11, {"low": 5, "t": 1, "cross": 1}, {"nose": 2, "wing": 1}, 0.5, 0.7),
-    "high wing": Kind(11, {"low": 6, "t": 1}, {"nose": 3, "wing": 1}, 0.5, 0.7),
-    "warbird": Kind(8, {"low": 1}, {"nose": 1}, 1.0),
-    "glider": Kind(3, {"t": 3, "low": 1}, {"none": 1}, 1.0, 0.0),
+    "low wing": Kind(11, {"low": 5, "t": 1, "cross": 1}, {"nose": 2, "wing": 1}, 0.5, 0.7, CABIN),
+    "high wing": Kind(11, {"low": 6, "t": 1}, {"nose": 3, "wing": 1}, 0.5, 0.7, CABIN),
+    "warbird": Kind(8, {"low": 1}, {"nose": 1}, 1.0, 0.5, ((-0.08, 0.06), (0.14, 0.3), (0.02, 0.05))),
+    "glider": Kind(3, {"t": 3, "low": 1}, {"none": 1}, 1.0, 0.0, ((-0.26, -0.2), (0.2, 0.26), (0.01, 0.02))),
 }
 WEIGHTS = {name: kind.weight for name, kind in KINDS.items()}
 # Ranges of the fields of `Body`; the second column is the height over the width.
@@ -147,6 +149,10 @@ def build(rng: np.random.Generator, name: str) -> list[Mesh]:
     parts = [body.mesh(), *both(surface(root, span, chord, taper * chord, thick, rounding), 2)]
     parts += _tail(rng, body, pick(rng, kind.tails))
     parts += _engines(rng, pick(rng, kind.engines), body, root, span)
+    if kind.canopy:
+        x, length, high = draw(rng, kind.canopy)
+        radii = (length / 2.0, high + 0.25 * body.height, 0.4 * body.width * float(body.size(x)))
+        parts.append(ellipsoid(radii, body.at(x, 1.0) - [0.0, 0.25 * body.height, 0.0], 9, 12))
     if chance(rng, kind.gear):
         parts += _gear(rng, body, root[0] + 0.7 * chord)
     return parts
@@ -175,22 +181,27 @@ PISTON = ([0.0, 0.04, 0.2, 0.5, 0.8, 1.0], [0.3, 0.65, 1.0, 0.95, 0.55, 0.1])
 
 
 def _engines(rng: np.random.Generator, kind: str, body: Body, root: Array, span: Array) -> list[Mesh]:
-    """Engines under or on the wing, beside the rear fuselage or in the nose; without pylons, thinner than a pixel."""
+    """Engines under or on the wing, beside the rear fuselage or in the nose."""
     radius, length = rng.uniform(0.022, 0.042), rng.uniform(0.1, 0.2) * (1.4 if kind == "wing" else 1.0)
-    blade = rng.uniform(0.06, 0.12)
-    if kind == "nose":
-        return [_propeller(body.at(-0.5), 1.5 * blade)]
+    blade, disc = rng.uniform(0.06, 0.12), chance(rng, 0.5)
     parts: list[Mesh] = []
+    if kind == "nose":
+        return _propeller(rng, body.at(-0.5), 1.5 * blade, 0.028, disc)
     if kind in ("under", "wing"):
         for share in (rng.uniform(0.28, 0.38), rng.uniform(0.56, 0.68))[: 1 + chance(rng, 0.3)]:
-            down = 1.1 * radius if kind == "under" else 0.0
-            front = root + share * span - [rng.uniform(0.3, 0.6) * length, down, 0.0]
+            edge, down = root + share * span, 1.1 * radius if kind == "under" else 0.0
+            front = edge - [rng.uniform(0.3, 0.6) * length, down, 0.0]
             parts.append(_body_of(JET if kind == "under" else PISTON, front, length, radius))
-            if kind == "wing":
-                parts.append(_propeller(front, blade))
+            if kind == "under":
+                pylon = rectangle(0.008, 0.05)
+                parts.append(sweep([front + [0.5 * length, 0.0, 0.0], edge + [0.05, 0.0, 0.0]], pylon, side=(0, 0, 1)))
+            else:
+                parts += _propeller(rng, front, blade, 0.5 * radius, disc)
     elif kind == "rear":
         front = body.at(rng.uniform(0.1, 0.25), 0.3, 1.0) + [0.0, 0.0, 0.9 * radius]
+        middle = front + [0.4 * length, 0.0, 0.0]
         parts = [_body_of(JET, front, length, radius)]
+        parts.append(sweep([middle * [1, 1, 0], middle], rectangle(0.5 * length, 0.014), side=X_AXIS))
     return both(parts, 2)
 
 
@@ -199,9 +210,18 @@ def _body_of(outline: tuple[list[float], list[float]], front: Array, length: flo
     return turned(front, front + [length, 0.0, 0.0], outline[0], radius * np.array(outline[1]), 14)
 
 
-def _propeller(centre: Array, radius: float) -> Mesh:
-    """The disc that turning blades look like."""
-    return rod(centre - [0.02, 0.0, 0.0], centre - [0.015, 0.0, 0.0], radius, sides=24)
+def _propeller(rng: np.random.Generator, centre: Array, radius: float, hub: float, disc: bool) -> list[Mesh]:
+    """Spinner and blades before ``centre``, or the disc that turning blades look like."""
+    spinner = np.array([0.1, 0.6, 0.95, 1.0]) * hub
+    parts = [turned(centre - [2.0 * hub, 0, 0], centre + [0.3 * hub, 0, 0], [0, 0.3, 0.7, 1], spinner)]
+    centre = centre - [0.4 * hub, 0.0, 0.0]
+    if disc:
+        return [*parts, rod(centre - [0.05 * hub, 0, 0], centre + [0.1 * hub, 0, 0], radius, sides=24)]
+    blades, section = int(rng.integers(2, 5)), rectangle(0.1 * radius, 0.03 * radius)
+    for angle in rng.uniform(0, np.pi) + 2 * np.pi * np.arange(blades) / blades:
+        out = np.array([0.0, np.cos(angle), np.sin(angle)])
+        parts.append(sweep([centre, centre + out * radius], section, [1.0, 0.7], np.cross(out, X_AXIS) + 0.4 * X_AXIS))
+    return parts
 
 
 def _gear(rng: np.random.Generator, body: Body, x: float) -> list[Mesh]:

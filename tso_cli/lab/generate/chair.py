@@ -248,7 +248,8 @@ def _base(rng: np.random.Generator, frame: Frame, kind: str) -> list[Mesh]:
 
 
 def _legs(rng: np.random.Generator, width: float, depth: float, top: float) -> list[Mesh]:
-    """Four legs, straight or tapered; with or without stretchers and an apron."""
+    """Four legs: straight, tapered or turned; with or without stretchers and an apron."""
+    form = pick(rng, {"straight": 5, "tapered": 6, "turned": 1.5})
     thick = rng.uniform(0.018, 0.055) if chance(rng, 0.88) else rng.uniform(0.055, 0.1)
     splay, splay_back = rng.uniform(0.0, 0.22) * chance(rng, 0.5), rng.uniform(0.0, 0.2)
     x, z = (size / 2.0 - thick / 2.0 - rng.uniform(0.0, 0.06) * chance(rng, 0.5) for size in (width, depth))
@@ -258,9 +259,12 @@ def _legs(rng: np.random.Generator, width: float, depth: float, top: float) -> l
         down, sign, out = np.asarray(down, dtype=np.float64), 1.0 if front else -1.0, splay if front else splay_back
         return np.stack([x + splay * 0.6 * top * down, top * (1.0 - down), sign * (z + out * top * down)], axis=-1)
 
-    ends, section = np.array([0.0, 1.0]), _section(rng, thick / 2.0)
-    scale = 1.0 - ends * rng.uniform(0.2, 0.5) * chance(rng, 0.5)
-    parts = [part for front in (True, False) for part in both(sweep(leg(front, ends), section, scale, X_AXIS))]
+    t = np.linspace(0.0, 1.0, 15 if form == "turned" else 2)
+    scale = 1.0 - t * rng.uniform(0.2, 0.5) * (form == "tapered")
+    if form == "turned":
+        scale = 1.0 + rng.uniform(0.1, 0.35) * np.sin(rng.uniform(6, 20) * t) * np.sin(np.pi * t)
+    section = _section(rng, thick / 2.0)
+    parts = [part for front in (True, False) for part in both(sweep(leg(front, t), section, scale, X_AXIS))]
     flip = np.array([-1.0, 1.0, 1.0])
     if chance(rng, 0.45):
         at, cross, radius = rng.uniform(0.45, 0.8), rng.uniform(0.35, 0.85), thick * rng.uniform(0.2, 0.4)

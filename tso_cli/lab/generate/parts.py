@@ -163,6 +163,13 @@ def flat(outline: Array, y: float) -> Array:
     return np.insert(outline, 1, y, axis=1)
 
 
+def ellipsoid(radii: Sequence[float], centre: ArrayLike, rings: int = 7, sides: int = 12) -> Mesh:
+    """Ellipsoid with half axes ``radii`` [3]."""
+    angle = np.linspace(0.02, np.pi - 0.02, rings)
+    ball = turned((0, -1, 0), (0, 1, 0), (1.0 - np.cos(angle)) / 2.0, np.sin(angle), sides)
+    return Mesh(ball.vertices * np.asarray(radii) + np.asarray(centre), ball.faces)
+
+
 def plate(grid: ArrayLike, thickness: ArrayLike) -> Mesh:
     """A bent sheet: middle surface [M, N, 3], and its thickness, one number or [M, N]."""
     middle = np.asarray(grid, dtype=np.float64)
