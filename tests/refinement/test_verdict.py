@@ -63,15 +63,6 @@ def test_a_step_of_little_confidence_is_taken_in_part_where_a_mistake_is_suspect
     assert part.moved_mean == pytest.approx(0.5 * whole.moved_mean)
 
 
-@pytest.mark.parametrize(("confidence", "taken"), [(0.05, 0.0), (0.075, 0.5), (0.1, 1.0)])
-def test_a_step_of_next_to_no_confidence_is_not_taken_though_no_mistake_is_suspected(monkeypatch, confidence, taken):
-    scene = example("chair")
-    monkeypatch.setattr(verdict, "_judged", lambda signs: (confidence, "camera"))
-    result = refine(scene.points, scene.view)
-    assert (result.verdict, result.reason) == ("doubtful", REASONS["camera"])
-    assert result.step_taken == pytest.approx(taken) and (result.moved_mean > 0.0) == (taken > 0.0)
-
-
 def test_a_suspected_mistake_is_never_called_an_improvement(monkeypatch):
     scene = example("chair")
     monkeypatch.setattr(Problem, "suspicion", "it looks as if the camera is another")

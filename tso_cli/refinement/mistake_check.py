@@ -27,7 +27,7 @@ def checked_hint(
     (`time.perf_counter`), nothing is confirmed.
     """
     agreement = problem.agreement
-    if agreement is None or agreement.hint is None or not problem.masks_alone:
+    if not (agreement and agreement.hint and problem.masks_alone):
         return problem, False
     losses = []
     without_plane = replace(problem, symmetry=SymmetryDecision("not_asked"))

@@ -91,7 +91,7 @@ def _prepare(problem: Problem, settings: Settings, stopwatch: Stopwatch, interru
         if settings.preset == "best":
             weights = ViewWeights.of(problem.resampled[:views], problem.cloud.normalised())
         field = SmoothField(problem.cloud.normalised()) if settings.staged else None
-    if field and settings.steps and not interrupted:
+    if field and settings.steps and not interrupted and problem.agreement and problem.agreement.hint:
         with stopwatch.phase("check mistake"):
             problem, interrupted = checked_hint(problem, weights.loss, settings, field, until)
     checked = settings.symmetry == "auto" and len(problem.resampled) > views

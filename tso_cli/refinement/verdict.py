@@ -31,9 +31,9 @@ Name = Literal["improved", "unchanged", "doubtful"]
 MODEL = Path(__file__).with_name("confidence.json")
 # A result of less confidence is doubtful.
 LEAST_CONFIDENCE = 0.5
-# No step up to the first confidence is taken, and a part of it up to the second: where silhouettes show a common mistake, and
-# elsewhere. A cloud far off its mask looks as a wrong camera does: with the first pair half of such clouds would stay.
-SUSPECT_STEP, DOUBT_STEP = (0.3, 0.5), (0.05, 0.1)
+# Where silhouettes show a common mistake, no step up to the first confidence is taken, and a part of it up to the second. Nowhere
+# else: a cloud far off its mask looks as a wrong camera does, and so does a box that its masks show stretched.
+SUSPECT_STEP = (0.3, 0.5)
 # What is said where signs of this group took most of the confidence.
 REASONS = {
     "camera": "the points moved as one body, as a camera that is off would move them; is the camera right? (--refine-camera)",
@@ -74,8 +74,7 @@ class Verdict:
         """
         confidence, group = _judged(signs)
         if confidence < LEAST_CONFIDENCE or suspicion:
-            likely = suspicion and not only_hinted
-            step = float(np.interp(confidence, SUSPECT_STEP if likely else DOUBT_STEP, (0.0, 1.0)))
+            step = float(np.interp(confidence, SUSPECT_STEP, (0.0, 1.0))) if suspicion and not only_hinted else 1.0
             return cls("doubtful", confidence, suspicion or REASONS[group], step)
         return cls("improved", confidence)
 
