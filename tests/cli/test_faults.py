@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -378,7 +379,12 @@ def test_ctrl_c_while_the_command_line_is_imported_ends_it_without_a_traceback()
     program = "import sys; sys.argv[0] = 'tso'; from tso_cli.__main__ import main; main()"
     command = [sys.executable, "-X", "importtime", "-c", program, "refine", "--help"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(command, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+    pipes = {
+        "stdout": subprocess.PIPE,
+        "stderr": subprocess.PIPE,
+        "preexec_fn": partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
+    }
+    with subprocess.Popen(command, env=environment, text=True, **pipes) as process:
         # A module of click is there, and others are to come.
         next(line for line in process.stderr if " click." in line)
         process.send_signal(signal.SIGINT)

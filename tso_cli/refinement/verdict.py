@@ -31,8 +31,8 @@ Name = Literal["improved", "unchanged", "doubtful"]
 MODEL = Path(__file__).with_name("confidence.json")
 # A result of less confidence is doubtful.
 LEAST_CONFIDENCE = 0.5
-# Where silhouettes show a common mistake, no step up to the first confidence is taken, and a part of it up to the second. Nowhere
-# else: a cloud far off its mask looks as a wrong camera does, and so does a box that its masks show stretched.
+# Where silhouettes show a common mistake, no step up to the first confidence is taken, and a part of it up to the second.
+# Elsewhere doubt is not enough: a cloud far off its mask looks as a wrong camera does, and so does a box that was stretched.
 SUSPECT_STEP = (0.3, 0.5)
 # What is said where signs of this group took most of the confidence.
 REASONS = {
