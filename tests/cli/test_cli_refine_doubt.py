@@ -39,6 +39,28 @@ def test_the_json_of_a_result_and_of_a_check_hold_the_same_judgement(folder, ref
     assert (check["verdict"], check["confidence"], check["suspects"]) == (None, None, [])
 
 
+@pytest.mark.parametrize("options", [(), ("--preset", "paper"), ("--points", "256"), ("--steps", "0")])
+def test_a_check_hints_at_what_a_refinement_with_the_same_options_does(folder, refine, options):
+    Image.fromarray(np.asarray(Image.open("mask.png"))[:, ::-1]).save("mask.png")
+    result, check = (refine(*POINTS, *options, *more, "--json").document for more in ((), ("--check",)))
+    assert result["suspects"] == check["suspects"] and (options or check["suspects"][0]["option"] == "--assume mask-flipped")
+
+
+def test_a_check_warns_once_of_points_behind_the_camera_in_its_document_too(folder, refine):
+    cloud = read_cloud("initial.ply").points
+    camera = read_camera("camera.json", 256, 256)
+    clump = np.random.default_rng(0).normal(camera.position - 0.3 * camera.R[2], 0.01, (30, 3))
+    write_cloud(Path("behind.ply"), np.vstack([cloud, clump]))
+    run = refine("behind.ply", "mask.png", "--check", "--json")
+    assert run.err.count("behind the camera") == 1
+    assert sum("behind the camera" in text for text in run.document["warnings"]) == 1
+
+
+def test_a_strict_check_of_what_looks_wrong_fails(inverted, refine):
+    run = refine(*POINTS, "--strict", "--check", "--json")
+    assert run.code == 3 and json.loads(run.out)["verdict"] == "doubtful"
+
+
 def test_an_inverted_mask_is_told_with_the_option_that_mends_it(inverted, refine):
     run = refine(*POINTS)
     assert (run.code, run.err.count("\n")) == (0, 1)

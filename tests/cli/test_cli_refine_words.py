@@ -141,3 +141,4 @@ def test_a_budget_says_what_was_decided_and_why(folder, refine):
     assert "spent  steps: 96 (the budget is full)" in refine("initial.ply", "mask.png", "-v", "--budget", "full").out
     assert refine("initial.ply", "mask.png", "--budget", "soon").refusal.endswith("expected auto, full or seconds")
     assert "--points" in refine("initial.ply", "mask.png", "--points", "none").err
+    assert refine("initial.ply", "mask.png", "--points", "auto", "-o", "auto.ply", "--json").document["moving"] == 1024

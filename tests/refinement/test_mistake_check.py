@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from tests.scenes import example
-from tso_cli import RefineConfig, View, refine
+from tso_cli import InputError, RefineConfig, View, refine
 from tso_cli.refinement import mistake_check
 from tso_cli.refinement.agreement import Agreement, Hint
 from tso_cli.refinement.assumptions import ASSUMPTIONS, AssumedView, Suspect
+from tso_cli.refinement.cloud import Cloud
+from tso_cli.refinement.problem import Problem
 
 CHAIR = example("chair")
 MISTAKES = ("mask-flipped", "mask-upside-down", "R-transposed")
@@ -60,7 +62,7 @@ def test_without_time_a_hint_is_not_checked(budget):
 
 def test_ctrl_c_during_the_check_leaves_the_cloud_as_it_was(monkeypatch):
     stopped = SimpleNamespace(run=lambda *_, **__: (SimpleNamespace(interrupted=True, out_of_time=False), None))
-    monkeypatch.setattr(mistake_check, "CoarseToFine", lambda *_, **__: stopped)
+    monkeypatch.setattr(mistake_check, "probe", lambda *_: stopped)
     result = refine(CHAIR.points, ASSUMPTIONS["mask-flipped"].of_view(CHAIR.view))
     assert result.stop_reason == "interrupted"
     np.testing.assert_array_equal(result.points, result.initial)
@@ -71,3 +73,14 @@ def test_a_mistake_that_a_descent_alone_tells_of_is_doubtful_and_keeps_no_point_
     monkeypatch.setattr("tso_cli.refinement.verdict._judged", lambda signs: (0.2, "camera"))
     result = refine(CHAIR.points, ASSUMPTIONS["mask-flipped"].of_view(CHAIR.view))
     assert (result.verdict, result.step_taken) == ("doubtful", 1.0) and "mask is flipped" in result.reason
+
+
+def test_an_assumption_under_which_the_views_cannot_be_is_not_confirmed():
+    def impossible(camera):
+        raise InputError("no camera")
+
+    settings = RefineConfig().settings(1)
+    problem = Problem.of(Cloud(CHAIR.points, "cloud"), (CHAIR.view,), settings)
+    hint = Hint(Suspect("", "", 1.0), replace(ASSUMPTIONS["R-transposed"], camera=impossible))
+    problem = replace(problem, agreement=replace(problem.agreement, hint=hint))
+    assert mistake_check.checked_hint(problem, settings) == (problem, False)

@@ -5,8 +5,8 @@ import pytest
 
 from tests.corruption import assert_refused
 from tests.scenes import block
-from tso_cli import Camera, View
-from tso_cli.refinement.placement import box_iou, place, require_overlap
+from tso_cli import Camera, RefineConfig, View, refine
+from tso_cli.refinement.placement import behind_warnings, box_iou, place, require_overlap
 
 
 def test_points_are_counted_behind_the_camera_inside_the_image_and_on_the_mask(cloud):
@@ -43,5 +43,9 @@ def test_a_cloud_on_both_sides_of_the_image_is_refused():
 def test_points_behind_the_camera_are_warned_of(cloud):
     view = View(block(np.s_[20:44, 20:44]), Camera.canonical(64, 64))
     points = np.vstack([cloud, [[0.0, 0.0, 3.0]]])
-    with pytest.warns(UserWarning, match="1 of 501 points lie behind the camera"):
-        require_overlap(place(points, view), view)
+    placement = place(points, view)
+    require_overlap(placement, view)
+    assert behind_warnings(placement, view) == ["mask: 1 of 501 points lie behind the camera and take no part"]
+    clump = np.vstack([cloud, np.random.default_rng(0).normal([0.0, 0.0, 3.0], 0.01, (30, 3))])
+    with pytest.warns(UserWarning, match="30 of 530 points lie behind the camera"):
+        refine(clump, view, config=RefineConfig(steps=0))

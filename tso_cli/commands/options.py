@@ -33,6 +33,13 @@ class FilePath(click.Path):
         super().__init__(path_type=Path)
 
 
+class AutoOrInteger(click.types.IntParamType):
+    """A whole number; None for auto."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return None if value == "auto" else super().convert(value, param, ctx)
+
+
 FIT = Path("fit")
 """What `--camera` takes instead of a file, to estimate the camera."""
 

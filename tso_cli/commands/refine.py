@@ -50,13 +50,14 @@ BRIEF = ("mode", "preset", "budget", "camera", "output", "overwrite", "overlay",
     "--budget",
     metavar="auto|full|SECONDS",
     default="auto",
-    help="What the scene is known to gain by; a quarter more, for 0 to 3 %; or the best in so many seconds.",
+    help="What the scene is known to gain by; twice the steps, for 0 to 3 %; or at most so many seconds for the steps.",
 )
 @click.option(
     "--points",
-    type=int,
-    metavar="N",
-    help="How many points move by themselves, 16 to 16,384 (of a mesh 4,096); the others follow.  [default: 1024; paper all]",
+    type=options.AutoOrInteger(),
+    metavar="auto|N",
+    help="How many points move by themselves, 16 to 16,384 (of a mesh 4,096); the others follow.  [default: auto: 1024, with a "
+    "short budget 512; paper all]",
 )
 @click.option(
     "--symmetry",
@@ -168,18 +169,8 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
         if inputs.checkpoint is not None:
             options.log(f"tso: checkpoint: {inputs.checkpoint}")
         options.log(f"tso: camera: {', '.join(dict.fromkeys(scene.camera_sources))}")
-    if check:
-        check_scene(scene, as_json, quiet, warned)
-        return
-    if write_camera and any(map(mirrored, scene.views)):
-        raise InputError(
-            f"--write-camera {write_camera}: the cloud has left-handed axes, which no camera has; found --assume "
-            f"{' '.join(inputs.assume)}, expected a cloud with right-handed axes"
-        )
-    read = time.perf_counter() - started
     with options.loading():
         from ..refinement import RefineConfig, refine
-        from .refine_report import RefineReport
     if chosen["sigma_sq"] is None:
         chosen["sigma_sq"] = scene.sigma_sq
     elif inputs.preset == "best" and not refine_camera:
@@ -188,6 +179,19 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
     if strict and not config.settings().staged:
         found = f"--mode {config.mode} --preset {config.preset}"
         raise InputError(f"--strict is for results that are judged, of --mode points --preset best, found {found}")
+    if check:
+        suspicion = check_scene(scene, config, as_json, quiet, warned)
+        if suspicion and strict:
+            raise GateError(f"{inputs.source}: is doubtful: {suspicion}")
+        return
+    if write_camera and any(map(mirrored, scene.views)):
+        raise InputError(
+            f"--write-camera {write_camera}: the cloud has left-handed axes, which no camera has; found --assume "
+            f"{' '.join(inputs.assume)}, expected a cloud with right-handed axes"
+        )
+    read = time.perf_counter() - started
+    with options.loading():
+        from .refine_report import RefineReport
     if scene.start and config.settings().points is None:
         require_memory(inputs.source, BYTES_A_MOVING_POINT * len(scene.start.given))
     bar = options.ProgressBar("tso: refining")

@@ -9,28 +9,43 @@ from typing import Any
 import click
 
 from ..geometry.camera import Array, Camera
+from ..geometry.view import View
+from ..kernels import blas
+from ..refinement import RefineConfig
 from ..refinement.agreement import Agreement
 from ..refinement.assumptions import Suspect
-from ..refinement.cloud import outlier_warnings
-from ..refinement.placement import SMALLEST_BOX_IOU, Placement, describe_box, mask_doubts, place, require_overlap
+from ..refinement.cloud import Cloud, outlier_warnings
+from ..refinement.mistake_check import checked_hint
+from ..refinement.placement import (
+    SMALLEST_BOX_IOU,
+    Placement,
+    behind_warnings,
+    describe_box,
+    mask_doubts,
+    place,
+    require_overlap,
+)
+from ..refinement.problem import Problem
 from ..scene.load import Scene
 from ..version import __version__
 from . import options
 
 
-def check_scene(scene: Scene, as_json: bool, quiet: bool, warned: list[str]) -> None:
-    """Print cameras, scale and overlap; InputError where cloud and mask do not overlap.
+def check_scene(scene: Scene, config: RefineConfig, as_json: bool, quiet: bool, warned: list[str]) -> str | None:
+    """Print cameras, scale and overlap; InputError where cloud and mask do not overlap. Returns what looks wrong, if something.
 
     ``warned`` collects the warnings so far and those to come.
     """
     placements = [place(scene.moving, view) for view in scene.views]
     doubts = outlier_warnings(_outliers(scene))
-    for doubt in (*doubts, *(doubt for view in scene.views for doubt in mask_doubts(view, len(scene.moving)))):
+    for view, placement in zip(scene.views, placements, strict=True):
+        doubts += [*mask_doubts(view, len(scene.moving)), *behind_warnings(placement, view)]
+    for doubt in doubts:
         warnings.warn(doubt, stacklevel=1)
     overlaps = [placement.box_iou > SMALLEST_BOX_IOU for placement in placements]
-    agreement = None if scene.network else Agreement.of(scene.moving, scene.views)
-    if agreement and agreement.hint and all(overlaps):
-        agreement = _checked(scene)
+    agreement = Agreement.of(scene.moving, scene.views) if scene.start else None
+    if scene.start and agreement and agreement.hint and all(overlaps):
+        agreement = _checked(scene.start, scene.views, config)
     suspicion = agreement.suspicion if agreement else None
     if suspicion and all(overlaps):
         warnings.warn(suspicion, stacklevel=1)
@@ -44,23 +59,20 @@ def check_scene(scene: Scene, as_json: bool, quiet: bool, warned: list[str]) -> 
     elif not quiet:
         _print(scene, placements, overlaps)
     for placement, view in zip(placements, scene.views, strict=True):
-        require_overlap(placement, view, advice=suspicion)
+        require_overlap(placement, view, suspicion)
+    return suspicion
 
 
-def _checked(scene: Scene) -> Agreement | None:
+def _checked(cloud: Cloud, views: tuple[View, ...], config: RefineConfig) -> Agreement | None:
     """With its hint checked as a refinement does it."""
-    from ..refinement.config import RefineConfig
-    from ..refinement.mistake_check import checked_hint
-    from ..refinement.problem import Problem
-    from ..refinement.smooth_field import SmoothField
-    from ..refinement.view_weights import ViewWeights
-
-    assert scene.start is not None
-    settings = RefineConfig().settings(len(scene.views))
-    problem = Problem.of(scene.start, tuple(scene.views), settings)
-    points = problem.cloud.normalised()
-    weights = ViewWeights.of(problem.resampled[: len(problem.views)], points)
-    return checked_hint(problem, weights.loss, settings, SmoothField(points))[0].agreement
+    settings = config.settings(len(views))
+    with warnings.catch_warnings(), blas.one_thread():
+        # What it warns of is said here.
+        warnings.simplefilter("ignore")
+        problem, interrupted = checked_hint(Problem.of(cloud, views, settings), settings)
+    if interrupted:
+        raise KeyboardInterrupt
+    return problem.agreement
 
 
 def camera_document(camera: Camera, source: str) -> dict[str, Any]:

@@ -70,18 +70,18 @@ class Agreement:
     @property
     def named(self) -> tuple[Suspect, ...]:
         """Suspects of the input as a whole, else of single views."""
-        return self._of_all or self.of_views
+        return self._of_input or self.of_views
 
     @property
-    def _of_all(self) -> tuple[Suspect, ...]:
+    def _of_input(self) -> tuple[Suspect, ...]:
         return (self.hint.suspect,) if self.hint and self.confirmed else self.suspects
 
     @property
     def suspicion(self) -> str | None:
         """The suspects in words, None without any."""
-        if not self._of_all:
+        if not self._of_input:
             return "; ".join(f"it looks as if {suspect.what}: try {suspect.option}" for suspect in self.of_views) or None
-        first, *others = self._of_all
+        first, *others = self._of_input
         return f"it looks as if {first.what}: try {first.option}" + "".join(f", or {suspect.option}" for suspect in others)
 
 

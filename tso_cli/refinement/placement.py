@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -97,8 +96,15 @@ def box_iou(a: Box, b: Box) -> float:
     return common / union if union > 0.0 else 0.0
 
 
-def require_overlap(placement: Placement, view: View, warn: bool = True, advice: str | None = None) -> None:
-    """Raise InputError with ``advice`` for a cloud and a mask that do not meet; warn of points behind it where ``warn``."""
+def behind_warnings(placement: Placement, view: View) -> list[str]:
+    """The warning of points behind the camera; empty without any, or where all are."""
+    if not 0 < placement.behind < placement.points:
+        return []
+    return [f"{view.name}: {placement.behind} of {placement.points} points lie behind the camera and take no part"]
+
+
+def require_overlap(placement: Placement, view: View, advice: str | None = None) -> None:
+    """Raise InputError with ``advice`` for a cloud and a mask that do not meet."""
     advice = advice or (
         "check the camera's axes (OpenCV: x right, y down, z forward; X_camera = R X_world + t) and units, "
         "or look at the numbers with --check"
@@ -112,10 +118,6 @@ def require_overlap(placement: Placement, view: View, warn: bool = True, advice:
             f"{view.name}: the projected cloud ({describe_box(placement.points_box)}) and the mask "
             f"({describe_box(placement.mask_box)}) hardly meet: IoU of the boxes {placement.box_iou:.3f}, expected over "
             f"{SMALLEST_BOX_IOU}; {advice}"
-        )
-    if placement.behind and warn:
-        warnings.warn(
-            f"{view.name}: {placement.behind} of {placement.points} points lie behind the camera and take no part", stacklevel=2
         )
 
 

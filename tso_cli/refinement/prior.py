@@ -28,8 +28,8 @@ class PositionPrior:
 
     def __call__(self, points: Array) -> tuple[float, Array]:
         shift = points - self.initial
-        pull = self.weights[:, None] * shift
-        return float((pull * shift).sum()), 2.0 * pull
+        weighted = self.weights[:, None] * shift
+        return float((weighted * shift).sum()), 2.0 * weighted
 
 
 def position_prior(

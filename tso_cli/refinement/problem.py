@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from ..geometry.window import Array, Box, window_of
 from .agreement import Agreement
 from .cloud import Cloud
 from .config import Settings
-from .placement import place, require_overlap
+from .placement import behind_warnings, place, require_overlap
 from .resampled_view import CELLS, ResampledView, fine_cells, resample_view
 from .symmetry import SymmetryDecision, decide_symmetry
 
@@ -48,7 +49,10 @@ class Problem:
         cloud = cloud.with_moving(settings.points)
         agreement = Agreement.of(cloud.initial, views) if settings.mode == "points" else None
         for view in views:
-            require_overlap(place(cloud.initial, view), view, advice=agreement.suspicion if agreement else None)
+            placement = place(cloud.initial, view)
+            require_overlap(placement, view, agreement.suspicion if agreement else None)
+            for text in behind_warnings(placement, view):
+                warnings.warn(text, stacklevel=2)
         symmetry = decide_symmetry(cloud, settings.symmetry)
         if symmetry.outcome == "given":
             _require_plane_through(cloud, views, symmetry, settings.symmetry)
@@ -121,8 +125,7 @@ def _require_plane_through(cloud: Cloud, views: tuple[View, ...], decision: Symm
     for view in views:
         flipped = decision.plane.view(view)
         try:
-            # The view itself has warned of points behind the camera.
-            require_overlap(place(cloud.initial, flipped), flipped, warn=False)
+            require_overlap(place(cloud.initial, flipped), flipped)
         except InputError as error:
             raise InputError(
                 f"symmetry is {symmetry!r}, expected a plane ax + by + cz = d through the cloud; as it is, {error}"

@@ -166,7 +166,8 @@ def result_warnings(result: RefineResult, views: Sequence[View], steps: int, sus
     elif not reason and result.moved_max < SMALL_DISPLACEMENT:
         messages.append(f"hardly anything moved: no point by more than {100.0 * SMALL_DISPLACEMENT:g} % of the object's size")
     if result.verdict == "doubtful":
-        sure = "" if result.confidence is None else f" (confidence {result.confidence:.2f})"
+        # A suspected mistake makes it doubtful whatever the confidence.
+        sure = "" if suspicion else f" (confidence {result.confidence:.2f})"
         taken = f", so only {100.0 * result.step_taken:.0f} % of the step is taken" if result.step_taken < 1.0 else ""
         taken = taken if result.step_taken else ", so the cloud is left as it was"
         messages.append(f"the result is doubtful{sure}{taken}: {result.reason}")

@@ -81,6 +81,9 @@ def run(
 
 
 def _prepare(problem: Problem, settings: Settings, stopwatch: Stopwatch, interrupted: bool, until: float) -> _Prepared:
+    if problem.agreement and problem.agreement.hint and not interrupted:
+        with stopwatch.phase("check mistake"):
+            problem, interrupted = checked_hint(problem, settings, until)
     if settings.refine_camera and settings.steps and not interrupted:
         with stopwatch.phase("cameras"):
             half = time.perf_counter() + 0.5 * (until - time.perf_counter())
@@ -91,9 +94,6 @@ def _prepare(problem: Problem, settings: Settings, stopwatch: Stopwatch, interru
         if settings.preset == "best":
             weights = ViewWeights.of(problem.resampled[:views], problem.cloud.normalised())
         field = SmoothField(problem.cloud.normalised()) if settings.staged else None
-    if field and settings.steps and not interrupted and problem.agreement and problem.agreement.hint:
-        with stopwatch.phase("check mistake"):
-            problem, interrupted = checked_hint(problem, weights.loss, settings, field, until)
     checked = settings.symmetry == "auto" and len(problem.resampled) > views
     if checked and settings.steps and not interrupted and field:
         with stopwatch.phase("check symmetry"):
