@@ -12,7 +12,6 @@ from ..kernels.tensors import PrecomputedGradient, called, use_numba
 from .bce import pixel_weight, pixels_to_points
 from .projection import pixels_under
 
-AFFINITIES = ("points", "paper")
 # Where the sum is this, the silhouette is 0.5.
 HALF = math.atanh(0.5)
 
