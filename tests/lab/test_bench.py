@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 import types
 
 import numpy as np
@@ -217,3 +219,8 @@ def test_the_command_writes_record_page_and_chart(tso, measured, tmp_path, monke
         assert min(chart.size) > 500
     assert {row["what"] for row in tso("bench", "speed", "--only", "chamfer", "--json").document["cases"]} == {"chamfer"}
     assert "nothing" in tso("bench", "speed", "--only", "nothing").refusal
+
+
+def test_the_process_whose_memory_is_measured_imports_no_torch():
+    program = "import sys, tso_cli.lab.bench.refining; sys.exit('torch' in sys.modules)"
+    subprocess.run([sys.executable, "-c", program], check=True)

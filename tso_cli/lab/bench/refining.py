@@ -24,8 +24,8 @@ from ...io.meshes import read_mesh
 from ...io.shipped import examples_folder
 from ...refinement import PRESETS, RefineConfig, refine, refine_batch
 from ...scene.load import load_points_scene
-from ..studies.cases import views_around
 from ..study import Cases, Record
+from ..views import views_around
 from .timing import (
     FORMS,
     IMPORT_TORCH,

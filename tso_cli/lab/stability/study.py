@@ -17,11 +17,12 @@ from ...refinement import RefineConfig
 from ...scene.load import load_points_scene
 from ..charts import draw_cases
 from ..studies.accuracy import CATEGORIES
-from ..studies.cases import MASKS, Case, CaseBuilder, views_around
+from ..studies.cases import MASKS, Case, CaseBuilder
 from ..studies.refining import DEFAULT, FOUR_MASKS, POINTS, Variant
 from ..studies.shapes import shapes_of_part
 from ..studies.summary import grouped, summarised
 from ..study import SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table
+from ..views import views_around
 from .axes import AXES, Axis
 from .chart import draw
 from .knees import AXIS, FIGURES, SILENT, WORSE, got_worse, knee

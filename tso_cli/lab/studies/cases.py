@@ -14,10 +14,8 @@ from ...errors import InputError
 from ...evaluation.metrics import chamfer
 from ...geometry.camera import CANONICAL_ROTATION
 from ...geometry.points import Array, farthest_point_sample, sample_surface
-from ...geometry.rotations import from_vectors
 from ...geometry.view import View
 from ...io.shipped import CATEGORIES
-from ...losses.silhouette import silhouette_of
 from ...network.model import BaseNetwork, NetworkConfig
 from ...render import RayScene, RenderSettings, fitting_distance, look_at, render_view, sample_cameras
 from ...scene.network import network_scene
@@ -155,13 +153,6 @@ class CaseBuilder:
         turned = [replace(view, camera=replace(view.camera, R=view.camera.R @ turn)) for view in views]
         clouds = {"initial": predicted.points, "target": case.target @ turn, "dense": case.dense @ turn}
         return replace(case, views=(predicted.view, *turned), image=predicted.image, **clouds)
-
-
-def views_around(view: View, truth: Array, radians: Array) -> list[View]:
-    """The view, and silhouettes of the ``truth`` [N, 3] that it shows, turned by so much about the vertical axis."""
-    turns = from_vectors(np.outer(radians, [0.0, 1.0, 0.0]))
-    cameras = [replace(view.camera, R=view.camera.R @ turn) for turn in turns]
-    return [view, *(View(silhouette_of(truth, camera), camera) for camera in cameras)]
 
 
 def kinds_of(category: str, kinds: Sequence[str]) -> list[str]:

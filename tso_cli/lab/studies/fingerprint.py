@@ -22,7 +22,7 @@ from ...scene.load import load_points_scene
 from ...scene.network import load_network_scene
 from ...train import TrainConfig, train
 from ...train.sources import shipped_examples
-from .cases import views_around
+from ..views import views_around
 from .shapes import Shape, see
 
 Numbers = dict[str, float]

@@ -1,0 +1,19 @@
+"""Further views of an example; imports no torch, whose memory would be measured with that of a refinement."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..geometry.points import Array
+from ..geometry.rotations import from_vectors
+from ..geometry.view import View
+from ..losses.silhouette import silhouette_of
+
+
+def views_around(view: View, truth: Array, radians: Array) -> list[View]:
+    """The view, and silhouettes of the ``truth`` [N, 3] that it shows, turned by so much about the vertical axis."""
+    turns = from_vectors(np.outer(radians, [0.0, 1.0, 0.0]))
+    cameras = [replace(view.camera, R=view.camera.R @ turn) for turn in turns]
+    return [view, *(View(silhouette_of(truth, camera), camera) for camera in cameras)]
