@@ -9,6 +9,7 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from tests.corruption import assert_refused
@@ -177,3 +178,14 @@ def test_the_command_prints_one_json_document_writes_a_data_set_and_refuses_an_u
     data = open_rendered(tmp_path / "out")
     assert [item.target().shape for item in data.objects if item.target] == [(50, 3)] * 3
     assert data.objects[0].views[0].load()[0].shape == (24, 32, 3)
+
+
+def test_the_command_looks_from_the_directions_that_were_asked_for(tso_render, meshes, tmp_path):
+    assert tso_render(meshes, tmp_path / "out", *WORDS, "--azimuth", 80, 100, "--elevation", 10, 20).code == 0
+    files = list((tmp_path / "out").rglob("cameras.json"))
+    assert len(files) == 3
+    for file in files:
+        for view in json.loads(file.read_text())["views"]:
+            R, t = np.array(view["R"]), np.array(view["t"])
+            x, y, z = -R.T @ t / np.linalg.norm(t)
+            assert 79.9 <= np.degrees(np.arctan2(x, z)) <= 100.1 and 9.9 <= np.degrees(np.arcsin(y)) <= 20.1

@@ -5,6 +5,8 @@ import signal
 from dataclasses import replace
 
 import pytest
+import torch
+from safetensors.torch import load_file
 
 from tests.dataset_trees import CHAIR, write_clouds, write_r2n2
 from tso_cli.commands import options
@@ -159,3 +161,11 @@ def test_refuses_in_one_line_and_writes_nothing(tso_train, folder, tmp_path, mon
     before = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
     assert message in tso_train(*arguments).refusal
     assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == before
+
+
+def test_threads_that_prepare_batches_ahead_change_no_weight(tso_train, folder, tmp_path):
+    names = [tmp_path / "one.safetensors", tmp_path / "three.safetensors"]
+    for name, workers in zip(names, (1, 3), strict=True):
+        assert tso_train(folder, "--workers", workers, "-o", name).code == 0
+    one, three = map(load_file, names)
+    assert one.keys() == three.keys() and all(torch.equal(one[key], three[key]) for key in one)
