@@ -28,12 +28,12 @@ def checked_hint(problem: Problem, settings: Settings, until: float = math.inf) 
     agreement = problem.agreement
     if not (agreement and agreement.hint and settings.staged and settings.steps and problem.masks_alone):
         return problem, False
-    points = problem.cloud.normalised()
-    field, weights = SmoothField(points), ViewWeights.of(problem.resampled[: len(problem.views)], points).loss
+    given = replace(problem, resampled=problem.resampled[: len(problem.views)])
     without_plane = replace(problem, symmetry=SymmetryDecision("not_asked"))
+    points = problem.cloud.normalised()
+    field, weights = SmoothField(points), ViewWeights.of(given.resampled, points).loss
     try:
         mended = without_plane.with_views(tuple(map(agreement.hint.assumption.read, problem.views)), settings)
-        given = without_plane.with_views(problem.views, settings)
         losses = final_losses([probe(views, weights, field) for views in (given, mended)], until)
     except InputError:
         # A mask that shows nothing where the assumption has its object.
