@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .jit import compiled, part, share
-from .nearest_numba import cell_edge, nearest_in_cells, nearest_in_column, sort_into_cells
+from .nearest_numba import cell_edge, nearest_in_cells, nearest_in_column, nearest_marked, sort_into_cells
 from .simd import LOWEST, exp, log
 
 LOG_TWO = math.log(2.0)
@@ -104,11 +104,15 @@ def _pixels_to_points(first, last, pixels, weight, points, valid, factor, edge, 
         if not pixels[image].any() or not valid[image].any():
             continue
         cells = sort_into_cells(points[image], valid[image], height, width, edge)
-        loss = 0.0
+        begin, order = cells[2], cells[5]
+        if begin[-1] == 0:
+            continue
+        loss, place, above = 0.0, 0, np.zeros(width, np.int64)
         for i in range(height):
             for j in range(width):
-                n = nearest_in_cells(float(j), float(i), edge, cells) if pixels[image, i, j] else -1
-                if n >= 0:
+                if pixels[image, i, j]:
+                    place = nearest_in_cells(float(j), float(i), edge, cells, place, above[j])
+                    above[j], n = place, order[place]
                     by_x, by_y = points[image, n, 0] - j, points[image, n, 1] - i
                     w = factor * weight[image, i, j]
                     loss += w * (by_x * by_x + by_y * by_y)
@@ -132,16 +136,7 @@ def _points_to_mask(first, last, points, valid, inside, total, gradient):  # typ
             i, j = int(y), int(x)
             if inside[image, i, j]:
                 continue
-            best, row, column = width * width + height * height, -1, -1
-            for offset in range(width):
-                # No column further out can hold a nearer pixel.
-                if offset * offset >= best:
-                    break
-                for k in (j - offset, j + offset):
-                    if 0 <= k < width and nearest_row[i, k] >= 0:
-                        squared = offset * offset + (nearest_row[i, k] - i) ** 2
-                        if squared < best:
-                            best, row, column = squared, nearest_row[i, k], k
+            row, column = nearest_marked(i, j, nearest_row)
             if row >= 0:
                 by_x, by_y = points[image, n, 0] - column, points[image, n, 1] - row
                 loss += by_x * by_x + by_y * by_y

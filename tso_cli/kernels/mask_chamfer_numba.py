@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .jit import compiled
-from .nearest_numba import cell_edge, nearest_in_cells, sort_into_cells
+from .nearest_numba import cell_edge, nearest_in_cells, nearest_marked, sort_into_cells
 
 
 class CompiledView(NamedTuple):
@@ -20,7 +20,7 @@ class CompiledView(NamedTuple):
     near: float
     inside: NDArray[np.bool_]
     outside: NDArray[np.bool_]
-    nearest_foreground: NDArray[np.int64]
+    nearest_in_column: NDArray[np.int64]
     bounds: NDArray[np.float64]
     truncated: bool
     within: float
@@ -49,7 +49,7 @@ def mask_chamfer(
 
 @compiled
 def _mask_chamfer(  # type: ignore[no-untyped-def]
-    points, K, R, t, near, inside, outside, nearest_foreground, bounds, truncated, within, scale, reference,
+    points, K, R, t, near, inside, outside, nearest_row, bounds, truncated, within, scale, reference,
     robust_scale, resolvability, edge, weight, costs, gradient,
 ):  # fmt: skip
     count, (height, width) = len(points), inside.shape
@@ -72,22 +72,38 @@ def _mask_chamfer(  # type: ignore[no-untyped-def]
     if not any_observed:
         return False
     area, robust = scale * scale, robust_scale * robust_scale
-    open_pixels = inside.copy()
+    # Most pixels have a point so near that trying the few pixels around each point finds it.
+    reach = max(1, int(edge / 2.0))
+    margin = 2 * reach + 1
+    least = np.full((height + 2 * margin, width + 2 * margin), (reach + 0.5) ** 2)
+    owner = np.full(least.shape, -1, np.int64)
     for n in range(count):
-        # Pixels with a point this near need not search for their nearest; far outside, the numbers would not fit.
         x, y = pixels[n, 0], pixels[n, 1]
-        if valid[n] and x > -within and x < width + within and y > -within and y < height + within:
-            for i in range(max(int(np.ceil(y - within)), 0), min(int(np.floor(y + within)), height - 1) + 1):
-                for j in range(max(int(np.ceil(x - within)), 0), min(int(np.floor(x + within)), width - 1) + 1):
-                    if (x - j) * (x - j) + (y - i) * (y - i) <= within * within:
-                        open_pixels[i, j] = False
+        # Far outside, the numbers would not fit.
+        if valid[n] and x > -reach - 1 and x < width + reach and y > -reach - 1 and y < height + reach:
+            row, column = int(np.rint(y)), int(np.rint(x))
+            for i in range(row - reach, row + reach + 1):
+                for j in range(column - reach, column + reach + 1):
+                    squared = (x - j) * (x - j) + (y - i) * (y - i)
+                    if squared < least[i + margin, j + margin]:
+                        least[i + margin, j + margin], owner[i + margin, j + margin] = squared, n
     cells = sort_into_cells(pixels, valid, height, width, edge)
+    begin, order = cells[2], cells[5]
+    place, above = 0, np.zeros(width, np.int64)
     for i in range(height):
         for j in range(width):
-            n = nearest_in_cells(float(j), float(i), edge, cells) if open_pixels[i, j] else -1
-            if n >= 0 and observed[n]:
-                by_x, by_y = pixels[n, 0] - j, pixels[n, 1] - i
-                squared = (by_x * by_x + by_y * by_y) * area
+            n = owner[i + margin, j + margin]
+            if not inside[i, j] or (n >= 0 and least[i + margin, j + margin] <= within * within):
+                continue
+            if n < 0 and begin[-1]:
+                place = nearest_in_cells(float(j), float(i), edge, cells, place, above[j])
+                above[j], n = place, order[place]
+            if n < 0 or not observed[n]:
+                continue
+            by_x, by_y = pixels[n, 0] - j, pixels[n, 1] - i
+            squared = by_x * by_x + by_y * by_y
+            if squared > within * within:
+                squared *= area
                 inlier = robust / (robust + squared)
                 costs[n] += weight * squared * inlier * area
                 by_pixels[n, 0] += 2.0 * area * area * inlier * inlier * by_x
@@ -99,7 +115,8 @@ def _mask_chamfer(  # type: ignore[no-untyped-def]
             # Beside the mask's part of the image it is background like that part's rim.
             i, j = int(np.rint(min(max(y, 0.0), height - 1.0))), int(np.rint(min(max(x, 0.0), width - 1.0)))
             if outside[i, j]:
-                by_x, by_y = x - nearest_foreground[i, j, 1], y - nearest_foreground[i, j, 0]
+                row, column = nearest_marked(i, j, nearest_row)
+                by_x, by_y = x - column, y - row
                 squared = (by_x * by_x + by_y * by_y) * area
                 inlier = robust / (robust + squared)
                 costs[n] += weight * share * squared * inlier

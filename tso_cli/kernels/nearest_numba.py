@@ -42,8 +42,8 @@ def _cell(x, y, edge, rows, columns):  # type: ignore[no-untyped-def]
 def sort_into_cells(points, valid, height, width, edge):  # type: ignore[no-untyped-def]
     """Sort the points [N, 2] of an image into a grid of cells.
 
-    Returns ``empty_rings`` [rows, columns], rings of empty cells around each; ``begin``, the points of cell c being those from
-    begin[c] to begin[c + 1]; and their coordinates and numbers in that order.
+    Returns the rows and columns of the grid; ``begin``, the points of cell c being those from begin[c] to begin[c + 1]; and
+    their coordinates and numbers in that order.
     """
     count = len(points)
     rows, columns = int(math.ceil(height / edge)), int(math.ceil(width / edge))
@@ -58,10 +58,6 @@ def sort_into_cells(points, valid, height, width, edge):  # type: ignore[no-unty
             row, column = _cell(x, y, edge, rows, columns)
             cells[n] = row * columns + column
             begin[cells[n] + 2] += 1
-    empty_rings = np.empty((rows, columns), np.int32)
-    for i in range(rows):
-        for j in range(columns):
-            empty_rings[i, j] = 0 if begin[i * columns + j + 2] else rows + columns
     for cell in range(rows * columns):
         begin[cell + 2] += begin[cell + 1]
     for n in range(count):
@@ -69,60 +65,37 @@ def sort_into_cells(points, valid, height, width, edge):  # type: ignore[no-unty
             place = begin[cells[n] + 1]
             begin[cells[n] + 1] += 1
             xs[place], ys[place], order[place] = points[n, 0], points[n, 1], n
-    for i in range(rows):
-        for j in range(columns):
-            if i:
-                for k in range(max(j - 1, 0), min(j + 2, columns)):
-                    empty_rings[i, j] = min(empty_rings[i, j], empty_rings[i - 1, k] + 1)
-            if j:
-                empty_rings[i, j] = min(empty_rings[i, j], empty_rings[i, j - 1] + 1)
-    for i in range(rows - 1, -1, -1):
-        for j in range(columns - 1, -1, -1):
-            if i < rows - 1:
-                for k in range(max(j - 1, 0), min(j + 2, columns)):
-                    empty_rings[i, j] = min(empty_rings[i, j], empty_rings[i + 1, k] + 1)
-            if j < columns - 1:
-                empty_rings[i, j] = min(empty_rings[i, j], empty_rings[i, j + 1] + 1)
-    return empty_rings, begin, xs, ys, order
+    return rows, columns, begin, xs, ys, order
 
 
 @part
-def nearest_in_cells(x, y, edge, cells):  # type: ignore[no-untyped-def]
-    """The first of the points nearest to the pixel (x, y), searching cells ring by ring; -1 without points."""
-    empty_rings, begin, xs, ys, order = cells
-    rows, columns = empty_rings.shape
-    row, column = _cell(x, y, edge, rows, columns)
-    best, chosen = np.inf, -1
-    ring = empty_rings[row, column]
-    if ring >= rows + columns:
-        return -1
-    while True:
-        left, right = max(column - ring, 0), min(column + ring, columns - 1)
-        for i in range(max(row - ring, 0), min(row + ring, rows - 1) + 1):
-            # Cells of a row are contiguous: all of the ring's top and bottom rows, else its two sides.
-            whole = i == row - ring or i == row + ring
-            for side in range(1 if whole else 2):
-                if not whole and not (0 <= (column - ring if side == 0 else column + ring) < columns):
-                    continue
-                from_cell = i * columns + (left if whole or side == 0 else right)
-                to_cell = i * columns + (right if whole or side == 1 else left)
-                for n in range(begin[from_cell], begin[to_cell + 1]):
-                    squared = (xs[n] - x) * (xs[n] - x) + (ys[n] - y) * (ys[n] - y)
-                    if squared < best or (squared == best and order[n] < chosen):
-                        best, chosen = squared, order[n]
-        # Distance to the nearest cell not yet searched. A point beyond the image is even further than its cell.
-        beyond = np.inf
-        if column - ring > 0:
-            beyond = min(beyond, x + 0.5 - (column - ring) * edge)
-        if column + ring < columns - 1:
-            beyond = min(beyond, (column + ring + 1) * edge - x - 0.5)
-        if row - ring > 0:
-            beyond = min(beyond, y + 0.5 - (row - ring) * edge)
-        if row + ring < rows - 1:
-            beyond = min(beyond, (row + ring + 1) * edge - y - 0.5)
-        if best < beyond * beyond * (1.0 - 1e-12) or beyond == np.inf:
-            return chosen
-        ring += 1
+def nearest_in_cells(x, y, edge, cells, place, other):  # type: ignore[no-untyped-def]
+    """Where the first of the points nearest to the pixel (x, y) stands among the sorted ones, of which there is at least one.
+
+    The nearer the better of two guesses, ``place`` and ``other``, the sooner it is found: pixels are asked row by row, and the
+    nearest of the last pixel and of the one above are near.
+    """
+    rows, columns, begin, xs, ys, order = cells
+    best = (xs[place] - x) * (xs[place] - x) + (ys[place] - y) * (ys[place] - y)
+    squared = (xs[other] - x) * (xs[other] - x) + (ys[other] - y) * (ys[other] - y)
+    if squared < best:
+        best, place = squared, other
+    radius = math.sqrt(best) * (1.0 + 1e-9)
+    top, left = _cell(x - radius, y - radius, edge, rows, columns)
+    bottom, right = _cell(x + radius, y + radius, edge, rows, columns)
+    row, _ = _cell(x, y, edge, rows, columns)
+    # Its own row of cells and those below, then those above, as far as one can hold a nearer point.
+    for k in range(bottom - top + 1):
+        is_below = row + k <= bottom
+        i = row + k if is_below else bottom - k
+        beyond = i * edge - 0.5 - y if is_below else y + 0.5 - (i + 1) * edge
+        if beyond > 0.0 and beyond * beyond * (1.0 - 1e-12) > best:
+            continue
+        for n in range(begin[i * columns + left], begin[i * columns + right + 1]):
+            squared = (xs[n] - x) * (xs[n] - x) + (ys[n] - y) * (ys[n] - y)
+            if squared < best or (squared == best and order[n] < order[place]):
+                best, place = squared, n
+    return place
 
 
 @part
@@ -139,6 +112,26 @@ def nearest_in_column(marked, near):  # type: ignore[no-untyped-def]
             below = near[i + 1, j]
             if below >= 0 and (near[i, j] < 0 or below - i < i - near[i, j]):
                 near[i, j] = below
+
+
+@part
+def nearest_marked(i, j, nearest_row):  # type: ignore[no-untyped-def]
+    """Row and column of the marked pixel nearest to pixel (i, j), of equals the leftmost; -1 without any.
+
+    ``nearest_row`` is what `nearest_in_column` fills.
+    """
+    height, width = nearest_row.shape
+    best, row, column = width * width + height * height, -1, -1
+    for offset in range(width):
+        # No column further out can hold a nearer pixel.
+        if offset * offset > best:
+            break
+        for k in (j - offset, j + offset):
+            if 0 <= k < width and nearest_row[i, k] >= 0:
+                squared = offset * offset + (nearest_row[i, k] - i) ** 2
+                if squared < best or (squared == best and k < column):
+                    best, row, column = squared, nearest_row[i, k], k
+    return row, column
 
 
 @compiled

@@ -31,19 +31,21 @@ def farthest_points(points, chosen):  # type: ignore[no-untyped-def]
 def nearest_few(queries, data, chosen):  # type: ignore[no-untyped-def]
     """Fill ``chosen`` [Q, k] with the points of ``data`` [N, 3] nearest to each query [Q, 3], by increasing distance."""
     count = chosen.shape[1]
-    best = np.empty(count)
+    xs, ys, zs = data[:, 0].copy(), data[:, 1].copy(), data[:, 2].copy()
+    squared, best = np.empty(len(data)), np.empty(count)
     for q in range(len(queries)):
         best[:] = np.inf
         x, y, z = queries[q]
+        # In a loop of its own, so that it becomes SIMD code.
         for n in range(len(data)):
-            dx, dy, dz = data[n, 0] - x, data[n, 1] - y, data[n, 2] - z
-            squared = dx * dx + dy * dy + dz * dz
-            if squared < best[count - 1]:
+            squared[n] = (xs[n] - x) * (xs[n] - x) + (ys[n] - y) * (ys[n] - y) + (zs[n] - z) * (zs[n] - z)
+        for n in range(len(data)):
+            if squared[n] < best[count - 1]:
                 place = count - 1
-                while place > 0 and squared < best[place - 1]:
+                while place > 0 and squared[n] < best[place - 1]:
                     best[place], chosen[q, place] = best[place - 1], chosen[q, place - 1]
                     place -= 1
-                best[place], chosen[q, place] = squared, n
+                best[place], chosen[q, place] = squared[n], n
 
 
 @part

@@ -72,9 +72,24 @@ class MaskTarget:
         return rows, columns
 
     @cached_property
+    def nearest_in_column(self) -> NDArray[np.int64]:
+        """[H, W] row of the foreground pixel nearest to each pixel among those of its column, of two the upper; -1 without."""
+        height = len(self.inside)
+        rows = np.arange(height)[:, None]
+        above = np.maximum.accumulate(np.where(self.inside, rows, -height), 0)
+        below = np.minimum.accumulate(np.where(self.inside, rows, 2 * height)[::-1], 0)[::-1]
+        near = np.where(rows - above <= below - rows, above, below)
+        return np.where((near >= 0) & (near < height), near, -1)
+
+    @cached_property
     def nearest_foreground(self) -> NDArray[np.int64]:
-        """[H, W, 2] row and column of the foreground pixel nearest to each pixel."""
-        return _nearest_marked(self.inside)
+        """[H, W, 2] row and column of the foreground pixel nearest to each pixel, of equals the leftmost."""
+        height, width = self.inside.shape
+        near = self.nearest_in_column
+        squared = np.where(near < 0, 1 << 40, np.square(near - np.arange(height)[:, None]))
+        across = np.square(np.arange(width)[:, None] - np.arange(width))  # [W, W]
+        columns = np.stack([(across + line).argmin(1) for line in squared])  # [H, W]
+        return np.stack([np.take_along_axis(near, columns, 1), columns], -1)
 
     @cached_property
     def truncated(self) -> bool:
@@ -106,20 +121,6 @@ def sides(mask: Array, known: Array | None = None) -> tuple[Marks, Marks]:
     most = covered.max()
     inside = covered > 0.5 * (1.0 if most > 0.5 else most)
     return inside, ~inside if known is None else ~inside & (known >= 0.5)
-
-
-def _nearest_marked(marked: Marks) -> NDArray[np.int64]:
-    """[H, W, 2] row and column of the marked pixel nearest to each: along columns first, then the best column of each row."""
-    height, width = marked.shape
-    rows = np.arange(height)[:, None]
-    above = np.maximum.accumulate(np.where(marked, rows, -height * 4), 0)
-    below = np.minimum.accumulate(np.where(marked, rows, height * 5)[::-1], 0)[::-1]
-    in_column = np.where(rows - above <= below - rows, above, below)  # [H, W] nearest marked row of the same column
-    squared = np.square(in_column - rows)  # [H, W], over 9 H^2 in a column without any
-    across = np.square(np.arange(width)[:, None] - np.arange(width))  # [W, W]
-    squared = np.where(squared > height * height, 1 << 40, squared)
-    columns = np.stack([(across + line).argmin(1) for line in squared])  # [H, W]
-    return np.stack([np.take_along_axis(in_column, columns, 1), columns], -1)
 
 
 def mask_chamfer(
@@ -250,8 +251,10 @@ def resolvability(patches_px: Array, grain: float = 1.0) -> Array:
     Of the projected neighbours ``patches_px`` [M, K, 2] of a node, the smaller standard deviation in pixels of ``grain`` (as
     in `MaskTarget`) gives 0 under 0.2 px, that of a strip 0.7 px wide, 1 over 0.8 px, linear between. [M]
     """
-    x, y = np.moveaxis(patches_px - patches_px.mean(1, keepdims=True), 2, 0)
-    xx, yy, xy = np.square(x).mean(1), np.square(y).mean(1), (x * y).mean(1)
+    # A product with equal weights is a mean, and for so few neighbours five times as fast.
+    equal = np.full(patches_px.shape[1], 1.0 / patches_px.shape[1])
+    x, y = (part - (part @ equal)[:, None] for part in (patches_px[:, :, 0], patches_px[:, :, 1]))
+    xx, yy, xy = np.square(x) @ equal, np.square(y) @ equal, (x * y) @ equal
     # The smaller eigenvalue of the covariance is the variance across.
     across = np.sqrt(np.maximum((xx + yy) / 2.0 - np.hypot((xx - yy) / 2.0, xy), 0.0)) / grain
     resolved: Array = np.clip((across - THIN) / (THICK - THIN), 0.0, 1.0)

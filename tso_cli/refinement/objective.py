@@ -78,7 +78,7 @@ class ViewTarget:
             near=near,
             inside=np.ascontiguousarray(mask.inside),
             outside=np.ascontiguousarray(mask.outside),
-            nearest_foreground=np.ascontiguousarray(mask.nearest_foreground),
+            nearest_in_column=np.ascontiguousarray(mask.nearest_in_column),
             bounds=np.array(mask.bounds),
             truncated=mask.truncated,
             within=COVERED_WITHIN * mask.grain,

@@ -38,8 +38,9 @@ def occluded(pixels: Array, view: View) -> float | None:
         along = along / length
         # Corners run so that the mask is on the left, y pointing down.
         behind = (outline - start) @ [-along[1], along[0]]
-        place = np.floor((outline - start) @ along).astype(np.int64)
-        at_edge, near = _different(place[behind < WITHIN]), _different(place[behind < BEHIND * size])
+        strip = behind < BEHIND * size
+        place = np.floor((outline[strip] - start) @ along).astype(np.int64)
+        at_edge, near = _different(place[behind[strip] < WITHIN]), _different(place)
         beyond = -(pixels - start) @ [-along[1], along[0]]
         if at_edge < max(LEAST_EDGE * size, LEAST_STRAIGHT * near) or (beyond > BEYOND * size).mean() < LEAST_BEYOND:
             continue

@@ -90,19 +90,16 @@ def find_mirror_plane(points: Array) -> MirrorPlane:
     centre = subset.mean(0)
     axes = np.concatenate([np.eye(3), np.linalg.svd(subset - centre, full_matrices=False)[2]])
     spacing = _spacing(judged)
-    candidates = []
-    for axis in axes:
-        plane = MirrorPlane(axis, float(axis @ centre))
-        for _ in range(SEARCH_UPDATES):
-            improved, _ = _improved(plane, subset)
-            if _same(plane, improved):
-                break
-            plane = improved
-        candidates.append(_judged(plane, judged, subset, spacing))
+    candidates = [MirrorPlane(axis, float(axis @ centre)) for axis in axes]
+    for _ in range(SEARCH_UPDATES):
+        before, (candidates, _) = candidates, _improved(candidates, subset)
+        if all(map(_same, candidates, before)):
+            break
+    candidates = [_judged(plane, judged, subset, spacing) for plane in candidates]
     plane = min(candidates, key=lambda candidate: candidate.misfit)
     iterates = []
     for _ in range(MOST_UPDATES):
-        improved, misfit = _improved(plane, judged)
+        (improved,), (misfit,) = _improved([plane], judged)
         iterates.append((misfit, plane))
         # Reflections are compared because the sign of a normal is arbitrary.
         if np.abs(plane.reflect(subset) - improved.reflect(subset)).max() < CONVERGED * spacing:
@@ -119,19 +116,21 @@ def _same(one: MirrorPlane, other: MirrorPlane) -> bool:
     return one.offset == other.offset and bool((one.normal == other.normal).all())
 
 
-def _improved(plane: MirrorPlane, points: Array) -> tuple[MirrorPlane, float]:
-    """The plane fitted to pairs of mirrored points and their nearest neighbours, and the given plane's mean squared misfit."""
-    image = plane.reflect(points)
-    pairs = points[nearest(image, points)]
-    distance = np.linalg.norm(image - pairs, axis=1)
+def _improved(planes: list[MirrorPlane], points: Array) -> tuple[list[MirrorPlane], list[float]]:
+    """Planes fitted to pairs of mirrored points and their nearest neighbours, and the given planes' mean squared misfits."""
+    images = np.stack([plane.reflect(points) for plane in planes])
+    pairs = np.stack([points[nearest(image, points)] for image in images])
+    away = images - pairs
+    squared = np.einsum("pnc,pnc->pn", away, away)
     # The furthest fifth has no counterpart, and would turn the plane.
-    last = int(0.8 * (len(distance) - 1))
-    kept = distance <= np.partition(distance, last)[last]
-    x, y = points[kept], pairs[kept]
-    mean_x, mean_y = x.mean(0), y.mean(0)
-    product = (x - mean_x).T @ (y - mean_y)
-    normal = np.linalg.eigh(product + product.T)[1][:, 0]
-    return MirrorPlane(normal, float(normal @ (mean_x + mean_y)) / 2.0), float(np.square(distance[kept]).mean())
+    last = int(0.8 * (len(points) - 1))
+    kept = squared <= np.partition(squared, last, 1)[:, last : last + 1]
+    weight = kept / kept.sum(1, keepdims=True)
+    mean_x, mean_y = weight @ points, (weight[:, None] @ pairs)[:, 0]
+    product = ((points - mean_x[:, None]) * weight[:, :, None]).transpose(0, 2, 1) @ (pairs - mean_y[:, None])
+    normals = np.linalg.eigh(product + product.transpose(0, 2, 1))[1][:, :, 0]
+    offsets = (normals * (mean_x + mean_y)).sum(1) / 2.0
+    return list(map(MirrorPlane, normals, offsets.tolist())), (weight * squared).sum(1).tolist()
 
 
 def _judged(plane: MirrorPlane, cloud: Array, queries: Array, spacing: float) -> MirrorPlane:
