@@ -20,8 +20,9 @@ from tso_cli.lab.bench.timing import Contestant, Setting, record, timed
 from tso_cli.losses.chamfer import ChamferToStart
 from tso_cli.losses.silhouette import silhouette_sums
 
-ONE_OBJECT = {"preset": "best", "views": 1}
-BATCH = {"preset": "best", "processes": 2, "busy": False, "over_import_torch": 1.0}
+ONE_OBJECT = {"preset": "best", "points": 1024, "views": 1, "form": "numpy"}
+ON_THREADS = ONE_OBJECT | {"form": "", "over_import_torch": 1.0}
+BATCH = {"preset": "best", "points": 1024, "views": 1, "processes": 2, "busy": False, "over_import_torch": 1.0}
 QUICK = Setting(budget=1e-9)
 
 
@@ -34,14 +35,14 @@ def measured():
     """Every part at sizes that take little time; no process is started."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(timing, "LEAST_RUNS", 1)
-        for name, value in (("MORE_VIEWS", (2,)), ("CLOUDS", 1), ("POINTS", 64), ("SPIN", "")):
+        for name, value in (("MORE_VIEWS", (2,)), ("CLOUDS", 1), ("CORES", 2), ("NEIGHBOURED", 2), ("SPIN", "")):
             patch.setattr(refining, name, value)
         patch.setattr(refining, "IMPORT_TORCH", Contestant("import torch", lambda: 1.0))
         patch.setattr(refining, "process", lambda name, arguments, environment=None: lambda: 1.0)
         return [
             *refining.measure_command(QUICK),
-            *refining.measure_object(QUICK, (64,), steps=1),
-            *refining.measure_batch(QUICK, (1, 2), steps=1, most=2),
+            *refining.measure_object(QUICK, (64,), 128, steps=1),
+            *refining.measure_batch(QUICK, {("paper", 64, 1): (2, 3), ("best", 64, 2): (3,)}, steps=1),
             *refining.measure_phases(QUICK, (64,), ()),
             *kernels.measure_silhouette(QUICK, [(64, 16), (128, 32)]),
             *kernels.measure_chamfer(QUICK, [64]),
@@ -61,18 +62,38 @@ def test_every_part_has_records_of_one_form_with_a_ratio_to_its_first_contestant
         else:
             assert row["seconds"]["median"] > 0.0
             assert {"over_import_torch", "over_tso", "phases"} & set(row)
-    batches = [row for row in measured if row["what"] == "batch" and row.get("batch", 1) > 1 and row["preset"] == "paper"]
-    assert {(row["processes"], row["busy"]) for row in batches} == {(1, False), (2, False), (1, True), (2, True)}
-    (alone,) = (row for row in measured if row["name"] == "refine" and row.get("preset") == "paper")
+
+
+def test_batches_run_in_one_process_and_on_all_cores_and_one_size_beside_a_busy_neighbour(measured):
+    rows = [row for row in measured if row["what"] == "batch" and "preset" in row]
+    alone = {row["views"]: row["seconds"]["median"] for row in rows if row["name"] == "refine"}
+    batches = [row for row in rows if row["name"] != "refine"]
+    ways = {(row["preset"], row["views"], row["batch"], row["processes"], row["busy"]) for row in batches}
+    assert ways == {
+        *(("paper", 1, 2, count, busy) for count in (1, 2) for busy in (False, True)),
+        *((preset, views, 3, count, False) for preset, views in (("paper", 1), ("best", 2)) for count in (1, 2)),
+    }
     for row in batches:
-        assert row["over_refine"] == pytest.approx(row["seconds"]["median"] / alone["seconds"]["median"])
+        assert row["over_refine"] == pytest.approx(row["seconds"]["median"] / alone[row["views"]])
 
 
-def test_the_default_is_taken_apart_in_phases(measured):
-    (row,) = (row for row in measured if row["what"] == "phases")
-    assert {"prepare", "check symmetry", "optimise", "judge"} >= set(row["phases"]) >= {"prepare", "optimise", "judge"}
-    assert min(row["first"], *row["phases"].values()) > 0.0
-    assert row["peak_MiB"] is None or row["peak_MiB"] > 10
+def test_one_object_runs_in_both_forms_and_in_its_own_on_one_thread_and_on_all_cores(measured):
+    rows = [row for row in measured if row["what"] == "object" and "preset" in row]
+    forms = {(row["preset"], row["points"], row["views"]) for row in rows if row["form"] == "compiled" and row["threads"] == 1}
+    assert forms == {("best", 64, 1), ("paper", 64, 1), ("best", 128, 1), ("best", 64, 2)}
+    chosen = [(row["points"], row["threads"], row["busy"]) for row in rows if row["form"] == ""]
+    assert chosen == [(points, threads, busy) for points in (64, 128) for threads in (1, 2) for busy in (False, True)]
+
+
+def test_the_default_is_taken_apart_in_phases_and_what_they_spend_their_time_on(measured):
+    rows = [row for row in measured if row["what"] == "phases"]
+    assert [row["form"] for row in rows] == ["", "compiled"]
+    for row in rows:
+        assert {"prepare", "check symmetry", "optimise", "judge"} >= set(row["phases"]) >= {"prepare", "optimise", "judge"}
+        # Were anything counted twice, less than nothing might be left.
+        assert set(row["of_these"]) == {*refining.PIECES, "rest"}
+        assert min(row["first"], *row["phases"].values(), *row["of_these"].values()) > 0.0
+        assert row["peak_MiB"] is None or row["peak_MiB"] > 10
 
 
 @pytest.mark.parametrize(
@@ -82,8 +103,10 @@ def test_the_default_is_taken_apart_in_phases(measured):
         (("command", "tso --version", 0.2), {}, (False, "0.18 s")),
         (("command", "steady", 1.0), {"points": 1024, "call": "steady", "over_import_torch": 0.36}, (False, "0.36")),
         (("command", "first", 1.9), {"points": 16384, "call": "first"}, (True, "1.90x")),
-        (("object", "numpy", 1.0), {**ONE_OBJECT, "points": 1024, "over_import_torch": 0.14}, (True, "0.14")),
+        (("object", "numpy", 1.0), {**ONE_OBJECT, "over_import_torch": 0.14}, (True, "0.14")),
         (("object", "numpy", 1.0), {**ONE_OBJECT, "points": 16384, "over_import_torch": 0.26}, (False, "0.26")),
+        (("object", "2 threads", 1.2), {**ON_THREADS, "threads": 2, "busy": False}, (False, "1.20x at worst")),
+        (("object", "2 threads", 1.4), {**ON_THREADS, "threads": 2, "busy": True}, (True, "1.40x at worst")),
         (("batch", "64", 1.0), {**BATCH, "batch": 64, "over_import_torch": 0.039}, (True, "0.039")),
         (("batch", "16", 1.1), {**BATCH, "batch": 16}, (False, "1.10x at worst")),
         (("batch", "16", 1.4), {**BATCH, "batch": 16, "busy": True}, (True, "1.40x at worst")),
@@ -97,6 +120,8 @@ def test_claims_tell_met_targets_from_missed_ones(row, fields, met):
     rows = [record("command", "python", seconds=took(0.02)), record("command", "tso refine", seconds=took(1.0), **steady)]
     alone = [BATCH | {"batch": size, "processes": 1, "busy": busy} for size in (16, 64) for busy in (False, True)]
     rows += [record("batch", "one process", seconds=took(1.0), **fields) for fields in alone]
+    alone = [ON_THREADS | {"threads": 1, "busy": busy} for busy in (False, True)]
+    rows += [record("object", "1 thread", seconds=took(1.0), **fields) for fields in alone]
     rows += [record(what, "tso, numpy", points=n, seconds=took(1.0)) for what, n in (("silhouette", 1024), ("chamfer", 16384))]
     what, name, seconds = row
     judged = speed.conclude([*rows, record(what, name, seconds=took(seconds)) | fields])["claims"]
@@ -141,12 +166,12 @@ def clock(monkeypatch):
     ran: list[str] = []
     elapsed = [0.0]
 
-    def make(name: str, seconds: float, calls: int = 1):
+    def make(name: str, seconds: float, calls: int = 1, warm_up: bool = True):
         def work() -> None:
             ran.append(name)
             elapsed[0] += seconds
 
-        return Contestant(name, timed(work), {"size": 1}, calls)
+        return Contestant(name, timed(work), {"size": 1}, calls, warm_up)
 
     monkeypatch.setattr(timing, "time", types.SimpleNamespace(perf_counter=lambda: elapsed[0]))
     return make, ran
@@ -162,17 +187,18 @@ def test_contestants_take_turns_after_a_warm_up(clock):
 
 def test_quick_work_is_repeated_within_a_block_and_very_slow_work_is_done_once(clock):
     make, ran = clock
-    quick, slow = Setting(budget=0.01).race("test", [make("quick", 1e-3), make("slow", 100.0)], "over")
+    contestants = [make("quick", 1e-3), make("slow", 100.0, warm_up=False)]
+    quick, slow = Setting(budget=0.01).race("test", contestants, "over")
     assert quick["seconds"]["median"] == pytest.approx(1e-3)
     assert (quick["runs"], slow["runs"]) == (5, 1)
-    assert (ran.count("quick"), ran.count("slow")) == (1 + 5 * 2, 2)
+    assert (ran.count("quick"), ran.count("slow")) == (1 + 5 * 2, 1)
 
 
-def test_processes_and_neighbour_of_a_batch_are_gone_after_it(monkeypatch):
+def test_number_of_cores_and_neighbour_are_gone_after_the_work(monkeypatch):
     for before in ("7", None):
         monkeypatch.setenv("OMP_NUM_THREADS", before) if before else monkeypatch.delenv("OMP_NUM_THREADS")
         seen = []
-        refining.on_processes(lambda seen=seen: seen.append(os.environ["OMP_NUM_THREADS"]), 2)()
+        refining.on_cores(timed(lambda seen=seen: seen.append(os.environ["OMP_NUM_THREADS"])), 2)()
         assert (seen, os.environ.get("OMP_NUM_THREADS")) == (["2"], before)
     with refining.busy_neighbour() as spinners:
         assert all(spinner.poll() is None for spinner in spinners)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ...plots.style import COLOURS, INK, PALE, page
+from ...plots.table import Cell
 from ..study import Cases, Record, Table
 
 Label = Callable[[Record], str]
@@ -41,12 +42,13 @@ def tables(record: Record) -> list[Table]:
     measured = [
         Table(["", "median", "low", "high", "x `import torch`"], commands, "whole processes: s"),
         _pivot("one object: ms (x `import torch`)", objects, lambda r: f"{_ms(r)} ({_digits(r['over_import_torch'])}x)"),
-        _phases(of("phases")),
+        _table("the default, phase by phase: ms", {_scene(r): _phases(r) for r in of("phases")}),
+        _table("of these: ms", {_scene(r): _in_ms(r["of_these"]) for r in of("phases") if "of_these" in r}),
         _pivot(
             "many objects: ms each (x `import torch`, x one `refine`)",
             batches,
             lambda r: f"{_ms(r)} ({r['over_import_torch']:.3f}x, {r['over_refine']:.2f}x)",
-            lambda r: f"{r['preset']}, {r['name']}",
+            lambda r: f"{r['preset']}, {_size(r)}: {r['name']}",
             lambda r: f"processes: {r['processes']}",
         ),
         *(
@@ -59,14 +61,17 @@ def tables(record: Record) -> list[Table]:
     return [table for table in measured if table.rows]
 
 
-def _phases(records: Cases) -> Table:
-    names = list(dict.fromkeys(name for r in records for name in r["phases"]))
-    rows = [
-        [_size(r), *(_digits(1e3 * s) if (s := r["phases"].get(name)) else "" for name in names), _ms(r)]
-        + [_digits(1e3 * r["first"]), r["peak_MiB"]]
-        for r in records
-    ]
-    return Table(["points", *names, "all", "first call", "peak, MiB"], rows, "the default, phase by phase: ms")
+def _phases(record: Record) -> dict[str, Cell]:
+    whole = {"all": record["seconds"]["median"], "first call": record["first"]}
+    return _in_ms(record["phases"] | whole) | {"peak, MiB": record["peak_MiB"]}
+
+
+def _in_ms(seconds: dict[str, float]) -> dict[str, Cell]:
+    return {name: _digits(1e3 * value) for name, value in seconds.items()}
+
+
+def _scene(record: Record) -> str:
+    return _size(record) + ", compiled" * (record.get("form") == "compiled")
 
 
 def _size(record: Record) -> str:
@@ -85,16 +90,21 @@ def _digits(value: float) -> str:
 
 def _pivot(title: str, records: Cases, cell: Label, row: Label = lambda r: str(r["name"]), column: Label = _size) -> Table:
     """A table of cells; ``row`` and ``column`` are their labels, by default a name and a size."""
-    cells: dict[str, dict[str, str]] = {}
+    cells: dict[str, dict[str, Cell]] = {}
     for record in records:
         cells.setdefault(row(record), {})[column(record)] = cell(record)
+    return _table(title, cells)
+
+
+def _table(title: str, cells: dict[str, dict[str, Cell]]) -> Table:
+    """Of cells by the labels of row and column."""
     columns = list(dict.fromkeys(label for values in cells.values() for label in values))
     return Table(["", *columns], [[label, *map(values.get, columns)] for label, values in cells.items()], title)
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
     """A panel for each part of which sizes grow: medians and quartiles of each contestant; `import torch` as a level."""
-    measured = [r for r in record["cases"] if r["seconds"]]
+    measured = [r for r in record["cases"] if r["seconds"] and r.get("form") != ""]
     panels = [(title, rows) for what, title in PANELS.items() if (rows := [r for r in measured if r["what"] == what])]
     with page(path, overwrite, (max(7.0, 5.6 * len(panels)), 5.0)) as figure:
         for number, (title, rows) in enumerate(panels, 1):

@@ -9,7 +9,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,12 +35,16 @@ FORMS = {"compiled": 1 << 60, "numpy": 0}
 
 @dataclass(frozen=True, eq=False)
 class Contestant:
-    """``calls`` is how many calls or objects one sample is; ``fields`` are added to the record."""
+    """``calls`` is how many calls or objects one sample is; ``fields`` are added to the record.
+
+    ``warm_up`` is False of long work for which contestants before it load everything.
+    """
 
     name: str
     sample: Sample
     fields: dict[str, Any] = field(default_factory=dict)
     calls: int = 1
+    warm_up: bool = True
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,8 @@ class Setting:
         Each is given the budget in 3 to 200 blocks; work that lasts thirty times the budget is done once.
         """
         for number, contestant in enumerate(contestants, 1):
-            contestant.sample()
+            if contestant.warm_up:
+                contestant.sample()
             self.report(f"warming up, {what}", number, len(contestants))
         blocks: list[list[float]] = [[] for _ in contestants]
         while waiting := [i for i, taken in enumerate(blocks) if not self._enough(taken)]:
@@ -95,11 +100,16 @@ def timed(work: Callable[[], object], form: str = "") -> Sample:
 
     def sample() -> float:
         start = time.perf_counter()
-        with planned(FORMS[form], FORMS[form]) if form else nullcontext():
+        with in_form(form):
             work()
         return time.perf_counter() - start
 
     return sample
+
+
+def in_form(form: str) -> AbstractContextManager[None]:
+    """Inside, loops run in this form; without one, in that which the work chooses."""
+    return planned(FORMS[form], FORMS[form]) if form else nullcontext()
 
 
 Environment = Callable[[Path], dict[str, str]]
