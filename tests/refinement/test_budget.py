@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.losses.scenes import points_at
-from tests.scenes import block
+from tests.scenes import block, seen, turned
 from tso_cli import Camera, InputError, RefineConfig, View, refine
 from tso_cli.refinement.presets import BEST, FULL_STEPS
 
@@ -93,6 +93,17 @@ def test_the_full_budget_takes_more_steps_and_the_finest_grid_from_the_first(cha
     assert all(stage.fine_grid for stage in settings.coarse_to_fine.stages)
     with pytest.raises(InputError, match="a coarse_to_fine of its own"):
         RefineConfig(budget="full", coarse_to_fine=replace(BEST, local_prior=False))
+
+
+def test_several_masks_take_twice_the_steps_where_all_fill_the_finest_grid(chair):
+    def steps(sides, **settings):
+        cameras = [turned(chair.camera.resized(side, side), 50.0 * number) for number, side in enumerate(sides)]
+        views = [seen(chair.target, camera) for camera in cameras]
+        return refine(chair.points, views, config=RefineConfig(**settings)).steps
+
+    assert (steps([256]), steps([256, 256]), steps([256, 64])) == (48, 2 * 96, 96)
+    # So many were asked for.
+    assert steps([256, 256], steps=96) == 96
 
 
 def test_as_many_points_move_by_themselves_as_are_asked_for(chair):

@@ -68,7 +68,8 @@ BRIEF = ("mode", "preset", "budget", "camera", "output", "overwrite", "overlay",
 @click.option(
     "--steps",
     type=click.IntRange(min=0),
-    help="Optimiser steps; 0 writes the start.  [default: 48 for each mask, up to four; encoder modes 12, latent 30; paper 50]",
+    help="Optimiser steps; 0 writes the start.  "
+    "[default: 48 for each mask, up to four, twice as many for several large ones; encoder modes 12, latent 30; paper 50]",
 )
 @click.option(
     "--learning-rate",

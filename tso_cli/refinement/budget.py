@@ -79,8 +79,7 @@ def _points(problem: Problem, settings: Settings) -> Decision:
 def _steps(problem: Problem, settings: Settings, descent: Descent) -> Decision:
     done = int(np.isfinite(descent.losses).sum()) - 1
     masks = len(problem.views)
-    enough = staged_steps(masks)
-    most = max(done, FULL_STEPS * enough)
+    enough, most = staged_steps(masks, problem.large), max(done, FULL_STEPS * staged_steps(masks))
     reason = f"{enough} are enough for {masks} mask{'s' * (masks > 1)}"
     if descent.interrupted:
         reason = "interrupted"

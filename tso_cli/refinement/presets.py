@@ -18,6 +18,8 @@ BEST_LEARNING_RATE = {"points": 4e-2, "encoder": 3e-5, "encoder-decoder": 6e-5, 
 BEST_GAMMA = 0.0
 # Points mode takes BEST_STEPS for each view, up to this many: views that disagree need longer to reconcile.
 MAX_VIEWS_FOR_STEPS = 4
+LARGE_STEPS = 2
+"""Factor of these steps for several masks that all fill the finest grid: detail that they agree on takes longer to reach."""
 
 FULL_STEPS = 2
 """Factor of the default's steps with the budget "full"; more steps do not improve validation shapes."""

@@ -14,7 +14,7 @@ from .agreement import Agreement
 from .cloud import Cloud
 from .config import Settings
 from .placement import behind_warnings, place, require_overlap
-from .resampled_view import CELLS, ResampledView, fine_cells, resample_view
+from .resampled_view import CELLS, FINE_GRIDS, ResampledView, fine_cells, resample_view
 from .symmetry import SymmetryDecision, decide_symmetry
 
 # Evidence that a flipped view counts for, beside the view's own: that the object is symmetric is a guess.
@@ -88,6 +88,11 @@ class Problem:
     def suspicion(self) -> str | None:
         """What may be wrong with the input, in words; None where all looks right."""
         return self.agreement.suspicion if self.agreement else None
+
+    @property
+    def large(self) -> bool:
+        """Whether all masks fill the finest grid."""
+        return min(self.fine_grids) == FINE_GRIDS[0][1]
 
     @property
     def masks_alone(self) -> bool:

@@ -17,7 +17,7 @@ from .budget import decisions
 from .camera_correction import corrected_cameras
 from .cloud import Array
 from .coarse_to_fine import CoarseToFine, network_objective
-from .config import Settings
+from .config import Settings, staged_steps
 from .judge import Outcome, judged
 from .mistake_check import checked_hint
 from .objective import SilhouetteObjective, ViewTargets
@@ -69,6 +69,8 @@ def run(
     Raises TsoError where the loss of the start, or after the first step, is not a finite number.
     """
     given_views = problem.views
+    if settings.staged and "steps" not in settings.given and settings.steps == staged_steps(len(given_views)):
+        settings = replace(settings, steps=staged_steps(len(given_views), problem.large))
     until = stopwatch.started + OPTIMISING * settings.seconds
     prepared = _prepare(problem, settings, stopwatch, interrupted, until)
     chamfer = ChamferToStart(problem.cloud.normalised())
