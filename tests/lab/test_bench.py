@@ -15,7 +15,7 @@ from PIL import Image
 
 from tests.training import make_known
 from tso_cli.errors import TsoError
-from tso_cli.lab.bench import PARTS, kernels, refining, speed, timing
+from tso_cli.lab.bench import PARTS, kernels, large, refining, speed, timing
 from tso_cli.lab.bench.timing import Contestant, Setting, record, timed
 from tso_cli.losses.chamfer import ChamferToStart
 from tso_cli.losses.silhouette import silhouette_sums
@@ -38,9 +38,13 @@ def measured():
         for name, value in (("MORE_VIEWS", (2,)), ("CLOUDS", 1), ("CORES", 2), ("NEIGHBOURED", 2), ("SPIN", "")):
             patch.setattr(refining, name, value)
         patch.setattr(refining, "IMPORT_TORCH", Contestant("import torch", lambda: 1.0))
-        patch.setattr(refining, "process", lambda name, arguments, environment=None: lambda: 1.0)
+        for module in (refining, large):
+            patch.setattr(module, "process", lambda name, arguments, environment=None: lambda: 1.0)
+        patch.setattr(large, "IMPORT_TORCH", refining.IMPORT_TORCH)
+        patch.setattr(large, "_peak", lambda file, name, arguments: 1)
         return [
             *refining.measure_command(QUICK),
+            *large.measure_large(QUICK, 64, 64, 64),
             *refining.measure_object(QUICK, (64,), 128, steps=1),
             *refining.measure_batch(QUICK, {("paper", 64, 1): (2, 3), ("best", 64, 2): (3,)}, steps=1),
             *refining.measure_phases(QUICK, (64,), ()),
@@ -103,6 +107,8 @@ def test_the_default_is_taken_apart_in_phases_and_what_they_spend_their_time_on(
         (("command", "tso --version", 0.2), {}, (False, "0.18 s")),
         (("command", "steady", 1.0), {"points": 1024, "call": "steady", "over_import_torch": 0.36}, (False, "0.36")),
         (("command", "first", 1.9), {"points": 16384, "call": "first"}, (True, "1.90x")),
+        (("large", "scan", 19.0), {"points": 100, "peak_MiB": 2000}, (False, "19.0 s, 2,000 MiB")),
+        (("large", "mesh", 3.9), {"points": 100, "peak_MiB": None}, (True, "3.9 s, 0 MiB")),
         (("object", "numpy", 1.0), {**ONE_OBJECT, "over_import_torch": 0.14}, (True, "0.14")),
         (("object", "numpy", 1.0), {**ONE_OBJECT, "points": 16384, "over_import_torch": 0.26}, (False, "0.26")),
         (("object", "2 threads", 1.2), {**ON_THREADS, "threads": 2, "busy": False}, (False, "1.20x at worst")),
@@ -129,6 +135,15 @@ def test_claims_tell_met_targets_from_missed_ones(row, fields, met):
 
 
 # Contestants
+
+
+def test_the_large_files_are_refined_and_their_memory_is_that_of_the_process():
+    rows = large.measure_large(Setting(budget=1e-9), 2000, 2000, 2000)
+    assert [row["name"] for row in rows] == ["import torch", "scan", "splats", "mesh"]
+    assert rows[3]["points"] >= 2000
+    if sys.platform == "linux":
+        # A mask of 12 megapixels is there once at least.
+        assert rows[1]["peak_MiB"] > rows[2]["peak_MiB"] > 50
 
 
 def test_the_scatter_computes_the_same_loss_where_points_cover_the_mask():
@@ -233,7 +248,7 @@ def test_the_command_writes_record_page_and_chart(tso, measured, tmp_path, monke
     monkeypatch.setattr(speed, "compile_loops", lambda: None)
     for name in PARTS:
         rows = [row for row in measured if row["what"] == name]
-        part = {"refining": refining, "kernels": kernels}[PARTS[name]]
+        part = {"refining": refining, "kernels": kernels, "large": large}[PARTS[name]]
         monkeypatch.setattr(part, f"measure_{name}", lambda setting, rows=rows: rows if torch.get_num_threads() == 1 else [])
     output = tmp_path / "speed.json"
     printed = tso("bench", "speed", "-o", output).out

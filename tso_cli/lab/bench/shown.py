@@ -35,12 +35,22 @@ def tables(record: Record) -> list[Table]:
         [r["name"], *(f"{r['seconds'][key]:.2f}" for key in ("median", "low", "high")), f"{r['over_import_torch']:.2f}"]
         for r in of("command")
     ]
+    large = [
+        [r["name"], r["points"], f"{r['seconds']['median']:.2f}", f"{r['over_import_torch']:.1f}", r["peak_MiB"]]
+        for r in of("large")
+        if r["points"]
+    ]
     left_out: dict[str, list[str]] = {}
     for r in record["cases"]:
         if "left_out" in r:
             left_out.setdefault(f"{r['what']}, {r['name']}: {r['left_out']}", []).append(_size(r))
     measured = [
         Table(["", "median", "low", "high", "x `import torch`"], commands, "whole processes: s"),
+        Table(
+            ["", "points or faces", "s", "x `import torch`", "peak, MiB"],
+            large,
+            "large files, whole processes",
+        ),
         _pivot("one object: ms (x `import torch`)", objects, lambda r: f"{_ms(r)} ({_digits(r['over_import_torch'])}x)"),
         _table("the default, phase by phase: ms", {_scene(r): _phases(r) for r in of("phases")}),
         _table("of these: ms", {_scene(r): _in_ms(r["of_these"]) for r in of("phases") if "of_these" in r}),

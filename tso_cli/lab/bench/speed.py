@@ -26,6 +26,7 @@ CONVENTION = {
     "seconds": "wall clock; median and quartiles (low, high) of the runs, contestants of a part by turns in one process; one "
     "thread where nothing else is said",
     "command": "whole processes; a first run finds no byte code of tso and no compiled loops",
+    "large": "whole processes, steady; a scan of points with a mask of 4000x3000, Gaussian splats, a mesh of so many faces",
     "object": "`refine` in process, one chair, masks of 256x256; after the first call; on threads in the form that it chooses",
     "phases": "of the default, in a process of its own: the median of later calls, the first call, and the peak of its memory; "
     "compiled as in a batch",
@@ -37,6 +38,7 @@ CONVENTION = {
     "chamfer": "one step, value and gradient, mean of those after 10, 30 and 50 steps of the preset paper",
 }
 PROCESSORS = Path("/proc/cpuinfo")
+LARGE = {"scan": "a scan of {:,} points and a mask of 4000x3000", "splats": "{:,} splats", "mesh": "a mesh of {:,} faces"}
 # Rows that differ in no other way than cores and neighbour are of the same work.
 WORK = ("preset", "points", "views", "form", "batch")
 
@@ -123,6 +125,12 @@ def _judged(chosen: Callable[..., Cases]) -> Iterator[tuple[str, bool, str]]:
         ratio = first["median"] / steady["median"]
         yield f"tso refine of {first['points']:,} points: the first run under twice any other", ratio < 2.0, f"{ratio:.2f}x"
 
+    for name, file in LARGE.items():
+        for row in chosen("large", name=name):
+            seconds, most, memory = row["median"], 20.0 if name == "scan" else 4.0, row["peak_MiB"] or 0
+            target = f"{file.format(row['points'])}: under {most:g} s and 1,536 MiB"
+            yield target, seconds < most and memory < 1536, f"{seconds:.1f} s, {memory:,} MiB"
+
     for points, most in ((1024, 0.15), (16384, 0.25)):
         if rows := [row for row in chosen("object", points=points, preset="best", views=1) if row["form"]]:
             ratio = min(row["over_import_torch"] for row in rows)
@@ -157,9 +165,9 @@ def _judged(chosen: Callable[..., Cases]) -> Iterator[tuple[str, bool, str]]:
 
 STUDY = Study(
     name="speed",
-    about="command: whole processes; object: `refine` with one to four views, and on all cores; phases: what it consists of; "
-    "batch: many objects in one call, on one core and on all; silhouette, chamfer: the kernels at growing sizes. Contestants "
-    "for the same work take turns on the CPU; all of it takes some ten minutes.",
+    about="command: whole processes; large: of large files; object: `refine` with one to four views, and on all cores; phases: "
+    "what it consists of; batch: many objects in one call, on one core and on all; silhouette, chamfer: the kernels at growing "
+    "sizes. Contestants for the same work take turns on the CPU; all of it takes some ten minutes.",
     parts=("points, paper", "points, best"),
     tables=tables,
     draw=draw,
