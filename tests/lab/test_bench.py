@@ -44,10 +44,10 @@ def measured():
         patch.setattr(large, "_peak", lambda file, name, arguments: 1)
         return [
             *refining.measure_command(QUICK),
-            *large.measure_large(QUICK, 64, 64, 64),
             *refining.measure_object(QUICK, (64,), 128, steps=1),
             *refining.measure_batch(QUICK, {("paper", 64, 1): (2, 3), ("best", 64, 2): (3,)}, steps=1),
             *refining.measure_phases(QUICK, (64,), ()),
+            *large.measure_large(QUICK, 64, 64, 64),
             *kernels.measure_silhouette(QUICK, [(64, 16), (128, 32)]),
             *kernels.measure_chamfer(QUICK, [64]),
         ]
