@@ -95,15 +95,23 @@ def test_the_full_budget_takes_more_steps_and_the_finest_grid_from_the_first(cha
         RefineConfig(budget="full", coarse_to_fine=replace(BEST, local_prior=False))
 
 
-def test_several_masks_take_twice_the_steps_where_all_fill_the_finest_grid(chair):
-    def steps(sides, **settings):
+def test_several_masks_take_twice_the_steps_where_all_fill_the_finest_grid_and_the_start_is_far_off(chair):
+    def steps(sides, points=chair.points, **settings):
         cameras = [turned(chair.camera.resized(side, side), 50.0 * number) for number, side in enumerate(sides)]
         views = [seen(chair.target, camera) for camera in cameras]
-        return refine(chair.points, views, config=RefineConfig(**settings)).steps
+        result = refine(points, views, config=RefineConfig(**settings))
+        (decision,) = (decision for decision in result.budget if decision.what == "steps")
+        return result.steps, decision.reason
 
-    assert (steps([256]), steps([256, 256]), steps([256, 64])) == (48, 2 * 96, 96)
-    # So many were asked for.
-    assert steps([256, 256], steps=96) == 96
+    far = (2 * 96, "the start is far from 2 large masks")
+    assert steps([256, 256]) == far
+    assert steps([256, 256], symmetry="none") == far
+    enough = (96, "96 are enough for 2 masks")
+    assert steps([256, 64]) == enough
+    assert steps([256, 256], 1.02 * chair.target) == enough
+    assert steps([256])[0] == 48
+    assert steps([256, 256], steps=96) == (96, "so many were asked for")
+    assert steps([256, 256], budget="full") == (2 * 96, "the budget is full")
 
 
 def test_as_many_points_move_by_themselves_as_are_asked_for(chair):

@@ -69,7 +69,7 @@ BRIEF = ("mode", "preset", "budget", "camera", "output", "overwrite", "overlay",
     "--steps",
     type=click.IntRange(min=0),
     help="Optimiser steps; 0 writes the start.  "
-    "[default: 48 for each mask, up to four, twice as many for several large ones; encoder modes 12, latent 30; paper 50]",
+    "[default: 48 a mask, up to four, or twice that if several are large and far off; encoder modes 12, latent 30; paper 50]",
 )
 @click.option(
     "--learning-rate",

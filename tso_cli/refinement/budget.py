@@ -9,7 +9,7 @@ import numpy as np
 
 from .config import Settings, staged_steps
 from .optimise import Descent
-from .presets import FULL_STEPS, SHORT_POINTS, SYMMETRY_PROBE_STEPS
+from .presets import FULL, FULL_STEPS, SHORT_POINTS, SYMMETRY_PROBE_STEPS
 from .problem import Problem
 from .resampled_view import FINE_GRIDS
 
@@ -79,7 +79,8 @@ def _points(problem: Problem, settings: Settings) -> Decision:
 def _steps(problem: Problem, settings: Settings, descent: Descent) -> Decision:
     done = int(np.isfinite(descent.losses).sum()) - 1
     masks = len(problem.views)
-    enough, most = staged_steps(masks, problem.large), max(done, FULL_STEPS * staged_steps(masks))
+    enough = staged_steps(masks)
+    most = max(done, FULL_STEPS * enough)
     reason = f"{enough} are enough for {masks} mask{'s' * (masks > 1)}"
     if descent.interrupted:
         reason = "interrupted"
@@ -91,8 +92,10 @@ def _steps(problem: Problem, settings: Settings, descent: Descent) -> Decision:
         reason = "no loss was left"
     elif "steps" in settings.given:
         reason = "so many were asked for"
-    elif settings.steps != enough:
+    elif settings.coarse_to_fine is FULL:
         reason = "the budget is full"
+    elif settings.steps > enough:
+        reason = f"the start is far from {masks} large masks"
     return Decision("steps", f"{done}", reason, 1.0 - done / most)
 
 

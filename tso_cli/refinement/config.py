@@ -17,7 +17,6 @@ from .presets import (
     FIELD_NODES,
     FULL,
     FULL_STEPS,
-    LARGE_STEPS,
     MAX_VIEWS_FOR_STEPS,
     MODES,
     PAPER_GAMMA,
@@ -39,7 +38,7 @@ class RefineConfig:
     ----------
     mode : what is optimised: "points", "encoder", "encoder-decoder" (the network's weights), or "latent" (its 128-vector).
     steps : of the optimiser; 0 returns the start. Paper 50; best 48 in points mode for each view, up to four, twice as many for
-        several large ones (`staged_steps`), 12 for weights, 30 for the latent vector.
+        several large masks that the start is far from, 12 for weights, 30 for the latent vector.
     learning_rate : for a cloud of longest side 1. Best: how far the point with the largest gradient moves in one of the first
         steps, 0.04; encoder 3e-5, encoder and decoder 6e-5, latent vector 1e-3. Paper: Adam's, 5e-4, 1e-6, 5e-6.
     gamma : weight of the Chamfer distance to the start (longest side 1). Best 0; paper 1e6, in encoder mode 0.
@@ -166,9 +165,9 @@ class Settings:
         return self.preset == "best" and self.mode == "points"
 
 
-def staged_steps(views: int, large: bool = False) -> int:
-    """The default of the steps from coarse to fine; ``large``: all masks fill the finest grid."""
-    return BEST_STEPS["points"] * min(views, MAX_VIEWS_FOR_STEPS) * (LARGE_STEPS if large and views > 1 else 1)
+def staged_steps(views: int) -> int:
+    """The default of the steps from coarse to fine; `run` takes more for a start that is far off."""
+    return BEST_STEPS["points"] * min(views, MAX_VIEWS_FOR_STEPS)
 
 
 def _parse_budget(budget: str | float) -> str | float:

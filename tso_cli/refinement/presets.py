@@ -18,8 +18,9 @@ BEST_LEARNING_RATE = {"points": 4e-2, "encoder": 3e-5, "encoder-decoder": 6e-5, 
 BEST_GAMMA = 0.0
 # Points mode takes BEST_STEPS for each view, up to this many: views that disagree need longer to reconcile.
 MAX_VIEWS_FOR_STEPS = 4
-LARGE_STEPS = 2
-"""Factor of these steps for several masks that all fill the finest grid: detail that they agree on takes longer to reach."""
+FAR_STEPS, FAR_START = 2, 1.0
+"""Factor of these steps where several masks all fill the finest grid and the start's mean loss per mask pixel is over so many
+px^2: what they agree on then takes longer to reach."""
 
 FULL_STEPS = 2
 """Factor of the default's steps with the budget "full"; more steps do not improve validation shapes."""

@@ -32,6 +32,12 @@ class PositionPrior:
         return float((weighted * shift).sum()), 2.0 * weighted
 
 
+def start_loss(initial: Array, targets: ViewTargets) -> tuple[float, Array]:
+    """The mean loss of a start [N, 3] by its views, px^2 per mask pixel; what each point adds to the masks' part [N]."""
+    total, _, per_point = MaskChamferObjective(targets, ROBUST_SCALE).in_parts(initial)
+    return total / targets.pixels, per_point
+
+
 def position_prior(
     initial: Array, targets: ViewTargets, field: SmoothField, config: CoarseToFineConfig, evidence: float = 1.0
 ) -> PositionPrior:
@@ -42,9 +48,8 @@ def position_prior(
     targets, field : of the start.
     evidence : `Problem.evidence`. The more views, the less the start is needed: the least prior weight falls with its square.
     """
-    objective = MaskChamferObjective(targets, ROBUST_SCALE)
-    total, _, per_point = objective.in_parts(initial)
-    loss = np.full(len(initial), total / targets.pixels)  # px^2 per mask pixel
+    mean, per_point = start_loss(initial, targets)
+    loss = np.full(len(initial), mean)
     if config.local_prior:
         local = field.averaged(per_point * (len(initial) / targets.pixels), LOCAL_SMOOTHNESS)
         loss = np.maximum(loss, np.where(local > LOCAL_LOSS, local, 0.0))

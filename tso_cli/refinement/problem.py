@@ -90,9 +90,9 @@ class Problem:
         return self.agreement.suspicion if self.agreement else None
 
     @property
-    def large(self) -> bool:
-        """Whether all masks fill the finest grid."""
-        return min(self.fine_grids) == FINE_GRIDS[0][1]
+    def several_large(self) -> bool:
+        """Whether there are several masks, which all fill the finest grid."""
+        return len(self.views) > 1 and min(self.fine_grids) == FINE_GRIDS[0][1]
 
     @property
     def masks_alone(self) -> bool:

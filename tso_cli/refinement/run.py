@@ -17,13 +17,14 @@ from .budget import decisions
 from .camera_correction import corrected_cameras
 from .cloud import Array
 from .coarse_to_fine import CoarseToFine, network_objective
-from .config import Settings, staged_steps
+from .config import Settings
 from .judge import Outcome, judged
 from .mistake_check import checked_hint
 from .objective import SilhouetteObjective, ViewTargets
 from .optimise import Descent, Parameters, Progress, Term, descend, sum_of
 from .parameters import PointParameters
-from .presets import OPTIMISING, Stage
+from .presets import FAR_START, FAR_STEPS, FULL, OPTIMISING, Stage
+from .prior import start_loss
 from .problem import Problem
 from .result import RefineResult, StopReason, result_warnings
 from .smooth_field import SmoothField
@@ -69,11 +70,10 @@ def run(
     Raises TsoError where the loss of the start, or after the first step, is not a finite number.
     """
     given_views = problem.views
-    if settings.staged and "steps" not in settings.given and settings.steps == staged_steps(len(given_views)):
-        settings = replace(settings, steps=staged_steps(len(given_views), problem.large))
     until = stopwatch.started + OPTIMISING * settings.seconds
     prepared = _prepare(problem, settings, stopwatch, interrupted, until)
     chamfer = ChamferToStart(problem.cloud.normalised())
+    settings = _for_start(prepared, settings)
     with stopwatch.phase("optimise"):
         descent, problem = _optimise(prepared, network, chamfer, settings, on_progress, until)
     with stopwatch.phase("judge"):
@@ -102,6 +102,15 @@ def _prepare(problem: Problem, settings: Settings, stopwatch: Stopwatch, interru
             problem, interrupted = verified_symmetry(problem, weights.loss, settings, field, until)
     loss_weights = weights.loss * (2 if len(problem.resampled) > views else 1)
     return _Prepared(problem, weights, loss_weights, interrupted, field)
+
+
+def _for_start(prepared: _Prepared, settings: Settings) -> Settings:
+    """With more steps where several large masks agree that the start is far off."""
+    problem = prepared.problem
+    if not settings.staged or "steps" in settings.given or settings.coarse_to_fine is FULL or not problem.several_large:
+        return settings
+    loss, _ = start_loss(problem.cloud.normalised(), ViewTargets.of(problem.resampled, prepared.loss_weights))
+    return replace(settings, steps=FAR_STEPS * settings.steps) if loss > FAR_START else settings
 
 
 def _optimise(
