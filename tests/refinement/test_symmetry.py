@@ -7,9 +7,11 @@ from hypothesis import strategies as st
 
 from tests.corruption import assert_refused
 from tests.losses.common import COMPILED, FORMS, in_form
-from tests.scenes import example, seen
+from tests.scenes import EXAMPLES, example, seen
 from tso_cli import RefineConfig, View, refine
+from tso_cli.geometry.points import sample_surface
 from tso_cli.geometry.rotations import from_vectors
+from tso_cli.io.meshes import read_mesh
 from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.refinement.symmetry import MirrorPlane, find_mirror_plane
 from tso_cli.render import look_at
@@ -48,6 +50,16 @@ def test_the_plane_does_not_depend_on_how_the_last_bits_are_rounded(name):
     others.append(in_form(COMPILED, find_mirror_plane, points).reflect(points))
     for other in others:
         np.testing.assert_allclose(other, first, atol=1e-6)
+
+
+def test_the_planes_of_many_shapes_do_not_depend_on_it_either():
+    """Of two points that are each other's mirror image rounding decides which is farther; one alone would turn the plane."""
+    for number, path in enumerate(sorted((EXAMPLES / "meshes").glob("*/*.ply"))):
+        mesh, rng = read_mesh(path), np.random.default_rng(number)
+        for _ in range(3):
+            points = sample_surface(mesh.vertices, mesh.faces, 600, rng)
+            other = find_mirror_plane(points + rng.normal(scale=1e-13, size=points.shape))
+            np.testing.assert_allclose(other.reflect(points), find_mirror_plane(points).reflect(points), atol=1e-6)
 
 
 @pytest.mark.parametrize("count", [1, 3])

@@ -23,6 +23,8 @@ SEARCH_POINTS, JUDGED_POINTS = 256, 1024
 SEARCH_UPDATES = 8
 # The best plane is then fitted to convergence: a plane that still moves would depend on how this machine rounds.
 MOST_UPDATES, CONVERGED = 40, 1e-9
+# Squared distances that differ by at most this share are the same but for rounding.
+EQUALLY_FAR = 1e-9
 # Distances from mirrored points to the cloud, in spacings of its points, at most which the cloud counts as symmetric (another
 # sampling of the same surface would lie as far off): their mean, and their 97 % quantile.
 MEAN_MISFIT, FAR_MISFIT, FAR_QUANTILE = 0.6, 1.2, 0.97
@@ -122,9 +124,10 @@ def _improved(planes: list[MirrorPlane], points: Array) -> tuple[list[MirrorPlan
     pairs = np.stack([points[nearest(image, points)] for image in images])
     away = images - pairs
     squared = np.einsum("pnc,pnc->pn", away, away)
-    # The furthest fifth has no counterpart, and would turn the plane.
+    # The furthest fifth has no counterpart, and would turn the plane. Two points that are each other's are equally far but for
+    # rounding: both are kept, or neither is.
     last = int(0.8 * (len(points) - 1))
-    kept = squared <= np.partition(squared, last, 1)[:, last : last + 1]
+    kept = squared <= np.partition(squared, last, 1)[:, last : last + 1] * (1.0 + EQUALLY_FAR)
     weight = kept / kept.sum(1, keepdims=True)
     mean_x, mean_y = weight @ points, (weight[:, None] @ pairs)[:, 0]
     product = ((points - mean_x[:, None]) * weight[:, :, None]).transpose(0, 2, 1) @ (pairs - mean_y[:, None])
