@@ -90,6 +90,13 @@ def test_value_and_gradient_are_those_of_all_pairs(name, form):
 
 
 @FORMS
+def test_of_points_equally_near_the_first_is_drawn(form):
+    objective, points = _objective("one object")
+    twice = np.concatenate([points, points])
+    assert_equal(in_form(form, objective, twice), by_autograd(lambda leaf: _oracle(leaf, objective), twice))
+
+
+@FORMS
 @pytest.mark.parametrize("name", SCENES)
 def test_the_gradient_is_that_of_finite_differences(name, form):
     objective, points = _objective(name)

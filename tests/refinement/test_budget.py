@@ -95,7 +95,7 @@ def test_the_full_budget_takes_more_steps_and_the_finest_grid_from_the_first(cha
         RefineConfig(budget="full", coarse_to_fine=replace(BEST, local_prior=False))
 
 
-def test_several_masks_take_twice_the_steps_where_all_fill_the_finest_grid_and_the_start_is_far_off(chair):
+def test_several_large_masks_that_the_start_fits_badly_take_twice_the_steps(chair):
     def steps(sides, points=chair.points, **settings):
         cameras = [turned(chair.camera.resized(side, side), 50.0 * number) for number, side in enumerate(sides)]
         views = [seen(chair.target, camera) for camera in cameras]
@@ -103,12 +103,14 @@ def test_several_masks_take_twice_the_steps_where_all_fill_the_finest_grid_and_t
         (decision,) = (decision for decision in result.budget if decision.what == "steps")
         return result.steps, decision.reason
 
-    far = (2 * 96, "the start is far from 2 large masks")
-    assert steps([256, 256]) == far
-    assert steps([256, 256], symmetry="none") == far
+    more = (2 * 96, "the start fits 2 large masks badly")
+    assert steps([256, 256]) == more
+    assert steps([256, 256], symmetry="none") == more
     enough = (96, "96 are enough for 2 masks")
     assert steps([256, 64]) == enough
     assert steps([256, 256], 1.02 * chair.target) == enough
+    # So few points cannot follow the finest grid.
+    assert steps([256, 256], chair.points[:400]) == enough
     assert steps([256])[0] == 48
     assert steps([256, 256], steps=96) == (96, "so many were asked for")
     assert steps([256, 256], budget="full") == (2 * 96, "the budget is full")

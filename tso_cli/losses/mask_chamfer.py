@@ -217,10 +217,12 @@ def _nearest_to_uncovered(reach: int, points_px: Array, target: MaskTarget, with
     flat = flat[uncovered]
     sought = np.full(len(least), -1.0)
     sought[flat] = least[flat]
-    owner = np.full(len(least), -1)
+    owner = np.full(len(least), len(points_px))
     for pixels, squared in pairs:
         (nearest_ones,) = np.nonzero(squared == sought[pixels])
-        owner[pixels[nearest_ones]] = point[nearest_ones]
+        # Points that mirror each other are often equally far: the first is taken.
+        np.minimum.at(owner, pixels[nearest_ones], point[nearest_ones])
+    owner = np.where(owner < len(points_px), owner, -1)
     return owner[flat], np.stack([columns[uncovered], rows[uncovered]], 1).astype(float)
 
 

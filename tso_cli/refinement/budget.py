@@ -9,7 +9,7 @@ import numpy as np
 
 from .config import Settings, staged_steps
 from .optimise import Descent
-from .presets import FULL, FULL_STEPS, SHORT_POINTS, SYMMETRY_PROBE_STEPS
+from .presets import FULL_STEPS, SHORT_POINTS, SYMMETRY_PROBE_STEPS
 from .problem import Problem
 from .resampled_view import FINE_GRIDS
 
@@ -92,10 +92,10 @@ def _steps(problem: Problem, settings: Settings, descent: Descent) -> Decision:
         reason = "no loss was left"
     elif "steps" in settings.given:
         reason = "so many were asked for"
-    elif settings.coarse_to_fine is FULL:
+    elif settings.full:
         reason = "the budget is full"
     elif settings.steps > enough:
-        reason = f"the start is far from {masks} large masks"
+        reason = f"the start fits {masks} large masks badly"
     return Decision("steps", f"{done}", reason, 1.0 - done / most)
 
 

@@ -37,8 +37,8 @@ class RefineConfig:
     Parameters
     ----------
     mode : what is optimised: "points", "encoder", "encoder-decoder" (the network's weights), or "latent" (its 128-vector).
-    steps : of the optimiser; 0 returns the start. Paper 50; best 48 in points mode for each view, up to four, twice as many for
-        several large masks that the start is far from, 12 for weights, 30 for the latent vector.
+    steps : of the optimiser; 0 returns the start. Paper 50; best 48 in points mode for each view, up to four, twice as many
+        where the start fits several large masks badly, 12 for weights, 30 for the latent vector.
     learning_rate : for a cloud of longest side 1. Best: how far the point with the largest gradient moves in one of the first
         steps, 0.04; encoder 3e-5, encoder and decoder 6e-5, latent vector 1e-3. Paper: Adam's, 5e-4, 1e-6, 5e-6.
     gamma : weight of the Chamfer distance to the start (longest side 1). Best 0; paper 1e6, in encoder mode 0.
@@ -51,8 +51,8 @@ class RefineConfig:
         ax + by + cz = d.
     refine_camera : first correct the camera of each view, held near the given one; points mode.
     accept_doubtful : take the whole step also where the result is doubtful, in place of a part of it or none.
-    budget : "auto", what the scene is known to gain by; "full" (best, points mode), twice the steps, with the finest grid in
-        every stage; or seconds, in which "auto" comes to its end. Of each cloud of a batch.
+    budget : "auto", what the scene is known to gain by; "full" (best, points mode), 96 steps for each view, with the
+        finest grid in every stage; or seconds, in which "auto" comes to its end. Of each cloud of a batch.
     points : how many points of a cloud, or samples of a mesh, move by themselves, at most (best, points mode); the others
         follow. None: 1,024, or 512 with a budget of less than 0.3 seconds a view.
     coarse_to_fine : settings of the preset "best" of points mode, for ablations.
@@ -133,15 +133,15 @@ class RefineConfig:
         if budget == "full":
             chosen["coarse_to_fine"] = FULL
         seconds = budget if isinstance(budget, float) else math.inf
-        return Settings(**(defaults | chosen), seconds=seconds, given=frozenset(chosen))
+        return Settings(**(defaults | chosen), seconds=seconds, full=budget == "full", given=frozenset(chosen))
 
 
 @dataclass(frozen=True)
 class Settings:
     """A `RefineConfig` with every value known.
 
-    points : that move by themselves, None for all. seconds : how long the refinement may take. given : the names of the
-    values that are not the preset's.
+    points : that move by themselves, None for all. seconds : how long the refinement may take. full : whether the budget is.
+    given : the names of the values that are not the preset's.
     """
 
     mode: str
@@ -156,6 +156,7 @@ class Settings:
     accept_doubtful: bool
     points: int | None
     seconds: float
+    full: bool
     coarse_to_fine: CoarseToFineConfig
     given: frozenset[str]
 
@@ -166,7 +167,7 @@ class Settings:
 
 
 def staged_steps(views: int) -> int:
-    """The default of the steps from coarse to fine; `run` takes more for a start that is far off."""
+    """The default of the steps from coarse to fine; `run` may take more."""
     return BEST_STEPS["points"] * min(views, MAX_VIEWS_FOR_STEPS)
 
 

@@ -18,16 +18,16 @@ BEST_LEARNING_RATE = {"points": 4e-2, "encoder": 3e-5, "encoder-decoder": 6e-5, 
 BEST_GAMMA = 0.0
 # Points mode takes BEST_STEPS for each view, up to this many: views that disagree need longer to reconcile.
 MAX_VIEWS_FOR_STEPS = 4
-FAR_STEPS, FAR_START = 2, 1.0
-"""Factor of these steps where several masks all fill the finest grid and the start's mean loss per mask pixel is over so many
-px^2: what they agree on then takes longer to reach."""
+MORE_STEPS, BAD_START = 2, 1.0
+"""Factor of these steps where several masks all fill the finest grid and the start's mean loss is over so many px^2 (of a mask
+of 64) per mask pixel. Other scenes of the training and validation shapes gain nothing by more steps."""
 
 FULL_STEPS = 2
-"""Factor of the default's steps with the budget "full"; more steps do not improve validation shapes."""
+"""Factor of BEST_STEPS with the budget "full"."""
 OPTIMISING = 0.8
 """Share of a budget's seconds that the optimisation may take; the rest is for judging the result."""
 SHORT_SECONDS = 0.3
-"""For each view: with a budget of less, in which not all steps of 1,024 points may fit, `SHORT_POINTS` move."""
+"""For each view: with a budget of less, in which not all of 48 steps of 1,024 points may fit, `SHORT_POINTS` move."""
 SHORT_POINTS = 512
 
 FIELD_NODES = 1024

@@ -91,7 +91,7 @@ class Problem:
 
     @property
     def several_large(self) -> bool:
-        """Whether there are several masks, which all fill the finest grid."""
+        """Whether there are several masks, and all take the finest grid in the last stage."""
         return len(self.views) > 1 and min(self.fine_grids) == FINE_GRIDS[0][1]
 
     @property

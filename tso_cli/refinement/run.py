@@ -23,7 +23,7 @@ from .mistake_check import checked_hint
 from .objective import SilhouetteObjective, ViewTargets
 from .optimise import Descent, Parameters, Progress, Term, descend, sum_of
 from .parameters import PointParameters
-from .presets import FAR_START, FAR_STEPS, FULL, OPTIMISING, Stage
+from .presets import BAD_START, MORE_STEPS, OPTIMISING, Stage
 from .prior import start_loss
 from .problem import Problem
 from .result import RefineResult, StopReason, result_warnings
@@ -54,6 +54,7 @@ class _Prepared:
     view_weights: ViewWeights  # of the views that were given
     loss_weights: list[float]  # of all views
     interrupted: bool  # Ctrl-C came, and nothing moves
+    steps: int
     field: SmoothField | None = None  # of the start
 
 
@@ -73,7 +74,7 @@ def run(
     until = stopwatch.started + OPTIMISING * settings.seconds
     prepared = _prepare(problem, settings, stopwatch, interrupted, until)
     chamfer = ChamferToStart(problem.cloud.normalised())
-    settings = _for_start(prepared, settings)
+    settings = replace(settings, steps=prepared.steps)
     with stopwatch.phase("optimise"):
         descent, problem = _optimise(prepared, network, chamfer, settings, on_progress, until)
     with stopwatch.phase("judge"):
@@ -101,16 +102,17 @@ def _prepare(problem: Problem, settings: Settings, stopwatch: Stopwatch, interru
         with stopwatch.phase("check symmetry"):
             problem, interrupted = verified_symmetry(problem, weights.loss, settings, field, until)
     loss_weights = weights.loss * (2 if len(problem.resampled) > views else 1)
-    return _Prepared(problem, weights, loss_weights, interrupted, field)
+    with stopwatch.phase("prepare"):
+        steps = settings.steps if interrupted else _steps(problem, loss_weights, settings)
+    return _Prepared(problem, weights, loss_weights, interrupted, steps, field)
 
 
-def _for_start(prepared: _Prepared, settings: Settings) -> Settings:
-    """With more steps where several large masks agree that the start is far off."""
-    problem = prepared.problem
-    if not settings.staged or "steps" in settings.given or settings.coarse_to_fine is FULL or not problem.several_large:
-        return settings
-    loss, _ = start_loss(problem.cloud.normalised(), ViewTargets.of(problem.resampled, prepared.loss_weights))
-    return replace(settings, steps=FAR_STEPS * settings.steps) if loss > FAR_START else settings
+def _steps(problem: Problem, loss_weights: list[float], settings: Settings) -> int:
+    """More than the default where the start fits several large masks badly."""
+    if not settings.staged or settings.full or "steps" in settings.given or not problem.several_large:
+        return settings.steps
+    loss, _ = start_loss(problem.cloud.normalised(), ViewTargets.of(problem.resampled, loss_weights))
+    return settings.steps * (MORE_STEPS if loss > BAD_START else 1)
 
 
 def _optimise(

@@ -124,8 +124,8 @@ def _improved(planes: list[MirrorPlane], points: Array) -> tuple[list[MirrorPlan
     pairs = np.stack([points[nearest(image, points)] for image in images])
     away = images - pairs
     squared = np.einsum("pnc,pnc->pn", away, away)
-    # The furthest fifth has no counterpart, and would turn the plane. Two points that are each other's are equally far but for
-    # rounding: both are kept, or neither is.
+    # The furthest fifth has no counterpart, and would turn the plane. Two points, each the nearest to the other's mirror
+    # image, are equally far but for rounding: both are kept, or neither.
     last = int(0.8 * (len(points) - 1))
     kept = squared <= np.partition(squared, last, 1)[:, last : last + 1] * (1.0 + EQUALLY_FAR)
     weight = kept / kept.sum(1, keepdims=True)
