@@ -232,8 +232,8 @@ def kernels() -> str:
     """Milliseconds of the two kernels and of other ways of doing the same."""
     points = (1024, 16384)
     ways = {
-        "silhouette": ("tso, compiled", "tso, numpy", "scatter 9x9, torch"),
-        "chamfer": ("tso, compiled", "tso, numpy", "two k-d trees a step, all workers"),
+        "silhouette": ("tso, compiled", "scatter 9x9, torch"),
+        "chamfer": ("tso, compiled", "two k-d trees a step, all workers"),
     }
     rows = []
     for what, names in ways.items():
