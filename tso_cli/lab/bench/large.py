@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+import json
 import tempfile
 from pathlib import Path
 
@@ -23,13 +23,14 @@ SCAN, SPLATS, FACES = 2_000_000, 100_000, 500_000
 # Of a splat, as the reference implementation of Gaussian splatting writes them; its colours of higher order are left out.
 PROPERTIES = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"]
 PROPERTIES += [f"rot_{number}" for number in range(4)]
-# The command, then the peak of its process's memory as Linux tells it.
+# The command, then the peak of its process's memory.
 WATCHED = """from tso_cli.__main__ import main
 try:
     main()
 finally:
-    (peak,) = (line for line in open("/proc/self/status") if line.startswith("VmHWM:"))
-    open({!r}, "w").write(peak.split()[1])
+    import json
+    from tso_cli.lab.bench.timing import peak_memory
+    open({!r}, "w").write(json.dumps(peak_memory()))
 """
 
 
@@ -43,18 +44,17 @@ def measure_large(setting: Setting, scan: int = SCAN, splats: int = SPLATS, face
         mesh = finer_mesh(faces)
         mesh.export(folder / "mesh.ply")
         scenes = {
-            "scan": (folder / "scan.npy", folder / "mask.png", scan),
-            "splats": (folder / "splats.ply", CHAIR / "mask.png", splats),
-            "mesh": (folder / "mesh.ply", CHAIR / "mask.png", len(mesh.faces)),
+            "scan": ("scan.npy", folder / "mask.png", scan),
+            "splats": ("splats.ply", CHAIR / "mask.png", splats),
+            "mesh": ("mesh.ply", CHAIR / "mask.png", len(mesh.faces)),
         }
-        contestants = [IMPORT_TORCH]
+        contestants, peaks = [IMPORT_TORCH], []
         for scene, (start, mask, points) in scenes.items():
-            arguments = (*TSO, "refine", "--mode", "points", str(start), str(mask))
-            contestants.append(Contestant(scene, process(scene, arguments), {"points": points}))
+            words = ("refine", "--mode", "points", str(folder / start), str(mask))
+            contestants.append(Contestant(scene, process(scene, (*TSO, *words)), {"points": points}))
+            peaks.append(_peak(folder / "peak", scene, words))
         records = setting.race("large", contestants, "over_import_torch")
-        for row, (start, mask, _) in zip(records[1:], scenes.values(), strict=True):
-            row["peak_MiB"] = _peak(folder / "peak", row["name"], ("refine", "--mode", "points", str(start), str(mask)))
-        return records
+        return [records[0], *(row | {"peak_MiB": peak} for row, peak in zip(records[1:], peaks, strict=True))]
 
 
 def _write_photo(folder: Path) -> None:
@@ -87,7 +87,6 @@ def finer_mesh(faces: int) -> trimesh.Trimesh:
 
 def _peak(file: Path, name: str, arguments: tuple[str, ...]) -> int | None:
     """MiB at most in the process of a command; None but on Linux."""
-    if sys.platform != "linux":
-        return None
     process(name, ("-c", WATCHED.format(str(file)), *arguments))()
-    return round(int(file.read_text()) / 1024.0)
+    peak: int | None = json.loads(file.read_text())
+    return peak

@@ -12,7 +12,6 @@ from contextlib import ExitStack, contextmanager, nullcontext
 from functools import partial
 from itertools import product
 from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -31,7 +30,20 @@ from ...refinement.run import Stopwatch
 from ...scene.load import load_points_scene
 from ..study import Cases, Record
 from ..views import views_around
-from .timing import FORMS, IMPORT_TORCH, Contestant, Sample, Setting, as_installed, in_form, never_run, process, record, timed
+from .timing import (
+    FORMS,
+    IMPORT_TORCH,
+    Contestant,
+    Sample,
+    Setting,
+    as_installed,
+    in_form,
+    never_run,
+    peak_memory,
+    process,
+    record,
+    timed,
+)
 
 CHAIR = examples_folder() / "chair"
 # The example starts from points of this shape.
@@ -44,8 +56,8 @@ SIZES = (1024, 16384)
 MORE_VIEWS = (2, 4)
 # Points of the largest cloud, which the default alone refines.
 LARGE, CORES = 262_144, os.cpu_count() or 1
-# Calls after the first that are taken apart in phases, and where Linux tells how much memory they took.
-RUNS, PROCESS = 3, Path("/proc/self/status")
+# Calls after the first that are taken apart in phases.
+RUNS = 3
 # What is timed within the phases; none of these calls another.
 PIECES: dict[str, tuple[Any, str]] = {
     "agreement": (Agreement, "of"),
@@ -135,8 +147,7 @@ def _taken_apart(points: int, views: int, form: str, seed: int) -> Record:
     work = partial(refine, cloud(points, seed), chair_views(views), config=RefineConfig())
     with in_form(form):
         first, *later = (work().seconds for _ in range(1 + RUNS))
-        # Linux alone says so; what `resource` says begins with the peak of the process that started this one.
-        status = PROCESS.read_text() if PROCESS.exists() else ""
+        peak = peak_memory()
         # Timed in one more call, so that these clocks slow no other.
         stopwatch = Stopwatch()
         with ExitStack() as patches:
@@ -147,9 +158,8 @@ def _taken_apart(points: int, views: int, form: str, seed: int) -> Record:
     of_these = stopwatch.seconds | {"rest": whole - sum(stopwatch.seconds.values())}
     phases = {name: float(np.median([seconds[name] for seconds in later])) for name in later[0]}
     low, median, high = np.percentile([sum(seconds.values()) for seconds in later], [25, 50, 75]).tolist()
-    peak = [round(int(line.split()[1]) / 1024.0) for line in status.splitlines() if line.startswith("VmHWM:")]
     fields = {"points": points, "views": views, "form": form, "phases": phases, "of_these": of_these}
-    fields |= {"first": sum(first.values()), "peak_MiB": (*peak, None)[0]}
+    fields |= {"first": sum(first.values()), "peak_MiB": peak}
     return record("phases", "best", seconds={"median": median, "low": low, "high": high}, runs=RUNS) | fields
 
 

@@ -112,6 +112,16 @@ def in_form(form: str) -> AbstractContextManager[None]:
     return planned(FORMS[form], FORMS[form]) if form else nullcontext()
 
 
+def peak_memory() -> int | None:
+    """MiB that this process took at most, as Linux tells it; None elsewhere.
+
+    What `resource` says begins with the peak of the process that started this one.
+    """
+    status = Path("/proc/self/status")
+    lines = status.read_text().splitlines() if status.exists() else []
+    return next((round(int(line.split()[1]) / 1024.0) for line in lines if line.startswith("VmHWM:")), None)
+
+
 Environment = Callable[[Path], dict[str, str]]
 """Given an empty folder, the environment variables of a process."""
 
