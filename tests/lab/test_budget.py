@@ -31,7 +31,8 @@ def test_ways_are_compared_with_auto_in_the_scenes_that_both_refine():
 
     found = budget.conclude([case(auto=(0.5, 0.1), full=(0.4, 0.4)), case(auto=(0.7, 0.2))])
     assert found["summary"]["auto"]["mean_ratio"] == pytest.approx(0.6)
-    assert found["summary"]["full"] == {"scenes": 1, "mean_ratio": 0.4, "median_seconds": 0.4, "cost": 1.25, "saving": 0.75}
+    full = {"scenes": 1, "mean_ratio": 0.4, "median_seconds": 0.4, "cost": 1.25, "error": 0.0, "saving": 0.75}
+    assert found["summary"]["full"] == full
     assert [claim["holds"] for claim in found["claims"]] == [False, True]
 
 
@@ -39,6 +40,6 @@ def test_the_command_writes_a_record_its_chart_and_its_page(tso, tmp_path):
     output = tmp_path / "budget.json"
     assert "auto's ratio / this" in tso("bench", "budget", "--shape", "brick", "--scenes", 1, "-o", output).out
     record = json.loads(output.read_text())
-    assert set(record["cases"][0]["ways"]) == set(budget.WAYS)
+    assert len(record["cases"]) == budget.DRAWS and set(record["cases"][0]["ways"]) == set(budget.WAYS)
     assert "brick, 64 px, 256 points" in output.with_suffix(".md").read_text()
     assert output.with_suffix(".png").stat().st_size > 3000

@@ -18,6 +18,7 @@ PLANE = example("airplane")
 OPPOSITE = {
     **{"cloud-z-up": "cloud-y-up", "cloud-yzx": "cloud-zxy", "K-of-half-size": "K-of-double-size"},
     **{"cloud-millimetres": "camera-millimetres", "cloud-centimetres": "camera-centimetres"},
+    "cloud-ten-times-large": "cloud-ten-times-small",
 }
 OPPOSITE |= {mistake: mended for mended, mistake in OPPOSITE.items()}
 # In a picture whose middle is the principal point it changes nothing; of a thing seen so nothing that a mask shows.

@@ -49,8 +49,6 @@ class Axis:
         (case, level, rng, another case) -> the altered case.
     gross : a gross mistake of the user, which no result makes good.
     adds_points : the altered start begins with the points of the case, and added ones follow.
-    from_given : a result is compared with the altered start, since that of the case has another number of points, another
-        frame, or is of another object.
     masks : how many of the case's views the refinement sees. Masks are wrong in the first alone, cameras in all of them.
     """
 
@@ -61,7 +59,6 @@ class Axis:
     alter: Callable[..., Any]
     gross: bool = False
     adds_points: bool = False
-    from_given: bool = False
     needs_other: bool = False
     masks: int = 1
 
@@ -77,10 +74,6 @@ class Axis:
     def at(self, level: float) -> str:
         """The level in words; none where it is wrong or not."""
         return f"{level:g} {self.unit}".strip() if len(self.levels) > 1 or self.unit else ""
-
-    def start(self, case: Case, altered: Case) -> Array:
-        """The start that a result is compared with, in the frame of the altered case."""
-        return altered.initial if self.from_given else case.initial
 
     def own(self, case: Case, points: Array) -> Array:
         """Of a result's points [M, 3] those that were in the start of ``case``, without added ones."""
@@ -407,7 +400,6 @@ _YAW: Fields = partial(_around_object, axis=1)
 _ASIDE: Fields = lambda camera, percent, rng: {"t": camera.t + percent / 100.0 * _aside(rng)}  # noqa: E731
 _FOR_SIZE: Fields = lambda camera, factor, rng: {"K": np.diag([factor, factor, 1.0]) @ camera.K}  # noqa: E731
 _DILATED, _MISTAKE = partial(_edge_moved, outward=1.0), {"gross": True}
-_IN_FRAME = {"gross": True, "from_given": True}
 
 AXES: tuple[Axis, ...] = (
     _settings("nothing wrong", "", _YES, lambda config, level: {}),
@@ -451,14 +443,14 @@ AXES: tuple[Axis, ...] = (
     _camera("camera's x mirrored", "", _YES, _in_axes(-1.0, 1.0, 1.0)),
     Axis("camera", "yaw of one camera, beside a right one", "degrees", _DEGREES, _one_turned, masks=2),
     Axis("camera", "yaw of one camera, beside three right ones", "degrees", _DEGREES, _one_turned, masks=4),
-    Axis("camera", "yaw before a thin object", "degrees", _DEGREES, _of_thin(_YAW), from_given=True),
-    Axis("camera", "camera moved aside, thin object", _SIZE, _SIZES, _of_thin(_ASIDE), from_given=True),
-    Axis("cloud", "cloud with z up", "", _YES, _framed([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), **_IN_FRAME),
-    Axis("cloud", "cloud with x and z exchanged", "", _YES, _framed([[0, 0, 1], [0, 1, 0], [1, 0, 0]]), **_IN_FRAME),
-    Axis("cloud", "cloud with axes in another order", "", _YES, _framed([[0, 0, 1], [1, 0, 0], [0, 1, 0]]), **_IN_FRAME),
-    Axis("cloud", "cloud of the other handedness", "", _YES, _framed(np.diag([-1, 1, 1])), from_given=True),
-    Axis("cloud", "cloud in smaller units", _TIMES, _UNITS, _framed(np.eye(3)), **_IN_FRAME),
-    Axis("cloud", "cloud in larger units", _TIMES, _UNITS, _framed(np.eye(3), -1.0), **_IN_FRAME),
+    Axis("camera", "yaw before a thin object", "degrees", _DEGREES, _of_thin(_YAW)),
+    Axis("camera", "camera moved aside, thin object", _SIZE, _SIZES, _of_thin(_ASIDE)),
+    Axis("cloud", "cloud with z up", "", _YES, _framed([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), **_MISTAKE),
+    Axis("cloud", "cloud with x and z exchanged", "", _YES, _framed([[0, 0, 1], [0, 1, 0], [1, 0, 0]]), **_MISTAKE),
+    Axis("cloud", "cloud with axes in another order", "", _YES, _framed([[0, 0, 1], [1, 0, 0], [0, 1, 0]]), **_MISTAKE),
+    Axis("cloud", "cloud of the other handedness", "", _YES, _framed(np.diag([-1, 1, 1]))),
+    Axis("cloud", "cloud in smaller units", _TIMES, _UNITS, _framed(np.eye(3)), **_MISTAKE),
+    Axis("cloud", "cloud in larger units", _TIMES, _UNITS, _framed(np.eye(3), -1.0), **_MISTAKE),
     _start("start far off", _SIZE, (*_SIZES, 100.0, 1000.0), lambda c, p, rng: c.initial + p / 100.0 * _direction(rng)),
     _start("start partly behind the camera", "% of its points", (0.1, 1.0, 5.0, 20.0, 50.0, 100.0), _behind),
     _start("start flat along the line of sight", "% gone", _GONE, _flat),
@@ -470,11 +462,11 @@ AXES: tuple[Axis, ...] = (
     ),
     _start("duplicates", "% of the points", (10.0, 50.0, 100.0, 400.0), _with_duplicates, adds_points=True),
     _start("noise", _SIZE, (0.2, 0.5, *_SIZES[:5]), lambda c, p, rng: c.initial + p / 100.0 * rng.normal(size=c.initial.shape)),
-    _start("few points", "points", (512, 256, 64, 16, 4, 2), _counted, from_given=True),
-    _start("many points", "points", (2048, 16384, 131072, 1_000_000), _counted, from_given=True),
-    _start("uneven density", "times as dense", (2.0, 5.0, 20.0, 100.0, 1000.0), _uneven, from_given=True),
-    Axis("cloud", "thin object", "times thinner", (2.0, 4.0, 8.0, 16.0, 32.0, 64.0), _thin, from_given=True),
-    Axis("cloud", "holed object", "% of it missing", (10.0, 20.0, 40.0, 60.0, 80.0, 95.0), _holed, from_given=True),
+    _start("few points", "points", (512, 256, 64, 16, 4, 2), _counted),
+    _start("many points", "points", (2048, 16384, 131072, 1_000_000), _counted),
+    _start("uneven density", "times as dense", (2.0, 5.0, 20.0, 100.0, 1000.0), _uneven),
+    Axis("cloud", "thin object", "times thinner", (2.0, 4.0, 8.0, 16.0, 32.0, 64.0), _thin),
+    Axis("cloud", "holed object", "% of it missing", (10.0, 20.0, 40.0, 60.0, 80.0, 95.0), _holed),
     _settings("sigma^2 too large, paper", _TIMES, _UP, _SIGMA),
     _settings("sigma^2 too small, paper", _TIMES, _DOWN, _SIGMA),
     _settings("gamma too large, paper", _TIMES, _UP, _GAMMA),

@@ -62,16 +62,15 @@ class Outcome:
     result: RefineResult | None = None
     took: float | None = None
 
-    def ratio(self, of_altered_start: bool = False) -> float | None:
-        """Chamfer distance of the result's own points over that of the start, as it was before or after it was altered.
+    def ratio(self) -> float | None:
+        """Chamfer distance of the result's own points over that of the start as it was given, altered.
 
         None where there is no result, or a point is no number.
         """
         axis, case, altered = self.run.axis, self.run.case, self.altered
         if altered is None or self.points is None or not np.isfinite(self.points).all():
             return None
-        start = axis.own(case, altered.initial) if of_altered_start else axis.start(case, altered)
-        before, after = (chamfer(points, altered.target).chamfer for points in (start, axis.own(case, self.points)))
+        before, after = (chamfer(axis.own(case, points), altered.target).chamfer for points in (altered.initial, self.points))
         return after / before
 
 

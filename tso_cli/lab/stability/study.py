@@ -41,8 +41,7 @@ ROWS_OF_GROUP, TITLE = 3, 28
 """Pictures of each, and characters across one's title."""
 CONVENTION = {
     "ratio": "Chamfer distance after / before, squared distances, mean over points, forward + backward, longest side 1; of the "
-    "cloud's own points, without added ones, to the start as it was before it was altered (of another number of points, object "
-    "or frame: the altered one)",
+    "cloud's own points, without added ones; before is the start as it was given, altered",
     "works": f"median ratio up to {WORSE}, at most 5 % of the runs over {WORSE}; fails: median over {WORSE}, or most refused",
     "warns": "a warning, a doubt or a refusal in at least half of the runs, at this level and at all harder ones that fail",
     "said": "of each run: - nothing, w a warning, d doubted by the tool, r refused, n not finite",

@@ -66,7 +66,7 @@ def rows_of(runs: Iterable[Run]) -> list[tuple[Record, dict[str, float]]]:
     rows = []
     with planned(MANY, MANY):
         for outcome in outcomes_of(runs, WHOLE):
-            run, result, ratio = outcome.run, outcome.result, outcome.ratio(of_altered_start=True)
+            run, result, ratio = outcome.run, outcome.result, outcome.ratio()
             if result is None or ratio is None:
                 continue
             row = {
