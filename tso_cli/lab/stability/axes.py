@@ -31,9 +31,10 @@ Group = Literal["settings", "mask", "camera", "cloud", "image"]
 
 # How many times as thin the thin object of a pair is, and bars across an object that is full of holes.
 THIN, BARS = 8.0, 8
-# Of the object's size: the radius of a hole in its mask, the blur before a wrong threshold, the jitter of repeated points, half
-# the box that outliers are in.
-HOLE, BLUR, JITTER, SPREAD = 0.04, 0.03, 0.005, 2.5
+# Of the object's size: the radius of a hole in its mask, the blur before a wrong threshold, the jitter of repeated points.
+HOLE, BLUR, JITTER = 0.04, 0.03, 0.005
+# Half the box that outliers are in; the object's longest side is 1.
+SPREAD, SPREAD_CLOSE = 2.5, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,8 +276,8 @@ def _added(case: Case, more: Array) -> Array:
     return np.concatenate([case.initial, more])
 
 
-def _with_outliers(case: Case, percent: float, rng: Rng) -> Array:
-    return _added(case, rng.uniform(-SPREAD, SPREAD, (max(1, round(percent / 100.0 * len(case.initial))), 3)))
+def _with_outliers(case: Case, percent: float, rng: Rng, spread: float = SPREAD) -> Array:
+    return _added(case, rng.uniform(-spread, spread, (max(1, round(percent / 100.0 * len(case.initial))), 3)))
 
 
 def _with_duplicates(case: Case, percent: float, rng: Rng) -> Array:
@@ -394,6 +395,7 @@ _UP, _DOWN = (2.0, 5.0, 10.0, 100.0, 1000.0), (0.5, 0.2, 0.1, 0.01, 0.001)
 _SHARES, _GONE = (2.0, 5.0, 10.0, 20.0, 40.0, 80.0), (10.0, 20.0, 50.0, 80.0, 99.0, 100.0)
 _DEGREES = (1.0, 2.0, 5.0, 10.0, 20.0, 45.0, 90.0)
 _FACTORS = (1.01, 1.02, 1.05, 1.1, 1.25, 2.0, 5.0)
+_STRAYS = (0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _UNITS = (10.0, 39.37, 100.0, 1000.0)
 _SIZES, _SIZE, _TIMES, _YES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0), "% of the object's size", "times", (1.0,)
 _YAW: Fields = partial(_around_object, axis=1)
@@ -456,7 +458,8 @@ AXES: tuple[Axis, ...] = (
     _start("start flat along the line of sight", "% gone", _GONE, _flat),
     _start("start collinear", "% gone", _GONE, _collinear),
     _start("start shrunk into one pixel", _TIMES, (1.1, 1.5, 2.0, 5.0, 20.0, 1000.0), _shrunk),
-    _start("outliers", "% of the points", (0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0), _with_outliers, adds_points=True),
+    _start("outliers", "% of the points", _STRAYS, _with_outliers, adds_points=True),
+    _start("outliers close by", "% of the points", _STRAYS, partial(_with_outliers, spread=SPREAD_CLOSE), adds_points=True),
     _start(
         "one stray point", "sizes away", (1.0, *_UP), lambda c, r, rng: _added(c, r * _direction(rng)[None]), adds_points=True
     ),
