@@ -38,7 +38,7 @@ def check_scene(scene: Scene, config: RefineConfig, as_json: bool, quiet: bool, 
     ``warned`` collects the warnings so far and those to come.
     """
     placements = [place(scene.moving, view) for view in scene.views]
-    doubts = outlier_warnings(scene.start.outliers, scene.start.strays) if scene.start else []
+    doubts = outlier_warnings(scene.start.outliers, scene.start.loose) if scene.start else []
     for view, placement in zip(scene.views, placements, strict=True):
         doubts += [*mask_doubts(view, len(scene.moving)), *behind_warnings(placement, view)]
     for doubt in doubts:
@@ -105,7 +105,7 @@ def _document(scene: Scene, placements: list[Placement], overlaps: list[bool], j
         "frame": scene.frame,
         "extent": (scene.moving.max(0) - scene.moving.min(0)).tolist(),
         "outliers": int(scene.start.outliers.sum()) if scene.start else 0,
-        "strays": int(scene.start.strays.sum()) if scene.start else 0,
+        "loose": int(scene.start.loose.sum()) if scene.start else 0,
         "moving": len(scene.moving),
         "placement": views[0]["placement"],
         "meets": all(overlaps),

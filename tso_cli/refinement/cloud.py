@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.points import as_points, bounding_box_normalisation
-from .outliers import outliers, strays
+from .outliers import loose_points, outliers
 from .presets import FIELD_NODES
 from .subset import Subset
 from .surface import Surface
@@ -27,7 +27,7 @@ class Cloud:
     given : [V, 3] float64, the points of the cloud, or the vertices of the mesh.
     surface : of a mesh, or None.
     outliers : [V] bool, points of a cloud far from all others: they stay where they are, and nothing depends on them.
-    strays : [V] bool, other points off every surface: they follow the others, and nothing depends on them.
+    loose : [V] bool, other points off every surface: they follow the others, and nothing depends on them.
     initial : [N, 3] float64, what moves.
     centre [3], scale : (X - centre) / scale has longest side 1.
     colours : [N, 3] float32 in [0, 1], or None.
@@ -39,13 +39,13 @@ class Cloud:
         self.given: Array = np.ascontiguousarray(as_points(as_numpy(points), name))
         self.name = name
         self.surface = None if faces is None else Surface.of(self.given, as_numpy(faces), name)
-        self.outliers, self.strays = np.zeros((2, len(self.given)), bool)
+        self.outliers, self.loose = np.zeros((2, len(self.given)), bool)
         if not (predicted or self.surface):
             self.outliers = outliers(self.given)
-            self.strays[~self.outliers] = strays(self.given[~self.outliers])
+            self.loose[~self.outliers] = loose_points(self.given[~self.outliers])
         self._colours = None if colours is None else _as_colours(as_numpy(colours), len(self.given), name)
         most = None if predicted else FIELD_NODES
-        self._move(self.surface or Subset(self.given, ~self.outliers, ~self.strays, most))
+        self._move(self.surface or Subset(self.given, ~self.outliers, ~self.loose, most))
 
     def _move(self, moving: Surface | Subset) -> None:
         self._moving, self.initial = moving, moving.samples
@@ -89,7 +89,7 @@ class Cloud:
 
     @property
     def judged(self) -> Array:
-        """[S, 3], the points that measures are of: those of the cloud but outliers and strays, or many samples of a surface."""
+        """[S, 3], the points that measures are of: of a cloud but outliers and loose ones, or many samples of a surface."""
         return self._moving.judged(self.given)
 
 

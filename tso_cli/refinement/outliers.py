@@ -1,4 +1,4 @@
-"""Points of a cloud that belong to no surface: outliers far from all others, and strays among them."""
+"""Points of a cloud that belong to no surface: outliers far from all others, and loose points among them."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ OUTLIER_SIZE, OUTLIER_SPACINGS = 0.3, 6.0
 MOST_OUTLIERS = 0.25
 # Without outliers the whole cloud is less than so many times as long as its middle four fifths.
 LONGEST = 1.6
-# A cloud has strays if the fourth neighbour is over three medians away of so large a share of its points, and of at least half
-# as many as have it over two away: where the sampling is uneven, many are over two, few over three.
+# A cloud has loose points if of so large a share of its points the fourth neighbour is over three medians away, and of at least
+# half as many as have it over two away: where the sampling is uneven, many have it over two, few over three.
 FAR, LESS_FAR, LEAST_FAR = 3.0, 2.0, 0.0075
 LEAST_OF_LESS_FAR, FEWEST_FAR = 0.5, 4
-# That of a stray is over so many medians away. So it is of some points of a surface too, which as strays lose nothing.
-STRAY_SPACINGS = 1.6
+# That of a loose point is over so many medians away. That of some points of a surface is too: they are carried along as well.
+LOOSE_SPACINGS = 1.6
 # A first look is at so many points, and their neighbours among so many; most clouds have none that is far even there.
 LOOKED_AT, LOOKED_AMONG = 256, 4096
-# Points that are asked whether there are strays at all.
+# Points that are asked whether there are loose points at all.
 ASKED = 1024
 
 
@@ -47,7 +47,7 @@ def outliers(points: Array) -> Bits:
     return far if far.mean() <= MOST_OUTLIERS else np.zeros(len(points), bool)
 
 
-def strays(points: Array) -> Bits:
+def loose_points(points: Array) -> Bits:
     """[N], which of ``points`` [N, 3] lie off the surfaces that most of them are on; none where none clearly do.
 
     They would hide that the rest is mirror-symmetric, and be most of an evenly spread subset. Of large clouds some points at
@@ -66,7 +66,7 @@ def strays(points: Array) -> Bits:
     far, less_far = (np.count_nonzero(distance > times * median) for times in (FAR, LESS_FAR))
     if far < max(FEWEST_FAR, LEAST_FAR * len(distance), LEAST_OF_LESS_FAR * less_far):
         return none
-    found = _to_fourth(points, places) > STRAY_SPACINGS * median
+    found = _to_fourth(points, places) > LOOSE_SPACINGS * median
     return found if found.mean() <= MOST_OUTLIERS else none
 
 
@@ -81,13 +81,13 @@ def _to_fourth(queries: Array, places: Array) -> Array:
     return distance
 
 
-def outlier_warnings(outliers: Bits, strays: Bits) -> list[str]:
-    """What is said of a cloud's outliers and strays [N]; empty without any."""
+def outlier_warnings(outliers: Bits, loose: Bits) -> list[str]:
+    """What is said of a cloud's outliers and loose points [N]; empty without any."""
     return [
         f"{_lie(count)} {said}, and out of all measures"
         for count, said in (
             (int(outliers.sum()), "far from all others: left where found"),
-            (int(strays.sum()), "off the surfaces of the others: only carried along"),
+            (int(loose.sum()), "off the surfaces of the others: only carried along"),
         )
         if count
     ]
