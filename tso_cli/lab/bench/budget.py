@@ -27,7 +27,7 @@ from ...refinement.presets import BEST
 from ...refinement.presets import FULL as FINE
 from ...render import RayScene, RenderSettings, normalise, render_view, sample_cameras
 from ..studies.refining import uninterrupted
-from ..studies.summary import grouped, rounded
+from ..studies.summary import mean, rounded, summarised
 from ..study import SEED, Cases, Option, Plan, Progress, Record, Study, Table, claim
 from .speed import machine
 
@@ -167,17 +167,19 @@ def tables(record: Record) -> list[Table]:
     """Every way beside auto, and every scene."""
     header = ["way", "scenes", "ratio", "s", "auto's ratio / this", "±", "auto saves"]
     rows = [[name, *row.values()] for name, row in record["summary"].items()]
-    places = [
-        (f"{shape}, {size} px, {points:,} points", [case["ways"] for case in of_place])
-        for shape, of_shape in grouped(record["cases"], "shape").items()
-        for size, of_size in grouped(of_shape, "size").items()
-        for points, of_place in grouped(of_size, "points").items()
-    ]
-    scenes: list[list[str | float]] = [
-        [name, *(float(np.mean([ways[way][key] for ways in of_place])) for way in (AUTO, FULL) for key in KEYS)]
-        for name, of_place in places
+    of_places = summarised(record["cases"], ("shape", "size", "points"), _of_draws)
+    scenes = [
+        [f"{shape}, {size} px, {points:,} points", *figures]
+        for shape, of_sizes in of_places.items()
+        for size, of_points in of_sizes.items()
+        for points, figures in of_points.items()
     ]
     return [Table(header, rows), Table(["scene", "auto", "s", "full", "s"], scenes, "Scenes")]
+
+
+def _of_draws(cases: Cases) -> list[float]:
+    """Means over the draws of a scene: ratio and seconds of auto, then of full."""
+    return [mean(case["ways"][way][key] for case in cases) for way in (AUTO, FULL) for key in KEYS]
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
