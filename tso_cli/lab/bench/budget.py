@@ -27,7 +27,7 @@ from ...refinement.presets import BEST
 from ...refinement.presets import FULL as FINE
 from ...render import RayScene, RenderSettings, normalise, render_view, sample_cameras
 from ..studies.refining import uninterrupted
-from ..studies.summary import mean, rounded, summarised
+from ..studies.summary import mean, rounded, standard_error, summarised
 from ..study import SEED, Cases, Option, Plan, Progress, Record, Study, Table, claim
 from .speed import machine
 
@@ -105,7 +105,7 @@ def plan(progress: Progress, *, shapes: tuple[str, ...], scenes: int, seed: int)
 
     def judge(shape: str, size: int, points: int, draw: int) -> Cases:
         ways = {name: way for name, way in WAYS.items() if points <= MOST_POINTS or name in (AUTO, FULL)}
-        start, target, view = scene(shape, size, points, seed + draw)
+        start, target, view = scene(shape, size, points, DRAWS * seed + draw)
         before, rows = chamfer(_some(start), target).chamfer, {}
         with threadpool_limits(1), planned(1 << 60, 1 << 60):
             for name, config in ways.items():
@@ -152,7 +152,7 @@ def conclude(cases: Cases) -> Record:
             ratio, of_auto = (np.array([pair[i]["ratio"] for pair in pairs]) for i in (0, 1))
             figures = {"mean_ratio": ratio.mean(), "median_seconds": np.median([pair[0]["seconds"] for pair in pairs])}
             figures["cost"] = of_auto.mean() / ratio.mean()
-            figures["error"] = (of_auto - ratio).std() / len(pairs) ** 0.5 / ratio.mean()
+            figures["error"] = standard_error(of_auto - ratio) / ratio.mean()
             figures["saving"] = 1.0 - np.median([pair[1]["seconds"] / pair[0]["seconds"] for pair in pairs])
             summary[name] = {"scenes": len(pairs), **rounded(figures)}
     cost, error, saving = (summary[FULL][key] for key in ("cost", "error", "saving"))

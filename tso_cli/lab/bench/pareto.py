@@ -21,7 +21,7 @@ from ..stability.peers import PEERS
 from ..studies.accuracy import CATEGORIES
 from ..studies.cases import Case, CaseBuilder, kinds_of
 from ..studies.shapes import Shape, shapes_of_part, view_aligned_network, weights_hash
-from ..studies.summary import grouped, ratio_figures, rounded
+from ..studies.summary import grouped, ratio_figures, rounded, standard_error
 from ..study import DEVICE, LIMIT, SEED, SPLIT, VIEWS, Cases, Option, Plan, Progress, Record, Study, Table, claim, part
 from .pareto_chart import draw
 from .speed import machine
@@ -111,10 +111,9 @@ def _summary(cases: Cases) -> Record:
     ways = {}
     for name in cases[0]["ways"]:
         of_shapes = [np.mean([case["ways"][name]["ratio"] for case in of_shape]) for of_shape in by_shape]
-        error = np.std(of_shapes, ddof=1) / len(of_shapes) ** 0.5 if len(of_shapes) > 1 else 0.0
         seconds = float(np.median([case["ways"][name]["seconds"] for case in cases]))
         figures = ratio_figures(np.array([case["ways"][name]["ratio"] for case in cases]))
-        ways[name] = rounded({**figures, "standard_error": error, "median_seconds": seconds})
+        ways[name] = rounded({**figures, "standard_error": standard_error(of_shapes), "median_seconds": seconds})
     alike = [name for name in ways if WAYS[name].masks == 1]
     chosen = [alike[i] for i in front([(ways[name]["median_seconds"], ways[name]["mean_ratio"]) for name in alike])]
     return {"cases": len(cases), "shapes": len(by_shape), "ways": ways, "front": chosen}

@@ -22,6 +22,12 @@ def mean(values: Iterable[float]) -> float:
     return float(np.mean(list(values)))
 
 
+def standard_error(values: Iterable[float]) -> float:
+    """Of their mean; 0 of a single one."""
+    several = list(values)
+    return float(np.std(several, ddof=1)) / len(several) ** 0.5 if len(several) > 1 else 0.0
+
+
 def ratios_of(cases: Cases, variant: str) -> np.ndarray:
     """Chamfer after / before of every case."""
     return np.array([case["variants"][variant]["chamfer"] / case["before"]["chamfer"] for case in cases])
