@@ -43,3 +43,6 @@ def test_the_command_writes_a_record_its_chart_and_its_page(tso, tmp_path):
     assert len(record["cases"]) == budget.DRAWS and set(record["cases"][0]["ways"]) == set(budget.WAYS)
     assert "brick, 64 px, 256 points" in output.with_suffix(".md").read_text()
     assert output.with_suffix(".png").stat().st_size > 3000
+    output.write_text(json.dumps({**record, "complete": False, "cases": record["cases"][:-1]}))
+    assert tso("bench", "budget", "--shape", "brick", "--scenes", 1, "-o", output, "--resume").code == 0
+    assert json.loads(output.read_text())["cases"][:-1] == record["cases"][:-1]

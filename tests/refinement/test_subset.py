@@ -44,7 +44,7 @@ def test_of_a_large_cloud_1024_points_move_and_the_others_stay_beside_them(scene
 def test_the_samples_move_as_told_others_between_them_and_outliers_not_at_all():
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (300, 3))
     kept = np.arange(300) != 7
-    subset = Subset(points, kept, kept, 100)
+    subset = Subset(points, kept, 100)
     displacements = np.random.default_rng(1).normal(size=(100, 3))
     of_all = subset.followed(displacements)
     np.testing.assert_array_equal(subset.at(of_all), displacements)

@@ -14,9 +14,8 @@ from ..kernels import blas
 from ..refinement import RefineConfig
 from ..refinement.agreement import Agreement
 from ..refinement.assumptions import Suspect
-from ..refinement.cloud import Cloud
+from ..refinement.cloud import Cloud, outlier_warnings
 from ..refinement.mistake_check import checked_hint
-from ..refinement.outliers import outlier_warnings
 from ..refinement.placement import (
     SMALLEST_BOX_IOU,
     Placement,
@@ -38,7 +37,7 @@ def check_scene(scene: Scene, config: RefineConfig, as_json: bool, quiet: bool, 
     ``warned`` collects the warnings so far and those to come.
     """
     placements = [place(scene.moving, view) for view in scene.views]
-    doubts = outlier_warnings(scene.start.outliers, scene.start.loose) if scene.start else []
+    doubts = outlier_warnings(_outliers(scene))
     for view, placement in zip(scene.views, placements, strict=True):
         doubts += [*mask_doubts(view, len(scene.moving)), *behind_warnings(placement, view)]
     for doubt in doubts:
@@ -104,8 +103,7 @@ def _document(scene: Scene, placements: list[Placement], overlaps: list[bool], j
         "camera": views[0]["camera"],
         "frame": scene.frame,
         "extent": (scene.moving.max(0) - scene.moving.min(0)).tolist(),
-        "outliers": int(scene.start.outliers.sum()) if scene.start else 0,
-        "loose": int(scene.start.loose.sum()) if scene.start else 0,
+        "outliers": _outliers(scene),
         "moving": len(scene.moving),
         "placement": views[0]["placement"],
         "meets": all(overlaps),
@@ -113,6 +111,10 @@ def _document(scene: Scene, placements: list[Placement], overlaps: list[bool], j
         **judged,
         "version": __version__,
     }
+
+
+def _outliers(scene: Scene) -> int:
+    return int(scene.start.outliers.sum()) if scene.start else 0
 
 
 def _print(scene: Scene, placements: list[Placement], overlaps: list[bool]) -> None:

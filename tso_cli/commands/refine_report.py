@@ -65,7 +65,6 @@ class RefineReport:
             "frame": scene.frame,
             "points": len(result.points),
             "outliers": int(result.outliers.sum()),
-            "loose": int(result.loose.sum()),
             **verdict_document(result.confidence, result.verdict, result.reason, warnings, result.suspects),
             "step_taken": result.step_taken,
             "budget": {"given": self.budget, "decisions": [decision.document() for decision in result.budget]},
@@ -77,7 +76,6 @@ class RefineReport:
                 "moving": "points that move by themselves, which moved and chamfer_to_initial are of: samples of a mesh's "
                 "faces, or some of a large cloud; all others follow them",
                 "outliers": "points far from all others, which stay where they are",
-                "loose": "points off the surfaces of the others, which follow these",
                 "confidence": "that the whole step does not make the cloud worse by over 5 % in Chamfer distance (a rising IoU "
                 "is no proof); 1 where nothing moved, else null but for the default preset of points mode",
                 "step_taken": "share of the step that was taken: under 1 where it is doubtful, 0 where nothing moved",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,8 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import InputError
 from .camera import Array
 
+Number = TypeVar("Number", bound=np.generic)
+
 # Points among which farthest-point sampling chooses about a thousand.
 CANDIDATES = 16_384
+GOLDEN = (5.0**0.5 - 1.0) / 2.0
 
 
 def as_points(points: ArrayLike, name: str = "cloud") -> Array:
@@ -34,6 +38,19 @@ def quantile(values: Array, share: float) -> Array:
     ordered = np.partition(values, (low, high), axis=0)
     between: Array = ordered[low] + (place - low) * (ordered[high] - ordered[low])
     return between
+
+
+def at_steps(points: NDArray[Number], most: int) -> NDArray[Number]:
+    """At most so many of ``points`` [N, ...], at equal steps."""
+    return points[:: -(-len(points) // most)]
+
+
+def scattered(points: Array, most: int) -> Array:
+    """So many of ``points`` [N, 3], some perhaps twice, at multiples of the golden ratio.
+
+    Points of organised clouds at equal steps may all be of one column.
+    """
+    return points[(len(points) * (np.arange(min(len(points), most)) * GOLDEN % 1.0)).astype(np.int64)]
 
 
 def farthest_point_sample(points: ArrayLike, count: int) -> NDArray[np.int64]:
@@ -78,7 +95,7 @@ def spread_subset(
     indices = np.arange(len(array))
     if len(array) <= count:
         return indices
-    candidates = indices[:: -(-len(array) // CANDIDATES)]
+    candidates = at_steps(indices, CANDIDATES)
     return candidates[sample(array[candidates], min(count, len(candidates)))]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -193,7 +194,8 @@ class Study:
         text = progress.source
         if name != self.name or not isinstance(before, dict) or not isinstance(cases, list):
             raise InputError(f"{text} is of the study {name!r}, expected one of {self.command}")
-        for key, value in settings.items():
+        # As a record has them: tuples are lists there.
+        for key, value in json.loads(json.dumps(settings)).items():
             if before.get(key) != value:
                 raise InputError(f"{text} has {key} {before.get(key)!r}, now it is {value!r}; expected the same")
         return cases

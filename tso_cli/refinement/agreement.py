@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.camera import Array
+from ..geometry.points import scattered
 from ..geometry.view import View, object_box
 from ..losses.projection import pixels_under
 from .assumptions import ASSUMPTIONS, AssumedView, Assumption, Suspect, about, axes_of, mirrored
@@ -29,7 +30,6 @@ BORDER = 0.6
 LEFT_OUT = 0.1
 # A mask of fewer cells matches too much by chance: a cloud that shrinks to a point, or one that a sensor barely resolves.
 FEWEST_CELLS = 10
-GOLDEN = (5.0**0.5 - 1.0) / 2.0
 # A row of cells is so many columns further.
 ROW = 1 << 32
 
@@ -54,8 +54,7 @@ class Agreement:
     @classmethod
     def of(cls, points: Array, views: Sequence[View]) -> Agreement:
         """Of ``points`` [N, 3]; a few milliseconds a view."""
-        # Points of organised clouds at equal steps may all be of one column: those at multiples of the golden ratio are not.
-        points = points[(len(points) * (np.arange(min(len(points), POINTS)) * GOLDEN % 1.0)).astype(np.int64)]
+        points = scattered(points, POINTS)
         outlines = [_Outline(view) for view in views]
         others = _others(outlines[0].given)
         as_given = np.array([outline.iou(points, outline.given) for outline in outlines])

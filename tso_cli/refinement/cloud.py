@@ -10,13 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..geometry.points import as_points, bounding_box_normalisation
-from .outliers import loose_points, outliers
+from ..geometry.points import as_points, bounding_box_normalisation, longest_side, quantile
+from ..losses.nearest import nearest_few
 from .presets import FIELD_NODES
 from .subset import Subset
 from .surface import Surface
 
 Array = NDArray[np.float64]
+
+# A point is an outlier whose fourth neighbour is farther than this part of the size of the middle four fifths of the cloud, and
+# than so many times the median of all points.
+NEIGHBOUR = 4
+OUTLIER_SIZE, OUTLIER_SPACINGS = 0.3, 6.0
+# With a larger share the cloud is sampled too unevenly to tell.
+MOST_OUTLIERS = 0.25
+# Without outliers the whole cloud is less than so many times as long as its middle four fifths.
+LONGEST = 1.6
 
 
 class Cloud:
@@ -27,7 +36,6 @@ class Cloud:
     given : [V, 3] float64, the points of the cloud, or the vertices of the mesh.
     surface : of a mesh, or None.
     outliers : [V] bool, points of a cloud far from all others: they stay where they are, and nothing depends on them.
-    loose : [V] bool, other points off every surface: they follow the others, and nothing depends on them.
     initial : [N, 3] float64, what moves.
     centre [3], scale : (X - centre) / scale has longest side 1.
     colours : [N, 3] float32 in [0, 1], or None.
@@ -39,13 +47,10 @@ class Cloud:
         self.given: Array = np.ascontiguousarray(as_points(as_numpy(points), name))
         self.name = name
         self.surface = None if faces is None else Surface.of(self.given, as_numpy(faces), name)
-        self.outliers, self.loose = np.zeros((2, len(self.given)), bool)
-        if not (predicted or self.surface):
-            self.outliers = outliers(self.given)
-            self.loose[~self.outliers] = loose_points(self.given[~self.outliers])
+        of_none = np.zeros(len(self.given), bool)
+        self.outliers = of_none if predicted or self.surface else outliers(self.given)
         self._colours = None if colours is None else _as_colours(as_numpy(colours), len(self.given), name)
-        most = None if predicted else FIELD_NODES
-        self._move(self.surface or Subset(self.given, ~self.outliers, ~self.loose, most))
+        self._move(self.surface or Subset(self.given, ~self.outliers, None if predicted else FIELD_NODES))
 
     def _move(self, moving: Surface | Subset) -> None:
         self._moving, self.initial = moving, moving.samples
@@ -89,7 +94,7 @@ class Cloud:
 
     @property
     def judged(self) -> Array:
-        """[S, 3], the points that measures are of: of a cloud but outliers and loose ones, or many samples of a surface."""
+        """[S, 3], the points that measures are of: those of the cloud but outliers, or many samples of the surface."""
         return self._moving.judged(self.given)
 
 
@@ -100,6 +105,29 @@ class MovedCloud:
     points: Array  # [V, 3], of the cloud or the vertices
     judged: Array  # [S, 3], as `Cloud.judged`
     displacements: Array  # [N, 3] of what moved, in longest sides
+
+
+def outliers(points: Array) -> NDArray[np.bool_]:
+    """[N], which of ``points`` [N, 3] lie far from all others, as strays of a scan do.
+
+    One of them at ten times the object's size would leave the object a tenth of the window and of every scale.
+    """
+    size = float((quantile(points, 0.9) - quantile(points, 0.1)).max())
+    if len(points) <= NEIGHBOUR or longest_side(points) <= LONGEST * size:
+        return np.zeros(len(points), bool)
+    # Invalid points of a scan may all lie in one place.
+    places, place = np.unique(points, axis=0, return_inverse=True)
+    fourth = nearest_few(places, places, min(NEIGHBOUR + 1, len(places)))[:, -1]
+    distance = np.linalg.norm(places - places[fourth], axis=1)
+    least = max(OUTLIER_SIZE * size, OUTLIER_SPACINGS * float(quantile(distance, 0.5)))
+    far: NDArray[np.bool_] = (distance > least)[place.ravel()]
+    return far if far.mean() <= MOST_OUTLIERS else np.zeros(len(points), bool)
+
+
+def outlier_warnings(count: int) -> list[str]:
+    """The warning of so many outliers; empty without any."""
+    points = "1 point lies" if count == 1 else f"{count:,} points lie"
+    return [f"{points} far from all others: left where found, and out of all measures"] if count else []
 
 
 def as_numpy(values: Any) -> Any:

@@ -14,7 +14,7 @@ from ..geometry.view import View
 from ..geometry.window import Box
 from .assumptions import Suspect
 from .budget import Decision
-from .outliers import outlier_warnings
+from .cloud import outlier_warnings
 from .placement import mask_doubts
 from .symmetry import SymmetryOutcome
 
@@ -53,7 +53,6 @@ class RefineResult:
     moving : how many points moved by themselves, which moved_mean and chamfer_to_initial are of: samples of a mesh's faces,
         1,024 points of a large cloud, which all others follow.
     outliers : [N] bool, points far from all others: they stay where they are, and no measure is of them.
-        loose : [N] bool, other points off every surface: they follow the others, and no measure is of them.
     symmetry : a, b, c, d of the mirror plane ax + by + cz = d that was used, in the frame of the input, or None.
     symmetry_outcome : "used" (a plane that was found), "given", or without a plane "not_asked", "none_found" (the cloud has
         none), "contradicted" (the cloud has one, the views contradict it) or "unchecked" (there was no time to ask the views).
@@ -102,7 +101,6 @@ class RefineResult:
     surface: tuple[Array, Array] | None = None
     moving: int = 0
     outliers: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
-    loose: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
     suspects: tuple[Suspect, ...] = ()
     verdict: str | None = None
     confidence: float | None = None
@@ -113,14 +111,10 @@ class RefineResult:
 
     @property
     def judged(self) -> tuple[Array, Array]:
-        """The points that measures are of, before and after.
-
-        Those of a cloud but outliers and loose points, or samples [S, 3] of a surface.
-        """
-        left_out = self.outliers | self.loose
-        if self.surface or not left_out.any():
+        """The points that measures are of, before and after: those of a cloud but outliers, or samples [S, 3] of a surface."""
+        if self.surface or not self.outliers.any():
             return self.surface or (self.initial, self.points)
-        return self.initial[~left_out], self.points[~left_out]
+        return self.initial[~self.outliers], self.points[~self.outliers]
 
     @property
     def averaged(self) -> bool:
@@ -179,7 +173,7 @@ def result_warnings(result: RefineResult, views: Sequence[View], steps: int, sus
         messages.append(f"the result is doubtful{sure}{taken}: {result.reason}")
     elif suspicion:
         messages.append(suspicion)
-    messages += outlier_warnings(result.outliers, result.loose)
+    messages += outlier_warnings(int(result.outliers.sum()))
     for view in views:
         messages += mask_doubts(view, result.moving)
     messages += [

@@ -225,7 +225,6 @@ def _result(
         surface=(cloud.judged, moved.judged) if cloud.surface else None,
         moving=len(moved.displacements),
         outliers=cloud.outliers,
-        loose=cloud.loose,
         suspects=problem.agreement.named if problem.agreement else (),
         verdict=outcome.verdict.name,
         confidence=outcome.verdict.confidence,

@@ -8,10 +8,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.points import as_points, quantile
+from ..geometry.points import CANDIDATES, as_points, at_steps, quantile
 from ..geometry.view import View
 from ..losses.chamfer import spacings
 from ..losses.nearest import nearest, spread_subset
+from .apart import lying_apart
 from .cloud import Cloud
 from .config import parse_symmetry
 
@@ -79,12 +80,22 @@ class MirrorPlane:
 
 
 def find_mirror_plane(points: Array) -> MirrorPlane:
-    """The plane that best maps a cloud [N, 3] onto itself, judged.
+    """The plane that best maps a cloud [N, 3] onto itself, judged; if it has none, that of the points that do not lie apart.
 
     Candidates are the coordinate planes and those of the principal axes, through the centroid. Each is improved by
     alternation: mirrored points are paired with their nearest neighbours, then the plane is fitted to the pairs in closed form.
     """
-    points = as_points(points)
+    points = at_steps(as_points(points), CANDIDATES)
+    plane = _best_plane(points)
+    if plane.symmetric:
+        return plane
+    # Strays have no counterpart, and would hide the plane of the rest.
+    apart = lying_apart(points)
+    without = _best_plane(points[~apart]) if apart.any() else plane
+    return without if without.symmetric else plane
+
+
+def _best_plane(points: Array) -> MirrorPlane:
     judged = points[spread_subset(points, JUDGED_POINTS)]
     if len(judged) < 4:
         return MirrorPlane(np.array([1.0, 0.0, 0.0]), float(points[:, 0].mean()), np.inf, np.inf)

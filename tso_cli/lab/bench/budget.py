@@ -15,7 +15,7 @@ import trimesh
 from threadpoolctl import threadpool_limits
 
 from ...evaluation.metrics import chamfer
-from ...geometry.points import CANDIDATES, Array, farthest_point_sample, sample_surface
+from ...geometry.points import CANDIDATES, Array, at_steps, farthest_point_sample, sample_surface
 from ...geometry.view import View
 from ...io.meshes import Mesh, read_mesh
 from ...io.shipped import examples_folder
@@ -140,7 +140,7 @@ def scene(shape: str, size: int, points: int, seed: int) -> tuple[Array, Array, 
 
 def _some(points: Array) -> Array:
     """At most 16,384 of them, at equal steps."""
-    return points[:: -(-len(points) // CANDIDATES)]
+    return at_steps(points, CANDIDATES)
 
 
 def conclude(cases: Cases) -> Record:
