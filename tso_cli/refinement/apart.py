@@ -16,14 +16,16 @@ APART = 1.6
 FAR, LEAST_FAR, FEWEST_FAR = 2.5, 0.003, 3
 # Points among which neighbours are searched, and of which so many say whether any lie apart; most clouds end the first look.
 PLACES, FIRST_ASKED, ASKED = 4096, 256, 1024
-# Of a subset that is spread evenly at most this share lies apart, or as much as of the cloud.
-MOST_APART = 1 / 8
+# Of a subset that is spread evenly at most this share lies apart, or as much as of the cloud. Of training clouds with strays
+# less is better; with more, sparse halves of merged scans keep the samples that an even spread gives them.
+MOST_APART = 1 / 6
 
 
 def lying_apart(points: Array) -> NDArray[np.bool_]:
     """[N], which of ``points`` [N, 3] lie clearly farther from their neighbours than most; none where the sampling is even.
 
-    Nothing is left out of a refinement for that: strays and a sparse part of a surface are hard to tell apart.
+    Nothing is left out of a refinement for that: strays and a sparse part of a surface are hard to tell from each other.
+    Seconds for millions of points, of which some at equal steps say as much.
     """
     none = np.zeros(len(points), bool)
     places = np.unique(scattered(points, PLACES) if len(points) > PLACES else points, axis=0)
@@ -41,7 +43,7 @@ def lying_apart(points: Array) -> NDArray[np.bool_]:
 
 
 def spread_on_surfaces(points: Array, count: int) -> Indices:
-    """Indices of ``count`` evenly spread points [N, 3]; strays, which an even spread takes first, are few of them."""
+    """Indices of ``count`` evenly spread points [N, 3], of which few lie apart: an even spread takes strays first."""
     candidates = at_steps(np.arange(len(points)), CANDIDATES)
     apart = lying_apart(points[candidates])
     near, far = candidates[~apart], candidates[apart]

@@ -91,7 +91,9 @@ def find_mirror_plane(points: Array) -> MirrorPlane:
         return plane
     # Strays have no counterpart, and would hide the plane of the rest.
     apart = lying_apart(points)
-    without = _best_plane(points[~apart]) if apart.any() else plane
+    if not apart.any():
+        return plane
+    without = _best_plane(points[~apart])
     return without if without.symmetric else plane
 
 
