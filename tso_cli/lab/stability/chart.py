@@ -26,7 +26,7 @@ def draw(path: Path, record: Record, overwrite: bool) -> None:
     knees = record["knees"][DEFAULT]
     columns = max(len(rows) for rows in axes.values())
     groups = [AXIS[name].group for name in axes]
-    with page(path, overwrite, (13.0, 1.3 + ROW * (len(axes) + len(set(groups)))), dpi=100) as figure:
+    with page(path, overwrite, (13.0, 1.15 + ROW * (len(axes) + len(set(groups)))), dpi=100) as figure:
         axis = figure.subplots()
         y, ticks = -1.0, []
         for i, (name, rows) in enumerate(axes.items()):
