@@ -15,6 +15,7 @@ Number = TypeVar("Number", bound=np.generic)
 
 # Points among which farthest-point sampling chooses about a thousand.
 CANDIDATES = 16_384
+# Its multiples, without their whole parts, fill the unit interval evenly.
 GOLDEN = (5.0**0.5 - 1.0) / 2.0
 
 

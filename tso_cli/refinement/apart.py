@@ -32,13 +32,13 @@ def lying_apart(points: Array) -> NDArray[np.bool_]:
     if len(places) <= NEIGHBOUR:
         return none
     for count in (FIRST_ASKED, ASKED):
-        distance = _to_fourth(at_steps(places, count), places)
+        distance = to_fourth(at_steps(places, count), places)
         least = FAR * float(quantile(distance, 0.5))
         if distance.max() <= least:
             return none
     if np.count_nonzero(distance > least) < max(FEWEST_FAR, LEAST_FAR * len(distance)):
         return none
-    apart: NDArray[np.bool_] = _to_fourth(points, places) > APART / FAR * least
+    apart: NDArray[np.bool_] = to_fourth(points, places) > APART / FAR * least
     return apart
 
 
@@ -52,8 +52,12 @@ def spread_on_surfaces(points: Array, count: int) -> Indices:
     return np.concatenate([part[spread_subset(points[part], most)] for part, most in parts])
 
 
-def _to_fourth(queries: Array, places: Array) -> Array:
-    """[Q], distance from each of the ``queries`` to its fourth neighbour among ``places`` [N, 3], itself not counted."""
-    near = nearest_few(queries, places, NEIGHBOUR + 1)
-    first, fourth, fifth = (np.linalg.norm(queries - places[near[:, i]], axis=1) for i in (0, NEIGHBOUR - 1, NEIGHBOUR))
-    return np.where(first == 0.0, fifth, fourth)
+def to_fourth(queries: Array, places: Array) -> Array:
+    """[Q], distance from each of the ``queries`` to its fourth neighbour among ``places`` [N, 3], itself not counted.
+
+    To the last of them where there are not so many, but at least two; no two places are the same.
+    """
+    near = nearest_few(queries, places, min(NEIGHBOUR + 1, len(places)))
+    distance = [np.linalg.norm(queries - places[column], axis=1) for column in near.T]
+    among = np.logical_or.reduce([to_place == 0.0 for to_place in distance])
+    return np.where(among, distance[-1], distance[-2])

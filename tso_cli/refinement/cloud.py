@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.points import as_points, bounding_box_normalisation, longest_side, quantile
-from ..losses.nearest import nearest_few
+from .apart import NEIGHBOUR, to_fourth
 from .presets import FIELD_NODES
 from .subset import Subset
 from .surface import Surface
@@ -20,7 +20,6 @@ Array = NDArray[np.float64]
 
 # A point is an outlier whose fourth neighbour is farther than this part of the size of the middle four fifths of the cloud, and
 # than so many times the median of all points.
-NEIGHBOUR = 4
 OUTLIER_SIZE, OUTLIER_SPACINGS = 0.3, 6.0
 # With a larger share the cloud is sampled too unevenly to tell.
 MOST_OUTLIERS = 0.25
@@ -117,8 +116,7 @@ def outliers(points: Array) -> NDArray[np.bool_]:
         return np.zeros(len(points), bool)
     # Invalid points of a scan may all lie in one place.
     places, place = np.unique(points, axis=0, return_inverse=True)
-    fourth = nearest_few(places, places, min(NEIGHBOUR + 1, len(places)))[:, -1]
-    distance = np.linalg.norm(places - places[fourth], axis=1)
+    distance = to_fourth(places, places)
     least = max(OUTLIER_SIZE * size, OUTLIER_SPACINGS * float(quantile(distance, 0.5)))
     far: NDArray[np.bool_] = (distance > least)[place.ravel()]
     return far if far.mean() <= MOST_OUTLIERS else np.zeros(len(points), bool)

@@ -98,6 +98,7 @@ def find_mirror_plane(points: Array) -> MirrorPlane:
 
 
 def _best_plane(points: Array) -> MirrorPlane:
+    """As `find_mirror_plane`, of all points alike."""
     judged = points[spread_subset(points, JUDGED_POINTS)]
     if len(judged) < 4:
         return MirrorPlane(np.array([1.0, 0.0, 0.0]), float(points[:, 0].mean()), np.inf, np.inf)

@@ -106,13 +106,14 @@ def plan(progress: Progress, *, shapes: tuple[str, ...], scenes: int, seed: int)
     def judge(shape: str, size: int, points: int, draw: int) -> Cases:
         ways = {name: way for name, way in WAYS.items() if points <= MOST_POINTS or name in (AUTO, FULL)}
         start, target, view = scene(shape, size, points, DRAWS * seed + draw)
-        before, rows = chamfer(_some(start), target).chamfer, {}
+        before, rows = chamfer(at_steps(start, CANDIDATES), target).chamfer, {}
         with threadpool_limits(1), planned(1 << 60, 1 << 60):
             for name, config in ways.items():
                 began = time.perf_counter()
                 result = uninterrupted(refine(start, view, config=config))
                 seconds = time.perf_counter() - began
-                rows[name] = rounded({"ratio": chamfer(_some(result.points), target).chamfer / before, "seconds": seconds})
+                after = chamfer(at_steps(result.points, CANDIDATES), target).chamfer
+                rows[name] = rounded({"ratio": after / before, "seconds": seconds})
         return [{"shape": shape, "size": size, "points": points, "draw": draw, "ways": rows}]
 
     places: list[Record] = [
@@ -136,11 +137,6 @@ def scene(shape: str, size: int, points: int, seed: int) -> tuple[Array, Array, 
     start = start * STRETCH
     start[:, 0] += BEND * (np.square(start[:, 1]) - np.square(start[:, 1]).mean())
     return start, target, View(mask.astype(np.float32) / 255.0, camera, name=shape)
-
-
-def _some(points: Array) -> Array:
-    """At most 16,384 of them, at equal steps."""
-    return at_steps(points, CANDIDATES)
 
 
 def conclude(cases: Cases) -> Record:
