@@ -11,6 +11,8 @@ from tso_cli.geometry.points import (
     normalise_longest_side,
     quantile,
     sample_surface,
+    scattered,
+    spread_subset,
 )
 
 
@@ -136,3 +138,18 @@ def test_samples_that_cannot_be_are_refused(call, message):
 def test_a_quantile_is_that_of_numpy(rows, share):
     values = np.array(rows)
     np.testing.assert_allclose(quantile(values, share), np.quantile(values, share, axis=0), rtol=1e-12, atol=1e-9)
+
+
+@pytest.mark.parametrize("columns", [640, 1024])
+def test_a_subset_of_an_organised_cloud_reaches_every_part_of_it(columns):
+    row, column = np.mgrid[:2048, :columns]
+    cloud = np.stack([column, row, 0 * row], -1).reshape(-1, 3) / 64.0
+    subset = cloud[spread_subset(cloud, 1024)]
+    assert len(np.unique(subset // 1.0, axis=0)) > 0.95 * 32 * columns // 64
+
+
+@given(st.integers(1, 300), st.integers(1, 300))
+def test_a_part_of_many_points_keeps_their_order_and_repeats_none(count, most):
+    part = scattered(np.arange(count), most)
+    assert len(part) <= most and (np.diff(part) > 0).all()
+    assert len(part) == count if count <= most else len(part) >= min(most, count) * 0.6

@@ -41,17 +41,12 @@ def quantile(values: Array, share: float) -> Array:
     return between
 
 
-def at_steps(points: NDArray[Number], most: int) -> NDArray[Number]:
-    """At most so many of ``points`` [N, ...], at equal steps."""
-    return points[:: -(-len(points) // most)]
-
-
-def scattered(points: Array, most: int) -> Array:
-    """So many of ``points`` [N, 3], some perhaps twice, at multiples of the golden ratio.
-
-    Points of organised clouds at equal steps may all be of one column.
-    """
-    return points[(len(points) * (np.arange(min(len(points), most)) * GOLDEN % 1.0)).astype(np.int64)]
+def scattered(points: NDArray[Number], most: int) -> NDArray[Number]:
+    """At most so many of ``points`` [N, ...], in their order. Equal steps may take one column of an organised cloud."""
+    if len(points) <= most:
+        return points
+    # Some of these places may be the same.
+    return points[np.unique((len(points) * (np.arange(most) * GOLDEN % 1.0)).astype(np.int64))]
 
 
 def farthest_point_sample(points: ArrayLike, count: int) -> NDArray[np.int64]:
@@ -88,7 +83,7 @@ def farthest_point_sample(points: ArrayLike, count: int) -> NDArray[np.int64]:
 def spread_subset(
     points: ArrayLike, count: int, sample: Callable[[Array, int], NDArray[np.int64]] = farthest_point_sample
 ) -> NDArray[np.int64]:
-    """Indices of at most ``count`` evenly spread points [N, 3]; of a large cloud, chosen among some at equal steps.
+    """Indices of at most ``count`` evenly spread points [N, 3]; of a large cloud, chosen among some of them.
 
     ``sample`` is another form of `farthest_point_sample`.
     """
@@ -96,7 +91,7 @@ def spread_subset(
     indices = np.arange(len(array))
     if len(array) <= count:
         return indices
-    candidates = at_steps(indices, CANDIDATES)
+    candidates = scattered(indices, CANDIDATES)
     return candidates[sample(array[candidates], min(count, len(candidates)))]
 
 

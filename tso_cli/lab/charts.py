@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..evaluation.footprint import common_window, in_window
-from ..geometry.points import Array, at_steps
+from ..geometry.points import Array, scattered
 from ..plots.style import BETTER, COLOURS, INK, WORSE, page
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def _draw_cloud(axis: Any, points: Array, frame: Sequence[Array]) -> None:
     """``points`` [N, 3] across, up and towards the eye; all clouds of ``frame`` share one frame."""
     low, high = (np.array([getattr(cloud, end)(0) for cloud in frame]) for end in ("min", "max"))
     middle, half = (low.min(0) + high.max(0)) / 2.0, float((high.max(0) - low.min(0))[:2].max()) * 0.54
-    across, up, near = (at_steps(points, DOTS) - middle).T
+    across, up, near = (scattered(points, DOTS) - middle).T
     order = np.argsort(near)
     axis.scatter(across[order], up[order], s=2.2, c=near[order], cmap="viridis", linewidths=0)
     axis.set(xlim=(-half, half), ylim=(-half, half), aspect="equal")

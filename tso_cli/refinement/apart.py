@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.points import CANDIDATES, Array, at_steps, quantile, scattered
+from ..geometry.points import CANDIDATES, Array, quantile, scattered
 from ..losses.nearest import Indices, nearest_few, spread_subset
 
 # How far a point's fourth neighbour is says how densely the cloud is sampled around it.
@@ -25,14 +25,14 @@ def lying_apart(points: Array) -> NDArray[np.bool_]:
     """[N], which of ``points`` [N, 3] lie clearly farther from their neighbours than most; none where the sampling is even.
 
     Nothing is left out of a refinement for that: strays and a sparse part of a surface are hard to tell from each other.
-    Seconds for millions of points, of which some at equal steps say as much.
+    Seconds for millions of points, of which some say as much.
     """
     none = np.zeros(len(points), bool)
-    places = np.unique(scattered(points, PLACES) if len(points) > PLACES else points, axis=0)
+    places = np.unique(scattered(points, PLACES), axis=0)
     if len(places) <= NEIGHBOUR:
         return none
     for count in (FIRST_ASKED, ASKED):
-        distance = to_fourth(at_steps(places, count), places)
+        distance = to_fourth(scattered(places, count), places)
         least = FAR * float(quantile(distance, 0.5))
         if distance.max() <= least:
             return none
@@ -44,7 +44,7 @@ def lying_apart(points: Array) -> NDArray[np.bool_]:
 
 def spread_on_surfaces(points: Array, count: int) -> Indices:
     """Indices of ``count`` evenly spread points [N, 3], of which few lie apart: an even spread takes strays first."""
-    candidates = at_steps(np.arange(len(points)), CANDIDATES)
+    candidates = scattered(np.arange(len(points)), CANDIDATES)
     apart = lying_apart(points[candidates])
     near, far = candidates[~apart], candidates[apart]
     strays = min(len(far), int(max(MOST_APART, len(far) / len(candidates)) * count))

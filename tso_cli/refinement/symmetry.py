@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.points import CANDIDATES, as_points, at_steps, quantile
+from ..geometry.points import CANDIDATES, as_points, quantile, scattered
 from ..geometry.view import View
 from ..losses.chamfer import spacings
 from ..losses.nearest import nearest, spread_subset
@@ -85,7 +85,7 @@ def find_mirror_plane(points: Array) -> MirrorPlane:
     Candidates are the coordinate planes and those of the principal axes, through the centroid. Each is improved by
     alternation: mirrored points are paired with their nearest neighbours, then the plane is fitted to the pairs in closed form.
     """
-    points = at_steps(as_points(points), CANDIDATES)
+    points = scattered(as_points(points), CANDIDATES)
     plane = _best_plane(points)
     if plane.symmetric:
         return plane

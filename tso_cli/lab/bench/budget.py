@@ -15,7 +15,7 @@ import trimesh
 from threadpoolctl import threadpool_limits
 
 from ...evaluation.metrics import chamfer
-from ...geometry.points import CANDIDATES, Array, at_steps, farthest_point_sample, sample_surface
+from ...geometry.points import CANDIDATES, Array, farthest_point_sample, sample_surface, scattered
 from ...geometry.view import View
 from ...io.meshes import Mesh, read_mesh
 from ...io.shipped import examples_folder
@@ -106,13 +106,13 @@ def plan(progress: Progress, *, shapes: tuple[str, ...], scenes: int, seed: int)
     def judge(shape: str, size: int, points: int, draw: int) -> Cases:
         ways = {name: way for name, way in WAYS.items() if points <= MOST_POINTS or name in (AUTO, FULL)}
         start, target, view = scene(shape, size, points, DRAWS * seed + draw)
-        before, rows = chamfer(at_steps(start, CANDIDATES), target).chamfer, {}
+        before, rows = chamfer(scattered(start, CANDIDATES), target).chamfer, {}
         with threadpool_limits(1), planned(1 << 60, 1 << 60):
             for name, config in ways.items():
                 began = time.perf_counter()
                 result = uninterrupted(refine(start, view, config=config))
                 seconds = time.perf_counter() - began
-                after = chamfer(at_steps(result.points, CANDIDATES), target).chamfer
+                after = chamfer(scattered(result.points, CANDIDATES), target).chamfer
                 rows[name] = rounded({"ratio": after / before, "seconds": seconds})
         return [{"shape": shape, "size": size, "points": points, "draw": draw, "ways": rows}]
 
