@@ -153,8 +153,9 @@ def confidence() -> str:
         [text, *(f"{100 * summary[name][key]:.0f} %" for key in ("worse", "flagged_of_worse")), f"{summary[name]['auc']:.2f}"]
         for name, text in names.items()
     ]
-    right = summary["right scenes"]
-    note = f"Of {right['results']} right scenes {100 * right['flagged']:.0f} % are called doubtful."
+    right, gross = summary["right scenes"], summary["gross"]
+    note = f"Of {gross['results'] + gross['refused']} common mistakes {100 * gross['suspected']:.0f} % are named; "
+    note += f"of {right['results']} right scenes {100 * right['flagged']:.0f} % are called doubtful."
     return markdown(["wrong is", "results worse by over 5 %", "of these flagged", "AUC"], rows) + f"\n\n{note}"
 
 

@@ -191,7 +191,7 @@ COMMANDS: dict[str, tuple[tuple[Any, ...], int, tuple[str, ...]]] = {
     "lambda": ((*TINY, *CHAIRS), 1, ("1 steps of 2", "seed 0")),
     "affinity": ((*TINY, *CARS), 1, ("1 steps of 2", "seed 0")),
     "failures": ((*TINY, *PLANES, *CARS), 1, ("1 steps of 2", "seed 0")),
-    "confidence": ((*CARS, *CHAIRS, "--views", 1, "--alterations", 2), 7, ("Reliability", "right scenes")),
+    "confidence": ((*CARS, *CHAIRS, "--views", 1, "--alterations", 2), 9, ("Reliability", "right scenes")),
 }
 
 

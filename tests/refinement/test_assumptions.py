@@ -18,7 +18,7 @@ PLANE = example("airplane")
 OPPOSITE = {
     **{"cloud-z-up": "cloud-y-up", "cloud-yzx": "cloud-zxy", "K-of-half-size": "K-of-double-size"},
     **{"cloud-millimetres": "camera-millimetres", "cloud-centimetres": "camera-centimetres"},
-    "cloud-ten-times-large": "cloud-ten-times-small",
+    **{"cloud-inches": "camera-inches", "cloud-ten-times-large": "cloud-ten-times-small"},
 }
 OPPOSITE |= {mistake: mended for mended, mistake in OPPOSITE.items()}
 # In a picture whose middle is the principal point it changes nothing; of a thing seen so nothing that a mask shows.
@@ -32,8 +32,6 @@ def _mistaken(name: str):
         R = np.diag([1.0, -1.0, -1.0]) @ view.camera.R
         t = view.camera.t * [1.0, -1.0, -1.0]
         return PLANE.target, replace(view, camera=replace(view.camera, R=R.T, t=-R.T @ t))
-    if name == "cloud-inches":
-        return PLANE.target / 0.0254, view
     mistake = ASSUMPTIONS[OPPOSITE.get(name, name)]
     return PLANE.target @ mistake.matrix.T, mistake.of_view(view)
 

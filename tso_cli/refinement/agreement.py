@@ -30,6 +30,8 @@ BORDER = 0.6
 LEFT_OUT = 0.1
 # A mask of fewer cells matches too much by chance: a cloud that shrinks to a point, or one that a sensor barely resolves.
 FEWEST_CELLS = 10
+# Begins what is said of suspects.
+NAMED = "it looks as if"
 # A row of cells is so many columns further.
 ROW = 1 << 32
 
@@ -79,9 +81,9 @@ class Agreement:
     def suspicion(self) -> str | None:
         """The suspects in words, None without any."""
         if not self._of_input:
-            return "; ".join(f"it looks as if {suspect.what}: try {suspect.option}" for suspect in self.of_views) or None
+            return "; ".join(f"{NAMED} {suspect.what}: try {suspect.option}" for suspect in self.of_views) or None
         first, *others = self._of_input
-        return f"it looks as if {first.what}: try {first.option}" + "".join(f", or {suspect.option}" for suspect in others)
+        return f"{NAMED} {first.what}: try {first.option}" + "".join(f", or {suspect.option}" for suspect in others)
 
 
 class Hint(NamedTuple):

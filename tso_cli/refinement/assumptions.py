@@ -105,6 +105,7 @@ ASSUMPTIONS = {
     "cloud-inches": _of_cloud("the cloud is in inches, the camera in metres", camera=_unit(0.0254)),
     "cloud-millimetres": _of_cloud("the cloud is in millimetres, the camera in metres", camera=_unit(1e-3)),
     "cloud-centimetres": _of_cloud("the cloud is in centimetres, the camera in metres", camera=_unit(1e-2)),
+    "camera-inches": Assumption("the camera is in inches, the cloud in metres", camera=_unit(1.0 / 0.0254)),
     "camera-millimetres": Assumption("the camera is in millimetres, the cloud in metres", camera=_unit(1e3)),
     "camera-centimetres": Assumption("the camera is in centimetres, the cloud in metres", camera=_unit(1e2)),
     "cloud-ten-times-large": _of_cloud("the cloud is ten times too large, as millimetres for centimetres", camera=_unit(0.1)),

@@ -52,7 +52,7 @@ class Run:
 class Outcome:
     """What became of a run. said : a letter of `knees`; points : [M, 3]; result : None of a peer; took : seconds.
 
-    Where the altered case was refused there is nothing of it.
+    Of a case that was refused there is the ``refusal`` alone, in words.
     """
 
     run: Run
@@ -61,6 +61,7 @@ class Outcome:
     points: Array | None = None
     result: RefineResult | None = None
     took: float | None = None
+    refusal: str = ""
 
     def ratio(self) -> float | None:
         """Chamfer distance of the result's own points over that of the start as it was given, altered.
@@ -122,13 +123,13 @@ def _row(axis: Axis, name: str, level: float, run_rows: Sequence[dict[str, Any]]
 def outcomes_of(runs: Iterable[Run], way: Way) -> Iterator[Outcome]:
     """What becomes of each run, in their order, by a peer or a refinement; those of equal settings are refined in one call."""
     given = way.config if isinstance(way, Variant) else RefineConfig()
-    waiting: list[tuple[Run, Case | None]] = []
+    waiting: list[tuple[Run, Case | TsoError]] = []
     refined_with, size = given, 0
     for run in runs:
         try:
             altered, config = run.altered(given)
-        except TsoError:
-            waiting.append((run, None))
+        except TsoError as error:
+            waiting.append((run, error))
             continue
         pixels = sum(view.mask.size for view in altered.views)
         if size and (config != refined_with or size + pixels > AT_ONCE):
@@ -139,12 +140,12 @@ def outcomes_of(runs: Iterable[Run], way: Way) -> Iterator[Outcome]:
     yield from _refined(waiting, way, refined_with)
 
 
-def _refined(waiting: Sequence[tuple[Run, Case | None]], way: Way, config: RefineConfig) -> Iterator[Outcome]:
+def _refined(waiting: Sequence[tuple[Run, Case | TsoError]], way: Way, config: RefineConfig) -> Iterator[Outcome]:
     # What is said on the way names the view.
     named = [
         replace(altered, views=tuple(replace(view, name=f"run {i}") for view in altered.views))
         for i, (_, altered) in enumerate(waiting)
-        if altered is not None
+        if isinstance(altered, Case)
     ]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -153,8 +154,8 @@ def _refined(waiting: Sequence[tuple[Run, Case | None]], way: Way, config: Refin
             results = iter(refine_batch([(case.initial, case.views) for case in named], config))
     warned = {str(warning.message).partition(":")[0] for warning in caught}
     for i, (run, altered) in enumerate(waiting):
-        if altered is None:
-            yield Outcome(run)
+        if isinstance(altered, TsoError):
+            yield Outcome(run, refusal=str(altered))
         elif isinstance(way, Variant):
             yield _of_result(run, altered, next(results), f"run {i}" in warned)
         else:
@@ -163,7 +164,7 @@ def _refined(waiting: Sequence[tuple[Run, Case | None]], way: Way, config: Refin
 
 def _of_result(run: Run, altered: Case, result: Any, warned: bool) -> Outcome:
     if isinstance(result, TsoError):
-        return Outcome(run)
+        return Outcome(run, refusal=str(result))
     said = WARNED if warned or result.warnings else SILENT
     if uninterrupted(result).verdict == "doubtful" or result.suspects:
         said = DOUBTFUL
@@ -176,7 +177,7 @@ def _of_peer(run: Run, altered: Case, peer: Peer) -> Outcome:
     begun = time.perf_counter()
     try:
         moved = peer(altered.initial, altered.views)
-    except TsoError:
-        return Outcome(run)
+    except TsoError as error:
+        return Outcome(run, refusal=str(error))
     said = SILENT if np.isfinite(moved).all() else NON_FINITE
     return Outcome(run, said, altered, moved, took=time.perf_counter() - begun)

@@ -17,6 +17,7 @@ from ...io.output import atomic_output
 from ...kernels.dispatch import planned
 from ...plots.style import COLOURS, INK, page
 from ...refinement import RefineConfig
+from ...refinement.agreement import NAMED
 from ...refinement.verdict import LEAST_CONFIDENCE, MODEL
 from ..stability.axes import AXES
 from ..stability.runs import Run, outcomes_of
@@ -42,12 +43,13 @@ WORSE = 1.05
 HIDDEN, NETWORKS, EPOCHS, BATCH, RATE, DECAY = 32, 4, 100, 128, 1e-2, 0.1
 """Of the model: tanh units of a network, networks that it is the mean of, and how they are trained."""
 BINS = 10
-AIMS = {"all": 0.93, "camera and mask": 0.85}
+AIMS, LEAST_NAMED = {"all": 0.93, "camera and mask": 0.85}, 0.9
 CONVENTION = {
     "worse": "Chamfer distance of the cloud's own points to the truth over 1.05 times that before",
     "AUC": "chance that a worse result has less confidence than one that is not",
     "right scenes": "as rendered, nothing altered; a start that is another shape is no mistake",
     "flagged": "doubtful, for want of confidence or for a suspected mistake",
+    "mistake named": "in the refusal, or a suspected mistake of the result",
     "gross": "mistakes of convention, as axes, units, transposed or inverted input; not in the other groups",
 }
 
@@ -62,16 +64,20 @@ def alterations(case: Case, other: Case, count: int, seed: int) -> Iterator[Run]
 
 
 def rows_of(runs: Iterable[Run]) -> list[tuple[Record, dict[str, float]]]:
-    """Row and signs of the result of each run; what is refused or no number is left out."""
-    rows = []
+    """Row and signs of the result of each run; what is no number is left out. Of a refusal, whether it names a mistake."""
+    rows: list[tuple[Record, dict[str, float]]] = []
     with planned(MANY, MANY):
         for outcome in outcomes_of(runs, WHOLE):
             run, result, ratio = outcome.run, outcome.result, outcome.ratio()
-            if result is None or ratio is None:
-                continue
-            row = {
+            row: Record = {
                 **{key: getattr(run.case, key) for key in ("category", "shape", "kind")},
                 **{"axis": run.axis.name, "group": "gross" if run.axis.gross else run.axis.group, "level": run.level},
+            }
+            if result is None:
+                rows.append((row | {"refused": True, "suspected": NAMED in outcome.refusal}, {}))
+            if result is None or ratio is None:
+                continue
+            row |= {
                 **{"ratio": round(ratio, 4), "confidence": round(result.confidence or 0.0, 4)},
                 **{"flagged": result.verdict == "doubtful", "suspected": bool(result.suspects)},
                 **{"iou_gain": round(result.iou_after - result.iou_before, 4), "moved": result.best_step > 0},
@@ -117,7 +123,7 @@ def fitted(rows: Sequence[tuple[Record, dict[str, float]]], seed: int = 0) -> Re
     """The model of `tso_cli.refinement.verdict` from rows and signs: the mean of small networks, by cross-entropy."""
     import torch
 
-    chosen = [(row["ratio"] > WORSE, signs) for row, signs in rows if row["moved"] and signs]
+    chosen = [(row["ratio"] > WORSE, signs) for row, signs in rows if signs and row["moved"]]
     names = list(chosen[0][1])
     values = np.array([[signs[name] for name in names] for _, signs in chosen])
     worse = torch.tensor([float(is_worse) for is_worse, _ in chosen])
@@ -164,8 +170,8 @@ def conclude(cases: Cases) -> Record:
     chosen = {"all": cases, "camera and mask": [case for case in cases if case["group"] in ("camera", "mask")]}
     chosen |= grouped(cases, "group") | {f"{name}, any": rows for name, rows in grouped(cases, "category").items()}
     chosen["right scenes"] = [case for case in cases if case["axis"] == RIGHT.name]
-    summary = {name: _figures(rows) for name, rows in chosen.items() if rows}
-    confidence, worse = (np.array([case[key] for case in cases]) for key in ("confidence", "ratio"))
+    summary = {name: _figures(rows) for name, rows in chosen.items() if refined(rows)}
+    confidence, worse = (np.array([case[key] for case in refined(cases)]) for key in ("confidence", "ratio"))
     worse = worse > WORSE
     bins = np.minimum((confidence * BINS).astype(int), BINS - 1)
     reliability = [
@@ -180,10 +186,19 @@ def conclude(cases: Cases) -> Record:
     ]
     suspected = summary["right scenes"]["suspected"]
     claims.append(claim("no right scene is suspected of a mistake", not suspected, f"share suspected {suspected:.3f}"))
+    if gross := summary.get("gross"):
+        named = f"{gross['suspected']:.3f}"
+        claims.append(claim(f"over {LEAST_NAMED} of gross mistakes are named", gross["suspected"] > LEAST_NAMED, named))
     return {"summary": summary, "reliability": reliability, "claims": claims}
 
 
-def _figures(rows: Cases) -> Record:
+def refined(cases: Cases) -> Cases:
+    """Those that were not refused."""
+    return [case for case in cases if not case.get("refused")]
+
+
+def _figures(cases: Cases) -> Record:
+    rows = refined(cases)
     confidence, ratio = (np.array([row[key] for row in rows], dtype=float) for key in ("confidence", "ratio"))
     worse, flagged = ratio > WORSE, np.array([row["flagged"] for row in rows])
     iou = auc(np.array([row["iou_gain"] for row in rows]), worse)
@@ -194,12 +209,13 @@ def _figures(rows: Cases) -> Record:
         "auc_iou_gain": iou,
         "flagged": float(flagged.mean()),
         "flagged_of_worse": float(flagged[worse].mean()) if worse.any() else None,
-        "suspected": float(np.mean([row["suspected"] for row in rows])),
+        "refused": len(cases) - len(rows),
+        "suspected": float(np.mean([case["suspected"] for case in cases])),
     }
 
 
 def tables(record: Record) -> list[Table]:
-    header = ["altered", "results", "worse", "AUC", "AUC of the IoU's gain", "flagged", "of the worse", "mistake named"]
+    header = ["altered", "results", "worse", "AUC", "AUC of IoU gain", "flagged", "of the worse", "refused", "mistake named"]
     return [
         Table(header, [[name, *row.values()] for name, row in record["summary"].items()]),
         Table(["results", "confidence", "not worse"], record["reliability"], title="Reliability"),
@@ -216,7 +232,7 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
         left.set(xlabel="confidence", ylabel="share that is not worse by over 5 %", xlim=(0, 1), ylim=(0, 1))
         groups = {"all alterations": None, "camera": "camera", "mask": "mask", "gross mistakes": "gross"}
         for (label, group), colour in zip(groups.items(), COLOURS, strict=False):
-            rows = [case for case in record["cases"] if group in (None, case["group"])]
+            rows = [case for case in refined(record["cases"]) if group in (None, case["group"])]
             order = np.argsort([row["confidence"] for row in rows], kind="stable")
             worse = np.array([row["ratio"] > WORSE for row in rows])[order]
             if 0 < worse.sum() < len(worse):
