@@ -52,7 +52,7 @@ def _draw_cell(axis: Any, x: float, y: float, row: Record) -> None:
     colour = PALE if refused else next(shade for limit, shade in SHADES.items() if ratio <= limit)
     axis.barh(y, 0.96, 0.86, x - 0.48, color=colour, linewidth=0)
     light = "white" if not refused and (ratio > 3.0 or ratio <= 0.7) else INK
-    text = "refused" if refused else f"{ratio:.2f}" if ratio < 10.0 else f"{ratio:.0f}"
+    text = "" if refused else f"{ratio:.2f}" if ratio < 10.0 else f"{ratio:.0f}"
     axis.text(x - 0.44, y, AXIS[row["axis"]].at(row["level"]).split(" ")[0], fontsize=6, va="center", color=light)
     axis.text(x + 0.30, y, text, fontsize=6.5, va="center", ha="right", color=light, weight="bold" if fails(row) else "normal")
     if speaks(row):
