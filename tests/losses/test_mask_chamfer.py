@@ -31,7 +31,7 @@ SCENES = {
     "one object": (MaskTarget.of(DISC), "perspective", None),
     "orthographic": (MaskTarget.of(DISC), "orthographic", None),
     "a mask with holes and unknown pixels": (MaskTarget.of(DISC * KNOWN[::-1], KNOWN), "perspective", None),
-    "a truncated object": (MaskTarget.of(np.where(COLUMNS > 18, DISC.max(), DISC)), "perspective", None),
+    "a truncated object": (MaskTarget.of(np.where(COLUMNS > 18, DISC.max(), DISC), truncated=True), "perspective", None),
     "a mask thinner than a pixel": (MaskTarget.of(LINE), "perspective", None),
     "an enlarged mask": (MaskTarget.of(DISC, grain=3.3), "perspective", None),
     "a mask enlarged beyond the pixels that are tried first": (MaskTarget.of(DISC, grain=4.5), "perspective", None),
@@ -168,10 +168,3 @@ def test_the_nearest_foreground_pixel_is_as_near_as_scipys(height, width, share)
     assert inside[tuple(np.moveaxis(nearest, 2, 0))].all()
     distance = np.linalg.norm(nearest - np.moveaxis(np.mgrid[:height, :width], 0, 2), axis=2)
     np.testing.assert_allclose(distance, distance_transform_edt(~inside), atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("bounds", "expected"), [(None, True), ((-5.5, -0.5, 63.5, 63.5), False), ((-0.2, -0.5, 90.0, 63.5), True)]
-)
-def test_an_object_that_touches_a_border_of_its_image_is_truncated(bounds, expected):
-    assert MaskTarget.of(block(np.s_[20:40, :30]), bounds=bounds).truncated == expected

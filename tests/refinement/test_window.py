@@ -57,8 +57,9 @@ def test_an_image_that_the_object_fills_is_its_own_window():
 
 
 def test_only_the_borders_of_the_image_truncate_an_object():
-    mask = block(np.s_[60:100, 0:40], (200, 200))
-    for shift, expected in ((0, True), (20, False), (160, True)):
+    # One pixel beside the border is less than half a cell.
+    mask = block(np.s_[60:199, 0:40], (200, 200))
+    for shift, expected in ((0, True), (1, False), (20, False), (159, False), (160, True)):
         view = View(np.roll(mask, shift, 1), Camera.canonical(200, 200))
         assert resample_view(view, 0.4, np.zeros(3), 1.0).target.truncated == expected
 

@@ -102,6 +102,13 @@ class View:
     def _object(self) -> tuple[int, int, int, int]:
         return object_box(self.inside)
 
+    @property
+    def truncated(self) -> bool:
+        """Whether the object touches the border of the image, and may extend beyond it."""
+        left, top, right, bottom = self._object
+        height, width = self.mask.shape
+        return left == 0 or top == 0 or right == width or bottom == height
+
     def box(self) -> tuple[float, float, float, float]:
         """Left, top, right, bottom edges of the object in pixel coordinates: of the foreground, but for specks far off."""
         left, top, right, bottom = self._object

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -36,12 +35,14 @@ class MaskTarget:
     inside, outside : [H, W] bool, pixels known to be foreground and background.
     bounds : left, top, right, bottom edges of the image that the mask is a part of, in pixels of the mask.
     grain : factor by which the mask was enlarged: no detail finer than so many of its pixels is known.
+    truncated : whether the object extends beyond the border of its image.
     """
 
     inside: Marks
     outside: Marks
     bounds: tuple[float, float, float, float]
     grain: float = 1.0
+    truncated: bool = False
 
     @classmethod
     def of(
@@ -50,10 +51,11 @@ class MaskTarget:
         known: Array | None = None,
         bounds: tuple[float, float, float, float] | None = None,
         grain: float = 1.0,
+        truncated: bool = False,
     ) -> MaskTarget:
         """``mask`` [H, W] in [0, 1]; ``known`` [H, W], unknown under 0.5; ``bounds`` None for a whole image."""
         height, width = mask.shape
-        return cls(*sides(mask, known), bounds or (-0.5, -0.5, width - 0.5, height - 0.5), grain)
+        return cls(*sides(mask, known), bounds or (-0.5, -0.5, width - 0.5, height - 0.5), grain, truncated)
 
     @property
     def scale(self) -> float:
@@ -90,18 +92,6 @@ class MaskTarget:
         across = np.square(np.arange(width)[:, None] - np.arange(width))  # [W, W]
         columns = np.stack([(across + line).argmin(1) for line in squared])  # [H, W]
         return np.stack([np.take_along_axis(near, columns, 1), columns], -1)
-
-    @cached_property
-    def truncated(self) -> bool:
-        """Whether the object extends beyond the border of its image."""
-        left, top, right, bottom = self.bounds
-        of_columns, of_rows = (np.asarray(self.inside.any(axis)) for axis in (0, 1))
-        for marked, first, last in ((of_columns, left, right), (of_rows, top, bottom)):
-            # The pixels next to the border; it may cut through one of them.
-            for place in (math.ceil(first), math.floor(last)):
-                if 0 <= place < len(marked) and marked[place]:
-                    return True
-        return False
 
     def observed(self, points_px: Array, valid: Marks) -> Marks:
         """[N] which points the mask can judge: of a truncated object, those within the image."""

@@ -171,9 +171,7 @@ class _Crop:
         box = (self.left, self.top, self.left + self.side, self.top + self.side)
         mask, known = area_resize(view.mask, box, size, size, weights=view.known)
         middle = view.camera.K[:2, 2]
-        left, top, right, bottom = view.box()
-        truncated = left < 0 or top < 0 or right > view.camera.width - 1 or bottom > view.camera.height - 1
-        return Target(mask, known, (middle - [self.left, self.top]) * (size / self.side) - 0.5, truncated)
+        return Target(mask, known, (middle - [self.left, self.top]) * (size / self.side) - 0.5, view.truncated)
 
     def camera(self, poses: Poses, view: View, centre: Array, unit: float) -> Camera:
         """The one pose, of the fine target, as a camera of the image for the cloud in its own units."""

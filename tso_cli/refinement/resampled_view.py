@@ -27,6 +27,7 @@ class ResampledView:
     mask : [h, h]. known : [h, h] known share of each cell, 0 beyond the image; None where all is known.
     camera : from normalised points to cells. sigma_sq : of the projection, cells^2.
     box : edges of the window in pixels of the mask. bounds : edges of the image in cells.
+    truncated : as of the `View`; in cells more objects touch the border.
     depth : [h, h] normalised, NaN where unknown; None without a depth map.
     image : [h, h, 3] mean colour of the foreground in each cell, 0 where there is none; None without an image.
     """
@@ -37,6 +38,7 @@ class ResampledView:
     sigma_sq: float
     box: Box
     bounds: Box
+    truncated: bool
     depth: Array | None = None
     image: Array | None = None
 
@@ -48,7 +50,7 @@ class ResampledView:
     @cached_property
     def target(self) -> MaskTarget:
         """The mask, prepared for the mask Chamfer loss."""
-        return MaskTarget.of(self.mask, self.known, self.bounds, self.grain)
+        return MaskTarget.of(self.mask, self.known, self.bounds, self.grain, self.truncated)
 
     @cached_property
     def pixel_weights(self) -> tuple[Array, Array]:
@@ -89,7 +91,8 @@ def resample_view(
     depth = None if view.depth is None else _sampled(view.depth, box, cells) / scale
     known = None if view.known is None and weight.min() >= 1.0 - 1e-9 else weight
     bounds = _image_bounds(box, view.camera, cells)
-    resampled = ResampledView(mask, known, camera.for_normalised(centre, scale), sigma_sq, box, bounds, depth, image)
+    normalised = camera.for_normalised(centre, scale)
+    resampled = ResampledView(mask, known, normalised, sigma_sq, box, bounds, view.truncated, depth, image)
     if not resampled.target.inside.any():
         raise InputError(
             f"{view.name}: no pixel is known to be foreground when it is worked on at {cells}x{cells}, expected "
