@@ -42,3 +42,15 @@ def test_an_object_that_the_picture_cuts_off_is_not_hidden():
     height = int(np.quantile(rows, 0.6))
     camera = replace(scene.camera, height=height)
     assert Agreement.of(scene.points, [View(scene.mask[:height], camera)]).named == ()
+
+
+@pytest.mark.parametrize("times", [4, 9])
+def test_a_large_picture_is_told_the_same(times):
+    scene = example("car")
+    K = scene.camera.K * [[times], [times], [1.0]]
+    K[:2, 2] += (times - 1.0) / 2.0
+    camera = replace(scene.camera, K=K, width=times * scene.camera.width, height=times * scene.camera.height)
+    whole = View(scene.mask.repeat(times, 0).repeat(times, 1), camera)
+    (suspect,) = Agreement.of(scene.points, [_behind_a_wall(whole, 20.0, 0.4)[0]]).named
+    assert suspect.option == "--ignore"
+    assert Agreement.of(scene.points, [whole]).named == ()

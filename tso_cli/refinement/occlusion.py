@@ -11,6 +11,8 @@ from ..geometry.view import View
 
 # Least length of the edge as a share of the mask's longer side; cells along that side, in which silhouettes are compared.
 LEAST_EDGE, CELLS = 0.15, 16
+# Blocks of pixels stand for those of a mask whose longer side has over twice as many.
+SIDE = 256
 # Foreground at the edge is this near, px; it is at least this share, along the edge, of that behind (so far, of that side).
 WITHIN, LEAST_STRAIGHT, BEHIND = 1.5, 0.7, 0.15
 # Least share of the points over so far beyond the edge (of that side); least IoU that is gained without them.
@@ -22,17 +24,20 @@ def occluded(pixels: Array, view: View) -> float | None:
 
     Such an edge is straight, inside the picture, ends the mask, and has part of the cloud beyond it; None where there is none.
     """
-    rows, columns = np.nonzero(view.inside)
+    left, top, right, bottom = view.box()
+    step = max(1, int(max(right - left, bottom - top)) // SIDE)
+    inside, pixels = _blocks(view.inside, step), (pixels - (step - 1) / 2.0) / step
+    rows, columns = np.nonzero(inside)
     outline = np.stack([columns, rows], axis=1).astype(np.float64)
     size = longest_side(outline) + 1.0
     if size < 2 * CELLS or not len(pixels):
         return None
-    corners = _hull(view.inside)
+    corners = _hull(inside)
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         along = end - start
         length = np.hypot(*along)
         middle = (start + end) / 2.0
-        at_border = (middle < WITHIN).any() or (middle > np.array(view.mask.shape[::-1]) - 1.0 - WITHIN).any()
+        at_border = (middle < WITHIN).any() or (middle > np.array(inside.shape[::-1]) - 1.0 - WITHIN).any()
         if length < LEAST_EDGE * size or at_border:
             continue
         along = along / length
@@ -48,6 +53,13 @@ def occluded(pixels: Array, view: View) -> float | None:
         if without >= _iou(outline, pixels, size) + GAIN:
             return without
     return None
+
+
+def _blocks(inside: NDArray[np.bool_], step: int) -> NDArray[np.bool_]:
+    """Whether blocks of so many pixels a side hold foreground."""
+    for axis in range(2) if step > 1 else ():
+        inside = np.logical_or.reduceat(inside, np.arange(0, inside.shape[axis], step), axis)
+    return inside
 
 
 def _different(places: NDArray[np.int64]) -> int:
