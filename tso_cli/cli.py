@@ -42,7 +42,19 @@ SECTIONS = {
 }
 
 
-@click.group(cls=LazyGroup, sections=SECTIONS, context_settings={"help_option_names": ["-h", "--help"]})
+class _ReaderGone(Exception):
+    """Nobody reads stdout any more. click would end with 1 for a BrokenPipeError."""
+
+
+class _Commands(LazyGroup):
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError:
+            raise _ReaderGone from None
+
+
+@click.group(cls=_Commands, sections=SECTIONS, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="tso")
 def tso() -> None:
     """Make a 3D point cloud agree with a picture.
@@ -123,7 +135,7 @@ def main(arguments: list[str] | None = None) -> None:
             code = _fail("networks need torch, which is not installed: pip install torch", 1)
     except (click.Abort, KeyboardInterrupt):
         code = _fail("interrupted", 130)
-    except BrokenPipeError:
+    except _ReaderGone:
         # The reader is gone (`tso eval ... | head`); without stdout Python prints no second complaint on exit.
         sys.stdout = None
         code = 0

@@ -49,7 +49,7 @@ def test_a_check_hints_at_what_a_refinement_with_the_same_options_does(folder, r
 def test_a_check_warns_once_of_points_behind_the_camera_in_its_document_too(folder, refine):
     cloud = read_cloud("initial.ply").points
     camera = read_camera("camera.json", 256, 256)
-    clump = np.random.default_rng(0).normal(camera.position - 0.3 * camera.R[2], 0.01, (30, 3))
+    clump = np.random.default_rng(0).normal(camera.position - 0.3 * camera.R[2], 0.01, (600, 3))
     write_cloud(Path("behind.ply"), np.vstack([cloud, clump]))
     run = refine("behind.ply", "mask.png", "--check", "--json")
     assert run.err.count("behind the camera") == 1

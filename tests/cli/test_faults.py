@@ -390,3 +390,12 @@ def test_ctrl_c_while_the_command_line_is_imported_ends_it_without_a_traceback()
         process.send_signal(signal.SIGINT)
         assert "Traceback" not in process.stderr.read()
         assert process.wait() in (-signal.SIGINT, 130)
+
+
+def test_a_reader_that_leaves_early_ends_nothing_and_is_no_failure():
+    program = "import sys; sys.argv[0] = 'tso'; from tso_cli.__main__ import main; main()"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", program, "refine", "--help-all"], env=environment, **pipes) as process:
+        process.stdout.close()
+        assert process.stderr.read() == b"" and process.wait() == 0

@@ -189,7 +189,7 @@ def test_what_a_result_says_of_itself_is_kept(cases, monkeypatch):
 
 
 def test_points_behind_the_camera_are_warned_of_on_the_way(cases):
-    for name, said in (("start partly behind the camera", "w"), ("start far off", "-")):
+    for name, said in (("start partly behind the camera", "d"), ("start far off", "-")):
         (row,) = judge(cases[:1], [0], AXIS[name], "best", Variant(RefineConfig(steps=2)), [5.0])
         assert row["said"] == said
 

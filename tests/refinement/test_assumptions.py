@@ -19,6 +19,7 @@ OPPOSITE = {
     **{"cloud-z-up": "cloud-y-up", "cloud-yzx": "cloud-zxy", "K-of-half-size": "K-of-double-size"},
     **{"cloud-millimetres": "camera-millimetres", "cloud-centimetres": "camera-centimetres"},
     **{"cloud-inches": "camera-inches", "cloud-ten-times-large": "cloud-ten-times-small"},
+    "cloud-twice-large": "cloud-half-large",
 }
 OPPOSITE |= {mistake: mended for mended, mistake in OPPOSITE.items()}
 # In a picture whose middle is the principal point it changes nothing; of a thing seen so nothing that a mask shows.
@@ -32,6 +33,8 @@ def _mistaken(name: str):
         R = np.diag([1.0, -1.0, -1.0]) @ view.camera.R
         t = view.camera.t * [1.0, -1.0, -1.0]
         return PLANE.target, replace(view, camera=replace(view.camera, R=R.T, t=-R.T @ t))
+    if name == "t-of-position":
+        return PLANE.target, replace(view, camera=replace(view.camera, t=view.camera.position))
     mistake = ASSUMPTIONS[OPPOSITE.get(name, name)]
     return PLANE.target @ mistake.matrix.T, mistake.of_view(view)
 

@@ -30,7 +30,7 @@ def test_an_object_behind_a_wall_is_said_to_be_hidden_unless_the_wall_is_ignored
     scene = example(name)
     view, wall = _behind_a_wall(scene.view, degrees, 0.4)
     (suspect,) = Agreement.of(scene.points, [view]).named
-    assert (suspect.option, suspect.what) == ("--ignore", f"something hides a part of the object in {view.name}")
+    assert (suspect.option, suspect.what) == ("--ignore FILE", f"something hides a part of the object in {view.name}")
     assert 0.0 < suspect.score <= 1.0
     assert any("try --ignore" in warning for warning in refine(scene.points, view).warnings)
     assert Agreement.of(scene.points, [replace(view, known=~wall)]).named == ()
@@ -52,5 +52,5 @@ def test_a_large_picture_is_told_the_same(times):
     camera = replace(scene.camera, K=K, width=times * scene.camera.width, height=times * scene.camera.height)
     whole = View(scene.mask.repeat(times, 0).repeat(times, 1), camera)
     (suspect,) = Agreement.of(scene.points, [_behind_a_wall(whole, 20.0, 0.4)[0]]).named
-    assert suspect.option == "--ignore"
+    assert suspect.option == "--ignore FILE"
     assert Agreement.of(scene.points, [whole]).named == ()

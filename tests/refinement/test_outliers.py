@@ -75,3 +75,16 @@ def test_points_in_one_place_far_away_are_outliers():
 def test_more_than_a_quarter_of_a_cloud_are_no_outliers():
     core, rest = (np.random.default_rng(0).normal(size=(count, 3)) for count in (600, 240))
     assert not outliers(np.vstack([1e-3 * core, rest])).any()
+
+
+@NAMES
+@pytest.mark.parametrize("count", [20, 200])
+@pytest.mark.parametrize("sizes", [4.0, 10.0])
+def test_a_far_clump_of_strays_changes_no_bit_of_the_others(name, count, sizes):
+    scene, rng = example(name), np.random.default_rng(0)
+    size = np.ptp(scene.points, axis=0).max()
+    clump = scene.points.mean(0) + size * (sizes * np.array([0.6, 0.64, 0.48]) + 0.02 * rng.normal(size=(count, 3)))
+    alone = refine(scene.points, scene.view, config=CONFIG)
+    beside = refine(np.vstack([scene.points, clump]), scene.view, config=CONFIG)
+    assert beside.outliers.sum() == count
+    np.testing.assert_array_equal(beside.points, np.vstack([alone.points, clump]))

@@ -102,7 +102,8 @@ def test_without_a_confidence_wrong_input_is_doubtful_and_right_input_is_not_jud
 def test_suspect_input_is_told_also_where_nothing_moves():
     scene = example("chair")
     result = refine(scene.points, replace(scene.view, mask=1.0 - scene.mask), config=RefineConfig(steps=0))
-    assert result.verdict == "unchanged" and any("--assume mask-inverted" in text for text in result.warnings)
+    assert (result.verdict, result.step_taken) == ("doubtful", 0.0) and "mask is inverted" in result.reason
+    assert any("--assume mask-inverted" in text for text in result.warnings)
 
 
 def test_a_batch_judges_as_a_single_cloud_is_judged():

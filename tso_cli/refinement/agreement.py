@@ -61,9 +61,10 @@ class Agreement:
         others = _others(outlines[0].given)
         as_given = np.array([outline.iou(points, outline.given) for outline in outlines])
         ious = np.array([[outline.iou(points, other.assumptions) for outline in outlines] for other in others])
-        scores = ious.mean(1)
+        handicaps = np.array([other.change.handicap for other in others])
+        scores = ious.mean(1) - handicaps
         tells = np.array([len(outline.cells[False].inside) >= FEWEST_CELLS for outline in outlines])
-        suspects = _suspects(others, ious[:, tells].mean(1), as_given[tells].mean()) if tells.any() else ()
+        suspects = _suspects(others, ious[:, tells].mean(1) - handicaps, as_given[tells].mean()) if tells.any() else ()
         of_views = () if suspects else (*_of_views(outlines, others, ious, as_given, tells), *_hidden(points, views))
         hint = None if suspects or not tells.all() or outlines[0].given else _hint(others, scores, as_given.mean())
         return cls(float(as_given.mean()), float(scores.max()), suspects, of_views, hint)
@@ -124,14 +125,17 @@ def _suspects(others: list[_Other], scores: Array, as_given: float) -> tuple[Sus
         return ()
     likely = [i for i in np.argsort(-scores, kind="stable") if scores[i] >= scores.max() - SIMILAR]
     fewer = [i for i in likely if others[i].fewer]
-    return tuple(Suspect(others[i].what, others[i].option, float(scores[i])) for i in (fewer or likely)[:MOST_SUSPECTS])
+    return tuple(
+        Suspect(others[i].what, others[i].option, float(scores[i]) + others[i].change.handicap)
+        for i in (fewer or likely)[:MOST_SUSPECTS]
+    )
 
 
 def _hint(others: list[_Other], scores: Array, as_given: float) -> Hint | None:
     best = others[int(np.argmax(scores))]
-    score = float(scores.max())
-    if score < max(as_given + HINT_MARGIN, LEAST_IOU):
+    if scores.max() < max(as_given + HINT_MARGIN, LEAST_IOU):
         return None
+    score = float(scores.max()) + best.change.handicap
     return Hint(Suspect(best.what, best.option, score), best.change)
 
 
@@ -173,7 +177,7 @@ def _hidden(points: Array, views: Sequence[View]) -> tuple[Suspect, ...]:
     for view in views:
         score = occluded(_on_known(view.camera.project(points)[0], view), view)
         if score is not None:
-            suspects.append(Suspect(f"something hides a part of the object in {view.name}", "--ignore", score))
+            suspects.append(Suspect(f"something hides a part of the object in {view.name}", "--ignore FILE", score))
     return tuple(suspects)
 
 

@@ -22,7 +22,8 @@ class Assumption:
 
     what : in words. axes : the x, y and z of the scene in those of the cloud. camera : from the camera of the file. mask :
     "inverted", "left-right" or "upside-down". option : that gave it. view : name of the only view that it is about, or "".
-    of_cloud : whether it is about the cloud, the same for all views.
+    of_cloud : whether it is about the cloud, the same for all views. handicap : IoU by which it must explain the views better
+    than others: a start of another shape may be smaller or larger too.
     """
 
     what: str
@@ -32,6 +33,7 @@ class Assumption:
     option: str = ""
     view: str = ""
     of_cloud: bool = False
+    handicap: float = 0.0
 
     @cached_property
     def matrix(self) -> Array:
@@ -110,6 +112,8 @@ ASSUMPTIONS = {
     "camera-centimetres": Assumption("the camera is in centimetres, the cloud in metres", camera=_unit(1e2)),
     "cloud-ten-times-large": _of_cloud("the cloud is ten times too large, as millimetres for centimetres", camera=_unit(0.1)),
     "cloud-ten-times-small": _of_cloud("the cloud is ten times too small, as centimetres for millimetres", camera=_unit(10.0)),
+    "cloud-twice-large": _of_cloud("the cloud is about twice too large", camera=_unit(0.5), handicap=0.14),
+    "cloud-half-large": _of_cloud("the cloud is about half as large as it should be", camera=_unit(2.0), handicap=0.14),
     "opengl": Assumption("the camera's axes are OpenGL's (y up, z backward)", camera=_axes(1.0, -1.0, -1.0)),
     "pytorch3d": Assumption("the camera's axes are PyTorch3D's (x left, y up)", camera=_axes(-1.0, -1.0, 1.0)),
     "camera-to-world": Assumption("R and t are camera-to-world", camera=_to_camera),
@@ -117,6 +121,7 @@ ASSUMPTIONS = {
         "R and t are camera-to-world with OpenGL's axes, as Blender's and NeRF's",
         camera=lambda camera: _axes(1.0, -1.0, -1.0)(_to_camera(camera)),
     ),
+    "t-of-position": Assumption("t is the camera's position", camera=lambda camera: replace(camera, t=-camera.R @ camera.t)),
     "R-transposed": Assumption("R is transposed", camera=lambda camera: replace(camera, R=camera.R.T)),
     "K-of-half-size": Assumption("K is of an image half as wide", camera=_of_image(2.0)),
     "K-of-double-size": Assumption("K is of an image twice as wide", camera=_of_image(0.5)),

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..geometry.points import as_points, bounding_box_normalisation, longest_side, quantile
+from ..geometry.points import as_points, bounding_box_normalisation, bounds, longest_side, quantile
 from .apart import NEIGHBOUR, to_fourth
 from .presets import FIELD_NODES
 from .subset import Subset
@@ -25,6 +25,12 @@ OUTLIER_SIZE, OUTLIER_SPACINGS = 0.3, 6.0
 MOST_OUTLIERS = 0.25
 # Without outliers the whole cloud is less than so many times as long as its middle four fifths.
 LONGEST = 1.6
+# Of groups of points that lie farther apart than 1.5 to 2.3 times the size of the middle half, those are outliers that lie
+# beside the largest by half its size. Points are grouped by cubes, so many to the lesser gap. A cloud less than so many times
+# as long as its middle half has none.
+GAP, CUBES, BESIDE, COMPACT = 1.5, 4, 0.5, 3.5
+# Sparser clouds have gaps of their own; cubes beyond so many, either way, are one.
+FEWEST_GROUPED, FARTHEST = 64, 1 << 20
 
 
 class Cloud:
@@ -107,10 +113,43 @@ class MovedCloud:
 
 
 def outliers(points: Array) -> NDArray[np.bool_]:
-    """[N], which of ``points`` [N, 3] lie far from all others, as strays of a scan do.
+    """[N], which of ``points`` [N, 3] lie far from the object, one by one or in groups, as strays of a scan do.
 
     One of them at ten times the object's size would leave the object a tenth of the window and of every scale.
     """
+    apart = _far_groups(points)
+    if apart.any():
+        apart[~apart] = _far_points(points[~apart])
+        return apart if apart.mean() <= MOST_OUTLIERS else np.zeros(len(points), bool)
+    return _far_points(points)
+
+
+def _far_groups(points: Array) -> NDArray[np.bool_]:
+    """[N], points of groups far from the largest; none if they are many."""
+    none = np.zeros(len(points), bool)
+    size = float((quantile(points, 0.75) - quantile(points, 0.25)).max())
+    if len(points) < FEWEST_GROUPED or longest_side(points) <= COMPACT * size or size == 0.0:
+        return none
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    cubes = np.floor((points - quantile(points, 0.5)) / (GAP / CUBES * size)).clip(-FARTHEST, FARTHEST - 1).astype(np.int64)
+    # One number for each cube, which is sorted sooner than three.
+    numbers = (cubes + FARTHEST) @ [4 * FARTHEST**2, 2 * FARTHEST, 1]
+    _, first, cube, counts = np.unique(numbers, return_index=True, return_inverse=True, return_counts=True)
+    pairs = cKDTree(cubes[first]).query_pairs(CUBES + 1.0, p=np.inf, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(first), len(first)))
+    group = connected_components(links, directed=False)[1]
+    of_points = group[cube.ravel()]
+    low, high = bounds(points[of_points == np.bincount(group, counts).argmax()])
+    beside = np.maximum(low - points, points - high).max(1) > BESIDE * (high - low).max()
+    far: NDArray[np.bool_] = (np.bincount(of_points, ~beside) == 0)[of_points]
+    return far if far.mean() <= MOST_OUTLIERS else none
+
+
+def _far_points(points: Array) -> NDArray[np.bool_]:
+    """[N], points far from all others; none if they are many."""
     size = float((quantile(points, 0.9) - quantile(points, 0.1)).max())
     if len(points) <= NEIGHBOUR or longest_side(points) <= LONGEST * size:
         return np.zeros(len(points), bool)

@@ -19,7 +19,7 @@ from .presets import BEST_STEPS, FEWEST_POINTS, STAGES
 from .problem import Problem
 from .result import StopReason
 from .smooth_field import SmoothField
-from .verdict import UNCHANGED, UNJUDGED, Verdict, signs_of
+from .verdict import UNJUDGED, Verdict, signs_of
 from .view_weights import ViewWeights
 
 # A start of lower IoU hardly touches its mask, as a pole beside its own: coming nearer need not raise the IoU.
@@ -70,7 +70,7 @@ def judged(
         unmoved = problem.cloud.moved(np.zeros_like(step))
         ious = [(start, start if descent.best_step else end) for start, end in outcome.ious]
         reason: StopReason = "not_improved" if before else "nothing_to_do"
-        return Outcome(unmoved, ious, UNCHANGED, taken=0.0, unmoved=reason)
+        return Outcome(unmoved, ious, Verdict.unchanged(problem.suspicion), taken=0.0, unmoved=reason)
     signs: dict[str, float] = {}
     unjudged = _why_unjudged(problem, descent, settings)
     if unjudged is not None:
@@ -78,8 +78,7 @@ def judged(
     else:
         assert field is not None
         signs = signs_of(problem, field, descent, outcome.ious, view_weights.inlier)
-        hinted = problem.agreement is not None and problem.agreement.confirmed
-        verdict = Verdict.of(signs, problem.suspicion, hinted)
+        verdict = Verdict.of(signs, problem.suspicion)
     taken = 1.0 if settings.accept_doubtful else verdict.step
     if taken < 1.0:
         outcome = _after(problem, given_views, taken * step)

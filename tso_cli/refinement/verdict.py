@@ -31,7 +31,7 @@ Name = Literal["improved", "unchanged", "doubtful"]
 MODEL = Path(__file__).with_name("confidence.json")
 # A result of less confidence is doubtful.
 LEAST_CONFIDENCE = 0.5
-# Where silhouettes show a common mistake, no step up to the first confidence is taken, and a part of it up to the second.
+# Where a mistake is suspected, no step up to the first confidence is taken, and a part of it up to the second.
 # Elsewhere doubt is not enough: a cloud far off its mask looks as a wrong camera does, and so does a box that was stretched.
 SUSPECT_STEP = (0.3, 0.5)
 # What is said where signs of this group took most of the confidence.
@@ -66,20 +66,21 @@ class Verdict:
     step: float = 1.0
 
     @classmethod
-    def of(cls, signs: dict[str, float], suspicion: str | None, only_hinted: bool = False) -> Verdict:
-        """Of a refinement with ``signs``.
-
-        ``suspicion`` : what looks wrong with the input, None where nothing does; ``only_hinted`` : the silhouettes alone do not
-        show it.
-        """
+    def of(cls, signs: dict[str, float], suspicion: str | None) -> Verdict:
+        """Of a refinement with ``signs``; ``suspicion`` : what looks wrong with the input, None where nothing does."""
         confidence, group = _judged(signs)
         if confidence < LEAST_CONFIDENCE or suspicion:
-            step = float(np.interp(confidence, SUSPECT_STEP, (0.0, 1.0))) if suspicion and not only_hinted else 1.0
+            step = float(np.interp(confidence, SUSPECT_STEP, (0.0, 1.0))) if suspicion else 1.0
             return cls("doubtful", confidence, suspicion or REASONS[group], step)
         return cls("improved", confidence)
 
+    @classmethod
+    def unchanged(cls, suspicion: str | None) -> Verdict:
+        """Of a result that is the start."""
+        return cls("doubtful" if suspicion else "unchanged", 1.0, suspicion or "", 0.0)
 
-UNCHANGED, UNJUDGED = Verdict("unchanged", 1.0, step=0.0), Verdict(None, None)
+
+UNJUDGED = Verdict(None, None)
 
 
 def signs_of(
@@ -117,7 +118,7 @@ def signs_of(
         "input: IoU of boxes": float(np.mean([place(problem.cloud.initial, view).box_iou for view in problem.views])),
         "input: IoU of cells": problem.agreement.as_given,
         "input: IoU of cells as assumed": problem.agreement.best,
-        "input: suspects": float(len(problem.agreement.suspects)),
+        "input: suspects": float(len(problem.agreement.named)),
         "input: border": _log(border / np.sqrt(np.count_nonzero(inside))),
         "input: pixels": _log(np.count_nonzero(inside)),
         "input: truncated": float(targets.truncated),

@@ -35,6 +35,8 @@ THIN, BARS = 8.0, 8
 HOLE, BLUR, JITTER = 0.04, 0.03, 0.005
 # Half the box that outliers are in; the object's longest side is 1.
 SPREAD, SPREAD_CLOSE = 2.5, 0.5
+# How far off a clump of outliers is, and its standard deviation.
+CLUMP, CLUMP_SIZE = 3.0, 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,6 +282,11 @@ def _with_outliers(case: Case, percent: float, rng: Rng, spread: float = SPREAD)
     return _added(case, rng.uniform(-spread, spread, (max(1, round(percent / 100.0 * len(case.initial))), 3)))
 
 
+def _with_clump(case: Case, percent: float, rng: Rng) -> Array:
+    count = max(1, round(percent / 100.0 * len(case.initial)))
+    return _added(case, CLUMP * _direction(rng) + CLUMP_SIZE * rng.normal(size=(count, 3)))
+
+
 def _with_duplicates(case: Case, percent: float, rng: Rng) -> Array:
     """Of points in one half of the cloud."""
     half = np.argsort(case.initial @ _direction(rng))[: -(-len(case.initial) // 2)]
@@ -396,7 +403,7 @@ _SHARES, _GONE = (2.0, 5.0, 10.0, 20.0, 40.0, 80.0), (10.0, 20.0, 50.0, 80.0, 99
 _DEGREES = (1.0, 2.0, 5.0, 10.0, 20.0, 45.0, 90.0)
 _FACTORS = (1.01, 1.02, 1.05, 1.1, 1.25, 2.0, 5.0)
 _STRAYS = (0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
-_UNITS = (10.0, 39.37, 100.0, 1000.0)
+_UNITS = (2.0, 10.0, 39.37, 100.0, 1000.0)
 _SIZES, _SIZE, _TIMES, _YES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0), "% of the object's size", "times", (1.0,)
 _YAW: Fields = partial(_around_object, axis=1)
 _ASIDE: Fields = lambda camera, percent, rng: {"t": camera.t + percent / 100.0 * _aside(rng)}  # noqa: E731
@@ -460,6 +467,7 @@ AXES: tuple[Axis, ...] = (
     _start("start shrunk into one pixel", _TIMES, (1.1, 1.5, 2.0, 5.0, 20.0, 1000.0), _shrunk),
     _start("outliers", "% of the points", _STRAYS, _with_outliers, adds_points=True),
     _start("outliers close by", "% of the points", _STRAYS, partial(_with_outliers, spread=SPREAD_CLOSE), adds_points=True),
+    _start("outliers in one clump", "% of the points", _STRAYS, _with_clump, adds_points=True),
     _start(
         "one stray point", "sizes away", (1.0, *_UP), lambda c, r, rng: _added(c, r * _direction(rng)[None]), adds_points=True
     ),
