@@ -161,12 +161,20 @@ def confidence() -> str:
 
 def flagged() -> str:
     """How many of the results that get worse in the harder half of the axes are flagged, by what is wrong."""
-    halves = record("stability")["halves"]
+    halves, knees = record("stability")["halves"], record("stability")["knees"]["best"]
+    dilated, shifted, yaw, aside, distance = (
+        f"{knees[axis]['works_to']:g}"
+        for axis in ("mask dilated", "mask shifted", "yaw of the camera", "camera moved aside", "distance of the camera")
+    )
+    works = (
+        f"Clouds come nearer to the truth with a mask dilated by {dilated} % or shifted by {shifted} % of the object's size,\n"
+        f"a camera off by {yaw} degrees of yaw, {aside} % aside or {distance} times as far."
+    )
     shares = [
         f"{100 * halves[group]['flagged'] / halves[group]['hopeless_worse']:.0f} % ({group})"
         for group in ("mask", "camera", "cloud")
     ]
-    return f"Of worse results in the harder half of the axes tso flags {', '.join(shares)}."
+    return f"{works}\nOf worse results in the harder half of the axes tso flags {', '.join(shares)}."
 
 
 def network() -> str:

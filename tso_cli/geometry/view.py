@@ -61,7 +61,8 @@ class View:
         inside = int((counted > 0.5).sum())
         if inside == 0:
             ignored = ", but for those that the ignore map leaves out" if (mask > 0.5).any() else ""
-            raise InputError(f"{self.name}: no pixel is foreground (> 0.5){ignored}; expected an object")
+            most = f"the largest value is {counted.max(initial=0.0):.3g}"
+            raise InputError(f"{self.name}: no pixel is foreground{ignored}: {most}, expected some over 0.5")
         if inside == counted.size:
             raise InputError(f"{self.name}: every pixel is foreground, expected some background (try --invert-mask?)")
 

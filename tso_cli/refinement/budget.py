@@ -60,7 +60,8 @@ def _grid(problem: Problem) -> Decision:
     finest = FINE_GRIDS[0][1]
     saving = 1.0 - sum(count**2 for count in cells) / (len(cells) * finest**2)
     reason = "the window's pixels, and the moving points, resolve no more" if saving else "the masks resolve as much"
-    return Decision("cells", ", ".join(f"{count}x{count}" for count in dict.fromkeys(cells)), reason, saving)
+    choice = ", ".join(f"{count}x{count}" for count in dict.fromkeys(cells))
+    return Decision("cells", f"{choice} at last", reason, saving)
 
 
 def _points(problem: Problem, settings: Settings) -> Decision:

@@ -34,7 +34,7 @@ FEWEST_GROUPED, FARTHEST = 64, 1 << 20
 
 
 class Cloud:
-    """A cloud or a mesh, of which at most 1,024 points or surface samples move, while the rest follows.
+    """A cloud or a mesh, of which some points or surface samples move (`with_moving`), while the rest follows.
 
     Attributes
     ----------

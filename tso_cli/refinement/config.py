@@ -53,8 +53,8 @@ class RefineConfig:
     accept_doubtful : take the whole step also where the result is doubtful, in place of a part of it or none.
     budget : "auto", what the scene is known to gain by; "full" (best, points mode), 96 steps for each view, with the
         finest grid in every stage; or seconds, in which "auto" comes to its end. Of each cloud of a batch.
-    points : how many points of a cloud, or samples of a mesh, move by themselves, at most (best, points mode); the others
-        follow. None: 1,024, or 512 with a budget of less than 0.3 seconds a view.
+    points : how many points of a cloud, or samples of a mesh (at most 4,096), move by themselves, at most (best, points
+        mode); the others follow. None: 1,024, or 512 with a budget of less than 0.3 seconds a view.
     coarse_to_fine : settings of the preset "best" of points mode, for ablations.
 
     Raises

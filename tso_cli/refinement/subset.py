@@ -17,7 +17,7 @@ CARRIED_AT_ONCE = 1 << 16
 
 
 class Subset:
-    """At most 1,024 points of a cloud, by farthest-point sampling (few that lie apart); every point of a smaller one.
+    """At most ``most`` points of a cloud (None: all), by farthest-point sampling; few that lie apart.
 
     A mask resolves hardly more of a surface: with all points the results are about as accurate, and take longer.
 
