@@ -68,10 +68,11 @@ def test_ctrl_c_during_the_check_leaves_the_cloud_as_it_was(monkeypatch):
     np.testing.assert_array_equal(result.points, result.initial)
 
 
-def test_a_mistake_that_a_descent_alone_tells_of_keeps_the_points_where_they_are_if_the_signs_say_so_too(monkeypatch):
+def test_a_mistake_that_a_descent_alone_tells_of_is_doubtful_and_keeps_no_point_where_it_is(monkeypatch):
+    """The start may be a shape that looks like its mirror image from there."""
     monkeypatch.setattr("tso_cli.refinement.verdict._judged", lambda signs: (0.2, "camera"))
     result = refine(CHAIR.points, ASSUMPTIONS["mask-flipped"].of_view(CHAIR.view))
-    assert (result.verdict, result.step_taken) == ("doubtful", 0.0) and "mask is flipped" in result.reason
+    assert (result.verdict, result.step_taken) == ("doubtful", 1.0) and "mask is flipped" in result.reason
 
 
 def test_an_assumption_under_which_the_views_cannot_be_is_not_confirmed():

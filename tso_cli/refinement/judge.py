@@ -78,7 +78,8 @@ def judged(
     else:
         assert field is not None
         signs = signs_of(problem, field, descent, outcome.ious, view_weights.inlier)
-        verdict = Verdict.of(signs, problem.suspicion)
+        hinted = problem.agreement is not None and problem.agreement.confirmed
+        verdict = Verdict.of(signs, problem.suspicion, hinted)
     taken = 1.0 if settings.accept_doubtful else verdict.step
     if taken < 1.0:
         outcome = _after(problem, given_views, taken * step)

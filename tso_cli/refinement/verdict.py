@@ -31,7 +31,8 @@ Name = Literal["improved", "unchanged", "doubtful"]
 MODEL = Path(__file__).with_name("confidence.json")
 # A result of less confidence is doubtful.
 LEAST_CONFIDENCE = 0.5
-# Where a mistake is suspected, no step up to the first confidence is taken, and a part of it up to the second.
+# Where silhouettes show a common mistake, no step up to the first confidence is taken, and a part of it up to the second. Where
+# descents alone tell of it the start may as well be another shape, which gains by the whole step.
 # Elsewhere doubt is not enough: a cloud far off its mask looks as a wrong camera does, and so does a box that was stretched.
 SUSPECT_STEP = (0.3, 0.5)
 # What is said where signs of this group took most of the confidence.
@@ -66,11 +67,15 @@ class Verdict:
     step: float = 1.0
 
     @classmethod
-    def of(cls, signs: dict[str, float], suspicion: str | None) -> Verdict:
-        """Of a refinement with ``signs``; ``suspicion`` : what looks wrong with the input, None where nothing does."""
+    def of(cls, signs: dict[str, float], suspicion: str | None, only_hinted: bool = False) -> Verdict:
+        """Of a refinement with ``signs``.
+
+        ``suspicion`` : what looks wrong with the input, None where nothing does; ``only_hinted`` : the silhouettes alone do not
+        show it.
+        """
         confidence, group = _judged(signs)
         if confidence < LEAST_CONFIDENCE or suspicion:
-            step = float(np.interp(confidence, SUSPECT_STEP, (0.0, 1.0))) if suspicion else 1.0
+            step = float(np.interp(confidence, SUSPECT_STEP, (0.0, 1.0))) if suspicion and not only_hinted else 1.0
             return cls("doubtful", confidence, suspicion or REASONS[group], step)
         return cls("improved", confidence)
 
