@@ -1,4 +1,4 @@
-"""Points far from all others: held, reported, and of no influence on the rest."""
+"""Points far from the rest: held, reported, and of no influence on the rest."""
 
 from pathlib import Path
 
@@ -30,7 +30,7 @@ def test_a_stray_point_at_any_distance_changes_no_bit_of_the_others(name, sizes)
     np.testing.assert_array_equal(beside.judged, [scene.points, alone.points])
     assert (beside.iou_before, beside.iou_after, beside.moved_mean) == (alone.iou_before, alone.iou_after, alone.moved_mean)
     assert (beside.outliers.sum(), alone.outliers.sum()) == (1, 0)
-    assert "1 point lies far from all others: left where found, and out of all measures" in beside.warnings
+    assert "1 point lies far from the rest: left where found, and out of all measures" in beside.warnings
 
 
 @NAMES

@@ -75,7 +75,7 @@ class RefineReport:
                 "trust": "in a view: 1, or less where the other views contradict it",
                 "moving": "points that move by themselves, which moved and chamfer_to_initial are of: samples of a mesh's "
                 "faces, or some of a large cloud; all others follow them",
-                "outliers": "points far from all others, which stay where they are",
+                "outliers": "points far from the rest, which stay where they are",
                 "confidence": "that the whole step does not make the cloud worse by over 5 % in Chamfer distance (a rising IoU "
                 "is no proof); 1 where nothing moved, else null but for the default preset of points mode",
                 "step_taken": "share of the step that was taken: under 1 where it is doubtful, 0 where nothing moved",

@@ -40,7 +40,7 @@ class Cloud:
     ----------
     given : [V, 3] float64, the points of the cloud, or the vertices of the mesh.
     surface : of a mesh, or None.
-    outliers : [V] bool, points of a cloud far from all others: they stay where they are, and nothing depends on them.
+    outliers : [V] bool, points of a cloud far from the rest: they stay where they are, and nothing depends on them.
     initial : [N, 3] float64, what moves.
     centre [3], scale : (X - centre) / scale has longest side 1.
     colours : [N, 3] float32 in [0, 1], or None.
@@ -149,7 +149,7 @@ def _far_groups(points: Array) -> NDArray[np.bool_]:
 
 
 def _far_points(points: Array) -> NDArray[np.bool_]:
-    """[N], points far from all others; none if they are many."""
+    """[N], points far from the rest; none if they are many."""
     size = float((quantile(points, 0.9) - quantile(points, 0.1)).max())
     if len(points) <= NEIGHBOUR or longest_side(points) <= LONGEST * size:
         return np.zeros(len(points), bool)
@@ -164,7 +164,7 @@ def _far_points(points: Array) -> NDArray[np.bool_]:
 def outlier_warnings(count: int) -> list[str]:
     """The warning of so many outliers; empty without any."""
     points = "1 point lies" if count == 1 else f"{count:,} points lie"
-    return [f"{points} far from all others: left where found, and out of all measures"] if count else []
+    return [f"{points} far from the rest: left where found, and out of all measures"] if count else []
 
 
 def as_numpy(values: Any) -> Any:

@@ -52,7 +52,7 @@ class RefineResult:
     surface : of a mesh the points [S, 3] sampled from its surface before and after, which IoU is of; None of a cloud.
     moving : how many points moved by themselves, which moved_mean and chamfer_to_initial are of: samples of a mesh's faces,
         or some points of a large cloud, which all others follow.
-    outliers : [N] bool, points far from all others: they stay where they are, and no measure is of them.
+    outliers : [N] bool, points far from the rest: they stay where they are, and no measure is of them.
     symmetry : a, b, c, d of the mirror plane ax + by + cz = d that was used, in the frame of the input, or None.
     symmetry_outcome : "used" (a plane that was found), "given", or without a plane "not_asked", "none_found" (the cloud has
         none), "contradicted" (the cloud has one, the views contradict it) or "unchecked" (there was no time to ask the views).
