@@ -31,6 +31,8 @@ LONGEST = 1.6
 GAP, CUBES, BESIDE, COMPACT = 1.5, 4, 0.5, 3.5
 # Sparser clouds have gaps of their own; cubes beyond so many, either way, are one.
 FEWEST_GROUPED, FARTHEST = 64, 1 << 20
+# With more cubes the cloud is no object with strays.
+MOST_CUBES = 2048
 
 
 class Cloud:
@@ -130,22 +132,27 @@ def _far_groups(points: Array) -> NDArray[np.bool_]:
     size = float((quantile(points, 0.75) - quantile(points, 0.25)).max())
     if len(points) < FEWEST_GROUPED or longest_side(points) <= COMPACT * size or size == 0.0:
         return none
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
     cubes = np.floor((points - quantile(points, 0.5)) / (GAP / CUBES * size)).clip(-FARTHEST, FARTHEST - 1).astype(np.int64)
     # One number for each cube, which is sorted sooner than three.
     numbers = (cubes + FARTHEST) @ [4 * FARTHEST**2, 2 * FARTHEST, 1]
     _, first, cube, counts = np.unique(numbers, return_index=True, return_inverse=True, return_counts=True)
-    pairs = cKDTree(cubes[first]).query_pairs(CUBES + 1.0, p=np.inf, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(first), len(first)))
-    group = connected_components(links, directed=False)[1]
+    if len(first) > MOST_CUBES:
+        return none
+    group = _connected(cubes[first])
     of_points = group[cube.ravel()]
     low, high = bounds(points[of_points == np.bincount(group, counts).argmax()])
     beside = np.maximum(low - points, points - high).max(1) > BESIDE * (high - low).max()
     far: NDArray[np.bool_] = (np.bincount(of_points, ~beside) == 0)[of_points]
     return far if far.mean() <= MOST_OUTLIERS else none
+
+
+def _connected(cubes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """[C], one number for all of ``cubes`` [C, 3] that a chain of near ones connects. scipy's takes longer to import."""
+    near = np.logical_and.reduce([np.abs(np.subtract.outer(axis, axis)) <= CUBES + 1 for axis in cubes.T])
+    group = np.arange(len(cubes))
+    while (least := np.where(near, group, len(cubes)).min(1)).tolist() != group.tolist():
+        group = least
+    return group
 
 
 def _far_points(points: Array) -> NDArray[np.bool_]:
