@@ -42,19 +42,7 @@ SECTIONS = {
 }
 
 
-class _ReaderGone(Exception):
-    """Nobody reads stdout any more. click would end with 1 for a BrokenPipeError."""
-
-
-class _Commands(LazyGroup):
-    def invoke(self, ctx: click.Context) -> Any:
-        try:
-            return super().invoke(ctx)
-        except BrokenPipeError:
-            raise _ReaderGone from None
-
-
-@click.group(cls=_Commands, sections=SECTIONS, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=LazyGroup, sections=SECTIONS, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="tso")
 def tso() -> None:
     """Make a 3D point cloud agree with a picture.
@@ -73,8 +61,18 @@ class _Stderr(io.FileIO):
             return len(data)
 
 
+class _Stdout(io.FileIO):
+    """stdout: what nobody reads any more (`tso eval ... | head`) is dropped, and the work goes on."""
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            return len(data)
+
+
 def _open_streams() -> None:
-    """Let no output file take the place of a closed stdin, stdout or stderr, and no line on stderr end the work."""
+    """Let no output file take the place of a closed stdin, stdout or stderr, and no reader that leaves end the work."""
     while (spare := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(spare, True)
     os.close(spare)
@@ -82,6 +80,9 @@ def _open_streams() -> None:
         encoding = sys.stderr.encoding if sys.stderr else "utf-8"
         raw = _Stderr(os.dup(2), "w")  # so that what C libraries print can be told apart
         sys.stderr = io.TextIOWrapper(raw, encoding, "backslashreplace", write_through=True)
+    if sys.stdout is sys.__stdout__ and (stdout := sys.__stdout__) is not None:
+        buffered = io.BufferedWriter(_Stdout(os.dup(1), "w"))
+        sys.stdout = io.TextIOWrapper(buffered, stdout.encoding, stdout.errors, line_buffering=stdout.line_buffering)
 
 
 @contextmanager
@@ -135,10 +136,6 @@ def main(arguments: list[str] | None = None) -> None:
             code = _fail("networks need torch, which is not installed: pip install torch", 1)
     except (click.Abort, KeyboardInterrupt):
         code = _fail("interrupted", 130)
-    except _ReaderGone:
-        # The reader is gone (`tso eval ... | head`); without stdout Python prints no second complaint on exit.
-        sys.stdout = None
-        code = 0
     except MemoryError:
         code = _fail("out of memory", 1)
     except OSError as error:

@@ -26,6 +26,7 @@ from tso_cli.io.images import read_depth, read_mask
 from tso_cli.io.output import atomic_output, lock, sole_writer
 from tso_cli.io.ply_body import BinaryBody
 from tso_cli.io.reading import TextTable
+from tso_cli.io.shipped import examples_folder
 from tso_cli.lab.study import Progress
 from tso_cli.refinement.objective import SilhouetteObjective
 
@@ -392,10 +393,15 @@ def test_ctrl_c_while_the_command_line_is_imported_ends_it_without_a_traceback()
         assert process.wait() in (-signal.SIGINT, 130)
 
 
-def test_a_reader_that_leaves_early_ends_nothing_and_is_no_failure():
+CHAIR = examples_folder() / "chair"
+WRONG = ("refine", CHAIR / "initial.ply", CHAIR / "mask.png", "--invert-mask", "--strict", "--json")
+
+
+@pytest.mark.parametrize(("arguments", "code"), [(("refine", "--help-all"), 0), (WRONG, 3)])
+def test_a_reader_that_leaves_early_changes_no_exit_code(arguments, code, tmp_path):
     program = "import sys; sys.argv[0] = 'tso'; from tso_cli.__main__ import main; main()"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen([sys.executable, "-c", program, "refine", "--help-all"], env=environment, **pipes) as process:
+    with subprocess.Popen([sys.executable, "-c", program, *arguments], env=environment, cwd=tmp_path, **pipes) as process:
         process.stdout.close()
-        assert process.stderr.read() == b"" and process.wait() == 0
+        assert bool(process.stderr.read()) == bool(code) and process.wait() == code

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.scenes import example
+from tso_cli import Camera, View
 from tso_cli.io.clouds import read_cloud
 from tso_cli.io.shipped import examples_folder
 from tso_cli.refinement import RefineConfig, refine
@@ -88,3 +89,20 @@ def test_a_far_clump_of_strays_changes_no_bit_of_the_others(name, count, sizes):
     beside = refine(np.vstack([scene.points, clump]), scene.view, config=CONFIG)
     assert beside.outliers.sum() == count
     np.testing.assert_array_equal(beside.points, np.vstack([alone.points, clump]))
+
+
+def test_a_far_group_that_the_mask_shows_is_a_part_of_the_object():
+    """A floor lamp: shade and foot, whose pole the scan has missed."""
+    rng = np.random.default_rng(0)
+    shade, foot = (rng.normal(size=(count, 3)) * [0.1, 0.04, 0.1] + [0, y, 3.0] for count, y in ((800, -0.7), (180, 0.7)))
+    lamp = np.vstack([shade, foot])
+    K = np.array([[60.0, 0, 63.5], [0, 60.0, 63.5], [0, 0, 1]])
+    camera = Camera(K, np.eye(3), np.zeros(3), 128, 128)
+    rows, columns = np.indices((128, 128))
+    mask = (np.hypot((columns - 63.5) / 6.0, (rows - 49.5) / 3.0) < 1) | (
+        np.hypot((columns - 63.5) / 6.0, (rows - 77.5) / 3.0) < 1
+    )
+    assert outliers(lamp).sum() == len(foot)
+    assert not refine(lamp, View(np.float32(mask), camera), config=CONFIG).outliers.any()
+    without = np.where(rows > 63, False, mask)
+    assert refine(lamp, View(np.float32(without), camera), config=CONFIG).outliers.sum() == len(foot)

@@ -61,7 +61,7 @@ class Agreement:
         others = _others(outlines[0].given)
         as_given = np.array([outline.iou(points, outline.given) for outline in outlines])
         ious = np.array([[outline.iou(points, other.assumptions) for outline in outlines] for other in others])
-        handicaps = np.array([other.change.handicap for other in others])
+        handicaps = np.array([other.handicap for other in others])
         scores = ious.mean(1) - handicaps
         tells = np.array([len(outline.cells[False].inside) >= FEWEST_CELLS for outline in outlines])
         suspects = _suspects(others, ious[:, tells].mean(1) - handicaps, as_given[tells].mean()) if tells.any() else ()
@@ -103,6 +103,10 @@ class _Other(NamedTuple):
     change: Assumption  # added, or left out
     fewer: bool  # whether it is left out
 
+    @property
+    def handicap(self) -> float:
+        return 0.0 if self.fewer else self.change.handicap
+
 
 def _others(given: tuple[Assumption, ...]) -> list[_Other]:
     """The given assumptions without one of them, and with one that is not given."""
@@ -126,7 +130,7 @@ def _suspects(others: list[_Other], scores: Array, as_given: float) -> tuple[Sus
     likely = [i for i in np.argsort(-scores, kind="stable") if scores[i] >= scores.max() - SIMILAR]
     fewer = [i for i in likely if others[i].fewer]
     return tuple(
-        Suspect(others[i].what, others[i].option, float(scores[i]) + others[i].change.handicap)
+        Suspect(others[i].what, others[i].option, float(scores[i]) + others[i].handicap)
         for i in (fewer or likely)[:MOST_SUSPECTS]
     )
 
@@ -135,7 +139,7 @@ def _hint(others: list[_Other], scores: Array, as_given: float) -> Hint | None:
     best = others[int(np.argmax(scores))]
     if scores.max() < max(as_given + HINT_MARGIN, LEAST_IOU):
         return None
-    score = float(scores.max()) + best.change.handicap
+    score = float(scores.max()) + best.handicap
     return Hint(Suspect(best.what, best.option, score), best.change)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.points import as_points, bounding_box_normalisation, bounds, longest_side, quantile
+from ..geometry.view import View
+from ..losses.projection import pixels_under
 from .apart import NEIGHBOUR, to_fourth
 from .presets import FIELD_NODES
 from .subset import Subset
@@ -31,6 +34,8 @@ LONGEST = 1.6
 GAP, CUBES, BESIDE, COMPACT = 1.5, 4, 0.5, 3.5
 # Sparser clouds have gaps of their own; cubes beyond so many, either way, are one.
 FEWEST_GROUPED, FARTHEST = 64, 1 << 20
+# A group of a smaller share of the points is no part of the object that the views would show.
+LEAST_PART = 0.05
 # With more cubes the cloud is no object with strays.
 MOST_CUBES = 2048
 
@@ -63,6 +68,15 @@ class Cloud:
         self._moving, self.initial = moving, moving.samples
         self.centre, self.scale = bounding_box_normalisation(self.initial, self.name)
         self.colours = None if self._colours is None else moving.at(self._colours.astype(np.float64)).astype(np.float32)
+
+    def with_parts_on(self, views: Sequence[View]) -> Cloud:
+        """The same cloud; without outliers if these are many and fall on the object in all ``views``, as a part of it would."""
+        if self.outliers.mean() < LEAST_PART or any(_share_on(self.given[self.outliers], view) < 0.5 for view in views):
+            return self
+        changed = copy(self)
+        changed.outliers = np.zeros(len(self.given), bool)
+        changed._move(Subset(self.given, ~changed.outliers))
+        return changed
 
     def with_moving(self, most: int | None) -> Cloud:
         """The same cloud, of which at most so many points move by themselves, None for all; of a mesh so many samples."""
@@ -151,7 +165,7 @@ def _connected(cubes: NDArray[np.int64]) -> NDArray[np.int64]:
     near = np.logical_and.reduce([np.abs(np.subtract.outer(axis, axis)) <= CUBES + 1 for axis in cubes.T])
     group = np.arange(len(cubes))
     while (least := np.where(near, group, len(cubes)).min(1)).tolist() != group.tolist():
-        group = least
+        group = least[least]
     return group
 
 
@@ -166,6 +180,13 @@ def _far_points(points: Array) -> NDArray[np.bool_]:
     least = max(OUTLIER_SIZE * size, OUTLIER_SPACINGS * float(quantile(distance, 0.5)))
     far: NDArray[np.bool_] = (distance > least)[place.ravel()]
     return far if far.mean() <= MOST_OUTLIERS else np.zeros(len(points), bool)
+
+
+def _share_on(points: Array, view: View) -> float:
+    """Of ``points`` [N, 3], those that fall on the object."""
+    pixels, _ = view.camera.project(points)
+    pixel, visible = pixels_under(pixels, np.asarray(np.isfinite(pixels).all(1)), *view.mask.shape)
+    return float(np.count_nonzero(visible & view.inside.ravel()[pixel])) / len(points)
 
 
 def outlier_warnings(count: int) -> list[str]:

@@ -46,7 +46,7 @@ class Problem:
     def of(cls, cloud: Cloud, views: tuple[View, ...], settings: Settings) -> Problem:
         """Raises InputError where the cloud's projection misses a mask, or the mode cannot use depth maps or images."""
         _require_supported(cloud, views, settings)
-        cloud = cloud.with_moving(settings.points)
+        cloud = cloud.with_parts_on(views).with_moving(settings.points)
         agreement = Agreement.of(cloud.initial, views) if settings.mode == "points" else None
         for view in views:
             placement = place(cloud.initial, view)

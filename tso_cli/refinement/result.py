@@ -17,6 +17,7 @@ from .budget import Decision
 from .cloud import outlier_warnings
 from .placement import mask_doubts
 from .symmetry import SymmetryOutcome
+from .verdict import LEAST_CONFIDENCE
 
 Array = NDArray[np.float64]
 StopReason = Literal["max_steps", "interrupted", "non_finite", "out_of_time", "nothing_to_do", "not_improved", "doubtful"]
@@ -58,7 +59,8 @@ class RefineResult:
         none), "contradicted" (the cloud has one, the views contradict it) or "unchecked" (there was no time to ask the views).
         symmetry_reason : the measurement, in words.
     suspects : what may be wrong with the input, likeliest first.
-    verdict : "improved", "unchanged", or "doubtful": the whole step is likely to make the cloud worse, for the ``reason``; None
+    verdict : "improved", "unchanged", or "doubtful": the whole step is likely to make the cloud worse, or a mistake in the
+        input is suspected, for the ``reason``; None
         where it is not judged, for the ``reason``. confidence : in [0, 1], that the whole step does not make it worse by over
         5 % in Chamfer distance; None as before. signs : what it is from. step_taken : share of the step that was taken, under
         1 only where it is doubtful.
@@ -133,7 +135,6 @@ def why_unmoved(result: RefineResult) -> str | None:
     """Why no point moved, in words; None where points did."""
     if result.best_step:
         return None
-    doubted = result.verdict == "doubtful" and not result.step_taken
     shows = "the mask shows" if len(result.cameras) == 1 else "the masks show"
     return {
         "max_steps": "no steps were asked for",
@@ -143,7 +144,12 @@ def why_unmoved(result: RefineResult) -> str | None:
         "nothing_to_do": f"the cloud already agrees with all that {shows}",
         "not_improved": f"none of {result.steps} steps agrees better with what {shows} than the start does",
         "doubtful": "the step is doubtful (--accept-doubtful takes it all the same)",
-    }["doubtful" if doubted else result.stop_reason]
+    }["doubtful" if refused(result) else result.stop_reason]
+
+
+def refused(result: RefineResult) -> bool:
+    """Whether there was a step, and it is too doubtful to be taken; not where the start was best and a mistake is suspected."""
+    return result.verdict == "doubtful" and not result.step_taken and (result.confidence or 0.0) < LEAST_CONFIDENCE
 
 
 def result_warnings(result: RefineResult, views: Sequence[View], steps: int, suspicion: str | None) -> tuple[str, ...]:
@@ -151,7 +157,7 @@ def result_warnings(result: RefineResult, views: Sequence[View], steps: int, sus
     messages = []
     reason = why_unmoved(result)
     unjudged = "" if result.verdict else ": the result is not judged"
-    if reason and result.verdict != "doubtful":
+    if reason and not refused(result):
         what = "nothing to do" if result.stop_reason == "nothing_to_do" else "nothing moved"
         messages.append(f"{what}: {reason}; the cloud is as it was")
     elif result.stop_reason == "interrupted":
@@ -169,7 +175,8 @@ def result_warnings(result: RefineResult, views: Sequence[View], steps: int, sus
         # A suspected mistake makes it doubtful whatever the confidence.
         sure = "" if suspicion else f" (confidence {result.confidence:.2f})"
         taken = f", so only {100.0 * result.step_taken:.0f} % of the step is taken" if result.step_taken < 1.0 else ""
-        taken = taken if result.step_taken else ", so the cloud is left as it was"
+        if not result.step_taken:
+            taken = ", so the cloud is left as it was" if refused(result) else ""
         messages.append(f"the result is doubtful{sure}{taken}: {result.reason}")
     elif suspicion:
         messages.append(suspicion)

@@ -55,7 +55,7 @@ SMOOTHNESS = STAGES[-1].smoothness
 class Verdict:
     """What to think of a result.
 
-    name : "unchanged" where the result is the start; "doubtful" where it may well be worse, or a mistake in the input is
+    name : "unchanged" where the start is best; "doubtful" where it may well be worse, or a mistake in the input is
         suspected; "improved"; None if not judged.
     confidence : that it is not worse by over 5 %, in [0, 1]; None if not judged. reason : why it is doubtful, or not judged.
     step : share of it that should be taken.

@@ -49,7 +49,7 @@ CONVENTION = {
     "AUC": "chance that a worse result has less confidence than one that is not",
     "right scenes": "as rendered, nothing altered; a start that is another shape is no mistake",
     "flagged": "doubtful, for want of confidence or for a suspected mistake",
-    "mistake named": "in the refusal, or a suspected mistake of the result",
+    "mistake suspected": "of the result, or in the refusal; any, also another than was made",
     "gross": "mistakes of convention, as axes, units, transposed or inverted input; not in the other groups",
 }
 
@@ -188,7 +188,7 @@ def conclude(cases: Cases) -> Record:
     claims.append(claim("no right scene is suspected of a mistake", not suspected, f"share suspected {suspected:.3f}"))
     if gross := summary.get("gross"):
         named = f"{gross['suspected']:.3f}"
-        claims.append(claim(f"over {LEAST_NAMED} of gross mistakes are named", gross["suspected"] > LEAST_NAMED, named))
+        claims.append(claim(f"over {LEAST_NAMED} of gross mistakes are noticed", gross["suspected"] > LEAST_NAMED, named))
     return {"summary": summary, "reliability": reliability, "claims": claims}
 
 
@@ -215,7 +215,17 @@ def _figures(cases: Cases) -> Record:
 
 
 def tables(record: Record) -> list[Table]:
-    header = ["altered", "results", "worse", "AUC", "AUC of IoU gain", "flagged", "of the worse", "refused", "mistake named"]
+    header = [
+        "altered",
+        "results",
+        "worse",
+        "AUC",
+        "AUC of IoU gain",
+        "flagged",
+        "of the worse",
+        "refused",
+        "mistake suspected",
+    ]
     return [
         Table(header, [[name, *row.values()] for name, row in record["summary"].items()]),
         Table(["results", "confidence", "not worse"], record["reliability"], title="Reliability"),
