@@ -51,24 +51,22 @@ def tso() -> None:
     """
 
 
-class _Stderr(io.FileIO):
-    """stderr: what cannot be written there (closed, full) is dropped, and the work goes on."""
+class _Stream(io.FileIO):
+    """What cannot be written for an error of ``dropped`` is dropped, and the work goes on; any other is raised once."""
+
+    def __init__(self, descriptor: int, dropped: type[OSError]) -> None:
+        super().__init__(os.dup(descriptor), "w")
+        self._dropped = dropped
 
     def write(self, data: Any) -> int:
         try:
             return super().write(data)
+        except self._dropped:
+            return len(data)
         except OSError:
-            return len(data)
-
-
-class _Stdout(io.FileIO):
-    """stdout: what nobody reads any more (`tso eval ... | head`) is dropped, and the work goes on."""
-
-    def write(self, data: Any) -> int:
-        try:
-            return super().write(data)
-        except BrokenPipeError:
-            return len(data)
+            # Python flushes once more on exit, and would complain a second time.
+            self._dropped = OSError
+            raise
 
 
 def _open_streams() -> None:
@@ -78,10 +76,11 @@ def _open_streams() -> None:
     os.close(spare)
     if sys.stderr is sys.__stderr__:  # not replaced by a caller
         encoding = sys.stderr.encoding if sys.stderr else "utf-8"
-        raw = _Stderr(os.dup(2), "w")  # so that what C libraries print can be told apart
-        sys.stderr = io.TextIOWrapper(raw, encoding, "backslashreplace", write_through=True)
+        # A copy, so that what C libraries print can be told apart.
+        sys.stderr = io.TextIOWrapper(_Stream(2, OSError), encoding, "backslashreplace", write_through=True)
     if sys.stdout is sys.__stdout__ and (stdout := sys.__stdout__) is not None:
-        buffered = io.BufferedWriter(_Stdout(os.dup(1), "w"))
+        # `tso eval ... | head`; that a file could not be written is told.
+        buffered = io.BufferedWriter(_Stream(1, BrokenPipeError))
         sys.stdout = io.TextIOWrapper(buffered, stdout.encoding, stdout.errors, line_buffering=stdout.line_buffering)
 
 

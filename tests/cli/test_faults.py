@@ -39,7 +39,9 @@ def started(*words, program="from tso_cli.cli import main; main()", **options):
     """`tso WORDS` as a process of its own."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", **options.pop("environment", {})}
     words = [sys.executable, "-c", program, *map(str, words)]
-    return subprocess.Popen(words, env=environment, text=True, stdout=subprocess.PIPE, **{"stderr": subprocess.PIPE, **options})
+    return subprocess.Popen(
+        words, env=environment, text=True, **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
+    )
 
 
 def written(folder, known=("initial.ply", "mask.png", "image.png", "camera.json", "target.ply")):
@@ -129,6 +131,14 @@ def test_a_full_stderr_does_not_end_the_work_or_change_the_exit_code(folder):
         )
     assert warned.wait() == 0 and failed.wait() == 2
     assert "initial.refined.ply" in written(folder)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_full_stdout_is_one_line_and_a_failure():
+    with open("/dev/full", "w") as full:
+        process = started("refine", "--help-all", stdout=full)
+        assert process.communicate()[1].splitlines() == ["tso: error: stdout, or a file: No space left on device"]
+    assert process.returncode == 1
 
 
 DAMAGES = {
@@ -399,9 +409,6 @@ WRONG = ("refine", CHAIR / "initial.ply", CHAIR / "mask.png", "--invert-mask", "
 
 @pytest.mark.parametrize(("arguments", "code"), [(("refine", "--help-all"), 0), (WRONG, 3)])
 def test_a_reader_that_leaves_early_changes_no_exit_code(arguments, code, tmp_path):
-    program = "import sys; sys.argv[0] = 'tso'; from tso_cli.__main__ import main; main()"
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen([sys.executable, "-c", program, *arguments], env=environment, cwd=tmp_path, **pipes) as process:
+    with started(*arguments, cwd=tmp_path) as process:
         process.stdout.close()
         assert bool(process.stderr.read()) == bool(code) and process.wait() == code

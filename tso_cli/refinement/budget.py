@@ -61,7 +61,7 @@ def _grid(problem: Problem) -> Decision:
     saving = 1.0 - sum(count**2 for count in cells) / (len(cells) * finest**2)
     reason = "the window's pixels, and the moving points, resolve no more" if saving else "the masks resolve as much"
     choice = ", ".join(f"{count}x{count}" for count in dict.fromkeys(cells))
-    return Decision("cells", f"{choice} at last", reason, saving)
+    return Decision("cells", f"{choice} in the last stage", reason, saving)
 
 
 def _points(problem: Problem, settings: Settings) -> Decision:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.points import as_points, bounding_box_normalisation, bounds, longest_side, quantile
 from ..geometry.view import View
-from ..losses.projection import pixels_under
 from .apart import NEIGHBOUR, to_fourth
+from .placement import place
 from .presets import FIELD_NODES
 from .subset import Subset
 from .surface import Surface
@@ -71,7 +71,8 @@ class Cloud:
 
     def with_parts_on(self, views: Sequence[View]) -> Cloud:
         """The same cloud; without outliers if these are many and fall on the object in all ``views``, as a part of it would."""
-        if self.outliers.mean() < LEAST_PART or any(_share_on(self.given[self.outliers], view) < 0.5 for view in views):
+        far = self.given[self.outliers]
+        if len(far) < LEAST_PART * len(self.given) or any(2 * place(far, view).inside_mask < len(far) for view in views):
             return self
         changed = copy(self)
         changed.outliers = np.zeros(len(self.given), bool)
@@ -134,10 +135,8 @@ def outliers(points: Array) -> NDArray[np.bool_]:
     One of them at ten times the object's size would leave the object a tenth of the window and of every scale.
     """
     apart = _far_groups(points)
-    if apart.any():
-        apart[~apart] = _far_points(points[~apart])
-        return apart if apart.mean() <= MOST_OUTLIERS else np.zeros(len(points), bool)
-    return _far_points(points)
+    apart[~apart] = _far_points(points[~apart])
+    return apart if apart.mean() <= MOST_OUTLIERS else np.zeros(len(points), bool)
 
 
 def _far_groups(points: Array) -> NDArray[np.bool_]:
@@ -180,13 +179,6 @@ def _far_points(points: Array) -> NDArray[np.bool_]:
     least = max(OUTLIER_SIZE * size, OUTLIER_SPACINGS * float(quantile(distance, 0.5)))
     far: NDArray[np.bool_] = (distance > least)[place.ravel()]
     return far if far.mean() <= MOST_OUTLIERS else np.zeros(len(points), bool)
-
-
-def _share_on(points: Array, view: View) -> float:
-    """Of ``points`` [N, 3], those that fall on the object."""
-    pixels, _ = view.camera.project(points)
-    pixel, visible = pixels_under(pixels, np.asarray(np.isfinite(pixels).all(1)), *view.mask.shape)
-    return float(np.count_nonzero(visible & view.inside.ravel()[pixel])) / len(points)
 
 
 def outlier_warnings(count: int) -> list[str]:

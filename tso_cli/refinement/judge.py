@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..evaluation.footprint import common_window, window_iou
-from ..geometry.points import CANDIDATES
+from ..geometry.points import CANDIDATES, scattered
 from ..geometry.view import View
 from .cloud import Array, MovedCloud
 from .config import Settings
@@ -136,6 +136,6 @@ def _misfits(problem: Problem, moved: MovedCloud, weights: list[float]) -> tuple
     """
     targets = ViewTargets.of(problem.resampled[: len(problem.views)], weights)
     objective = MaskChamferObjective(targets, STAGES[-1].robust_scale)
-    step = -(-len(moved.judged) // CANDIDATES)
-    before, after = (objective(problem.cloud.normalise(points[::step]))[0] for points in (problem.cloud.judged, moved.judged))
+    clouds = (scattered(points, CANDIDATES) for points in (problem.cloud.judged, moved.judged))
+    before, after = (objective(problem.cloud.normalise(points))[0] for points in clouds)
     return before, after

@@ -60,10 +60,9 @@ class RefineResult:
         symmetry_reason : the measurement, in words.
     suspects : what may be wrong with the input, likeliest first.
     verdict : "improved", "unchanged", or "doubtful": the whole step is likely to make the cloud worse, or a mistake in the
-        input is suspected, for the ``reason``; None
-        where it is not judged, for the ``reason``. confidence : in [0, 1], that the whole step does not make it worse by over
-        5 % in Chamfer distance; None as before. signs : what it is from. step_taken : share of the step that was taken, under
-        1 only where it is doubtful.
+        input is suspected, for the ``reason``; None where it is not judged, for the ``reason``. confidence : in [0, 1], that
+        the whole step does not make it worse by over 5 % in Chamfer distance; None as before. signs : what it is from.
+        step_taken : share of the step that was taken, under 1 where it is doubtful, 0 where nothing moved.
     sigma_sq : squared cells. budget : what was decided from the scene, why, and what that saved.
     view_windows : left, top, right, bottom edges of the window of each mask, px, that the cloud was compared with at last,
         and cells along its side.
@@ -174,9 +173,9 @@ def result_warnings(result: RefineResult, views: Sequence[View], steps: int, sus
     if result.verdict == "doubtful":
         # A suspected mistake makes it doubtful whatever the confidence.
         sure = "" if suspicion else f" (confidence {result.confidence:.2f})"
-        taken = f", so only {100.0 * result.step_taken:.0f} % of the step is taken" if result.step_taken < 1.0 else ""
-        if not result.step_taken:
-            taken = ", so the cloud is left as it was" if refused(result) else ""
+        taken = ", so the cloud is left as it was" if refused(result) else ""
+        if 0.0 < result.step_taken < 1.0:
+            taken = f", so only {100.0 * result.step_taken:.0f} % of the step is taken"
         messages.append(f"the result is doubtful{sure}{taken}: {result.reason}")
     elif suspicion:
         messages.append(suspicion)

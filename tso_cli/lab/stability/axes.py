@@ -278,19 +278,23 @@ def _added(case: Case, more: Array) -> Array:
     return np.concatenate([case.initial, more])
 
 
+def _share(case: Case, percent: float) -> int:
+    """So much of the cloud's points, at least one."""
+    return max(1, round(percent / 100.0 * len(case.initial)))
+
+
 def _with_outliers(case: Case, percent: float, rng: Rng, spread: float = SPREAD) -> Array:
-    return _added(case, rng.uniform(-spread, spread, (max(1, round(percent / 100.0 * len(case.initial))), 3)))
+    return _added(case, rng.uniform(-spread, spread, (_share(case, percent), 3)))
 
 
 def _with_clump(case: Case, percent: float, rng: Rng) -> Array:
-    count = max(1, round(percent / 100.0 * len(case.initial)))
-    return _added(case, CLUMP * _direction(rng) + CLUMP_SIZE * rng.normal(size=(count, 3)))
+    return _added(case, CLUMP * _direction(rng) + CLUMP_SIZE * rng.normal(size=(_share(case, percent), 3)))
 
 
 def _with_duplicates(case: Case, percent: float, rng: Rng) -> Array:
     """Of points in one half of the cloud."""
     half = np.argsort(case.initial @ _direction(rng))[: -(-len(case.initial) // 2)]
-    return _added(case, case.initial[rng.choice(half, max(1, round(percent / 100.0 * len(case.initial))))])
+    return _added(case, case.initial[rng.choice(half, _share(case, percent))])
 
 
 def _counted(case: Case, count: float, rng: Rng) -> Array:

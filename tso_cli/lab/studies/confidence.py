@@ -75,14 +75,13 @@ def rows_of(runs: Iterable[Run]) -> list[tuple[Record, dict[str, float]]]:
             }
             if result is None:
                 rows.append((row | {"refused": True, "suspected": NAMED in outcome.refusal}, {}))
-            if result is None or ratio is None:
-                continue
-            row |= {
-                **{"ratio": round(ratio, 4), "confidence": round(result.confidence or 0.0, 4)},
-                **{"flagged": result.verdict == "doubtful", "suspected": bool(result.suspects)},
-                **{"iou_gain": round(result.iou_after - result.iou_before, 4), "moved": result.best_step > 0},
-            }
-            rows.append((row, result.signs))
+            elif ratio is not None:
+                row |= {
+                    **{"ratio": round(ratio, 4), "confidence": round(result.confidence or 0.0, 4)},
+                    **{"flagged": result.verdict == "doubtful", "suspected": bool(result.suspects)},
+                    **{"iou_gain": round(result.iou_after - result.iou_before, 4), "moved": result.best_step > 0},
+                }
+                rows.append((row, result.signs))
     return rows
 
 
@@ -215,17 +214,8 @@ def _figures(cases: Cases) -> Record:
 
 
 def tables(record: Record) -> list[Table]:
-    header = [
-        "altered",
-        "results",
-        "worse",
-        "AUC",
-        "AUC of IoU gain",
-        "flagged",
-        "of the worse",
-        "refused",
-        "mistake suspected",
-    ]
+    header = ["altered", "results", "worse", "AUC", "AUC of IoU gain", "flagged", "of the worse"]
+    header += ["refused", "mistake suspected"]
     return [
         Table(header, [[name, *row.values()] for name, row in record["summary"].items()]),
         Table(["results", "confidence", "not worse"], record["reliability"], title="Reliability"),
