@@ -50,7 +50,7 @@ class Axis:
     alter : (case, level, rng) -> the altered case, with target and dense as they were unless the object itself, or the frame
         of the cloud, is another; in group "settings" (config, level) -> the altered `RefineConfig`; where ``needs_other``
         (case, level, rng, another case) -> the altered case.
-    gross : a gross mistake of the user, which no result makes good.
+    mistakes : of a gross mistake of the user, which no result makes good, the name in `ASSUMPTIONS` at each level.
     adds_points : the altered start begins with the points of the case, and added ones follow.
     masks : how many of the case's views the refinement sees. Masks are wrong in the first alone, cameras in all of them.
     """
@@ -60,7 +60,7 @@ class Axis:
     unit: str
     levels: tuple[float, ...]
     alter: Callable[..., Any]
-    gross: bool = False
+    mistakes: tuple[str, ...] = ()
     adds_points: bool = False
     needs_other: bool = False
     masks: int = 1
@@ -73,6 +73,14 @@ class Axis:
         if self.group == "settings":
             return case, self.alter(config, level)
         return self.alter(case, level, rng, *([other] if self.needs_other else [])), config
+
+    @property
+    def gross(self) -> bool:
+        return bool(self.mistakes)
+
+    def mistake(self, level: float) -> str:
+        """Its name, "" where it is none."""
+        return self.mistakes[self.levels.index(level)] if self.mistakes else ""
 
     def at(self, level: float) -> str:
         """The level in words; none where it is wrong or not."""
@@ -408,11 +416,13 @@ _DEGREES = (1.0, 2.0, 5.0, 10.0, 20.0, 45.0, 90.0)
 _FACTORS = (1.01, 1.02, 1.05, 1.1, 1.25, 2.0, 5.0)
 _STRAYS = (0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _UNITS = (2.0, 10.0, 39.37, 100.0, 1000.0)
+_TOO_LARGE = ("cloud-twice-large", "cloud-ten-times-large", "cloud-inches", "cloud-centimetres", "cloud-millimetres")
+_TOO_SMALL = ("cloud-half-large", "cloud-ten-times-small", "camera-inches", "camera-centimetres", "camera-millimetres")
 _SIZES, _SIZE, _TIMES, _YES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0), "% of the object's size", "times", (1.0,)
 _YAW: Fields = partial(_around_object, axis=1)
 _ASIDE: Fields = lambda camera, percent, rng: {"t": camera.t + percent / 100.0 * _aside(rng)}  # noqa: E731
 _FOR_SIZE: Fields = lambda camera, factor, rng: {"K": np.diag([factor, factor, 1.0]) @ camera.K}  # noqa: E731
-_DILATED, _MISTAKE = partial(_edge_moved, outward=1.0), {"gross": True}
+_DILATED = partial(_edge_moved, outward=1.0)
 
 AXES: tuple[Axis, ...] = (
     _settings("nothing wrong", "", _YES, lambda config, level: {}),
@@ -427,9 +437,9 @@ AXES: tuple[Axis, ...] = (
     _mask("mask occluded", "% of its area", _SHARES, _occluded),
     Axis("mask", "object cut by the border", "% of its area", _SHARES, _cut),
     _mask("mask shifted", _SIZE, _SIZES, _shifted),
-    _mask("mask flipped left to right", "", _YES, lambda m, level, rng: m[:, ::-1], **_MISTAKE),
-    _mask("mask upside down", "", _YES, lambda m, level, rng: m[::-1], **_MISTAKE),
-    _mask("mask inverted", "", _YES, lambda m, level, rng: ~m, **_MISTAKE),
+    _mask("mask flipped left to right", "", _YES, lambda m, level, rng: m[:, ::-1], mistakes=("mask-flipped",)),
+    _mask("mask upside down", "", _YES, lambda m, level, rng: m[::-1], mistakes=("mask-upside-down",)),
+    _mask("mask inverted", "", _YES, lambda m, level, rng: ~m, mistakes=("mask-inverted",)),
     Axis("mask", "mask of another object", "", _YES, _of_other, needs_other=True),
     _mask("mask nearly empty", "% of it left", (80.0, 50.0, 20.0, 5.0, 1.0, 0.01), _nearly_empty),
     _mask("mask nearly full", "% of the rest filled", (2.0, 5.0, 20.0, 50.0, 90.0, 99.0, 100.0), _nearly_full),
@@ -446,24 +456,24 @@ AXES: tuple[Axis, ...] = (
     _camera("focal length", _TIMES, _FACTORS, partial(_scaled, focal=True)),
     _camera("focal length and distance", _TIMES, (1.1, 1.25, 1.5, 2.0, 5.0, 20.0), partial(_scaled, focal=True, distance=True)),
     _camera("principal point", "% of the picture", (0.5, 1.0, 2.0, 5.0, 10.0, 25.0), _principal_point),
-    Axis("camera", "principal point's x and y exchanged", "", _YES, _exchanged, **_MISTAKE),
-    _camera("K of twice the size", _TIMES, (2.0,), _FOR_SIZE, **_MISTAKE),
-    _camera("K of half the size", _TIMES, (0.5,), _FOR_SIZE, **_MISTAKE),
-    _camera("R transposed", "", _YES, lambda c, level, rng: {"R": c.R.T}, **_MISTAKE),
-    _camera("axes of OpenGL", "", _YES, _in_axes(1.0, -1.0, -1.0), **_MISTAKE),
-    _camera("axes of PyTorch3D", "", _YES, _in_axes(-1.0, -1.0, 1.0), **_MISTAKE),
-    _camera("camera-to-world for world-to-camera", "", _YES, lambda c, level, rng: {"R": c.R.T, "t": c.position}, **_MISTAKE),
+    Axis("camera", "principal point's x and y exchanged", "", _YES, _exchanged, mistakes=("principal-point-swapped",)),
+    _camera("K of twice the size", _TIMES, (2.0,), _FOR_SIZE, mistakes=("K-of-double-size",)),
+    _camera("K of half the size", _TIMES, (0.5,), _FOR_SIZE, mistakes=("K-of-half-size",)),
+    _camera("R transposed", "", _YES, lambda c, level, rng: {"R": c.R.T}, mistakes=("R-transposed",)),
+    _camera("axes of OpenGL", "", _YES, _in_axes(1.0, -1.0, -1.0), mistakes=("opengl",)),
+    _camera("axes of PyTorch3D", "", _YES, _in_axes(-1.0, -1.0, 1.0), mistakes=("pytorch3d",)),
+    _camera("camera-to-world for world-to-camera", "", _YES, lambda c, level, rng: {"R": c.R.T, "t": c.position}, mistakes=("camera-to-world",)),
     _camera("camera's x mirrored", "", _YES, _in_axes(-1.0, 1.0, 1.0)),
     Axis("camera", "yaw of one camera, beside a right one", "degrees", _DEGREES, _one_turned, masks=2),
     Axis("camera", "yaw of one camera, beside three right ones", "degrees", _DEGREES, _one_turned, masks=4),
     Axis("camera", "yaw before a thin object", "degrees", _DEGREES, _of_thin(_YAW)),
     Axis("camera", "camera moved aside, thin object", _SIZE, _SIZES, _of_thin(_ASIDE)),
-    Axis("cloud", "cloud with z up", "", _YES, _framed([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), **_MISTAKE),
-    Axis("cloud", "cloud with x and z exchanged", "", _YES, _framed([[0, 0, 1], [0, 1, 0], [1, 0, 0]]), **_MISTAKE),
-    Axis("cloud", "cloud with axes in another order", "", _YES, _framed([[0, 0, 1], [1, 0, 0], [0, 1, 0]]), **_MISTAKE),
+    Axis("cloud", "cloud with z up", "", _YES, _framed([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), mistakes=("cloud-z-up",)),
+    Axis("cloud", "cloud with x and z exchanged", "", _YES, _framed([[0, 0, 1], [0, 1, 0], [1, 0, 0]]), mistakes=("cloud-xz-swapped",)),
+    Axis("cloud", "cloud with axes in another order", "", _YES, _framed([[0, 0, 1], [1, 0, 0], [0, 1, 0]]), mistakes=("cloud-zxy",)),
     Axis("cloud", "cloud of the other handedness", "", _YES, _framed(np.diag([-1, 1, 1]))),
-    Axis("cloud", "cloud in smaller units", _TIMES, _UNITS, _framed(np.eye(3)), **_MISTAKE),
-    Axis("cloud", "cloud in larger units", _TIMES, _UNITS, _framed(np.eye(3), -1.0), **_MISTAKE),
+    Axis("cloud", "cloud in smaller units", _TIMES, _UNITS, _framed(np.eye(3)), mistakes=_TOO_LARGE),
+    Axis("cloud", "cloud in larger units", _TIMES, _UNITS, _framed(np.eye(3), -1.0), mistakes=_TOO_SMALL),
     _start("start far off", _SIZE, (*_SIZES, 100.0, 1000.0), lambda c, p, rng: c.initial + p / 100.0 * _direction(rng)),
     _start("start partly behind the camera", "% of its points", (0.1, 1.0, 5.0, 20.0, 50.0, 100.0), _behind),
     _start("start flat along the line of sight", "% gone", _GONE, _flat),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -50,6 +51,7 @@ CONVENTION = {
     "right scenes": "as rendered, nothing altered; a start that is another shape is no mistake",
     "flagged": "doubtful, for want of confidence or for a suspected mistake",
     "mistake suspected": "of the result, or in the refusal; any, also another than was made",
+    "named": "the gross mistake that was made is among those suspected",
     "gross": "mistakes of convention, as axes, units, transposed or inverted input; not in the other groups",
 }
 
@@ -73,6 +75,10 @@ def rows_of(runs: Iterable[Run]) -> list[tuple[Record, dict[str, float]]]:
                 **{key: getattr(run.case, key) for key in ("category", "shape", "kind")},
                 **{"axis": run.axis.name, "group": "gross" if run.axis.gross else run.axis.group, "level": run.level},
             }
+            mistake = run.axis.mistake(run.level)
+            if mistake:
+                said = outcome.refusal if result is None else str(result.suspects)
+                row["named"] = re.search(rf"--assume {mistake}\b(?!-)", said) is not None
             if result is None:
                 rows.append((row | {"refused": True, "suspected": NAMED in outcome.refusal}, {}))
             elif ratio is not None:
@@ -186,8 +192,8 @@ def conclude(cases: Cases) -> Record:
     suspected = summary["right scenes"]["suspected"]
     claims.append(claim("no right scene is suspected of a mistake", not suspected, f"share suspected {suspected:.3f}"))
     if gross := summary.get("gross"):
-        named = f"{gross['suspected']:.3f}"
-        claims.append(claim(f"over {LEAST_NAMED} of gross mistakes are noticed", gross["suspected"] > LEAST_NAMED, named))
+        for what, key in (("noticed", "suspected"), ("named", "named")):
+            claims.append(claim(f"over {LEAST_NAMED} of gross mistakes are {what}", gross[key] > LEAST_NAMED, f"{gross[key]:.3f}"))
     return {"summary": summary, "reliability": reliability, "claims": claims}
 
 
@@ -210,12 +216,13 @@ def _figures(cases: Cases) -> Record:
         "flagged_of_worse": float(flagged[worse].mean()) if worse.any() else None,
         "refused": len(cases) - len(rows),
         "suspected": float(np.mean([case["suspected"] for case in cases])),
+        "named": float(np.mean(named)) if (named := [case["named"] for case in cases if "named" in case]) else None,
     }
 
 
 def tables(record: Record) -> list[Table]:
     header = ["altered", "results", "worse", "AUC", "AUC of IoU gain", "flagged", "of the worse"]
-    header += ["refused", "mistake suspected"]
+    header += ["refused", "mistake suspected", "named"]
     return [
         Table(header, [[name, *row.values()] for name, row in record["summary"].items()]),
         Table(["results", "confidence", "not worse"], record["reliability"], title="Reliability"),
