@@ -17,7 +17,7 @@ from tso_cli.lab.stability.peers import PEERS
 from tso_cli.lab.stability.runs import Outcome, judge, outcomes_of, run_of
 from tso_cli.lab.studies.refining import POINTS, Variant
 from tso_cli.refinement import RefineConfig, refine
-from tso_cli.refinement.assumptions import Suspect
+from tso_cli.refinement.assumptions import ASSUMPTIONS, Suspect
 
 # Axes that change the true points too: the cloud is in another frame, or the object is another.
 FRAMES = [axis.name for axis in AXES if axis.group == "cloud" and axis.gross]
@@ -53,7 +53,15 @@ def test_levels_of_an_axis_go_one_way_and_their_names_are_its_own():
     for axis in AXES:
         steps = np.sign(np.diff(axis.levels))
         assert abs(steps.sum()) == len(steps), axis.name
-    assert sum(axis.gross for axis in AXES) == 15
+    assert all(len(axis.mistakes) == len(axis.levels) for axis in AXES if axis.gross)
+
+
+@pytest.mark.parametrize("axis", [axis for axis in AXES if axis.gross], ids=lambda axis: axis.name)
+def test_a_mistake_undone_puts_the_true_points_on_the_mask_again(cases, axis):
+    for level in axis.levels:
+        case = altered(cases, axis.name, level)
+        mended = ASSUMPTIONS[axis.mistake(level)].read(case.views[0])
+        assert shares_inside(replace(case, views=(mended,)))[0] > 0.95, level
 
 
 @pytest.mark.parametrize("axis", [axis for axis in AXES if axis.group != "settings"], ids=lambda axis: axis.name)

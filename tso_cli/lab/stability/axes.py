@@ -422,6 +422,8 @@ _SIZES, _SIZE, _TIMES, _YES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0), "% of the objec
 _YAW: Fields = partial(_around_object, axis=1)
 _ASIDE: Fields = lambda camera, percent, rng: {"t": camera.t + percent / 100.0 * _aside(rng)}  # noqa: E731
 _FOR_SIZE: Fields = lambda camera, factor, rng: {"K": np.diag([factor, factor, 1.0]) @ camera.K}  # noqa: E731
+_TO_WORLD: Fields = lambda camera, level, rng: {"R": camera.R.T, "t": camera.position}  # noqa: E731
+_is: Callable[[str], Any] = lambda mistake: {"mistakes": (mistake,)}  # noqa: E731
 _DILATED = partial(_edge_moved, outward=1.0)
 
 AXES: tuple[Axis, ...] = (
@@ -437,9 +439,9 @@ AXES: tuple[Axis, ...] = (
     _mask("mask occluded", "% of its area", _SHARES, _occluded),
     Axis("mask", "object cut by the border", "% of its area", _SHARES, _cut),
     _mask("mask shifted", _SIZE, _SIZES, _shifted),
-    _mask("mask flipped left to right", "", _YES, lambda m, level, rng: m[:, ::-1], mistakes=("mask-flipped",)),
-    _mask("mask upside down", "", _YES, lambda m, level, rng: m[::-1], mistakes=("mask-upside-down",)),
-    _mask("mask inverted", "", _YES, lambda m, level, rng: ~m, mistakes=("mask-inverted",)),
+    _mask("mask flipped left to right", "", _YES, lambda m, level, rng: m[:, ::-1], **_is("mask-flipped")),
+    _mask("mask upside down", "", _YES, lambda m, level, rng: m[::-1], **_is("mask-upside-down")),
+    _mask("mask inverted", "", _YES, lambda m, level, rng: ~m, **_is("mask-inverted")),
     Axis("mask", "mask of another object", "", _YES, _of_other, needs_other=True),
     _mask("mask nearly empty", "% of it left", (80.0, 50.0, 20.0, 5.0, 1.0, 0.01), _nearly_empty),
     _mask("mask nearly full", "% of the rest filled", (2.0, 5.0, 20.0, 50.0, 90.0, 99.0, 100.0), _nearly_full),
@@ -456,21 +458,21 @@ AXES: tuple[Axis, ...] = (
     _camera("focal length", _TIMES, _FACTORS, partial(_scaled, focal=True)),
     _camera("focal length and distance", _TIMES, (1.1, 1.25, 1.5, 2.0, 5.0, 20.0), partial(_scaled, focal=True, distance=True)),
     _camera("principal point", "% of the picture", (0.5, 1.0, 2.0, 5.0, 10.0, 25.0), _principal_point),
-    Axis("camera", "principal point's x and y exchanged", "", _YES, _exchanged, mistakes=("principal-point-swapped",)),
-    _camera("K of twice the size", _TIMES, (2.0,), _FOR_SIZE, mistakes=("K-of-double-size",)),
-    _camera("K of half the size", _TIMES, (0.5,), _FOR_SIZE, mistakes=("K-of-half-size",)),
-    _camera("R transposed", "", _YES, lambda c, level, rng: {"R": c.R.T}, mistakes=("R-transposed",)),
-    _camera("axes of OpenGL", "", _YES, _in_axes(1.0, -1.0, -1.0), mistakes=("opengl",)),
-    _camera("axes of PyTorch3D", "", _YES, _in_axes(-1.0, -1.0, 1.0), mistakes=("pytorch3d",)),
-    _camera("camera-to-world for world-to-camera", "", _YES, lambda c, level, rng: {"R": c.R.T, "t": c.position}, mistakes=("camera-to-world",)),
+    Axis("camera", "principal point's x and y exchanged", "", _YES, _exchanged, **_is("principal-point-swapped")),
+    _camera("K of twice the size", _TIMES, (2.0,), _FOR_SIZE, **_is("K-of-double-size")),
+    _camera("K of half the size", _TIMES, (0.5,), _FOR_SIZE, **_is("K-of-half-size")),
+    _camera("R transposed", "", _YES, lambda c, level, rng: {"R": c.R.T}, **_is("R-transposed")),
+    _camera("axes of OpenGL", "", _YES, _in_axes(1.0, -1.0, -1.0), **_is("opengl")),
+    _camera("axes of PyTorch3D", "", _YES, _in_axes(-1.0, -1.0, 1.0), **_is("pytorch3d")),
+    _camera("camera-to-world for world-to-camera", "", _YES, _TO_WORLD, **_is("camera-to-world")),
     _camera("camera's x mirrored", "", _YES, _in_axes(-1.0, 1.0, 1.0)),
     Axis("camera", "yaw of one camera, beside a right one", "degrees", _DEGREES, _one_turned, masks=2),
     Axis("camera", "yaw of one camera, beside three right ones", "degrees", _DEGREES, _one_turned, masks=4),
     Axis("camera", "yaw before a thin object", "degrees", _DEGREES, _of_thin(_YAW)),
     Axis("camera", "camera moved aside, thin object", _SIZE, _SIZES, _of_thin(_ASIDE)),
-    Axis("cloud", "cloud with z up", "", _YES, _framed([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), mistakes=("cloud-z-up",)),
-    Axis("cloud", "cloud with x and z exchanged", "", _YES, _framed([[0, 0, 1], [0, 1, 0], [1, 0, 0]]), mistakes=("cloud-xz-swapped",)),
-    Axis("cloud", "cloud with axes in another order", "", _YES, _framed([[0, 0, 1], [1, 0, 0], [0, 1, 0]]), mistakes=("cloud-zxy",)),
+    Axis("cloud", "cloud with z up", "", _YES, _framed([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), **_is("cloud-z-up")),
+    Axis("cloud", "cloud with x and z exchanged", "", _YES, _framed(np.eye(3)[::-1]), **_is("cloud-xz-swapped")),
+    Axis("cloud", "cloud with axes in another order", "", _YES, _framed([[0, 0, 1], [1, 0, 0], [0, 1, 0]]), **_is("cloud-zxy")),
     Axis("cloud", "cloud of the other handedness", "", _YES, _framed(np.diag([-1, 1, 1]))),
     Axis("cloud", "cloud in smaller units", _TIMES, _UNITS, _framed(np.eye(3)), mistakes=_TOO_LARGE),
     Axis("cloud", "cloud in larger units", _TIMES, _UNITS, _framed(np.eye(3), -1.0), mistakes=_TOO_SMALL),

@@ -192,8 +192,10 @@ def conclude(cases: Cases) -> Record:
     suspected = summary["right scenes"]["suspected"]
     claims.append(claim("no right scene is suspected of a mistake", not suspected, f"share suspected {suspected:.3f}"))
     if gross := summary.get("gross"):
-        for what, key in (("noticed", "suspected"), ("named", "named")):
-            claims.append(claim(f"over {LEAST_NAMED} of gross mistakes are {what}", gross[key] > LEAST_NAMED, f"{gross[key]:.3f}"))
+        for key in ("suspected", "named"):
+            claims.append(
+                claim(f"over {LEAST_NAMED} of gross mistakes are {key}", gross[key] > LEAST_NAMED, f"{gross[key]:.3f}")
+            )
     return {"summary": summary, "reliability": reliability, "claims": claims}
 
 
