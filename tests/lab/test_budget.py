@@ -10,7 +10,7 @@ from tso_cli.lab.bench import budget
 
 
 def test_a_start_is_the_truth_stretched_and_bent_and_its_mask_is_of_the_truth():
-    start, target, view = budget.scene("car", 64, 256, seed=0)
+    start, target, (view, _) = budget.scene("car", 64, 256, masks=2, seed=0)
     assert (len(start), len(target), view.mask.shape) == (256, 16_384, (64, 64))
     assert np.ptp(target, axis=0).max() == pytest.approx(1.0, abs=0.01)
     assert np.ptp(start, axis=0)[0] > np.ptp(target, axis=0)[0]
@@ -25,15 +25,25 @@ def test_a_lattice_is_of_struts_along_every_edge():
     assert np.ptp(lattice.vertices, axis=0) == pytest.approx([1.02] * 3)
 
 
-def test_ways_are_compared_with_auto_in_the_scenes_that_both_refine():
-    def case(**ways):
-        return {"ways": {name: {"ratio": ratio, "seconds": seconds} for name, (ratio, seconds) in ways.items()}}
+def case(points, **ways):
+    place = {"shape": "brick", "size": 64, "points": points, "masks": 2}
+    return {**place, "ways": {name: {"ratio": ratio, "seconds": seconds} for name, (ratio, seconds) in ways.items()}}
 
-    found = budget.conclude([case(auto=(0.5, 0.1), full=(0.4, 0.4)), case(auto=(0.7, 0.2))])
+
+def test_ways_are_compared_with_auto_in_the_scenes_that_both_refine():
+    found = budget.conclude([case(256, auto=(0.5, 0.1), full=(0.4, 0.4)), case(1024, auto=(0.7, 0.2))])
     assert found["summary"]["auto"]["mean_ratio"] == pytest.approx(0.6)
     full = {"scenes": 1, "mean_ratio": 0.4, "median_seconds": 0.4, "cost": 1.25, "error": 0.0, "saving": 0.75}
     assert found["summary"]["full"] == full
-    assert [claim["holds"] for claim in found["claims"]] == [False, True]
+    assert [claim["holds"] for claim in found["claims"]] == [False, True, True]
+
+
+def test_a_quicker_way_that_comes_nearer_is_told_by_scene():
+    ways = {"auto": (0.6, 0.2), "full": (0.4, 0.4)}
+    cases = [case(256, **ways), case(1024, **ways, **{"24 steps": (0.5, 0.1), "96 steps": (0.1, 0.3)})]
+    near = budget.conclude(cases)["claims"][2]
+    assert not near["holds"]
+    assert near["found"] == "1 of 2 scenes; at most 1.20 times, 24 steps: brick, 64 px, 1,024 points, 2 masks"
 
 
 def test_the_command_writes_a_record_its_chart_and_its_page(tso, tmp_path):
