@@ -1,6 +1,6 @@
-"""A photo given in place of its mask is told; soft masks are not."""
+"""A photo given in place of its mask is told, and nothing follows it; soft masks are not taken for photos."""
 
-import warnings
+import json
 
 import numpy as np
 import pytest
@@ -8,13 +8,21 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from tests.scenes import EXAMPLES, example
-from tso_cli.scene.load import ViewFiles, load_views
+from tso_cli.refinement.agreement import Agreement
+from tso_cli.scene.load import ViewFiles, load_points_scene, load_views
+
+
+def photo_of(name):
+    """As masks whose photo is light beside the object."""
+    return ViewFiles([EXAMPLES / name / "image.png"], EXAMPLES / name / "camera.json", invert=True)
 
 
 @pytest.mark.parametrize("name", ["chair", "car", "airplane"])
-def test_a_photo_in_place_of_its_mask_is_told(name):
-    with pytest.warns(UserWarning, match=r"image.png: looks like a photo"):
-        load_views(ViewFiles([EXAMPLES / name / "image.png"], EXAMPLES / name / "camera.json", invert=True))
+def test_a_photo_in_place_of_its_mask_is_suspected_and_nothing_else(name):
+    scene = load_points_scene(EXAMPLES / name / "initial.ply", photo_of(name))
+    agreement = Agreement.of(scene.moving, scene.views)
+    assert "image.png is a photo, grey in many places: try its mask" in agreement.suspicion
+    assert len(agreement.named) == 1 and agreement.hint is None
 
 
 @pytest.mark.parametrize("name", ["chair", "car", "airplane"])
@@ -22,6 +30,14 @@ def test_a_photo_in_place_of_its_mask_is_told(name):
 def test_a_soft_mask_is_none(name, blur, tmp_path):
     soft = gaussian_filter(example(name).mask, blur) if blur else example(name).mask
     Image.fromarray((255.0 * soft).astype(np.uint8)).save(tmp_path / "mask.png")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        load_views(ViewFiles([tmp_path / "mask.png"]))
+    ((view,), _) = load_views(ViewFiles([tmp_path / "mask.png"]))
+    assert not view.shows_photo
+
+
+@pytest.mark.parametrize("name", ["chair", "car", "airplane"])
+def test_a_cloud_does_not_follow_a_photo(tso, name, tmp_path):
+    folder, output = EXAMPLES / name, tmp_path / "o.ply"
+    given = folder / "initial.ply", folder / "image.png", "--camera", folder / "camera.json", "-o", output, "--json"
+    found = json.loads(tso("refine", *given).out)
+    assert found["verdict"] == "doubtful" and "photo" in found["reason"] and found["moved_mean"] == 0.0
+    assert tso("refine", *given, "--strict", "--overwrite").code == 3

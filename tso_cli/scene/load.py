@@ -24,9 +24,6 @@ from ..refinement.cloud import Cloud
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork
 
-# A mask is taken for a photo with this many grey pixels for one of the object, or of the background if that is smaller. Counted
-# in about so many rows or columns, and not for fewer such pixels: of a small mask all are at the outline.
-GREY_SHARE, GREY_ALONG, GREY_FEWEST = 1.2, 256, 400
 Placing = Literal["silhouette", "box", "camera"]
 NO_FILE = "(no camera file was given or found beside the mask)"
 MIRRORED = " (mirrored with its mask: the cloud has left-handed axes)"
@@ -147,7 +144,6 @@ def _read_view(
 ) -> View:
     """A mask with ``camera``, else with the one in ``camera_file``, else with the canonical one."""
     mask = read_mask(mask_file, files.invert)
-    _warn_of_photo(mask, mask_file)
     height, width = mask.shape
     known = None
     if ignore_file is not None:
@@ -242,22 +238,6 @@ def _warn_of_scale(points: Array, view: View, cloud_file: Path) -> None:
         warnings.warn(
             f"{cloud_file}: its longest side is {size:.3g} and its distance from the camera {distance:.3g}; "
             "are both in one unit?",
-            stacklevel=2,
-        )
-
-
-def _warn_of_photo(mask: NDArray[np.float32], mask_file: Path) -> None:
-    """Warn of a picture that is grey over more than what it shows: a soft mask is grey along the outline alone."""
-    step = max(1, min(mask.shape) // GREY_ALONG)
-    some = mask[::step, ::step]
-    inside = np.count_nonzero(some > 0.5)
-    object_or_background = min(inside, some.size - inside)
-    if (
-        object_or_background >= GREY_FEWEST
-        and np.count_nonzero((some > 0.1) & (some < 0.9)) > GREY_SHARE * object_or_background
-    ):
-        warnings.warn(
-            f"{mask_file}: looks like a photo, grey in many places; expected a mask, light on the object and dark beside it",
             stacklevel=2,
         )
 
