@@ -154,7 +154,8 @@ def confidence() -> str:
         for name, text in names.items()
     ]
     right, gross = summary["right scenes"], summary["gross"]
-    note = f"Of {gross['results'] + gross['refused']} common mistakes {100 * gross['suspected']:.0f} % are noticed; "
+    note = f"Of {gross['results'] + gross['refused']} common mistakes {100 * gross['named']:.0f} % are named rightly, "
+    note += f"{100 * gross['suspected']:.0f} % noticed; "
     note += f"of {right['results']} right scenes {100 * right['flagged']:.0f} % are called doubtful."
     return markdown(["wrong is", "results worse by over 5 %", "of these flagged", "AUC"], rows) + f"\n\n{note}"
 

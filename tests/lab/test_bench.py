@@ -20,8 +20,9 @@ from tso_cli.lab.bench.timing import Contestant, Setting, record, timed
 from tso_cli.losses.chamfer import ChamferToStart
 from tso_cli.losses.silhouette import silhouette_sums
 
-ONE_OBJECT = {"preset": "best", "points": 1024, "views": 1, "form": "numpy"}
+ONE_OBJECT = {"preset": "best", "points": 1024, "views": 1}
 ON_THREADS = ONE_OBJECT | {"form": "", "over_import_torch": 1.0}
+ONE_THREAD = ON_THREADS | {"threads": 1, "busy": False}
 BATCH = {"preset": "best", "points": 1024, "views": 1, "processes": 2, "busy": False, "over_import_torch": 1.0}
 QUICK = Setting(budget=1e-9)
 
@@ -108,8 +109,8 @@ def test_the_default_is_taken_apart_in_phases_and_what_they_spend_their_time_on(
         (("command", "first", 1.9), {"points": 16384, "call": "first"}, (True, "1.90x")),
         (("large", "scan", 19.0), {"points": 100, "peak_MiB": 2000}, (False, "2,000 MiB")),
         (("large", "mesh", 3.9), {"points": 100, "peak_MiB": None}, (True, "3.9 s")),
-        (("object", "numpy", 1.0), {**ONE_OBJECT, "over_import_torch": 0.14}, (True, "0.14")),
-        (("object", "numpy", 1.0), {**ONE_OBJECT, "points": 16384, "over_import_torch": 0.26}, (False, "0.26")),
+        (("object", "compiled", 1.0), {**ONE_THREAD, "form": "compiled", "over_import_torch": 0.14}, (True, "0.14")),
+        (("object", "1 thread", 1.0), {**ONE_THREAD, "points": 16384, "over_import_torch": 0.26}, (False, "0.26")),
         (("object", "2 threads", 1.2), {**ON_THREADS, "threads": 2, "busy": False}, (False, "1.20x at worst")),
         (("object", "2 threads", 1.4), {**ON_THREADS, "threads": 2, "busy": True}, (True, "1.40x at worst")),
         (("batch", "64", 1.0), {**BATCH, "batch": 64, "over_import_torch": 0.039}, (True, "0.039")),
