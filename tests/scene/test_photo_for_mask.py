@@ -8,6 +8,8 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from tests.scenes import EXAMPLES, example
+from tso_cli.geometry.camera import Camera
+from tso_cli.geometry.view import View
 from tso_cli.refinement.agreement import Agreement
 from tso_cli.scene.load import ViewFiles, load_points_scene, load_views
 
@@ -32,6 +34,13 @@ def test_a_soft_mask_is_none(name, blur, tmp_path):
     Image.fromarray((255.0 * soft).astype(np.uint8)).save(tmp_path / "mask.png")
     ((view,), _) = load_views(ViewFiles([tmp_path / "mask.png"]))
     assert not view.shows_photo
+
+
+def test_a_soft_mask_of_struts_as_thin_as_a_pixel_is_none():
+    mask = np.zeros((256, 256), np.float32)
+    # Each strut covers a row to three fifths and the next one to two.
+    mask[::8], mask[1::8] = 0.6, 0.4
+    assert not View(mask, Camera.canonical(256, 256)).shows_photo
 
 
 @pytest.mark.parametrize("name", ["chair", "car", "airplane"])

@@ -14,9 +14,9 @@ from .camera import Camera
 # A speck has at most this part of the foreground, and lies at least so far beside the object, in units of the object's size.
 SPECK, BESIDE = 0.01, 0.25
 
-# A mask is taken for a photo with this many grey pixels for one of the object, or of the background if that is smaller. Counted
-# in about so many rows or columns, and not for fewer such pixels: of a small mask all are at the outline.
-GREY_SHARE, GREY_ALONG, GREY_FEWEST = 1.2, 256, 400
+# A mask is taken for a photo with this many pixels that are grey, as their neighbours, for one of the object, or of the
+# background if that is smaller. Counted in about so many rows or columns, and not for fewer of the object.
+GREY_SHARE, GREY_ALONG, GREY_FEWEST = 1.05, 256, 400
 PHOTO = "is a photo, grey in many places"
 """What is said of such a mask."""
 
@@ -123,8 +123,10 @@ class View:
         some = self.mask[::step, ::step]
         inside = np.count_nonzero(some > 0.5)
         object_or_background = min(inside, some.size - inside)
-        grey = np.count_nonzero((some > 0.1) & (some < 0.9))
-        return bool(object_or_background >= GREY_FEWEST and grey > GREY_SHARE * object_or_background)
+        grey = (some > 0.1) & (some < 0.9)
+        # Thin parts, of which every pixel is at the outline, have light or dark neighbours.
+        grey = grey[1:-1, 1:-1] & grey[2:, 1:-1] & grey[:-2, 1:-1] & grey[1:-1, 2:] & grey[1:-1, :-2]
+        return bool(object_or_background >= GREY_FEWEST and np.count_nonzero(grey) > GREY_SHARE * object_or_background)
 
     def box(self) -> tuple[float, float, float, float]:
         """Left, top, right, bottom edges of the object in pixel coordinates: of the foreground, but for specks far off."""
