@@ -14,11 +14,9 @@ from .camera import Camera
 # A speck has at most this part of the foreground, and lies at least so far beside the object, in units of the object's size.
 SPECK, BESIDE = 0.01, 0.25
 
-# A mask is taken for a photo with this many pixels that are grey, as their neighbours, for one of the object, or of the
-# background if that is smaller. Counted in about so many rows or columns, and not for fewer of the object.
+# A mask looks like a photo if it has so many grey pixels with grey neighbours for each pixel of the object or of the
+# background, whichever is smaller. Counted in about so many rows or columns, and not where that is smaller than so many pixels.
 GREY_SHARE, GREY_ALONG, GREY_FEWEST = 1.05, 256, 400
-PHOTO = "is a photo, grey in many places"
-"""What is said of such a mask."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,16 +115,16 @@ class View:
         return left == 0 or top == 0 or right == width or bottom == height
 
     @property
-    def shows_photo(self) -> bool:
+    def like_photo(self) -> bool:
         """Whether the mask is grey over more than what it shows: a soft mask is grey along the outline alone."""
         step = max(1, min(self.mask.shape) // GREY_ALONG)
-        some = self.mask[::step, ::step]
-        inside = np.count_nonzero(some > 0.5)
-        object_or_background = min(inside, some.size - inside)
-        grey = (some > 0.1) & (some < 0.9)
+        some, inside = self.mask[::step, ::step], self.inside[::step, ::step]
+        known = np.ones(some.shape, bool) if self.known is None else self.known[::step, ::step]
+        smaller = min(np.count_nonzero(inside), np.count_nonzero(known & ~inside))
+        grey = (some > 0.1) & (some < 0.9) & known
         # Thin parts, of which every pixel is at the outline, have light or dark neighbours.
         grey = grey[1:-1, 1:-1] & grey[2:, 1:-1] & grey[:-2, 1:-1] & grey[1:-1, 2:] & grey[1:-1, :-2]
-        return bool(object_or_background >= GREY_FEWEST and np.count_nonzero(grey) > GREY_SHARE * object_or_background)
+        return bool(smaller >= GREY_FEWEST and np.count_nonzero(grey) > GREY_SHARE * smaller)
 
     def box(self) -> tuple[float, float, float, float]:
         """Left, top, right, bottom edges of the object in pixel coordinates: of the foreground, but for specks far off."""

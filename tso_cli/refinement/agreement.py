@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..geometry.camera import Array
 from ..geometry.points import scattered
-from ..geometry.view import PHOTO, View, object_box
+from ..geometry.view import View, object_box
 from ..losses.projection import pixels_under
 from .assumptions import ASSUMPTIONS, AssumedView, Assumption, Suspect, about, axes_of, mirrored
 from .occlusion import occluded
@@ -32,8 +32,6 @@ LEFT_OUT = 0.1
 FEWEST_CELLS = 10
 # Begins what is said of suspects.
 NAMED = "it looks as if"
-# What mends a photo that is given as a mask.
-MASK_FOR_PHOTO = "its mask, light on the object and dark beside it"
 # A row of cells is so many columns further.
 ROW = 1 << 32
 
@@ -65,8 +63,6 @@ class Agreement:
         ious = np.array([[outline.iou(points, other.assumptions) for outline in outlines] for other in others])
         handicaps = np.array([other.handicap for other in others])
         scores = ious.mean(1) - handicaps
-        if photos := tuple(Suspect(f"{view.name} {PHOTO}", MASK_FOR_PHOTO, 0.0) for view in views if view.shows_photo):
-            return cls(float(as_given.mean()), float(scores.max()), (), photos)
         tells = np.array([len(outline.cells[False].inside) >= FEWEST_CELLS for outline in outlines])
         suspects = _suspects(others, ious[:, tells].mean(1) - handicaps, as_given[tells].mean()) if tells.any() else ()
         of_views = () if suspects else (*_of_views(outlines, others, ious, as_given, tells), *_hidden(points, views))

@@ -156,6 +156,11 @@ def _read_view(
     else:
         check_size(camera_file, camera, width, height, mask_file)
     view = View(mask, camera, known, name=str(mask_file))
+    if view.like_photo:
+        warnings.warn(
+            f"{mask_file}: looks like a photo, grey in many places; expected a mask, light on the object and dark beside it",
+            stacklevel=2,
+        )
     if not files.given:
         return view
     view = AssumedView(mask, camera, known, view.name, given=files.given, camera_read=camera)

@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_ROTATION, Array, Camera
-from ..geometry.view import PHOTO, View
+from ..geometry.view import View
 from ..io.checkpoints import load_network
 from ..io.images import read_image
 from ..losses.projection import project
 from ..losses.silhouette import silhouette_bce
 from ..network.input import network_input
 from ..refinement.adam import Adam
-from ..refinement.agreement import MASK_FOR_PHOTO
 from ..refinement.optimise import descend
 from ..refinement.parameters import PointParameters
 from ..refinement.placement import mask_doubts
@@ -98,8 +97,7 @@ def network_scene(
     with torch.no_grad():
         points = network(torch.from_numpy(inputs.image).unsqueeze(0))[0].double().numpy()
     # Ask the photo: the crop is enlarged and hides that the mask is coarse.
-    photos = [f"{view.name}: {PHOTO}; expected {MASK_FOR_PHOTO}"] if view.shows_photo else []
-    for doubt in photos + mask_doubts(view, len(points)):
+    for doubt in mask_doubts(view, len(points)):
         warnings.warn(doubt, stacklevel=2)
     crop, to_output, frame = inputs.view(view.name), Scene.to_output, config.frame
     summary = f"camera {source}" if known_camera else f"canonical camera {NO_FILE}"
