@@ -141,6 +141,24 @@ def test_an_assumption_about_a_mask_that_is_not_there_is_refused(folder, refine)
     assert run.code == 2 and "--assume mask-flipped@other.png: there is no such mask, expected one of mask.png" in run.err
 
 
+def test_an_assumption_may_name_its_mask_by_the_last_part_of_the_path(folder, refine, inverted):
+    Path("a").mkdir()
+    for name in ("mask.png", "camera.json"):
+        Path(name).rename(Path("a") / name)
+    run = refine("initial.ply", "a/mask.png", "--assume", "mask-inverted@mask.png", "--check", "--json")
+    assert run.code == 0 and run.document["suspects"] == []
+    Path("b").symlink_to("a")
+    run = refine("initial.ply", "a/mask.png", "b/mask.png", "--assume", "mask-inverted@mask.png", "--check")
+    assert run.code == 2 and "@mask.png: there are 2 such masks, expected one of a/mask.png, b/mask.png" in run.err
+
+
+def test_a_camera_found_beside_the_mask_is_not_overwritten(folder, refine):
+    before = Path("camera.json").read_bytes()
+    run = refine(*POINTS, "--write-camera", "camera.json", "--overwrite")
+    assert run.code == 2 and "camera.json: is another file of this command" in run.err
+    assert Path("camera.json").read_bytes() == before
+
+
 def test_an_unknown_assumption_lists_all(folder, refine):
     run = refine(*POINTS, "--assume", "upside")
     assert run.code == 2 and all(name in run.err for name in ASSUMPTIONS)

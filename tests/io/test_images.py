@@ -87,6 +87,15 @@ def test_soft_values_are_kept_and_a_mask_of_one_value_is_left_to_the_view_to_ref
     assert np.array_equal(read_mask(saved(tmp_path, Image.fromarray(unit), "mask.tif")), unit)
 
 
+@pytest.mark.parametrize("hole", [255, 200, 0])
+def test_an_alpha_channel_that_leaves_out_hardly_a_pixel_is_no_mask(tmp_path, hole):
+    picture = np.repeat(np.uint8(255 * SHAPE)[..., None], 3, axis=2).repeat(10, 0).repeat(10, 1)
+    alpha = np.full(picture.shape[:2], 255, np.uint8)
+    alpha[: 1 if hole == 0 else None, : 2 if hole == 0 else None] = hole
+    image = Image.fromarray(np.dstack([picture, alpha]))
+    assert np.array_equal(read_mask(saved(tmp_path, image)), picture[..., 0] / np.float32(255))
+
+
 def test_labels_of_0_and_1_are_read_as_such_with_a_warning(tmp_path):
     saved(tmp_path, Image.fromarray(SHAPE.astype(np.uint8)))
     np.save(tmp_path / "mask.npy", SHAPE.astype(np.int64))

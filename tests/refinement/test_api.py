@@ -155,7 +155,7 @@ def test_unusable_points_masks_and_cameras_are_refused(chair):
         (dict(points=points * 0.0), "same|degenerate|extent"),
         (dict(points=points + [0, 0, 50.0]), "behind|outside|hardly meet|no point"),
         (dict(masks=mask * 0.0), "no pixel is foreground"),
-        (dict(masks=mask * 0.0 + 1.0), "every pixel is foreground"),
+        (dict(masks=mask * 0.0 + 1.0), "every pixel is foreground, expected some background \\(try --invert-mask"),
         (dict(masks=mask[:-1]), "expected the same"),
         (dict(masks=[mask, mask]), "one camera for each mask"),
         (dict(masks=None), "masks are no arrays"),

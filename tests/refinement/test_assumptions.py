@@ -53,6 +53,35 @@ def test_right_input_is_not_suspected(name):
         assert Agreement.of(points, [scene.view]).suspects == ()
 
 
+def _boxed(view: View) -> View:
+    """The view whose mask is the box of the object, as a detector gives it."""
+    rows, columns = np.nonzero(view.mask > 0.5)
+    mask = np.zeros_like(view.mask)
+    mask[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1] = 1.0
+    return replace(view, mask=mask)
+
+
+@pytest.mark.parametrize("name", ["chair", "car", "airplane"])
+def test_a_box_in_place_of_a_mask_is_suspected(name):
+    scene = example(name)
+    assert (
+        f"it looks as if {scene.view.name} is the box of the object"
+        in Agreement.of(scene.points, [_boxed(scene.view)]).suspicion
+    )
+
+
+def test_a_thing_that_fills_its_box_is_not_suspected_nor_is_a_small_one_or_one_of_few_points():
+    scene, rng = example("car"), np.random.default_rng(0)
+    sheet = np.stack([rng.uniform(-0.5, 0.5, 1024), rng.uniform(-0.2, 0.2, 1024), np.zeros(1024)], axis=1)
+    camera = Camera.canonical(256, 256)
+    pixels = np.rint(camera.project(sheet)[0]).astype(int)
+    mask = np.zeros((256, 256), np.float32)
+    mask[pixels[:, 1].min() : pixels[:, 1].max() + 1, pixels[:, 0].min() : pixels[:, 0].max() + 1] = 1.0
+    small = replace(scene.view, mask=scene.view.mask[::20, ::20], camera=scene.view.camera.resized(13, 13))
+    for points, view in ((sheet, View(mask, camera)), (scene.points, _boxed(small)), (scene.points[:100], _boxed(scene.view))):
+        assert not any("box" in suspect.what for suspect in Agreement.of(points, [view]).named)
+
+
 @pytest.mark.parametrize("name", ["chair", "car", "airplane"])
 @pytest.mark.parametrize("times", [24, 48, 64, 80, 96, 128, 160])
 def test_right_input_of_a_few_pixels_is_not_suspected(name, times):

@@ -33,6 +33,17 @@ def test_a_cloud_that_misses_the_mask_is_refused_with_advice(cloud, move, words)
     assert_refused(f"mask.png: .*{words}.*OpenCV", require_overlap, place(cloud * 0.2 + move, view), view)
 
 
+def test_a_cloud_that_meets_one_part_of_a_mask_is_refused_with_advice_to_leave_out_the_rest(cloud):
+    camera = Camera.canonical(64, 64)
+    mask = block(np.s_[30:34, 30:34])
+    mask[2, 2] = 1.0
+    view = View(mask, camera, name="mask.png")
+    columns = camera.project(cloud * 0.13)[0][:, 0]
+    assert 2.0 < np.ptp(columns) < 6.0
+    refused = r"meets a part of the mask \(columns 30 to 34, rows 30 to 34\).*--ignore"
+    assert_refused(refused, require_overlap, place(cloud * 0.13, view), view)
+
+
 def test_a_cloud_on_both_sides_of_the_image_is_refused():
     """Its box covers the image, on which none of its points falls."""
     points = np.random.default_rng(0).uniform(-0.1, 0.1, (40, 3)) + np.where(np.arange(40) % 2, 3.0, -3.0)[:, None] * [1, 0, 0]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import InputError
-from ..io.cameras import CameraRecord, camera_text, named_masks
+from ..io.cameras import CameraRecord, camera_text, find_camera, named_masks
 from ..io.clouds import write_cloud
 from ..io.output import atomic_output
 from ..io.shipped import DEFAULT, named_checkpoint
@@ -91,8 +91,9 @@ class RefineInputs:
 
     @property
     def files(self) -> list[Path]:
-        """All that are read, but for cameras found beside masks and the checkpoint."""
-        return [self.source, *self.masks, *([self.camera] if self.camera else []), *self.ignore, *self.depth, *self.image]
+        """All that are read, but for the checkpoint."""
+        cameras = [self.camera] if self.camera else filter(None, map(find_camera, self.masks))
+        return [self.source, *self.masks, *cameras, *self.ignore, *self.depth, *self.image]
 
     def load(self) -> Scene:
         """Read everything."""

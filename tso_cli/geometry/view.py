@@ -65,10 +65,12 @@ class View:
         inside = int((counted > 0.5).sum())
         if inside == 0:
             ignored = ", but for those that the ignore map leaves out" if (mask > 0.5).any() else ""
-            most = f"the largest value is {counted.max(initial=0.0):.3g}"
+            most = f"the largest value is {counted.max(initial=0.0):.3g} of 1"
             raise InputError(f"{self.name}: no pixel is foreground{ignored}: {most}, expected some over 0.5")
         if inside == counted.size:
-            raise InputError(f"{self.name}: every pixel is foreground, expected some background (try --invert-mask?)")
+            advice = "" if inside == mask.size else ", and the ignore map leaves out the rest"
+            advice = f"{advice}, expected some background" if advice else ", expected some background (try --invert-mask?)"
+            raise InputError(f"{self.name}: every pixel is foreground{advice}")
 
     def _checked_depth(self, depth: NDArray[np.float64]) -> NDArray[np.float64]:
         """A copy of the depth map, NaN where nothing is known."""

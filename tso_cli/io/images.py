@@ -25,6 +25,7 @@ PIXEL_LIMIT = 100_000_000
 BYTES_A_PIXEL = 16  # what a mask takes at its most
 LARGEST_DEPTH = 1e15  # beyond it squares of depths overflow in sums
 FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "GIF", "BMP", "PPM")
+LEAST_TRANSPARENT = 1e-3  # share of an alpha channel that is a mask
 _FILE_LIMIT = 1 << 31
 _one_by_one = threading.Lock()
 Convert = Callable[["Image.Image", Path], NDArray[Any]]
@@ -34,7 +35,7 @@ _WITH_ALPHA = ("RGBA", "LA", "PA", "RGBa", "La")
 def read_mask(path: str | Path, invert: bool = False) -> NDArray[np.float32]:
     """Read a picture or .npy file as a mask [H, W] in [0, 1], inside 1, or with ``invert`` what is dark; soft values stay.
 
-    - An alpha channel that is not opaque everywhere is the mask; else the brightness is (the largest channel of a colour).
+    - An alpha channel of which at least 0.1 % is outside is the mask; else the brightness is (the largest channel of a colour).
     - A palette whose used colours are all grey counts by its greys; of any other, index 0 is outside, the rest inside.
     - Integers are divided by the largest value of their type, or are labels 0 and 1, with a warning, if the largest is 1.
 
@@ -161,9 +162,10 @@ def _mask_values(image: Image.Image, path: Path) -> NDArray[Any]:
     from PIL import ImageChops
 
     if image.mode in _WITH_ALPHA or ("transparency" in image.info and image.mode in ("P", "L", "RGB")):
-        alpha = (image if image.mode in ("RGBA", "LA") else image.convert("RGBA")).getchannel("A")
-        if alpha.getextrema() != (255, 255):
-            return np.asarray(alpha)
+        alpha = np.asarray((image if image.mode in ("RGBA", "LA") else image.convert("RGBA")).getchannel("A"))
+        # A few pixels that an editor left transparent, or a picture that is translucent all over, are no mask.
+        if np.count_nonzero(alpha < 128) >= LEAST_TRANSPARENT * alpha.size:
+            return alpha
     if image.mode == "P":
         return _palette_values(image)
     if image.mode in ("1", "L", "F"):

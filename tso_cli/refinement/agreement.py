@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.camera import Array
-from ..geometry.points import scattered
+from ..geometry.points import bounds, scattered
 from ..geometry.view import View, object_box
 from ..losses.projection import pixels_under
 from .assumptions import ASSUMPTIONS, AssumedView, Assumption, Suspect, about, axes_of, mirrored
@@ -30,6 +30,9 @@ BORDER = 0.6
 LEFT_OUT = 0.1
 # A mask of fewer cells matches too much by chance: a cloud that shrinks to a point, or one that a sensor barely resolves.
 FEWEST_CELLS = 10
+# A mask that fills so much of its box is taken for the box of an object, if the cloud fills less than so much of its own, in
+# cells. Fewer points, or px of the shorter side, do not tell.
+FILLED, CLOUD_FILLED, FEWEST_POINTS, FEWEST_PIXELS = 0.99, 0.85, 512, 16
 # Begins what is said of suspects.
 NAMED = "it looks as if"
 # A row of cells is so many columns further.
@@ -65,7 +68,7 @@ class Agreement:
         scores = ious.mean(1) - handicaps
         tells = np.array([len(outline.cells[False].inside) >= FEWEST_CELLS for outline in outlines])
         suspects = _suspects(others, ious[:, tells].mean(1) - handicaps, as_given[tells].mean()) if tells.any() else ()
-        of_views = () if suspects else (*_of_views(outlines, others, ious, as_given, tells), *_hidden(points, views))
+        of_views = () if suspects else (*_of_views(outlines, others, ious, as_given, tells), *_doubted(points, views))
         hint = None if suspects or not tells.all() or outlines[0].given else _hint(others, scores, as_given.mean())
         return cls(float(as_given.mean()), float(scores.max()), suspects, of_views, hint)
 
@@ -175,14 +178,30 @@ def _of_all(other: _Other, rest: int) -> bool:
     return other.change.of_cloud or (rest < 2 and other.change.mask != "inverted")
 
 
-def _hidden(points: Array, views: Sequence[View]) -> tuple[Suspect, ...]:
-    """Views in which something seems to be in front of the object."""
+def _doubted(points: Array, views: Sequence[View]) -> tuple[Suspect, ...]:
+    """Views in which something seems to be in front of the object, or whose mask is the object's box."""
     suspects = []
     for view in views:
-        score = occluded(_on_known(view.camera.project(points)[0], view), view)
+        pixels = _on_known(view.camera.project(points)[0], view)
+        score = occluded(pixels, view)
         if score is not None:
             suspects.append(Suspect(f"something hides a part of the object in {view.name}", "--ignore FILE", score))
+        elif _is_box(view, pixels):
+            suspects.append(Suspect(f"{view.name} is the box of the object", "a mask of its outline", 0.0))
     return tuple(suspects)
+
+
+def _is_box(view: View, pixels: Array) -> bool:
+    """Whether the mask is a filled rectangle, and ``pixels`` [N, 2], the projected cloud, are not."""
+    left, top, right, bottom = object_box(view.inside)
+    if min(right - left, bottom - top) < FEWEST_PIXELS or len(pixels) < FEWEST_POINTS:
+        return False
+    if view.inside[top:bottom, left:right].mean() < FILLED:
+        return False
+    low, high = bounds(pixels)
+    cells = np.maximum(np.ceil(CELLS * (high - low) / max(*(high - low), 1e-9)), 1.0)
+    column, row = np.minimum((pixels - low) / np.maximum(high - low, 1e-9) * cells, cells - 1.0).astype(np.int64).T
+    return bool(len(np.unique(row * CELLS + column)) < CLOUD_FILLED * cells.prod())
 
 
 def _on_known(pixels: Array, view: View) -> Array:

@@ -134,7 +134,7 @@ INVERT_MASK = replace(ASSUMPTIONS["mask-inverted"], option="--invert-mask")
 
 
 class Suspect(NamedTuple):
-    """What may be wrong with the input: ``what`` in words, the ``option`` that mends it, the IoU then."""
+    """What may be wrong with the input: ``what`` in words, the ``option`` or file that mends it, the IoU then (0: unknown)."""
 
     what: str
     option: str

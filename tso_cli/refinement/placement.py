@@ -15,6 +15,8 @@ from ..geometry.view import View
 
 # Boxes of mask and projected cloud with a lower IoU belong to different cameras, units or axes.
 SMALLEST_BOX_IOU = 0.05
+# Where they hardly meet, the cloud may belong to one part of the mask whose box has so much with its own.
+PART_BOX_IOU = 0.3
 # A mask with fewer foreground pixels is coarse; so is one with fewer along its longer side, if its pixels are wider than the
 # spacing of the projected points.
 FEWEST_PIXELS, FEWEST_ACROSS = 16, 16
@@ -114,11 +116,26 @@ def require_overlap(placement: Placement, view: View, advice: str | None = None)
     if not placement.inside_image or placement.points_box is None:
         raise InputError(f"{view.name}: no point falls inside the {view.camera.width}x{view.camera.height} image; {advice}")
     if placement.box_iou <= SMALLEST_BOX_IOU:
+        if (part := _part_met(placement.points_box, view.inside)) is not None:
+            advice = (
+                f"it meets a part of the mask ({describe_box(part)}): is the rest something else? Erase it, or leave it out "
+                "by --ignore FILE"
+            )
         raise InputError(
             f"{view.name}: the projected cloud ({describe_box(placement.points_box)}) and the mask "
             f"({describe_box(placement.mask_box)}) hardly meet: IoU of the boxes {placement.box_iou:.3f}, expected over "
             f"{SMALLEST_BOX_IOU}; {advice}"
         )
+
+
+def _part_met(points_box: Box, inside: NDArray[np.bool_]) -> Box | None:
+    """The box of the connected part of the mask that the cloud meets best, None where it meets none well."""
+    from scipy.ndimage import find_objects, label
+
+    found = find_objects(label(inside, np.ones((3, 3)))[0])
+    boxes = [_plain((x.start - 0.5, y.start - 0.5, x.stop - 0.5, y.stop - 0.5)) for y, x in found]
+    best = max(boxes, key=lambda box: box_iou(points_box, box))
+    return best if box_iou(points_box, best) >= PART_BOX_IOU else None
 
 
 def describe_box(box: Box) -> str:

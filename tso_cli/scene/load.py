@@ -169,6 +169,16 @@ def _read_view(
     return view
 
 
+def _of_mask(assumption: Assumption, masks: Sequence[Path]) -> Assumption:
+    """With the path of the one mask that it names, by its path or by the last part of it."""
+    named = assumption.view
+    paths = [mask for mask in masks if str(mask) == named] or [mask for mask in masks if mask.name == named]
+    if named and len(paths) != 1:
+        found = f"there are {len(paths)} such masks" if paths else "there is no such mask"
+        raise InputError(f"{assumption.option}: {found}, expected one of {', '.join(map(str, masks))}")
+    return replace(assumption, view=str(paths[0])) if named else assumption
+
+
 def require_same_size(file: Path, shape: tuple[int, ...], mask_file: Path | str, mask_shape: tuple[int, ...]) -> None:
     """InputError where an image of that [H, W, ...] shape and a mask differ in size."""
     if shape[:2] != mask_shape:
@@ -188,10 +198,7 @@ def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = Fal
         raise InputError(
             f"--camera fit finds the camera of one mask, found {len(files.masks)} masks; expected one, or a camera file"
         )
-    masks = [str(mask) for mask in files.masks]
-    for assumption in files.assumptions:
-        if assumption.view and assumption.view not in masks:
-            raise InputError(f"{assumption.option}: there is no such mask, expected one of {', '.join(masks)}")
+    files = replace(files, assumptions=[_of_mask(assumption, files.masks) for assumption in files.assumptions])
     cloud = read_cloud(cloud_file)
     colours = cloud.colours() if files.image else None
     start = Cloud(cloud.points, str(cloud_file), colours, cloud.faces())
