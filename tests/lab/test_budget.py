@@ -1,6 +1,7 @@
 """`tso bench budget`: scenes from a brick to a lattice, and what each decision of auto saves and costs there."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -44,6 +45,22 @@ def test_a_quicker_way_that_comes_nearer_is_told_by_scene():
     near = budget.conclude(cases)["claims"][2]
     assert not near["holds"]
     assert near["found"] == "1 of 2 scenes; at most 1.20 times, 24 steps: brick, 64 px, 1,024 points, 2 masks"
+
+
+def test_every_mask_of_a_scene_is_seen_in_every_way(monkeypatch):
+    seen = []
+
+    def see(start, views, config):
+        seen.append(len(views))
+        return SimpleNamespace(points=start)
+
+    for name, stub in (("refine", see), ("uninterrupted", lambda result: result), ("compile_loops", lambda: None)):
+        monkeypatch.setattr(budget, name, stub)
+    jobs = budget.plan(None, shapes=("brick",), scenes=3, seed=0).jobs
+    (place, job) = jobs[-1]
+    assert place["masks"] == 2
+    assert job()[0]["ways"]["24 steps"]["ratio"] == pytest.approx(1.0)
+    assert seen == [2] * len(budget.WAYS)
 
 
 def test_the_command_writes_a_record_its_chart_and_its_page(tso, tmp_path):
