@@ -217,8 +217,14 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
         for name, row in record["summary"].items():
             place = 1.0 / (1.0 - row["saving"]), 1.0 / row["cost"]
             axis.plot(*place, "*" if name == AUTO else "o", color=COLOURS[0], markersize=14 if name == AUTO else 6)
-            above = 5 if place[1] >= 1.0 or name in (FULL, "24 steps") else -12
-            axis.annotate(name, place, (7, above), textcoords="offset points", fontsize=9)
+            # Ways about as good as auto stand close to it: quicker ones are named on the left, full above, slower ones below.
+            left, above = place[0] <= 1.0, 5 if place[1] >= 1.0 or name == FULL else -12
+            axis.annotate(
+                *(name, place, (-8 if left else 7, above)),
+                textcoords="offset points",
+                fontsize=9,
+                horizontalalignment="right" if left else "left",
+            )
         axis.axhline(1.0, color=INK, linewidth=0.8, zorder=0)
         axis.margins(0.25, 0.15)
         axis.set(xlim=(0.0, None), xlabel="time / auto's (median)", ylabel="Chamfer after / before, over auto's")
