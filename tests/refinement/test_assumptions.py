@@ -7,7 +7,7 @@ import pytest
 
 from tests.corruption import assert_refused
 from tests.scenes import example, in_photo, seen, turned
-from tso_cli import View
+from tso_cli import View, refine
 from tso_cli.geometry.camera import Camera
 from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.refinement.agreement import Agreement
@@ -62,12 +62,25 @@ def _boxed(view: View) -> View:
 
 
 @pytest.mark.parametrize("name", ["chair", "car", "airplane"])
-def test_a_box_in_place_of_a_mask_is_suspected(name):
+def test_a_box_in_place_of_a_mask_is_suspected_and_no_cloud_follows_it(name):
     scene = example(name)
-    assert (
-        f"it looks as if {scene.view.name} is the box of the object"
-        in Agreement.of(scene.points, [_boxed(scene.view)]).suspicion
-    )
+    result = refine(scene.points, _boxed(scene.view))
+    assert [suspect.what for suspect in result.suspects] == [f"{scene.view.name} is the box of the object"]
+    assert result.verdict == "doubtful" and result.step_taken == 0.0 and np.array_equal(result.points, scene.points)
+
+
+def test_one_box_among_masks_is_named_and_the_cloud_follows_the_others():
+    scene = example("car")
+    other = replace(seen(scene.target, turned(scene.camera, 90.0)), name="2.png")
+    result = refine(scene.points, [replace(_boxed(scene.view), name="1.png"), other])
+    assert [suspect.what for suspect in result.suspects] == ["1.png is the box of the object"] and result.step_taken > 0.0
+
+
+def test_an_inverted_mask_that_fills_the_picture_is_no_box():
+    view = in_photo(example("car").view, 12, 1000, 1000)
+    inverted = replace(view, mask=1.0 - view.mask)
+    assert inverted.inside.mean() > 0.99
+    assert "--assume mask-inverted" in Agreement.of(example("car").points, [inverted]).suspicion
 
 
 def test_a_thing_that_fills_its_box_is_not_suspected_nor_is_a_small_one_or_one_of_few_points():

@@ -9,7 +9,7 @@ from tests.scenes import example
 from tso_cli import RefineConfig, View, refine, refine_batch
 from tso_cli.geometry.rotations import from_vectors
 from tso_cli.refinement import verdict
-from tso_cli.refinement.problem import Problem
+from tso_cli.refinement.agreement import Agreement
 from tso_cli.refinement.verdict import REASONS, _model
 
 EXAMPLES = "chair", "car", "airplane"
@@ -55,7 +55,7 @@ def test_a_step_of_little_confidence_is_taken_in_part_where_a_mistake_is_suspect
     whole = refine(scene.points, scene.view)
     monkeypatch.setattr(verdict, "_judged", lambda signs: (0.4, "camera"))
     assert refine(scene.points, scene.view).step_taken == 1.0
-    monkeypatch.setattr(Problem, "suspicion", "it looks as if the camera is another")
+    monkeypatch.setattr(Agreement, "suspicion", "it looks as if the camera is another")
     part = refine(scene.points, scene.view)
     np.testing.assert_allclose(part.points, 0.5 * (whole.initial + whole.points), atol=1e-12)
     assert part.step_taken == pytest.approx(0.5) and part.verdict == "doubtful" and "only 50 % of the step" in part.warnings[0]
@@ -65,7 +65,7 @@ def test_a_step_of_little_confidence_is_taken_in_part_where_a_mistake_is_suspect
 
 def test_a_suspected_mistake_is_never_called_an_improvement(monkeypatch):
     scene = example("chair")
-    monkeypatch.setattr(Problem, "suspicion", "it looks as if the camera is another")
+    monkeypatch.setattr(Agreement, "suspicion", "it looks as if the camera is another")
     result = refine(scene.points, scene.view)
     assert result.confidence > 0.9 and (result.verdict, result.step_taken) == ("doubtful", 1.0)
     assert result.reason == "it looks as if the camera is another"

@@ -47,6 +47,7 @@ class Agreement:
     of_views : what may be wrong with single views of several, where the input as a whole looks right.
     hint : of an input that nothing was assumed of and nothing is suspected of, the assumption under which silhouettes agree
         somewhat better, if there is one. confirmed : that a descent agrees better under it too (`mistake_check`).
+    boxed : whether all masks are boxes of the object, which tell nothing of its shape.
     """
 
     as_given: float
@@ -55,6 +56,7 @@ class Agreement:
     of_views: tuple[Suspect, ...] = ()
     hint: Hint | None = None
     confirmed: bool = False
+    boxed: bool = False
 
     @classmethod
     def of(cls, points: Array, views: Sequence[View]) -> Agreement:
@@ -67,10 +69,18 @@ class Agreement:
         handicaps = np.array([other.handicap for other in others])
         scores = ious.mean(1) - handicaps
         tells = np.array([len(outline.cells[False].inside) >= FEWEST_CELLS for outline in outlines])
-        suspects = _suspects(others, ious[:, tells].mean(1) - handicaps, as_given[tells].mean()) if tells.any() else ()
-        of_views = () if suspects else (*_of_views(outlines, others, ious, as_given, tells), *_doubted(points, views))
-        hint = None if suspects or not tells.all() or outlines[0].given else _hint(others, scores, as_given.mean())
-        return cls(float(as_given.mean()), float(scores.max()), suspects, of_views, hint)
+        boxes = [outline.view for outline in outlines if _is_box(outline, points)]
+        boxed = len(boxes) == len(views)
+        judged = tells.any() and not boxed
+        suspects = _suspects(others, ious[:, tells].mean(1) - handicaps, as_given[tells].mean()) if judged else ()
+        of_views: tuple[Suspect, ...] = ()
+        if not suspects:
+            of_views = tuple(Suspect(f"{view.name} is the box of the object", "a mask of its outline", 0.0) for view in boxes)
+            of_views += _of_views(outlines, others, ious, as_given, tells)
+            of_views += _hidden(points, [view for view in views if view not in boxes])
+        hinted = not suspects and not boxed and tells.all() and not outlines[0].given
+        hint = _hint(others, scores, as_given.mean()) if hinted else None
+        return cls(float(as_given.mean()), float(scores.max()), suspects, of_views, hint, boxed=boxed)
 
     @property
     def named(self) -> tuple[Suspect, ...]:
@@ -178,29 +188,31 @@ def _of_all(other: _Other, rest: int) -> bool:
     return other.change.of_cloud or (rest < 2 and other.change.mask != "inverted")
 
 
-def _doubted(points: Array, views: Sequence[View]) -> tuple[Suspect, ...]:
-    """Views in which something seems to be in front of the object, or whose mask is the object's box."""
+def _hidden(points: Array, views: Sequence[View]) -> tuple[Suspect, ...]:
+    """Views in which something seems to be in front of the object."""
     suspects = []
     for view in views:
-        pixels = _on_known(view.camera.project(points)[0], view)
-        score = occluded(pixels, view)
+        score = occluded(_on_known(view.camera.project(points)[0], view), view)
         if score is not None:
             suspects.append(Suspect(f"something hides a part of the object in {view.name}", "--ignore FILE", score))
-        elif _is_box(view, pixels):
-            suspects.append(Suspect(f"{view.name} is the box of the object", "a mask of its outline", 0.0))
     return tuple(suspects)
 
 
-def _is_box(view: View, pixels: Array) -> bool:
-    """Whether the mask is a filled rectangle, and ``pixels`` [N, 2], the projected cloud, are not."""
+def _is_box(outline: _Outline, points: Array) -> bool:
+    """Whether the mask is a filled rectangle beside background, and the silhouette of ``points`` [N, 3] is not."""
+    view = outline.view
     left, top, right, bottom = object_box(view.inside)
-    if min(right - left, bottom - top) < FEWEST_PIXELS or len(pixels) < FEWEST_POINTS:
+    if outline.may_be_inverted or min(right - left, bottom - top) < FEWEST_PIXELS:
         return False
     if view.inside[top:bottom, left:right].mean() < FILLED:
         return False
+    pixels = _on_known(view.camera.project(points)[0], view)
+    if len(pixels) < FEWEST_POINTS:
+        return False
     low, high = bounds(pixels)
-    cells = np.maximum(np.ceil(CELLS * (high - low) / max(*(high - low), 1e-9)), 1.0)
-    column, row = np.minimum((pixels - low) / np.maximum(high - low, 1e-9) * cells, cells - 1.0).astype(np.int64).T
+    size = np.maximum(high - low, 1e-9)
+    cells = np.ceil(CELLS * size / size.max())
+    column, row = np.minimum((pixels - low) / size * cells, cells - 1.0).astype(np.int64).T
     return bool(len(np.unique(row * CELLS + column)) < CLOUD_FILLED * cells.prod())
 
 

@@ -76,10 +76,9 @@ def judged(
     if unjudged is not None:
         verdict = Verdict("doubtful", None, problem.suspicion) if problem.suspicion else Verdict(None, None, unjudged)
     else:
-        assert field is not None
+        assert field is not None and problem.agreement is not None
         signs = signs_of(problem, field, descent, outcome.ious, view_weights.inlier)
-        hinted = problem.agreement is not None and problem.agreement.confirmed
-        verdict = Verdict.of(signs, problem.suspicion, hinted)
+        verdict = Verdict.of(signs, problem.agreement)
     taken = 1.0 if settings.accept_doubtful else verdict.step
     if taken < 1.0:
         outcome = _after(problem, given_views, taken * step)

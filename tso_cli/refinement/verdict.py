@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..geometry.camera import Camera
 from ..losses.projection import pixels_under, project
+from .agreement import Agreement
 from .objective import MaskChamferObjective, ViewTargets
 from .optimise import Descent
 from .placement import place
@@ -35,6 +36,8 @@ LEAST_CONFIDENCE = 0.5
 # descents alone tell of it the start may as well be another shape, which gains by the whole step.
 # Elsewhere doubt is not enough: a cloud far off its mask looks as a wrong camera does, and so does a box that was stretched.
 SUSPECT_STEP = (0.3, 0.5)
+# Most confidence in what follows boxes of the object in place of its masks: of 138 scenes of training shapes, 93 % got worse.
+BOXED_CONFIDENCE = 0.07
 # What is said where signs of this group took most of the confidence.
 REASONS = {
     "camera": "the points moved as one body, as a camera that is off would move them; is the camera right? (--refine-camera)",
@@ -67,15 +70,14 @@ class Verdict:
     step: float = 1.0
 
     @classmethod
-    def of(cls, signs: dict[str, float], suspicion: str | None, only_hinted: bool = False) -> Verdict:
-        """Of a refinement with ``signs``.
-
-        ``suspicion`` : what looks wrong with the input, None where nothing does; ``only_hinted`` : the silhouettes alone do not
-        show it.
-        """
+    def of(cls, signs: dict[str, float], agreement: Agreement) -> Verdict:
+        """Of a refinement with ``signs``, of input that agrees so."""
         confidence, group = _judged(signs)
+        suspicion = agreement.suspicion
+        if agreement.boxed:
+            confidence = min(confidence, BOXED_CONFIDENCE)
         if confidence < LEAST_CONFIDENCE or suspicion:
-            step = float(np.interp(confidence, SUSPECT_STEP, (0.0, 1.0))) if suspicion and not only_hinted else 1.0
+            step = float(np.interp(confidence, SUSPECT_STEP, (0.0, 1.0))) if suspicion and not agreement.confirmed else 1.0
             return cls("doubtful", confidence, suspicion or REASONS[group], step)
         return cls("improved", confidence)
 
