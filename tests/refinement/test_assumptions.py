@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from tests.corruption import assert_refused
+from tests.scenes import about as about_axis
 from tests.scenes import example, in_photo, seen, turned
-from tso_cli import View, refine
+from tso_cli import RefineConfig, View, refine
 from tso_cli.geometry.camera import Camera
 from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.refinement.agreement import Agreement
@@ -83,16 +84,43 @@ def test_an_inverted_mask_that_fills_the_picture_is_no_box():
     assert "--assume mask-inverted" in Agreement.of(example("car").points, [inverted]).suspicion
 
 
-def test_a_thing_that_fills_its_box_is_not_suspected_nor_is_a_small_one_or_one_of_few_points():
-    scene, rng = example("car"), np.random.default_rng(0)
-    sheet = np.stack([rng.uniform(-0.5, 0.5, 1024), rng.uniform(-0.2, 0.2, 1024), np.zeros(1024)], axis=1)
+def _panel(count: int = 1024) -> np.ndarray:
+    """A frontal sheet [N, 3]."""
+    rng = np.random.default_rng(0)
+    return np.stack([rng.uniform(-0.5, 0.5, count), rng.uniform(-0.2, 0.2, count), np.zeros(count)], axis=1)
+
+
+PANELS = {
+    "as it is": _panel(),
+    "of few points": _panel(512),
+    "turned": _panel() @ about_axis("z", 10.0).T,
+    "noisy": _panel() + np.random.default_rng(1).normal(scale=[0.02, 0.02, 0.0], size=(1024, 3)),
+    "with strays": np.concatenate([_panel(), np.random.default_rng(1).uniform(-0.6, 0.6, (10, 3)) * [1.0, 1.0, 0.0]]),
+    "rounded": _panel()[np.square(_panel()[:, :2] / [0.5, 0.2]).sum(1) < 1.0],
+}
+
+
+@pytest.mark.parametrize("name", PANELS)
+def test_a_panel_that_fills_its_box_is_not_suspected(name):
     camera = Camera.canonical(256, 256)
-    pixels = np.rint(camera.project(sheet)[0]).astype(int)
+    pixels = np.rint(camera.project(_panel())[0]).astype(int)
     mask = np.zeros((256, 256), np.float32)
     mask[pixels[:, 1].min() : pixels[:, 1].max() + 1, pixels[:, 0].min() : pixels[:, 0].max() + 1] = 1.0
+    assert not Agreement.of(PANELS[name], [View(mask, camera)]).boxed
+
+
+def test_a_small_box_or_one_of_few_points_is_not_told():
+    scene = example("car")
     small = replace(scene.view, mask=scene.view.mask[::20, ::20], camera=scene.view.camera.resized(13, 13))
-    for points, view in ((sheet, View(mask, camera)), (scene.points, _boxed(small)), (scene.points[:100], _boxed(scene.view))):
-        assert not any("box" in suspect.what for suspect in Agreement.of(points, [view]).named)
+    for points, view in ((scene.points, _boxed(small)), (scene.points[:100], _boxed(scene.view))):
+        assert not Agreement.of(points, [view]).boxed
+
+
+@pytest.mark.parametrize("config", [RefineConfig(steps=8), RefineConfig(preset="paper")])
+def test_no_cloud_follows_a_box_where_nothing_is_judged_either(config):
+    scene = example("car")
+    result = refine(scene.points, _boxed(scene.view), config=config)
+    assert (result.verdict, result.confidence, result.moved_max) == ("doubtful", None, 0.0)
 
 
 @pytest.mark.parametrize("name", ["chair", "car", "airplane"])

@@ -40,6 +40,7 @@ def test_a_cloud_that_meets_one_part_of_a_mask_is_refused_with_advice_to_leave_o
     view = View(mask, camera, name="mask.png")
     columns = camera.project(cloud * 0.13)[0][:, 0]
     assert 2.0 < np.ptp(columns) < 6.0
+    assert_refused("hardly meet.*; try --assume X", require_overlap, place(cloud * 0.13, view), view, "try --assume X")
     refused = r"meets a part of the mask \(columns 30 to 34, rows 30 to 34\).*--ignore"
     assert_refused(refused, require_overlap, place(cloud * 0.13, view), view)
 

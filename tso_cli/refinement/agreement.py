@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.camera import Array
-from ..geometry.points import bounds, scattered
+from ..geometry.points import scattered
 from ..geometry.view import View, object_box
 from ..losses.projection import pixels_under
 from .assumptions import ASSUMPTIONS, AssumedView, Assumption, Suspect, about, axes_of, mirrored
@@ -30,9 +30,10 @@ BORDER = 0.6
 LEFT_OUT = 0.1
 # A mask of fewer cells matches too much by chance: a cloud that shrinks to a point, or one that a sensor barely resolves.
 FEWEST_CELLS = 10
-# A mask that fills so much of its box is taken for the box of an object, if the cloud fills less than so much of its own, in
-# cells. Fewer points, or px of the shorter side, do not tell.
-FILLED, CLOUD_FILLED, FEWEST_POINTS, FEWEST_PIXELS = 0.99, 0.85, 512, 16
+# A mask that fills so much of its box is taken for the box of an object, if the cloud fills less than so much of its own, in so
+# many cells along it, but for so many strays at each side. Fewer points, or px of the mask's shorter side, do not tell.
+FILLED, CLOUD_FILLED, CELLS_OF_CLOUD, STRAYS = 0.99, 0.92, 10, 0.01
+FEWEST_POINTS, FEWEST_PIXELS = 512, 16
 # Begins what is said of suspects.
 NAMED = "it looks as if"
 # A row of cells is so many columns further.
@@ -209,11 +210,12 @@ def _is_box(outline: _Outline, points: Array) -> bool:
     pixels = _on_known(view.camera.project(points)[0], view)
     if len(pixels) < FEWEST_POINTS:
         return False
-    low, high = bounds(pixels)
+    low, high = np.quantile(pixels, [STRAYS, 1.0 - STRAYS], axis=0)
     size = np.maximum(high - low, 1e-9)
-    cells = np.ceil(CELLS * size / size.max())
-    column, row = np.minimum((pixels - low) / size * cells, cells - 1.0).astype(np.int64).T
-    return bool(len(np.unique(row * CELLS + column)) < CLOUD_FILLED * cells.prod())
+    cells = np.ceil(CELLS_OF_CLOUD * size / size.max())
+    places = np.floor((pixels - low) / size * cells)
+    inside = places[((places >= 0.0) & (places < cells)).all(1)]
+    return len(np.unique(inside, axis=0)) < CLOUD_FILLED * float(cells.prod())
 
 
 def _on_known(pixels: Array, view: View) -> Array:

@@ -107,7 +107,8 @@ def behind_warnings(placement: Placement, view: View) -> list[str]:
 
 def require_overlap(placement: Placement, view: View, advice: str | None = None) -> None:
     """Raise InputError with ``advice`` for a cloud and a mask that do not meet."""
-    advice = advice or (
+    given = advice
+    advice = given or (
         "check the camera's axes (OpenCV: x right, y down, z forward; X_camera = R X_world + t) and units, "
         "or look at the numbers with --check"
     )
@@ -116,7 +117,7 @@ def require_overlap(placement: Placement, view: View, advice: str | None = None)
     if not placement.inside_image or placement.points_box is None:
         raise InputError(f"{view.name}: no point falls inside the {view.camera.width}x{view.camera.height} image; {advice}")
     if placement.box_iou <= SMALLEST_BOX_IOU:
-        if (part := _part_met(placement.points_box, view.inside)) is not None:
+        if not given and (part := _part_met(placement.points_box, view.inside)) is not None:
             advice = (
                 f"it meets a part of the mask ({describe_box(part)}): is the rest something else? Erase it, or leave it out "
                 "by --ignore FILE"
