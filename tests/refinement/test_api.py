@@ -165,6 +165,11 @@ def test_unusable_points_masks_and_cameras_are_refused(chair):
         assert_refused(words, refine, **(dict(points=points, masks=mask, cameras=camera) | bad))
 
 
+def test_an_ignore_map_that_leaves_no_background_is_named(chair):
+    leaves = "every pixel that the ignore map leaves is foreground, expected some background$"
+    assert_refused(leaves, replace, chair.view, known=chair.view.mask > 0.5)
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [("steps", 2.5), ("steps", -1), ("learning_rate", "a"), ("learning_rate", 0.0), ("gamma", -1.0)]

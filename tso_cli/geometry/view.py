@@ -68,9 +68,8 @@ class View:
             most = f"the largest value is {counted.max(initial=0.0):.3g} of 1"
             raise InputError(f"{self.name}: no pixel is foreground{ignored}: {most}, expected some over 0.5")
         if inside == counted.size:
-            advice = "" if inside == mask.size else ", and the ignore map leaves out the rest"
-            advice = f"{advice}, expected some background" if advice else ", expected some background (try --invert-mask?)"
-            raise InputError(f"{self.name}: every pixel is foreground{advice}")
+            left, advice = ("", " (try --invert-mask?)") if inside == mask.size else (" that the ignore map leaves", "")
+            raise InputError(f"{self.name}: every pixel{left} is foreground, expected some background{advice}")
 
     def _checked_depth(self, depth: NDArray[np.float64]) -> NDArray[np.float64]:
         """A copy of the depth map, NaN where nothing is known."""

@@ -74,8 +74,7 @@ def judged(
     signs: dict[str, float] = {}
     unjudged = _why_unjudged(problem, descent, settings)
     if unjudged is not None:
-        share = 0.0 if problem.agreement and problem.agreement.boxed else 1.0
-        verdict = Verdict("doubtful", None, problem.suspicion, share) if problem.suspicion else Verdict(None, None, unjudged)
+        verdict = Verdict("doubtful", None, problem.suspicion) if problem.suspicion else Verdict(None, None, unjudged)
     else:
         assert field is not None and problem.agreement is not None
         signs = signs_of(problem, field, descent, outcome.ious, view_weights.inlier)
