@@ -107,21 +107,17 @@ def behind_warnings(placement: Placement, view: View) -> list[str]:
 
 def require_overlap(placement: Placement, view: View, advice: str | None = None) -> None:
     """Raise InputError with ``advice`` for a cloud and a mask that do not meet."""
-    given = advice
-    advice = given or (
+    general = (
         "check the camera's axes (OpenCV: x right, y down, z forward; X_camera = R X_world + t) and units, "
         "or look at the numbers with --check"
     )
     if placement.behind == placement.points:
-        raise InputError(f"{view.name}: all {placement.points} points lie behind the camera; {advice}")
+        raise InputError(f"{view.name}: all {placement.points} points lie behind the camera; {advice or general}")
     if not placement.inside_image or placement.points_box is None:
-        raise InputError(f"{view.name}: no point falls inside the {view.camera.width}x{view.camera.height} image; {advice}")
+        size = f"{view.camera.width}x{view.camera.height}"
+        raise InputError(f"{view.name}: no point falls inside the {size} image; {advice or general}")
     if placement.box_iou <= SMALLEST_BOX_IOU:
-        if not given and (part := _part_met(placement.points_box, view.inside)) is not None:
-            advice = (
-                f"it meets a part of the mask ({describe_box(part)}): is the rest something else? Erase it, or leave it out "
-                "by --ignore FILE"
-            )
+        advice = advice or _part_met(placement.points_box, view.inside) or general
         raise InputError(
             f"{view.name}: the projected cloud ({describe_box(placement.points_box)}) and the mask "
             f"({describe_box(placement.mask_box)}) hardly meet: IoU of the boxes {placement.box_iou:.3f}, expected over "
@@ -129,14 +125,17 @@ def require_overlap(placement: Placement, view: View, advice: str | None = None)
         )
 
 
-def _part_met(points_box: Box, inside: NDArray[np.bool_]) -> Box | None:
-    """The box of the connected part of the mask that the cloud meets best, None where it meets none well."""
+def _part_met(points_box: Box, inside: NDArray[np.bool_]) -> str | None:
+    """Advice where the cloud meets a connected part of the mask well, None where it meets none."""
     from scipy.ndimage import find_objects, label
 
     found = find_objects(label(inside, np.ones((3, 3)))[0])
     boxes = [_plain((x.start - 0.5, y.start - 0.5, x.stop - 0.5, y.stop - 0.5)) for y, x in found]
     best = max(boxes, key=lambda box: box_iou(points_box, box))
-    return best if box_iou(points_box, best) >= PART_BOX_IOU else None
+    if box_iou(points_box, best) < PART_BOX_IOU:
+        return None
+    part = describe_box(best)
+    return f"it meets a part of the mask ({part}): is the rest something else? Erase it, or leave it out by --ignore FILE"
 
 
 def describe_box(box: Box) -> str:

@@ -27,7 +27,7 @@ from ...refinement.presets import BEST
 from ...refinement.presets import FULL as FINE
 from ...render import RayScene, RenderSettings, normalise, render_view, sample_cameras
 from ..studies.refining import uninterrupted
-from ..studies.summary import mean, rounded, standard_error
+from ..studies.summary import grouped, mean, rounded, standard_error
 from ..study import SEED, Cases, Option, Plan, Progress, Record, Study, Table, claim
 from .speed import machine
 
@@ -190,11 +190,12 @@ def _near_front(cases: Cases) -> Record:
 
 def _by_scene(cases: Cases) -> dict[str, Cases]:
     """The draws of each scene, by its name."""
-    scenes: dict[str, Cases] = {}
-    for case in cases:
+
+    def name(case: Record) -> str:
         masks = f", {case['masks']} masks" * (case["masks"] > 1)
-        scenes.setdefault(f"{case['shape']}, {case['size']} px, {case['points']:,} points{masks}", []).append(case)
-    return scenes
+        return f"{case['shape']}, {case['size']} px, {case['points']:,} points{masks}"
+
+    return grouped([{**case, "scene": name(case)} for case in cases], "scene")
 
 
 def tables(record: Record) -> list[Table]:
