@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.scenes import EXAMPLES
 from tso_cli.io.cameras import CameraRecord, read_camera, write_cameras
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.io.images import read_mask
@@ -82,6 +83,20 @@ def test_strict_writes_nothing_where_the_result_is_doubtful(inverted, refine, tm
     document = json.loads(refine(*POINTS, "--strict", "--json").out)
     assert (document["verdict"], document["output"], document["assume"]) == ("doubtful", None, [])
     assert refine(*POINTS, "--strict", "--assume", "mask-inverted", "-o", "strict.ply").code == 0
+
+
+@pytest.mark.parametrize("options", [(), ("--preset", "paper"), ("--steps", "0")])
+def test_a_result_of_an_unsure_camera_is_doubtful(folder, refine, options):
+    """An aeroplane fits no chair."""
+    fitted = (str(EXAMPLES / "airplane" / "initial.ply"), "mask.png", "--camera", "fit", *options)
+    result, check = (refine(*fitted, *more, "--json").document for more in ((), ("--check",)))
+    assert result["verdict"] == check["verdict"] == "doubtful"
+    assert result["reason"].startswith("the fitted camera is unsure") and check["reason"] == result["reason"]
+
+
+def test_strict_writes_nothing_of_an_unsure_camera(folder, refine, tmp_path):
+    run = refine(str(EXAMPLES / "airplane" / "initial.ply"), "mask.png", "--camera", "fit", "--strict", "-o", "other.ply")
+    assert run.code == 3 and not (tmp_path / "other.ply").exists()
 
 
 def test_strict_writes_nothing_that_a_short_budget_left_no_time_to_judge(folder, refine, tmp_path):

@@ -134,6 +134,21 @@ def test_a_start_that_is_left_as_it_was_given_is_no_worse_and_added_points_do_no
     assert Outcome(run, altered=case, points=moved).ratio() == 1.0
 
 
+def test_a_floor_lies_under_the_object_and_reaches_beyond_it(cases):
+    object_points = cases[0].initial
+    floor = altered(cases, "floor under the object", 100.0).initial[len(object_points) :]
+    assert len(floor) == len(object_points) and (floor[:, 1] == object_points[:, 1].min()).all()
+    width = max(np.ptp(object_points[:, [0, 2]], axis=0))
+    np.testing.assert_allclose(np.ptp(floor[:, [0, 2]], axis=0), 2.0 * width, rtol=0.02)
+
+
+def test_a_box_covers_the_mask_to_its_edges(cases):
+    mask, box = (view.mask > 0.5 for view in (cases[0].views[0], altered(cases, "box in place of the mask", 1.0).views[0]))
+    assert box[mask].all()
+    for axis in (0, 1):
+        np.testing.assert_array_equal(box.any(axis), mask.any(axis))
+
+
 def test_a_camera_with_another_handedness_is_refused_and_so_is_an_empty_mask(cases):
     with pytest.raises(InputError, match="not a rotation"):
         altered(cases, "camera's x mirrored", 1.0)

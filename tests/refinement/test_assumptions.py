@@ -72,9 +72,43 @@ def test_a_box_in_place_of_a_mask_is_suspected_and_no_cloud_follows_it(name):
 
 def test_one_box_among_masks_is_named_and_the_cloud_follows_the_others():
     scene = example("car")
-    other = replace(seen(scene.target, turned(scene.camera, 90.0)), name="2.png")
-    result = refine(scene.points, [replace(_boxed(scene.view), name="1.png"), other])
+    others = [replace(seen(scene.target, turned(scene.camera, angle)), name=f"{angle:g}.png") for angle in (90.0, 180.0)]
+    result = refine(scene.points, [replace(_boxed(scene.view), name="1.png"), *others])
     assert [suspect.what for suspect in result.suspects] == ["1.png is the box of the object"] and result.step_taken > 0.0
+
+
+@pytest.mark.parametrize("order", [[1, 0], [1, 0, 2], [1, 2, 3, 0]])
+def test_masks_that_are_not_in_the_order_of_their_cameras_are_named_in_pairs(order):
+    views = _around()[: len(order)]
+    mixed = [replace(views[i], camera=view.camera) for i, view in zip(order, views, strict=True)]
+    agreement = Agreement.of(PLANE.points, mixed)
+    (suspect,) = agreement.suspects
+    assert agreement.most_confidence < 0.3 and suspect.what == "masks and cameras are paired wrongly"
+    # What has the camera of view i is named after the mask that came with it.
+    pairs = [f"{views[i].name} with the camera of {mixed[i].name}" for i in range(len(order)) if order[i] != i]
+    named = suspect.option.partition(", and so on")[0].split(", ")
+    assert named == pairs[:3] and suspect.option.endswith(", 4 in all") == (len(pairs) > 3)
+
+
+def test_flipped_masks_of_a_symmetric_object_do_not_pass_for_exchanged_ones():
+    """From 45 degrees left and right of its mirror plane each looks like the other, flipped."""
+    car = example("car")
+    views = [replace(seen(car.target, turned(car.camera, angle)), name=f"{angle}.png") for angle in (0.0, 90.0)]
+    flipped = [ASSUMPTIONS["mask-flipped"].of_view(view) for view in views]
+    assert "--assume mask-flipped" in [suspect.option for suspect in Agreement.of(car.target, flipped).suspects]
+
+
+def test_views_of_one_name_are_numbered():
+    views = [replace(view, name="mask") for view in _around()[:2]]
+    (suspect,) = Agreement.of(PLANE.points, [replace(views[1 - i], camera=views[i].camera) for i in (0, 1)]).suspects
+    assert suspect.option == "view 2 with the camera of view 1, view 1 with the camera of view 2"
+
+
+def test_masks_of_another_size_are_exchanged_with_none():
+    views = _around()[:2]
+    larger = in_photo(replace(views[0], camera=views[1].camera), 2, 0, 0)
+    mixed = [larger, replace(views[1], camera=views[0].camera)]
+    assert not any("paired" in suspect.what for suspect in Agreement.of(PLANE.points, mixed).named)
 
 
 def test_an_inverted_mask_that_fills_the_picture_is_no_box():
@@ -106,14 +140,14 @@ def test_a_panel_that_fills_its_box_is_not_suspected(name):
     pixels = np.rint(camera.project(_panel())[0]).astype(int)
     mask = np.zeros((256, 256), np.float32)
     mask[pixels[:, 1].min() : pixels[:, 1].max() + 1, pixels[:, 0].min() : pixels[:, 0].max() + 1] = 1.0
-    assert not Agreement.of(PANELS[name], [View(mask, camera)]).boxed
+    assert not Agreement.of(PANELS[name], [View(mask, camera)]).named
 
 
 def test_a_small_box_or_one_of_few_points_is_not_told():
     scene = example("car")
     small = replace(scene.view, mask=scene.view.mask[::20, ::20], camera=scene.view.camera.resized(13, 13))
     for points, view in ((scene.points, _boxed(small)), (scene.points[:100], _boxed(scene.view))):
-        assert not Agreement.of(points, [view]).boxed
+        assert not Agreement.of(points, [view]).named
 
 
 @pytest.mark.parametrize("name", ["chair", "car", "airplane"])

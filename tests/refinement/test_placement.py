@@ -1,5 +1,7 @@
 """Where a cloud projects in a view."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,6 +45,14 @@ def test_a_cloud_that_meets_one_part_of_a_mask_is_refused_with_advice_to_leave_o
     assert_refused("hardly meet.*; try --assume X", require_overlap, place(cloud * 0.13, view), view, "try --assume X")
     refused = r"meets a part of the mask \(columns 30 to 34, rows 30 to 34\).*--ignore"
     assert_refused(refused, require_overlap, place(cloud * 0.13, view), view)
+
+
+def test_a_part_that_runs_through_the_cloud_does_not_hide_the_part_that_it_meets(cloud):
+    mask = block(np.s_[20:24, 30:34]) + block(np.s_[:, 35:40]) + block(np.s_[4:6, 4:6])
+    view = View(mask, Camera.canonical(64, 64), name="mask.png")
+    placement = replace(place(cloud * 0.2, view), points_box=(29.5, 19.5, 37.5, 23.5), box_iou=0.0)
+    refused = r"meets a part of the mask \(columns 30 to 34, rows 20 to 24\).*--ignore"
+    assert_refused(refused, require_overlap, placement, view)
 
 
 def test_a_cloud_on_both_sides_of_the_image_is_refused():

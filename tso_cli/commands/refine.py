@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -181,9 +182,9 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
         found = f"--mode {config.mode} --preset {config.preset}"
         raise InputError(f"--strict is for results that are judged, of --mode points --preset best, found {found}")
     if check:
-        suspicion = check_scene(scene, config, as_json, quiet, warned)
-        if suspicion and strict:
-            raise GateError(f"{inputs.source}: is doubtful: {suspicion}")
+        doubt = check_scene(scene, config, as_json, quiet, warned)
+        if doubt and strict:
+            raise GateError(f"{inputs.source}: is doubtful: {doubt}")
         return
     if write_camera and any(map(mirrored, scene.views)):
         raise InputError(
@@ -212,6 +213,8 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
             )
     finally:
         bar.close()
+    if scene.doubt and not result.suspects:
+        result = replace(result, verdict="doubtful", reason=scene.doubt)
     writing = time.perf_counter()
     refused = strict and result.verdict in ("doubtful", None)
     if not refused:

@@ -31,8 +31,8 @@ from ..version import __version__
 from . import options
 
 
-def check_scene(scene: Scene, config: RefineConfig, as_json: bool, quiet: bool, warned: list[str]) -> str | None:
-    """Print cameras, scale and overlap; InputError where cloud and mask do not overlap. Returns what looks wrong, if something.
+def check_scene(scene: Scene, config: RefineConfig, as_json: bool, quiet: bool, warned: list[str]) -> str:
+    """Print cameras, scale and overlap; InputError where cloud and mask do not overlap. Returns what looks wrong, or "".
 
     ``warned`` collects the warnings so far and those to come.
     """
@@ -52,15 +52,16 @@ def check_scene(scene: Scene, config: RefineConfig, as_json: bool, quiet: bool, 
     elif suspicion:
         # The error to come says it too.
         warned.append(suspicion)
+    reason = suspicion or scene.doubt
     if as_json:
         suspects = agreement.named if agreement else ()
-        judged = verdict_document(None, "doubtful" if suspicion else None, suspicion or "", warned, suspects)
+        judged = verdict_document(None, "doubtful" if reason else None, reason, warned, suspects)
         options.echo_json(_document(scene, placements, overlaps, judged))
     elif not quiet:
         _print(scene, placements, overlaps)
     for placement, view in zip(placements, scene.views, strict=True):
         require_overlap(placement, view, suspicion)
-    return suspicion
+    return reason
 
 
 def _checked(cloud: Cloud, views: tuple[View, ...], config: RefineConfig) -> Agreement | None:

@@ -54,7 +54,8 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES and not path.is_dir():
-        raise InputError(f"{path}: the suffix {suffix!a} is not that of a point cloud, expected {', '.join(SUFFIXES)}")
+        expected = f"expected {', '.join(SUFFIXES)}"
+        raise InputError(f"{path}: the suffix {suffix!a} is not that of a point cloud, or of a mesh in PLY, {expected}")
     data = read_bytes(path, "a point cloud")
     try:
         if suffix == ".ply":

@@ -17,6 +17,8 @@ from ..geometry.view import View
 SMALLEST_BOX_IOU = 0.05
 # Where they hardly meet, the cloud may belong to one part of the mask whose box has so much with its own.
 PART_BOX_IOU = 0.3
+# Of the parts with most pixels in the cloud's box.
+MOST_PARTS = 4
 # A mask with fewer foreground pixels is coarse; so is one with fewer along its longer side, if its pixels are wider than the
 # spacing of the projected points.
 FEWEST_PIXELS, FEWEST_ACROSS = 16, 16
@@ -127,12 +129,18 @@ def require_overlap(placement: Placement, view: View, advice: str | None = None)
 
 def _part_met(points_box: Box, inside: NDArray[np.bool_]) -> str | None:
     """Advice where the cloud meets a connected part of the mask well, None where it meets none."""
-    from scipy.ndimage import find_objects, label
+    from scipy.ndimage import label
 
-    found = find_objects(label(inside, np.ones((3, 3)))[0])
-    boxes = [_plain((x.start - 0.5, y.start - 0.5, x.stop - 0.5, y.stop - 0.5)) for y, x in found]
-    best = max(boxes, key=lambda box: box_iou(points_box, box))
-    if box_iou(points_box, best) < PART_BOX_IOU:
+    parts = label(inside, np.ones((3, 3)))[0]
+    left, top, right, bottom = np.ceil(points_box).astype(int)
+    counts = np.bincount(parts[top:bottom, left:right].ravel(), minlength=2)
+    counts[0] = 0
+    # Of a mask of dots there are millions.
+    most = np.argsort(-counts, kind="stable")[:MOST_PARTS]
+    places = [np.nonzero(parts == part) for part in most if counts[part]]
+    boxes = [_plain((x.min() - 0.5, y.min() - 0.5, x.max() + 0.5, y.max() + 0.5)) for y, x in places]
+    best = max(boxes, key=lambda box: box_iou(points_box, box), default=points_box)
+    if not boxes or box_iou(points_box, best) < PART_BOX_IOU:
         return None
     part = describe_box(best)
     return f"it meets a part of the mask ({part}): is the rest something else? Erase it, or leave it out by --ignore FILE"

@@ -38,6 +38,7 @@ class Scene:
     camera_sources : for each view, where its camera is from; camera_summary : the same for all views, shorter.
     frame : of the output: "input" (that of the cloud), "view", "canonical" or "world"; to_output maps points to it.
     cloud, start : of points mode: the file, and what is refined; with colours if the views have images.
+    doubt : why its camera, which was fitted, may be wrong; "" without doubt.
     network, image, sigma_sq : of the network modes: the network, its input [3, 64, 64], and the variance of its training.
     """
 
@@ -51,6 +52,7 @@ class Scene:
     image: NDArray[np.float32] | None = None
     sigma_sq: float | None = None
     start: Cloud | None = None
+    doubt: str = ""
     to_output: Callable[[Array], Array] = lambda points: points
 
     @property
@@ -230,10 +232,11 @@ def _with_fitted_camera(scene: Scene, files: ViewFiles) -> Scene:
     if isinstance(view, AssumedView):
         # It is in the axes of the cloud, whatever these are.
         view = replace(view, camera_read=fitted.camera, given=tuple(about(view, [one for one in view.given if one.mask])))
-    if not fitted.sure:
-        warnings.warn(f"{view.name}: the fitted camera is unsure: {fitted.doubt}", stacklevel=3)
+    doubt = "" if fitted.sure else f"the fitted camera is unsure: {fitted.doubt}"
+    if doubt:
+        warnings.warn(f"{view.name}: {doubt}", stacklevel=3)
     summary = f"camera fitted to cloud and mask ({'sure' if fitted.sure else 'unsure'})"
-    return replace(scene, views=(view,), camera_sources=(fitted.describe(),), camera_summary=summary)
+    return replace(scene, views=(view,), camera_sources=(fitted.describe(),), camera_summary=summary, doubt=doubt)
 
 
 def camera_source(camera_file: Path | None) -> str:

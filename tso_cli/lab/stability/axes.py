@@ -19,7 +19,7 @@ from ...geometry.camera import Array, Camera
 from ...geometry.points import farthest_point_sample
 from ...geometry.resampling import Box, area_resize
 from ...geometry.rotations import from_vectors
-from ...geometry.view import View
+from ...geometry.view import View, object_box
 from ...refinement.config import RefineConfig
 from ...refinement.presets import PAPER_GAMMA, PAPER_SIGMA_SQ
 from ..studies.cases import Case
@@ -37,6 +37,8 @@ HOLE, BLUR, JITTER = 0.04, 0.03, 0.005
 SPREAD, SPREAD_CLOSE = 2.5, 0.5
 # How far off a clump of outliers is, and its standard deviation.
 CLUMP, CLUMP_SIZE = 3.0, 0.02
+# How many times as wide as the object the floor under it is.
+FLOOR = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,9 +179,22 @@ def _cut(case: Case, percent: float, rng: Rng) -> Case:
     return _first(case, replace(view, mask=view.mask[top:bottom, left:right], camera=camera))
 
 
+def _boxed(inside: Bits, level: float, rng: Rng) -> Bits:
+    """A detector's bounding box."""
+    left, top, right, bottom = object_box(inside)
+    boxed = np.zeros_like(inside)
+    boxed[top:bottom, left:right] = True
+    return boxed
+
+
 def _of_other(case: Case, level: float, rng: Rng, other: Case) -> Case:
     view = case.views[0]
     return _first(case, replace(view, mask=_resized(other.views[0].mask, view.camera.width, view.camera.height)))
+
+
+def _masks_exchanged(case: Case, level: float, rng: Rng) -> Case:
+    first, second, *others = case.views
+    return replace(case, views=(replace(first, mask=second.mask), replace(second, mask=first.mask), *others))
 
 
 # Cameras: what changes in those of all views.
@@ -297,6 +312,15 @@ def _with_outliers(case: Case, percent: float, rng: Rng, spread: float = SPREAD)
 
 def _with_clump(case: Case, percent: float, rng: Rng) -> Array:
     return _added(case, CLUMP * _direction(rng) + CLUMP_SIZE * rng.normal(size=(_share(case, percent), 3)))
+
+
+def _with_floor(case: Case, percent: float, rng: Rng) -> Array:
+    """A ground plane, as in a scan of which the object was not cut out; y is up."""
+    low, high = case.initial.min(0), case.initial.max(0)
+    middle, width = (low + high) / 2.0, FLOOR * max(high[0] - low[0], high[2] - low[2])
+    floor = middle + width * rng.uniform(-0.5, 0.5, (_share(case, percent), 3))
+    floor[:, 1] = low[1]
+    return _added(case, floor)
 
 
 def _with_duplicates(case: Case, percent: float, rng: Rng) -> Array:
@@ -443,10 +467,12 @@ AXES: tuple[Axis, ...] = (
     _mask("mask upside down", "", _YES, lambda m, level, rng: m[::-1], **_is("mask-upside-down")),
     _mask("mask inverted", "", _YES, lambda m, level, rng: ~m, **_is("mask-inverted")),
     Axis("mask", "mask of another object", "", _YES, _of_other, needs_other=True),
+    _mask("box in place of the mask", "", _YES, _boxed),
     _mask("mask nearly empty", "% of it left", (80.0, 50.0, 20.0, 5.0, 1.0, 0.01), _nearly_empty),
     _mask("mask nearly full", "% of the rest filled", (2.0, 5.0, 20.0, 50.0, 90.0, 99.0, 100.0), _nearly_full),
     _mask("mask shifted, beside a right one", _SIZE, _SIZES, _shifted, masks=2),
     _mask("mask dilated, beside a right one", _SIZE, _SIZES, _DILATED, masks=2),
+    Axis("mask", "two masks exchanged", "", _YES, _masks_exchanged, masks=2),
     Axis("mask", "mask of another object, beside a right one", "", _YES, _of_other, needs_other=True, masks=2),
     Axis("mask", "mask of another object, beside three right ones", "", _YES, _of_other, needs_other=True, masks=4),
     _camera("yaw of the camera", "degrees", (*_DEGREES, 180.0), _YAW),
@@ -484,6 +510,7 @@ AXES: tuple[Axis, ...] = (
     _start("outliers", "% of the points", _STRAYS, _with_outliers, adds_points=True),
     _start("outliers close by", "% of the points", _STRAYS, partial(_with_outliers, spread=SPREAD_CLOSE), adds_points=True),
     _start("outliers in one clump", "% of the points", _STRAYS, _with_clump, adds_points=True),
+    _start("floor under the object", "% of the points", (2.0, 5.0, 10.0, 20.0, 50.0, 100.0), _with_floor, adds_points=True),
     _start(
         "one stray point", "sizes away", (1.0, *_UP), lambda c, r, rng: _added(c, r * _direction(rng)[None]), adds_points=True
     ),

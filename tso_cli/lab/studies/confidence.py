@@ -20,7 +20,7 @@ from ...plots.style import COLOURS, INK, page
 from ...refinement import RefineConfig
 from ...refinement.agreement import NAMED
 from ...refinement.verdict import LEAST_CONFIDENCE, MODEL
-from ..stability.axes import AXES
+from ..stability.axes import AXES, Axis
 from ..stability.runs import Run, outcomes_of
 from ..study import CATEGORY, COMMON, VIEWS, Cases, Option, Plan, Progress, Record, Study, Table, claim
 from .cases import Case, CaseBuilder, kinds_of
@@ -37,6 +37,10 @@ MOST = {"many points": 16384, "large picture": 2048}
 """Levels beyond which only the time changes."""
 MASKS = (1, 1, 1, 1, 1, 2, 4)
 """Drawn from."""
+DRAWS = 2
+"""How often alterations are drawn for the fit, each time with other views."""
+LEARNED = {"floor under the object": (20.0, 50.0, 100.0)}
+"""Levels of an axis that are added to every case of the fit: drawn at random they are too rare to be learned."""
 WHOLE = Variant(RefineConfig(accept_doubtful=True))
 MANY = 1 << 60
 """Work that compiled loops pay for."""
@@ -56,13 +60,22 @@ CONVENTION = {
 }
 
 
-def alterations(case: Case, other: Case, count: int, seed: int) -> Iterator[Run]:
-    """A case as it is, and with ``count`` alterations, each at a random level; ``other`` has the mask of another object."""
+def alterations(case: Case, other: Case, count: int, seed: int, fit: bool = False) -> Iterator[Run]:
+    """A case as it is, and with ``count`` alterations, each at a random level; with ``fit`` those of `LEARNED` too.
+
+    ``other`` has the mask of another object.
+    """
     rng = np.random.default_rng([seed, zlib.crc32(case.shape.encode()), zlib.crc32(case.kind.encode()), case.view])
     for axis in (RIGHT, *rng.choice(np.array(ALTERED, dtype=object), count)):
         level = float(rng.choice([level for level in axis.levels if level <= MOST.get(axis.name, np.inf)]))
-        masks = int(rng.choice(MASKS))
-        yield Run(axis, level, case, other, np.random.default_rng(rng.integers(1 << 32)), masks)
+        yield _run(axis, level, case, other, rng)
+    for axis in (axis for axis in ALTERED if fit and axis.name in LEARNED):
+        yield from (_run(axis, level, case, other, rng) for level in LEARNED[axis.name])
+
+
+def _run(axis: Axis, level: float, case: Case, other: Case, rng: np.random.Generator) -> Run:
+    masks = int(rng.choice(MASKS))
+    return Run(axis, level, case, other, np.random.default_rng(rng.integers(1 << 32)), masks)
 
 
 def rows_of(runs: Iterable[Run]) -> list[tuple[Record, dict[str, float]]]:
@@ -91,7 +104,9 @@ def rows_of(runs: Iterable[Run]) -> list[tuple[Record, dict[str, float]]]:
     return rows
 
 
-def _jobs(meshes: Path, split: Path | None, part: str, settings: Record) -> dict[str, Callable[[], list[Any]]]:
+def _jobs(
+    meshes: Path, split: Path | None, part: str, settings: Record, fit: bool = False
+) -> dict[str, Callable[[], list[Any]]]:
     """By shape of a part, what refines its cases."""
     shapes = shapes_of_part(meshes, split, part, settings["categories"], settings["limit"])
     builder = CaseBuilder(meshes, split, settings["views"], SIZE, POINTS, settings["seed"])
@@ -101,8 +116,8 @@ def _jobs(meshes: Path, split: Path | None, part: str, settings: Record) -> dict
         shape, other = shapes[number], shapes[number - 1]
         before[:] = before or builder.cases(other, KINDS[0])
         cases = [case for kind in kinds_of(shape.category, KINDS) for case in builder.cases(shape, kind)]
-        runs = (run for case in cases for run in alterations(case, before[0], settings["alterations"], settings["seed"]))
-        rows = rows_of(runs)
+        drawn = (alterations(case, before[0], settings["alterations"], settings["seed"], fit) for case in cases)
+        rows = rows_of(run for runs in drawn for run in runs)
         before[:] = cases
         return rows
 
@@ -114,7 +129,9 @@ def plan(progress: Progress, *, meshes: Path, split: Path | None, fit: Path | No
     settings["categories"] = list(settings["categories"] or CATEGORIES)
     if fit is not None:
         rows: list[tuple[Record, dict[str, float]]] = []
-        jobs = [job for part in ("train", "validation") for job in _jobs(meshes, split, part, settings).values()]
+        parts = ((part, draw) for draw in range(DRAWS) for part in ("train", "validation"))
+        drawn = ((part, settings | {"seed": settings["seed"] + draw}) for part, draw in parts)
+        jobs = [job for part, draw in drawn for job in _jobs(meshes, split, part, draw, fit=True).values()]
         for number, job in enumerate(jobs, 1):
             rows += job()
             progress.report("fitting", number, len(jobs))
