@@ -60,3 +60,12 @@ def test_a_refusal_names_it_too(monkeypatch):
 
 def test_an_error_that_is_no_gross_mistake_has_no_name(monkeypatch):
     assert "named" not in row_of(monkeypatch, "mask dilated", 5.0, ["--assume cloud-z-up"])
+
+
+def test_every_case_of_the_fit_has_the_levels_that_chance_would_bring_too_seldom():
+    case = SimpleNamespace(shape="chair/a", kind="other", view=0)
+    judged, fit = (list(confidence.alterations(case, case, 5, 0, to_fit)) for to_fit in (False, True))
+    drawn = [(run.axis.name, run.level) for run in fit]
+    assert drawn[:6] == [(run.axis.name, run.level) for run in judged]
+    assert drawn[6:] == [(name, level) for name, levels in confidence.LEARNED.items() for level in levels]
+    assert drawn[6:] and all(level in AXIS[name].levels for name, level in drawn[6:])

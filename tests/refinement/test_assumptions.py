@@ -98,6 +98,22 @@ def test_flipped_masks_of_a_symmetric_object_do_not_pass_for_exchanged_ones():
     assert "--assume mask-flipped" in [suspect.option for suspect in Agreement.of(car.target, flipped).suspects]
 
 
+def test_views_that_agree_are_exchanged_with_none(monkeypatch):
+    """Though each may fit another's mask a little better: the masks of an object of revolution are much the same."""
+    ball = np.random.default_rng(0).normal(size=(1024, 3)) * [0.1, 0.2, 0.1]
+    views = [replace(seen(ball, turned(PLANE.camera, 40.0 * i)), name=f"{i}.png") for i in range(4)]
+    mixed = [replace(views[i - 1], camera=views[i].camera) for i in range(4)]
+    assert Agreement.of(ball, mixed).named == ()
+
+
+def test_pixels_that_are_unknown_in_a_mask_are_so_with_the_camera_of_another():
+    views = _around()[:2]
+    known = np.ones(views[0].mask.shape, bool)
+    known[:, : known.shape[1] // 2] = False
+    mixed = [replace(views[1], camera=views[0].camera, known=known), replace(views[0], camera=views[1].camera)]
+    assert Agreement.of(PLANE.target, mixed).suspects[0].score > 0.8
+
+
 def test_views_of_one_name_are_numbered():
     views = [replace(view, name="mask") for view in _around()[:2]]
     (suspect,) = Agreement.of(PLANE.points, [replace(views[1 - i], camera=views[i].camera) for i in (0, 1)]).suspects

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.scenes import example
+from tests.scenes import example, in_photo
 from tso_cli import RefineConfig, View, refine, refine_batch
 from tso_cli.geometry.rotations import from_vectors
 from tso_cli.refinement import verdict
@@ -111,6 +111,25 @@ def test_a_batch_judges_as_a_single_cloud_is_judged():
     (batched,) = refine_batch([(scene.points, scene.view)])
     alone = refine(scene.points, scene.view)
     assert (batched.verdict, batched.confidence) == (alone.verdict, pytest.approx(alone.confidence, abs=0.02))
+
+
+def test_an_object_in_a_large_picture_is_judged_as_in_a_small_one():
+    scene = example("airplane")
+    view = _yawed(scene.view, 20.0)
+    K = np.diag([4.0, 4.0, 1.0]) @ view.camera.K + 1.5 * np.outer([1.0, 1.0, 0.0], [0.0, 0.0, 1.0])
+    large = View(np.kron(view.mask, np.ones((4, 4), np.float32)), replace(view.camera, K=K, width=1024, height=1024))
+    small, large = (refine(scene.points, each) for each in (view, in_photo(large, 2, 300, 500)))
+    assert abs(large.confidence - small.confidence) < 0.05
+    assert abs(large.signs["input: pixels"] - small.signs["input: pixels"]) < 0.1
+
+
+def test_points_of_a_floor_fall_beside_the_mask_and_cost_confidence():
+    scene = example("chair")
+    low, high = scene.target.min(0), scene.target.max(0)
+    floor = np.random.default_rng(0).uniform(low - 0.5, high + 0.5, (1024, 3)) * [1.0, 0.0, 1.0] + [0.0, low[1], 0.0]
+    alone, with_floor = (refine(points, scene.view) for points in (scene.target, np.concatenate([scene.target, floor])))
+    assert with_floor.signs["misfit: beside after"] > alone.signs["misfit: beside after"] + 0.1
+    assert with_floor.verdict == "doubtful" and with_floor.confidence < alone.confidence - 0.3
 
 
 def test_the_model_knows_every_sign():

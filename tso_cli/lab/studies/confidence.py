@@ -60,8 +60,8 @@ CONVENTION = {
 }
 
 
-def alterations(case: Case, other: Case, count: int, seed: int, fit: bool = False) -> Iterator[Run]:
-    """A case as it is, and with ``count`` alterations, each at a random level; with ``fit`` those of `LEARNED` too.
+def alterations(case: Case, other: Case, count: int, seed: int, to_fit: bool = False) -> Iterator[Run]:
+    """A case as it is, and with ``count`` alterations, each at a random level; ``to_fit`` adds those of `LEARNED`.
 
     ``other`` has the mask of another object.
     """
@@ -69,7 +69,7 @@ def alterations(case: Case, other: Case, count: int, seed: int, fit: bool = Fals
     for axis in (RIGHT, *rng.choice(np.array(ALTERED, dtype=object), count)):
         level = float(rng.choice([level for level in axis.levels if level <= MOST.get(axis.name, np.inf)]))
         yield _run(axis, level, case, other, rng)
-    for axis in (axis for axis in ALTERED if fit and axis.name in LEARNED):
+    for axis in (axis for axis in ALTERED if to_fit and axis.name in LEARNED):
         yield from (_run(axis, level, case, other, rng) for level in LEARNED[axis.name])
 
 
@@ -105,7 +105,7 @@ def rows_of(runs: Iterable[Run]) -> list[tuple[Record, dict[str, float]]]:
 
 
 def _jobs(
-    meshes: Path, split: Path | None, part: str, settings: Record, fit: bool = False
+    meshes: Path, split: Path | None, part: str, settings: Record, to_fit: bool = False
 ) -> dict[str, Callable[[], list[Any]]]:
     """By shape of a part, what refines its cases."""
     shapes = shapes_of_part(meshes, split, part, settings["categories"], settings["limit"])
@@ -116,7 +116,7 @@ def _jobs(
         shape, other = shapes[number], shapes[number - 1]
         before[:] = before or builder.cases(other, KINDS[0])
         cases = [case for kind in kinds_of(shape.category, KINDS) for case in builder.cases(shape, kind)]
-        drawn = (alterations(case, before[0], settings["alterations"], settings["seed"], fit) for case in cases)
+        drawn = (alterations(case, before[0], settings["alterations"], settings["seed"], to_fit) for case in cases)
         rows = rows_of(run for runs in drawn for run in runs)
         before[:] = cases
         return rows
@@ -129,9 +129,11 @@ def plan(progress: Progress, *, meshes: Path, split: Path | None, fit: Path | No
     settings["categories"] = list(settings["categories"] or CATEGORIES)
     if fit is not None:
         rows: list[tuple[Record, dict[str, float]]] = []
-        parts = ((part, draw) for draw in range(DRAWS) for part in ("train", "validation"))
-        drawn = ((part, settings | {"seed": settings["seed"] + draw}) for part, draw in parts)
-        jobs = [job for part, draw in drawn for job in _jobs(meshes, split, part, draw, fit=True).values()]
+        jobs: list[Callable[[], list[Any]]] = []
+        for draw in range(DRAWS):
+            drawn = settings | {"seed": settings["seed"] + draw}
+            for part in ("train", "validation"):
+                jobs += _jobs(meshes, split, part, drawn, to_fit=True).values()
         for number, job in enumerate(jobs, 1):
             rows += job()
             progress.report("fitting", number, len(jobs))
