@@ -45,7 +45,7 @@ WHOLE = Variant(RefineConfig(accept_doubtful=True))
 MANY = 1 << 60
 """Work that compiled loops pay for."""
 WORSE = 1.05
-HIDDEN, NETWORKS, EPOCHS, BATCH, RATE, DECAY = 32, 4, 100, 128, 1e-2, 0.1
+HIDDEN, NETWORKS, EPOCHS, BATCH, RATE, DECAY = 128, 2, 100, 128, 1e-2, 0.05
 """Of the model: tanh units of a network, networks that it is the mean of, and how they are trained."""
 BINS = 10
 AIMS, LEAST_NAMED = {"all": 0.93, "camera and mask": 0.85}, 0.9
