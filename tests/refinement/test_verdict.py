@@ -53,7 +53,7 @@ def test_a_step_of_no_confidence_is_not_taken_unless_accepted():
 def test_a_step_of_little_confidence_is_taken_in_part_where_a_mistake_is_suspected(monkeypatch):
     scene = example("chair")
     whole = refine(scene.points, scene.view)
-    monkeypatch.setattr(verdict, "_judged", lambda signs: (0.4, "camera"))
+    monkeypatch.setattr(verdict, "_judged", lambda signs: (0.75, "camera"))
     assert refine(scene.points, scene.view).step_taken == 1.0
     monkeypatch.setattr(Agreement, "suspicion", "it looks as if the camera is another")
     part = refine(scene.points, scene.view)

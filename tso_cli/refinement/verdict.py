@@ -35,7 +35,7 @@ LEAST_CONFIDENCE = 0.5
 # Where silhouettes show a common mistake, no step up to the first confidence is taken, and a part of it up to the second. Where
 # descents alone tell of it the start may as well be another shape, which gains by the whole step.
 # Elsewhere doubt is not enough: a cloud far off its mask looks as a wrong camera does, and so does a box that was stretched.
-SUSPECT_STEP = (0.3, 0.5)
+SUSPECT_STEP = (0.7, 0.8)
 # What is said where signs of this group took most of the confidence.
 REASONS = {
     "camera": "the points moved as one body, as a camera that is off would move them; is the camera right? (--refine-camera)",

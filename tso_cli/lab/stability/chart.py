@@ -16,7 +16,7 @@ from .knees import AXIS, WORSE, fails, speaks
 # Colours by the ratio, each up to that one: better, hardly changed, worse, far worse.
 SHADES = {0.7: "#1a9850", 0.95: "#91cf60", WORSE: "#d9ef8b", 1.5: "#fdae61", 3.0: "#f46d43", np.inf: "#d73027"}
 NAMES = ("to 0.7", "to 0.95", f"to {WORSE:g}, as before", "to 1.5", "to 3", "above")
-ROW = 0.187
+ROW = 0.18
 """Inches."""
 
 
