@@ -175,7 +175,7 @@ def _hint(others: list[_Other], scores: Array, as_given: float) -> Hint | None:
 def _mispaired(
     points: Array, outlines: Sequence[_Outline], as_given: Array, tells: NDArray[np.bool_], otherwise: float
 ) -> tuple[Suspect, ...]:
-    """What is said where each of some views fits the mask of another best, no two the same one.
+    """What is said where views fit one another's masks better than their own.
 
     Of the views whose mask ``tells`` [V] enough; the mean IoU must be better than the best ``otherwise``.
     """
@@ -185,11 +185,16 @@ def _mispaired(
     low = [outlines[int(i)] for i in numbers]
     # [seen by the camera, in the mask]
     ious = np.array([camera.ious(points, camera.given, low) for camera in low])
-    best = ious.argmax(1)
-    moved = np.flatnonzero(best != np.arange(len(low)))
-    if not len(moved) or len(set(best)) < len(best):
+    if (ious.max(1) - ious.diagonal()).max() < PAIRING_MARGIN:
         return ()
-    given, paired = ious.diagonal()[moved], ious.max(1)[moved]
+    # It takes as long to import as a tenth of a run.
+    from scipy.optimize import linear_sum_assignment
+
+    best = linear_sum_assignment(ious, maximize=True)[1]
+    moved = np.flatnonzero(best != np.arange(len(low)))
+    if not len(moved):
+        return ()
+    given, paired = ious.diagonal()[moved], ious[moved, best[moved]]
     of_all = as_given[tells].mean() + (paired - given).sum() / np.count_nonzero(tells)
     if paired.mean() < max(given.mean() + PAIRING_MARGIN, LEAST_IOU) or of_all < otherwise + SIMILAR:
         return ()
