@@ -235,6 +235,17 @@ def test_a_mistake_in_one_view_of_several_is_named_with_the_view(name):
     assert about(views[1], assumptions_of([f"{name}@2.png"])) == []
 
 
+@pytest.mark.parametrize("wrong", [0, 1])
+def test_of_two_views_the_one_that_shows_nothing_of_the_cloud_is_the_wrong_one(wrong):
+    views = _around()[:2]
+    views[wrong] = ASSUMPTIONS["camera-to-world"].of_view(views[wrong])
+    (suspect,) = Agreement.of(PLANE.points, views).of_views
+    assert suspect.option == f"--assume camera-to-world@{wrong}.png"
+    # Flipped, it shows the cloud as well as the other does.
+    views = [ASSUMPTIONS["mask-flipped"].of_view(view) if i == wrong else view for i, view in enumerate(_around()[:2])]
+    assert Agreement.of(PLANE.points, views).of_views == ()
+
+
 def test_units_of_an_orthographic_camera_are_in_its_k():
     camera = Camera(np.diag([100.0, 100.0, 1.0]), np.eye(3), np.array([0.0, 0.0, 2.0]), 64, 64, "orthographic")
     points = np.array([[0.1, 0.2, 0.0]])

@@ -216,8 +216,10 @@ def _of_views(
         # Another bad view among the rest hides none.
         if not tells[i] or not rest.any() or np.median(as_given[rest]) < as_given[i] + LEFT_OUT:
             continue
+        # Of two views either may be the wrong one, if the cloud is seen in both.
+        known = rest.sum() > 1 or as_given[i] == 0.0
         scores = [
-            0.0 if _of_all(other, rest.sum()) or ious[k, rest].mean() >= as_given[rest].mean() + SIMILAR else ious[k, i]
+            0.0 if _of_all(other, known) or ious[k, rest].mean() >= as_given[rest].mean() + SIMILAR else ious[k, i]
             for k, other in enumerate(others)
         ]
         best = int(np.argmax(scores))
@@ -230,12 +232,12 @@ def _of_views(
     return tuple(suspects)
 
 
-def _of_all(other: _Other, rest: int) -> bool:
-    """Whether it cannot be said of one view: the cloud is the same for all, and of two views either may be the wrong one.
+def _of_all(other: _Other, known: bool) -> bool:
+    """Whether it cannot be said of one view: the cloud is the same for all, and the wrong view may not be ``known``.
 
     An inverted mask is known by its border, without other views.
     """
-    return other.change.of_cloud or (rest < 2 and other.change.mask != "inverted")
+    return other.change.of_cloud or not (known or other.change.mask == "inverted")
 
 
 def _hidden(points: Array, views: Sequence[View]) -> tuple[Suspect, ...]:
