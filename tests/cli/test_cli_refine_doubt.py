@@ -92,6 +92,7 @@ def test_a_result_of_an_unsure_camera_is_doubtful(folder, refine, options):
     result, check = (refine(*fitted, *more, "--json").document for more in ((), ("--check",)))
     assert result["verdict"] == check["verdict"] == "doubtful"
     assert result["reason"].startswith("the fitted camera is unsure") and check["reason"] == result["reason"]
+    assert (result["confidence"] or 0.0) < 0.5
 
 
 def test_strict_writes_nothing_of_an_unsure_camera(folder, refine, tmp_path):

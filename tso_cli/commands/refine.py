@@ -18,6 +18,8 @@ from . import options
 
 PATH = options.FilePath()
 BYTES_A_MOVING_POINT = 1100
+# At most with an unsure camera: half of those are off by over 15 degrees (`tso lab pose`).
+UNSURE_CONFIDENCE = 0.49
 HEADINGS = {
     "mode": "Method",
     "checkpoint": "Network modes",
@@ -213,8 +215,10 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
             )
     finally:
         bar.close()
-    if scene.doubt and not result.suspects:
-        result = replace(result, verdict="doubtful", reason=scene.doubt)
+    if scene.doubt:
+        confidence = result.confidence and min(result.confidence, UNSURE_CONFIDENCE)
+        reason = result.reason if result.suspects else scene.doubt
+        result = replace(result, verdict="doubtful", confidence=confidence, reason=reason)
     writing = time.perf_counter()
     refused = strict and result.verdict in ("doubtful", None)
     if not refused:

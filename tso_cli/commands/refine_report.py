@@ -15,6 +15,7 @@ from ..geometry.rotations import angle_between
 from ..geometry.view import View
 from ..refinement.camera_correction import MISFIT_LEFT
 from ..refinement.result import DOUBTFUL_INLIER_WEIGHT, SMALL_DISPLACEMENT, RefineResult, refused, why_unmoved
+from ..refinement.verdict import shown
 from ..scene.load import Scene
 from ..version import __version__
 from .refine_check import camera_document, verdict_document
@@ -120,7 +121,7 @@ class RefineReport:
         masks = f"masks, mean of {count}" if count > 1 else "mask"
         # Of a start that is left as it is, the confidence says nothing of the mistake that is suspected.
         told = result.verdict != "doubtful" or result.best_step or refused(result)
-        sure = f", confidence {result.confidence:.2f}" if told and result.confidence is not None else ""
+        sure = f", confidence {shown(result.confidence)}" if told and result.confidence is not None else ""
         verdict = f"{result.verdict}{sure}" if result.verdict else "not judged; IoU proves nothing"
         used = [self.inputs.network, self._cameras(), self._symmetry(), self._discounted(), f"{self.seconds['total']:.1f} s"]
         click.echo(f"{self.outputs.output}: {len(result.points):,} {follow}")

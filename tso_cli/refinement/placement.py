@@ -136,11 +136,13 @@ def _part_met(points_box: Box, inside: NDArray[np.bool_]) -> str | None:
     counts = np.bincount(parts[top:bottom, left:right].ravel(), minlength=2)
     counts[0] = 0
     # Of a mask of dots there are millions.
-    most = np.argsort(-counts, kind="stable")[:MOST_PARTS]
-    places = [np.nonzero(parts == part) for part in most if counts[part]]
+    most = [part for part in np.argsort(-counts, kind="stable")[:MOST_PARTS] if counts[part]]
+    if not most:
+        return None
+    places = [np.nonzero(parts == part) for part in most]
     boxes = [_plain((x.min() - 0.5, y.min() - 0.5, x.max() + 0.5, y.max() + 0.5)) for y, x in places]
-    best = max(boxes, key=lambda box: box_iou(points_box, box), default=points_box)
-    if not boxes or box_iou(points_box, best) < PART_BOX_IOU:
+    best = max(boxes, key=lambda box: box_iou(points_box, box))
+    if box_iou(points_box, best) < PART_BOX_IOU:
         return None
     part = describe_box(best)
     return f"it meets a part of the mask ({part}): is the rest something else? Erase it, or leave it out by --ignore FILE"

@@ -17,7 +17,7 @@ from .budget import Decision
 from .cloud import outlier_warnings
 from .placement import mask_doubts
 from .symmetry import SymmetryOutcome
-from .verdict import LEAST_CONFIDENCE
+from .verdict import shown
 
 Array = NDArray[np.float64]
 StopReason = Literal["max_steps", "interrupted", "non_finite", "out_of_time", "nothing_to_do", "not_improved", "doubtful"]
@@ -148,7 +148,7 @@ def why_unmoved(result: RefineResult) -> str | None:
 
 def refused(result: RefineResult) -> bool:
     """Whether there was a step, and it is too doubtful to be taken; not where the start was best and a mistake is suspected."""
-    return result.verdict == "doubtful" and not result.step_taken and (result.confidence or 0.0) < LEAST_CONFIDENCE
+    return bool(result.signs) and not result.step_taken
 
 
 def result_warnings(result: RefineResult, views: Sequence[View], steps: int, suspicion: str | None) -> tuple[str, ...]:
@@ -172,7 +172,7 @@ def result_warnings(result: RefineResult, views: Sequence[View], steps: int, sus
         messages.append(f"hardly anything moved: no point by more than {100.0 * SMALL_DISPLACEMENT:g} % of the object's size")
     if result.verdict == "doubtful":
         # A suspected mistake makes it doubtful whatever the confidence.
-        sure = "" if suspicion else f" (confidence {result.confidence:.2f})"
+        sure = f" (confidence {shown(result.confidence)})" if result.confidence is not None and not suspicion else ""
         taken = ", so the cloud is left as it was" if refused(result) else ""
         if 0.0 < result.step_taken < 1.0:
             taken = f", so only {100.0 * result.step_taken:.0f} % of the step is taken"

@@ -33,9 +33,10 @@ MODEL = Path(__file__).with_name("confidence.json")
 # A result of less confidence is doubtful.
 LEAST_CONFIDENCE = 0.5
 # Where silhouettes show a common mistake, no step up to the first confidence is taken, and a part of it up to the second. Where
-# descents alone tell of it the start may as well be another shape, which gains by the whole step.
+# descents alone tell of it the start may as well be another shape, which gains by the whole step. Where few of the views are
+# suspected the others lead, so that less confidence is enough. Both as validation shapes say.
 # Elsewhere doubt is not enough: a cloud far off its mask looks as a wrong camera does, and so does a box that was stretched.
-SUSPECT_STEP = (0.7, 0.8)
+SUSPECT_STEP, OUTVOTED_STEP = (0.7, 0.8), (0.1, 0.3)
 # What is said where signs of this group took most of the confidence.
 REASONS = {
     "camera": "the points moved as one body, as a camera that is off would move them; is the camera right? (--refine-camera)",
@@ -73,7 +74,8 @@ class Verdict:
         confidence, group = _judged(signs)
         confidence, suspicion = min(confidence, agreement.most_confidence), agreement.suspicion
         if confidence < LEAST_CONFIDENCE or suspicion:
-            step = float(np.interp(confidence, SUSPECT_STEP, (0.0, 1.0))) if suspicion and not agreement.confirmed else 1.0
+            between = OUTVOTED_STEP if agreement.outvoted else SUSPECT_STEP
+            step = float(np.interp(confidence, between, (0.0, 1.0))) if suspicion and not agreement.confirmed else 1.0
             return cls("doubtful", confidence, suspicion or REASONS[group], step)
         return cls("improved", confidence)
 
@@ -84,6 +86,11 @@ class Verdict:
 
 
 UNJUDGED = Verdict(None, None)
+
+
+def shown(confidence: float) -> str:
+    """With two places, rounded down: what is shown as 0.50 is not doubtful."""
+    return f"{confidence:.4f}"[:4]
 
 
 def signs_of(
@@ -178,6 +185,5 @@ def _judged(signs: dict[str, float]) -> tuple[float, str]:
     groups = np.array([name.split(":")[0] for name in names])
     rows = np.stack([standard, *(np.where(groups == group, 0.0, standard) for group in REASONS)])
     doubt = np.tanh(rows @ hidden + offset) @ output[:-1] + output[-1]
-    # Rounded down, so that what is shown as 0.50 is not doubtful.
     confidence = np.floor(1e4 / (1.0 + np.exp(doubt[0]))) / 1e4
     return float(confidence), list(REASONS)[int(doubt[1:].argmin())]
