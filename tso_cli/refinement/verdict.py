@@ -185,5 +185,6 @@ def _judged(signs: dict[str, float]) -> tuple[float, str]:
     groups = np.array([name.split(":")[0] for name in names])
     rows = np.stack([standard, *(np.where(groups == group, 0.0, standard) for group in REASONS)])
     doubt = np.tanh(rows @ hidden + offset) @ output[:-1] + output[-1]
+    # Rounded down, as it is shown.
     confidence = np.floor(1e4 / (1.0 + np.exp(doubt[0]))) / 1e4
     return float(confidence), list(REASONS)[int(doubt[1:].argmin())]
