@@ -43,6 +43,8 @@ def mispaired_views(
     of_all = as_given[tells].mean() + (paired - given).sum() / np.count_nonzero(tells)
     if paired.mean() < max(given.mean() + PAIRING_MARGIN, LEAST_IOU) or of_all < otherwise + SIMILAR:
         return (), 0
+    # The best pairing may exchange views that look alike too.
+    moved = moved[paired - given > SIMILAR]
     names = [outline.view.name for outline in outlines]
     if len(set(names)) < len(names):
         names = [f"view {number}" for number in range(1, len(names) + 1)]
