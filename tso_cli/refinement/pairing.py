@@ -11,8 +11,9 @@ from ..geometry.camera import Array
 from .assumptions import Suspect
 from .outline import LEAST_IOU, SIMILAR, Outline
 
-# Views of less IoU may have each the mask of another, if there are not too many of them, and their IoU then gains so much.
-MISPAIRED, MOST_MISPAIRED, PAIRING_MARGIN = 0.8, 64, 0.12
+# Views of less IoU may have each the mask of another, if there are not too many of them, and their IoU then gains so much: of
+# two views, and of more, which have more other orders.
+MISPAIRED, MOST_MISPAIRED, MARGIN_OF_TWO, MARGIN_OF_MORE = 0.8, 64, 0.12, 0.16
 # At most so many pairs are named.
 MOST_PAIRS = 3
 
@@ -30,7 +31,8 @@ def mispaired_views(
     low = [outlines[int(i)] for i in numbers]
     # [seen by the camera, in the mask]
     ious = np.array([camera.ious(points, camera.given, low) for camera in low])
-    if (ious.max(1) - ious.diagonal()).max() < PAIRING_MARGIN:
+    margin = MARGIN_OF_TWO if len(low) == 2 else MARGIN_OF_MORE
+    if (ious.max(1) - ious.diagonal()).max() < margin:
         return (), 0
     # It takes as long to import as a tenth of a run.
     from scipy.optimize import linear_sum_assignment
@@ -41,7 +43,7 @@ def mispaired_views(
         return (), 0
     given, paired = ious.diagonal()[moved], ious[moved, best[moved]]
     of_all = as_given[tells].mean() + (paired - given).sum() / np.count_nonzero(tells)
-    if paired.mean() < max(given.mean() + PAIRING_MARGIN, LEAST_IOU) or of_all < otherwise + SIMILAR:
+    if paired.mean() < max(given.mean() + margin, LEAST_IOU) or of_all < otherwise + SIMILAR:
         return (), 0
     # The best pairing may exchange views that look alike too.
     moved = moved[paired - given > SIMILAR]
