@@ -117,7 +117,7 @@ def test_flipped_masks_of_a_symmetric_object_do_not_pass_for_exchanged_ones():
     assert "--assume mask-flipped" in [suspect.option for suspect in Agreement.of(car.target, flipped).suspects]
 
 
-def test_views_that_agree_are_exchanged_with_none(monkeypatch):
+def test_views_that_agree_are_exchanged_with_none():
     """Though each may fit another's mask a little better: the masks of an object of revolution are much the same."""
     ball = np.random.default_rng(0).normal(size=(1024, 3)) * [0.1, 0.2, 0.1]
     views = [replace(seen(ball, turned(PLANE.camera, 40.0 * i)), name=f"{i}.png") for i in range(4)]

@@ -59,10 +59,10 @@ def test_a_step_of_little_confidence_is_taken_in_part_where_a_mistake_is_suspect
     part = refine(scene.points, scene.view)
     np.testing.assert_allclose(part.points, 0.5 * (whole.initial + whole.points), atol=1e-12)
     assert part.step_taken == pytest.approx(0.5) and part.verdict == "doubtful" and "only 50 % of the step" in part.warnings[0]
-    monkeypatch.setattr(verdict, "_judged", lambda signs: (0.6, "camera"))
-    assert "so the cloud is left as it was" in refine(scene.points, scene.view).warnings[0]
     assert whole.loss_after < part.loss_after < part.loss_before and part.iou_before < part.iou_after < whole.iou_after
     assert part.moved_mean == pytest.approx(0.5 * whole.moved_mean)
+    monkeypatch.setattr(verdict, "_judged", lambda signs: (0.6, "camera"))
+    assert "so the cloud is left as it was" in refine(scene.points, scene.view).warnings[0]
 
 
 def test_a_suspected_mistake_is_never_called_an_improvement(monkeypatch):

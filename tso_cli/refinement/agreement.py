@@ -14,21 +14,20 @@ from ..geometry.points import scattered
 from ..geometry.view import View, object_box
 from .assumptions import ASSUMPTIONS, Assumption, Suspect
 from .occlusion import occluded
-from .outline import LEAST_IOU, SIMILAR, Outline, on_known
+from .outline import LEAST_IOU, MARGIN, SIMILAR, Outline, on_known
 from .pairing import mispaired_views
+from .view_weights import FEWEST_TO_JUDGE
 
 # Points that are projected.
 POINTS = 1024
-# An assumption is suspected if silhouettes then agree better than as given by this IoU.
-MARGIN = 0.16
-# With so much it is a hint, which `mistake_check` follows.
+# With so much gain of the IoU an assumption is a hint, which `mistake_check` follows.
 HINT_MARGIN = 0.04
 # Of those that fit about as well as the best.
 MOST_SUSPECTS = 3
 # A view of several is suspected if it agrees worse than the others by so much.
 LEFT_OUT = 0.1
-# What is wrong with at most this share of the views is outvoted by the others, if there are so many views.
-OUTVOTED, FEWEST_VOTES = 0.5, 3
+# What is wrong with at most this share of the views is outvoted by the others.
+OUTVOTED = 0.5
 # Of 138 scenes of training shapes with boxes in place of masks 93 % got worse, of 97 whose masks were mispaired 85 %.
 BOXED_CONFIDENCE, MISPAIRED_CONFIDENCE = 0.07, 0.15
 # A mask of fewer cells matches too much by chance: a cloud that shrinks to a point, or one that a sensor barely resolves.
@@ -65,7 +64,7 @@ class Agreement:
 
     @classmethod
     def of(cls, points: Array, views: Sequence[View]) -> Agreement:
-        """Of ``points`` [N, 3]; a few milliseconds a view."""
+        """Of ``points`` [N, 3]; a few milliseconds a view, and less for each pair of those that agree badly."""
         points = scattered(points, POINTS)
         outlines = [Outline(view) for view in views]
         others = _others(outlines[0].given)
@@ -93,11 +92,20 @@ class Agreement:
             of_views = tuple(Suspect(f"{view.name} is the box of the object", "a mask of its outline", 0.0) for view in boxes)
             of_views += pairs or _of_views(outlines, others, ious, as_given, tells)
             of_views += _hidden(points, [view for view in views if view not in boxes])
+        # Pairs are one suspect, of several views.
         suspected = len(of_views) + max(0, mispaired - 1)
-        outvoted = len(views) >= FEWEST_VOTES and 0 < suspected <= OUTVOTED * len(views) and not suspects
+        outvoted = bool(of_views) and len(views) >= FEWEST_TO_JUDGE and suspected <= OUTVOTED * len(views)
         hinted = not suspects and not all_boxes and tells.all() and not outlines[0].given
         hint = _hint(others, scores, as_given.mean()) if hinted else None
-        return cls(float(as_given.mean()), float(scores.max()), suspects, of_views, hint, False, most_confidence, outvoted)
+        return cls(
+            as_given=float(as_given.mean()),
+            best=float(scores.max()),
+            suspects=suspects,
+            of_views=of_views,
+            hint=hint,
+            most_confidence=most_confidence,
+            outvoted=outvoted,
+        )
 
     @property
     def named(self) -> tuple[Suspect, ...]:

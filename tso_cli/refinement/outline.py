@@ -15,8 +15,9 @@ from .assumptions import AssumedView, Assumption, about, axes_of, mirrored
 
 # Cells along the longer side of the mask's box, in which silhouettes are compared.
 CELLS = 16
-# Silhouettes that fit each other have at least this IoU; those whose IoU differs by so much fit about as well.
-LEAST_IOU, SIMILAR = 0.4, 0.03
+# A mistake is suspected if silhouettes agree better without it by this IoU, and at least so far; if by less than the last, they
+# agree about as well.
+MARGIN, LEAST_IOU, SIMILAR = 0.16, 0.4, 0.03
 # An inverted mask is foreground along at least so much of the picture's border.
 BORDER = 0.6
 # A row of cells is so many columns further.
@@ -52,8 +53,8 @@ class Outline:
         # The mask has the given changes already; each change is its own inverse, so what occurs twice cancels.
         changes = [assumption.mask for assumption in (*given, *assumptions)] + ["left-right"] * mirrored(view)
         inverted, across, down = (changes.count(name) % 2 == 1 for name in ("inverted", "left-right", "upside-down"))
-        masks_told = [mask.cells.get(inverted) if mask.view.mask.shape == view.mask.shape else None for mask in masks]
-        if not any(masks_told):
+        compared = [mask.cells.get(inverted) if mask.view.mask.shape == view.mask.shape else None for mask in masks]
+        if not any(compared):
             return [0.0] * len(masks)
         pixels, _ = camera.project(points @ axes_of(assumptions).T)
         # The cells stay as they are: flipping the projection has the same effect as flipping the mask.
@@ -61,7 +62,7 @@ class Outline:
             pixels[:, 0] = camera.width - 1.0 - pixels[:, 0]
         if down:
             pixels[:, 1] = camera.height - 1.0 - pixels[:, 1]
-        return [cells.iou(on_known(pixels, mask.view)) if cells else 0.0 for cells, mask in zip(masks_told, masks, strict=True)]
+        return [cells.iou(on_known(pixels, mask.view)) if cells else 0.0 for cells, mask in zip(compared, masks, strict=True)]
 
 
 class Cells(NamedTuple):

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from ..geometry.camera import Array
 from .assumptions import Suspect
-from .outline import LEAST_IOU, SIMILAR, Outline
+from .outline import LEAST_IOU, MARGIN, SIMILAR, Outline
 
-# Views of less IoU may have each the mask of another, if there are not too many of them, and their IoU then gains so much: of
-# two views, and of more, which have more other orders.
-MISPAIRED, MOST_MISPAIRED, MARGIN_OF_TWO, MARGIN_OF_MORE = 0.8, 64, 0.12, 0.16
+# Views of less IoU may have each the mask of another, if there are not too many of them.
+MISPAIRED, MOST_MISPAIRED = 0.8, 64
+# Of two views, of which there is one other order, so much gain of the IoU is enough.
+MARGIN_OF_TWO = 0.12
 # At most so many pairs are named.
 MOST_PAIRS = 3
 
@@ -31,7 +32,7 @@ def mispaired_views(
     low = [outlines[int(i)] for i in numbers]
     # [seen by the camera, in the mask]
     ious = np.array([camera.ious(points, camera.given, low) for camera in low])
-    margin = MARGIN_OF_TWO if len(low) == 2 else MARGIN_OF_MORE
+    margin = MARGIN_OF_TWO if len(low) == 2 else MARGIN
     if (ious.max(1) - ious.diagonal()).max() < margin:
         return (), 0
     # It takes as long to import as a tenth of a run.
