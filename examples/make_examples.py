@@ -21,7 +21,15 @@ from tso_cli.io.cameras import CameraRecord, write_cameras
 from tso_cli.io.clouds import write_cloud
 from tso_cli.io.images import write_image
 from tso_cli.io.meshes import Mesh, read_mesh, write_mesh
-from tso_cli.render import RayScene, RenderSettings, fitting_distance, ground_truth, look_at, normalise, render_view
+from tso_cli.render import (
+    RayScene,
+    RenderSettings,
+    fitting_distance,
+    ground_truth,
+    look_at,
+    normalise,
+    render_view,
+)
 
 SIZE = (256, 256)
 # A photo in which the chair of its example is small: width and height, focal length, principal point.
@@ -70,11 +78,15 @@ def turned(name: str, mesh: Mesh) -> Mesh:
     return Mesh(mesh.vertices @ turn.T, mesh.faces)
 
 
-def make_example(folder: Path, target: Mesh, initial: Mesh, azimuth: float, elevation: float) -> None:
+def make_example(
+    folder: Path, target: Mesh, initial: Mesh, azimuth: float, elevation: float
+) -> None:
     """Write image.png, mask.png, camera.json, target.ply and initial.ply."""
     target, initial = normalise(target), normalise(initial)
     camera = look_at(azimuth, elevation, 2.0, SIZE)
-    camera = look_at(azimuth, elevation, fitting_distance(target.vertices, camera, margin=8.0), SIZE)
+    camera = look_at(
+        azimuth, elevation, fitting_distance(target.vertices, camera, margin=8.0), SIZE
+    )
     view = render_view(RayScene(target), camera)
     write_image(folder / "image.png", view.image, overwrite=True)
     write_image(folder / "mask.png", view.mask, overwrite=True)
@@ -89,7 +101,9 @@ def make_photo(folder: Path, target: Mesh, azimuth: float, elevation: float) -> 
     """Write mask.png and camera.json of a large photo, taken from where the example's picture was."""
     target = normalise(target)
     camera = look_at(azimuth, elevation, 2.0, SIZE)
-    camera = look_at(azimuth, elevation, fitting_distance(target.vertices, camera, margin=8.0), SIZE)
+    camera = look_at(
+        azimuth, elevation, fitting_distance(target.vertices, camera, margin=8.0), SIZE
+    )
     K = np.array([[FOCAL, 0.0, MIDDLE[0]], [0.0, FOCAL, MIDDLE[1]], [0.0, 0.0, 1.0]])
     camera = replace(camera, K=K, width=PHOTO[0], height=PHOTO[1])
     write_image(folder / "mask.png", render_view(RayScene(target), camera).mask, overwrite=True)
@@ -110,7 +124,9 @@ def credits_table(rows: list[tuple[str, dict[str, str]]]) -> str:
         "|---|---|---|---|---|",
     ]
     for shipped, row in rows:
-        lines.append(f"| {shipped} | {row['file']} | {row['credit']} | {row['source']} | {row['licence']} |")
+        lines.append(
+            f"| {shipped} | {row['file']} | {row['credit']} | {row['source']} | {row['licence']} |"
+        )
     return "\n".join(lines) + "\n"
 
 
@@ -118,9 +134,14 @@ def make(meshes: Path, output: Path) -> None:
     """Write every example, the training meshes and CREDITS.md into ``output``."""
     index = meshes / "index.csv"
     try:
-        rows = {row["file"]: row for row in csv.DictReader(index.read_text(encoding="utf-8").splitlines())}
+        rows = {
+            row["file"]: row
+            for row in csv.DictReader(index.read_text(encoding="utf-8").splitlines())
+        }
     except (OSError, UnicodeError, KeyError):
-        raise InputError(f"{index}: not readable, expected a table with file, category, source, credit, licence") from None
+        raise InputError(
+            f"{index}: not readable, expected a table with file, category, source, credit, licence"
+        ) from None
     shipped: list[tuple[str, dict[str, str]]] = []
 
     def load(category: str, name: str) -> tuple[Mesh, dict[str, str]]:
@@ -130,7 +151,10 @@ def make(meshes: Path, output: Path) -> None:
         return turned(name, read_mesh(meshes / row["file"])), row
 
     for category, (target, initial, azimuth, elevation) in EXAMPLES.items():
-        (target_mesh, target_row), (initial_mesh, initial_row) = load(category, target), load(category, initial)
+        (target_mesh, target_row), (initial_mesh, initial_row) = (
+            load(category, target),
+            load(category, initial),
+        )
         folder = output / category
         folder.mkdir(parents=True, exist_ok=True)
         make_example(folder, target_mesh, initial_mesh, azimuth, elevation)
@@ -153,8 +177,12 @@ def make(meshes: Path, output: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--meshes", type=Path, required=True, help="folder with index.csv and the meshes it lists")
-    parser.add_argument("--output", type=Path, default=Path(__file__).resolve().parent, help="where to write (here)")
+    parser.add_argument(
+        "--meshes", type=Path, required=True, help="folder with index.csv and the meshes it lists"
+    )
+    parser.add_argument(
+        "--output", type=Path, default=Path(__file__).resolve().parent, help="where to write (here)"
+    )
     arguments = parser.parse_args()
     try:
         make(arguments.meshes, arguments.output)

@@ -22,6 +22,11 @@ for mode in ("encoder", "encoder-decoder"):
     config = RefineConfig(mode, sigma_sq=scene.sigma_sq)
     result = refine(None, scene.view, config=config, network=scene.network, image=scene.image)
     # a network knows neither size nor place: both clouds are judged at longest side 1
-    clouds = (normalise_longest_side(scene.to_output(points)) for points in (result.initial, result.points))
+    clouds = (
+        normalise_longest_side(scene.to_output(points))
+        for points in (result.initial, result.points)
+    )
     before, after = (1e3 * chamfer(cloud, target).chamfer for cloud in clouds)
-    print(f"{mode}: IoU {result.iou_before:.3f} -> {result.iou_after:.3f}, Chamfer x1000 {before:.3f} -> {after:.3f}")
+    print(
+        f"{mode}: IoU {result.iou_before:.3f} -> {result.iou_after:.3f}, Chamfer x1000 {before:.3f} -> {after:.3f}"
+    )

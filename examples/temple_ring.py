@@ -43,7 +43,9 @@ def mask_of(image: NDArray[np.uint8]) -> NDArray[np.bool_]:
     bright = ndimage.binary_closing(ndimage.binary_opening(bright, iterations=2), iterations=6)
     labels, count = ndimage.label(bright)
     if count == 0:
-        raise SystemExit(f"no pixel is brighter than {THRESHOLD}, expected an object on a dark ground")
+        raise SystemExit(
+            f"no pixel is brighter than {THRESHOLD}, expected an object on a dark ground"
+        )
     largest = 1 + int(np.argmax(np.bincount(labels.ravel())[1:]))
     filled: NDArray[np.bool_] = ndimage.binary_fill_holes(labels == largest)
     return filled
@@ -53,7 +55,9 @@ def read_parameters(path: Path) -> dict[str, tuple[Array, Array, Array]]:
     """Name of a photo -> K, R, t, from a file of the Middlebury form: a count, then "name K R t" row by row."""
     rows = [line.split() for line in path.read_text().splitlines()[1:] if line.strip()]
     numbers = {row[0]: np.array(row[1:], dtype=np.float64) for row in rows}
-    return {name: (n[:9].reshape(3, 3), n[9:18].reshape(3, 3), n[18:21]) for name, n in numbers.items()}
+    return {
+        name: (n[:9].reshape(3, 3), n[9:18].reshape(3, 3), n[18:21]) for name, n in numbers.items()
+    }
 
 
 def spread(views: list[View], count: int) -> list[View]:
@@ -72,8 +76,12 @@ def coarse_hull(views: list[View], rng: np.random.Generator) -> Array:
         full &= inside(centres.reshape(-1, 3), view).reshape(full.shape)
     surface = centres[full & ~ndimage.binary_erosion(full)]
     if not len(surface):
-        raise SystemExit("the masks leave nothing of the box, expected masks and cameras of one object")
-    drawn = surface[rng.integers(len(surface), size=POINTS)] + rng.uniform(-side / 2.0, side / 2.0, (POINTS, 3))
+        raise SystemExit(
+            "the masks leave nothing of the box, expected masks and cameras of one object"
+        )
+    drawn = surface[rng.integers(len(surface), size=POINTS)] + rng.uniform(
+        -side / 2.0, side / 2.0, (POINTS, 3)
+    )
     noisy: Array = drawn + NOISE * np.ptp(drawn, 0).max() * rng.standard_normal((POINTS, 3))
     return noisy
 
@@ -90,7 +98,11 @@ def inside(points: Array, view: View) -> NDArray[np.bool_]:
 
 def read_views(folder: Path) -> list[View]:
     """All views that ``prepare`` left in a folder."""
-    return [View(read_mask(r.mask), r.camera, name=r.mask.stem) for r in read_cameras(folder / "views.json") if r.mask]
+    return [
+        View(read_mask(r.mask), r.camera, name=r.mask.stem)
+        for r in read_cameras(folder / "views.json")
+        if r.mask
+    ]
 
 
 def prepare(photos: Path, folder: Path) -> None:
@@ -103,12 +115,18 @@ def prepare(photos: Path, folder: Path) -> None:
             continue
         mask = mask_of(read_image(photos / name))
         write_image(folder / name, mask, overwrite=True)
-        records.append(CameraRecord(Camera(K, R, t, mask.shape[1], mask.shape[0]), mask=folder / name))
+        records.append(
+            CameraRecord(Camera(K, R, t, mask.shape[1], mask.shape[0]), mask=folder / name)
+        )
     write_cameras(folder / "views.json", records, overwrite=True)
     views = read_views(folder)
     middle = views[len(views) // 2]
-    write_cloud(folder / "start.ply", coarse_hull([middle], np.random.default_rng(0)), overwrite=True)
-    print(f"{folder}: {len(views)} masks, views.json, and start.ply, the box carved by {middle.name}")
+    write_cloud(
+        folder / "start.ply", coarse_hull([middle], np.random.default_rng(0)), overwrite=True
+    )
+    print(
+        f"{folder}: {len(views)} masks, views.json, and start.ply, the box carved by {middle.name}"
+    )
 
 
 def judged(points: Array, views: list[View]) -> dict[str, float]:
@@ -145,12 +163,19 @@ def compare(folder: Path, output: Path) -> None:
     for carved in ([middle], four):
         start = coarse_hull(carved, np.random.default_rng(0))
         begin = {"start": [view.name for view in carved]}
-        rows.append({**begin, "masks": [], "preset": None, "symmetry": None, **judged(start, others)})
+        rows.append(
+            {**begin, "masks": [], "preset": None, "symmetry": None, **judged(start, others)}
+        )
         for count in (1, 2, 4):
             own = spread(views, count)
             for preset, symmetry in (("paper", "none"), ("best", "none"), ("best", "auto")):
                 result = refine(start, own, config=RefineConfig(preset=preset, symmetry=symmetry))
-                row = {**begin, "masks": [view.name for view in own], "preset": preset, "symmetry": symmetry}
+                row = {
+                    **begin,
+                    "masks": [view.name for view in own],
+                    "preset": preset,
+                    "symmetry": symmetry,
+                }
                 row |= judged(result.points, others)
                 row |= {"iou_used_before": result.iou_before, "iou_used": result.iou_after}
                 row |= {"symmetry_plane": result.symmetry, "seconds": sum(result.seconds.values())}
@@ -170,7 +195,9 @@ def compare(folder: Path, output: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     tasks = parser.add_subparsers(dest="task", required=True)
     one = tasks.add_parser("prepare")
     one.add_argument("photos", type=Path)
@@ -178,7 +205,9 @@ def main() -> None:
     two = tasks.add_parser("judge")
     two.add_argument("folder", type=Path)
     two.add_argument("cloud", type=Path)
-    two.add_argument("--used", nargs="+", required=True, help="names of the masks that the cloud was refined on")
+    two.add_argument(
+        "--used", nargs="+", required=True, help="names of the masks that the cloud was refined on"
+    )
     three = tasks.add_parser("compare")
     three.add_argument("folder", type=Path)
     three.add_argument("-o", "--output", type=Path, required=True)

@@ -29,7 +29,8 @@ class Run(NamedTuple):
     def refusal(self):
         """The one line of a command that refused its input."""
         (line,) = [line for line in self.err.splitlines() if not line.startswith("tso: warning: ")]
-        assert (self.code, self.out) == (2, "") and line.startswith("tso: error: ")
+        assert (self.code, self.out) == (2, "")
+        assert line.startswith("tso: error: ")
         return line
 
 
@@ -64,7 +65,9 @@ def tiny_network(monkeypatch):
     """The same layers with few channels: files of kilobytes instead of 25 MB."""
     from tso_cli.network import model
 
-    monkeypatch.setattr(model, "CONVOLUTIONS", tuple((2, size, stride) for _, size, stride in model.CONVOLUTIONS))
+    monkeypatch.setattr(
+        model, "CONVOLUTIONS", tuple((2, size, stride) for _, size, stride in model.CONVOLUTIONS)
+    )
     monkeypatch.setattr(model, "LATENT", 4)
 
 

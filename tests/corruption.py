@@ -13,26 +13,64 @@ import pytest
 
 from tso_cli.errors import InputError
 
-NASTY_NUMBERS = [b"0", b"1", b"-1", b"2", b"255", b"65536", b"2147483648", b"99999999999999999999", b"1" * 5000]
+NASTY_NUMBERS = [
+    b"0",
+    b"1",
+    b"-1",
+    b"2",
+    b"255",
+    b"65536",
+    b"2147483648",
+    b"99999999999999999999",
+    b"1" * 5000,
+]
 NASTY_NUMBERS += [b"1e400", b"nan", b"-inf"]
-NASTY_WORDS = [*NASTY_NUMBERS, b"", b"\x00", b"list", b"[", b"{}", b'""', b"null", b"true", b"x", b"(", b"\xff\xfe", b"\n"]
+NASTY_WORDS = [
+    *NASTY_NUMBERS,
+    b"",
+    b"\x00",
+    b"list",
+    b"[",
+    b"{}",
+    b'""',
+    b"null",
+    b"true",
+    b"x",
+    b"(",
+    b"\xff\xfe",
+    b"\n",
+]
 BOUNDARIES = [0, 1, 2, 127, 128, 254, 255]
 
 
 def corruptions(data: bytes, count: int) -> Iterator[bytes]:
     """``count`` damaged copies of ``data``, the same ones each time; some are damaged several times."""
     rng = np.random.default_rng(0)
-    kinds = [_truncate, _flip, _overwrite, _insert, _delete, _repeat, _change_word, _change_header_number]
+    kinds = [
+        _truncate,
+        _flip,
+        _overwrite,
+        _insert,
+        _delete,
+        _repeat,
+        _change_word,
+        _change_header_number,
+    ]
     for i in range(count):
         damaged = data
         for _ in range(int(rng.choice([1, 1, 1, 2, 5]))):
-            kind = kinds[i % len(kinds)] if damaged is data else kinds[int(rng.integers(len(kinds)))]
+            kind = (
+                kinds[i % len(kinds)] if damaged is data else kinds[int(rng.integers(len(kinds)))]
+            )
             damaged = kind(damaged, rng)
         yield damaged
 
 
 def assert_reads_or_refuses(
-    read: Callable[[Path], Any], path: Path, count: int, repair: Callable[[bytes], bytes] | None = None
+    read: Callable[[Path], Any],
+    path: Path,
+    count: int,
+    repair: Callable[[bytes], bytes] | None = None,
 ) -> tuple[int, int]:
     """Damage the good file ``path`` ``count`` times; ``read`` must keep the promise of `is_read` every time.
 
@@ -123,13 +161,21 @@ def _flip(data: bytes, rng: np.random.Generator) -> bytes:
 
 def _overwrite(data: bytes, rng: np.random.Generator) -> bytes:
     at, size = _place(data, rng), int(rng.integers(1, 9))
-    fill = [int(rng.choice(BOUNDARIES))] * size if rng.random() < 0.5 else rng.integers(0, 256, size).tolist()
+    fill = (
+        [int(rng.choice(BOUNDARIES))] * size
+        if rng.random() < 0.5
+        else rng.integers(0, 256, size).tolist()
+    )
     return (data[:at] + bytes(fill) + data[at + size :])[: len(data)]
 
 
 def _insert(data: bytes, rng: np.random.Generator) -> bytes:
     at = _place(data, rng)
-    return data[:at] + rng.integers(0, 256, int(rng.integers(1, 20)), dtype=np.uint8).tobytes() + data[at:]
+    return (
+        data[:at]
+        + rng.integers(0, 256, int(rng.integers(1, 20)), dtype=np.uint8).tobytes()
+        + data[at:]
+    )
 
 
 def _delete(data: bytes, rng: np.random.Generator) -> bytes:
@@ -150,7 +196,13 @@ def _change_header_number(data: bytes, rng: np.random.Generator) -> bytes:
     return _replace(data, rb"[0-9]+", NASTY_NUMBERS, rng, 300)
 
 
-def _replace(data: bytes, pattern: bytes, by: list[bytes], rng: np.random.Generator, within: int | None = None) -> bytes:
+def _replace(
+    data: bytes,
+    pattern: bytes,
+    by: list[bytes],
+    rng: np.random.Generator,
+    within: int | None = None,
+) -> bytes:
     found = list(re.finditer(pattern, data[:within]))
     if not found:
         return _flip(data, rng)

@@ -46,11 +46,15 @@ def lopsided_points() -> np.ndarray:
     return samples[farthest_point_sample(samples, 1024)]
 
 
-def pictured(vertices: np.ndarray, faces: np.ndarray, focal: float, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+def pictured(
+    vertices: np.ndarray, faces: np.ndarray, focal: float, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
     """Image and mask (0, 255) of vertices that are in OpenCV camera axes already; the optical axis in the middle."""
     width, height = size
     K = np.array([[focal, 0.0, (width - 1) / 2], [0.0, focal, (height - 1) / 2], [0.0, 0.0, 1.0]])
-    view = render_view(RayScene(Mesh(vertices, faces)), Camera(K, np.eye(3), np.zeros(3), width, height))
+    view = render_view(
+        RayScene(Mesh(vertices, faces)), Camera(K, np.eye(3), np.zeros(3), width, height)
+    )
     return view.image, view.mask
 
 
@@ -64,10 +68,12 @@ def write_cut_out(path: Path, vertices: np.ndarray, focal: float, size: int) -> 
 def agreement(item: ObjectItem) -> float:
     """The smallest IoU of the target with the mask over all views."""
     points, values = item.target(), []
-    assert points.dtype == np.float32 and points.shape[1] == 3
+    assert points.dtype == np.float32
+    assert points.shape[1] == 3
     for view in item.views:
         image, mask = view.load()
-        assert image.dtype == np.uint8 and mask.dtype == np.float32
+        assert image.dtype == np.uint8
+        assert mask.dtype == np.float32
         assert image.shape == (view.camera.height, view.camera.width, 3) == (*mask.shape, 3)
         values.append(window_iou(points.astype(np.float64), View(mask, view.camera)))
     return min(values)
@@ -76,7 +82,9 @@ def agreement(item: ObjectItem) -> float:
 def agreement_of_surface(item: ObjectItem, mesh: Mesh) -> float:
     """The smallest IoU of the masks with what the cameras of the item see of ``mesh``, which is in the frame of the item."""
     scene = RayScene(mesh)
-    pairs = [(render_view(scene, view.camera).mask > 0, view.load()[1] > 0.5) for view in item.views]
+    pairs = [
+        (render_view(scene, view.camera).mask > 0, view.load()[1] > 0.5) for view in item.views
+    ]
     return min((seen & mask).sum() / (seen | mask).sum() for seen, mask in pairs)
 
 
@@ -91,7 +99,11 @@ def authors_points(points: np.ndarray, azimuth: float, elevation: float) -> np.n
 
 
 def write_shapenet(
-    root: Path, models: tuple[str, ...] = ("abc",), size: int = 64, clouds: str = "ShapeNet_pcl", columns: int = 4
+    root: Path,
+    models: tuple[str, ...] = ("abc",),
+    size: int = 64,
+    clouds: str = "ShapeNet_pcl",
+    columns: int = 4,
 ) -> Path:
     for model in models:
         folder = root / "ShapeNet_rendered" / CHAIR / model
@@ -99,7 +111,12 @@ def write_shapenet(
         rows = []
         for k, (azimuth, elevation) in enumerate(ANGLES):
             x = authors_points(lopsided().vertices, azimuth, elevation)
-            mask = write_cut_out(folder / f"render_{k}.png", x[:, [1, 0, 2]] * [1.0, 1.0, -1.0], 120.0 * size / 64, size)
+            mask = write_cut_out(
+                folder / f"render_{k}.png",
+                x[:, [1, 0, 2]] * [1.0, 1.0, -1.0],
+                120.0 * size / 64,
+                size,
+            )
             depth = np.where(mask > 0, round(2.0 / 10.0 * 65535), 65535).astype(np.uint16)
             Image.fromarray(depth).save(folder / f"depth_{k}.png")
             (folder / f"camera_{k}.mat").write_bytes(b"MATLAB 5.0 MAT-file, never read")
@@ -125,7 +142,11 @@ def through_blender_camera(points: np.ndarray, matrix: np.ndarray, place: np.nda
 
 
 def write_r2n2(
-    root: Path, models: tuple[str, ...] = ("abc",), size: int = 64, listed: bool = True, rotation: float = 0.0
+    root: Path,
+    models: tuple[str, ...] = ("abc",),
+    size: int = 64,
+    listed: bool = True,
+    rotation: float = 0.0,
 ) -> Path:
     for model in models:
         folder = root / CHAIR / model / "rendering"
@@ -191,10 +212,23 @@ def write_pix3d(root: Path, count: int = 3) -> list[dict[str, Any]]:
         image, mask = pictured(seen, lopsided().faces, focal / 32.0 * PIX3D_SIZE[0], PIX3D_SIZE)
         write_image(root / f"img/chair/{k:04d}.png", image)
         write_image(root / f"mask/chair/{k:04d}.png", mask)
-        files = {"img": f"img/chair/{k:04d}.png", "mask": f"mask/chair/{k:04d}.png", "model": "model/chair/IKEA_X/model.obj"}
+        files = {
+            "img": f"img/chair/{k:04d}.png",
+            "mask": f"mask/chair/{k:04d}.png",
+            "model": "model/chair/IKEA_X/model.obj",
+        }
         camera = {"rot_mat": rotation.tolist(), "trans_mat": shift.tolist(), "focal_length": focal}
         size = {"category": "chair", "img_size": list(PIX3D_SIZE), "bbox": [0, 0, *PIX3D_SIZE]}
-        entries.append({**files, **camera, **size, "truncated": False, "occluded": False, "slightly_occluded": False})
+        entries.append(
+            {
+                **files,
+                **camera,
+                **size,
+                "truncated": False,
+                "occluded": False,
+                "slightly_occluded": False,
+            }
+        )
     write_entries(root, entries)
     return entries
 

@@ -12,8 +12,14 @@ from tests.corruption import is_read
 
 READERS = {
     **{f"cloud{suffix}": ("io.clouds:read_cloud", suffix) for suffix in (".ply", ".npy", ".xyz")},
-    **{f"mesh{suffix}": ("io.meshes:read_mesh", suffix) for suffix in (".ply", ".obj", ".off", ".stl", ".glb")},
-    **{f"mask{suffix}": ("io.images:read_mask", suffix) for suffix in (".png", ".tif", ".jpg", ".gif", ".webp", ".npy")},
+    **{
+        f"mesh{suffix}": ("io.meshes:read_mesh", suffix)
+        for suffix in (".ply", ".obj", ".off", ".stl", ".glb")
+    },
+    **{
+        f"mask{suffix}": ("io.images:read_mask", suffix)
+        for suffix in (".png", ".tif", ".jpg", ".gif", ".webp", ".npy")
+    },
     "faces": ("tests.fuzz:faces", ".ply"),
     "image": ("io.images:read_image", ".bmp"),
     "depth": ("io.images:read_depth", ".png"),

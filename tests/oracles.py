@@ -48,7 +48,9 @@ def bce(points_px: Tensor, mask: Tensor, sigma_sq: float) -> Tensor:
 def affinity_paper(silhouette: Tensor, mask: Tensor) -> Tensor:
     """Eq. 5 as printed, by all pairs of pixels, M^+ being values over 0.5."""
     height, width = mask.shape
-    pixels = torch.stack(torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij"), -1).reshape(-1, 2)
+    pixels = torch.stack(
+        torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij"), -1
+    ).reshape(-1, 2)
     total = silhouette.new_zeros(())
     for source, goal in ((silhouette, mask), (mask, silhouette)):
         marked = torch.nonzero(goal > 0.5)

@@ -13,7 +13,14 @@ COLUMNS, ROWS = np.meshgrid(np.arange(SIZE), np.arange(SIZE))
 
 def painted(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """[..., 3] colours of the sheet at world coordinates."""
-    return np.stack([0.5 + 0.4 * np.sin(31.0 * x), 0.5 + 0.4 * np.sin(27.0 * y), 0.5 + 0.2 * np.cos(19.0 * (x + y))], -1)
+    return np.stack(
+        [
+            0.5 + 0.4 * np.sin(31.0 * x),
+            0.5 + 0.4 * np.sin(27.0 * y),
+            0.5 + 0.2 * np.cos(19.0 * (x + y)),
+        ],
+        -1,
+    )
 
 
 def sheet(step: float = 1.0) -> tuple[np.ndarray, np.ndarray]:

@@ -38,11 +38,24 @@ def commands() -> dict[str, list[str]]:
     words = {}
     for example in EXAMPLES:
         folder = f"examples/{example}"
-        cloud, mask, camera = f"{folder}/initial.ply", f"{folder}/mask.png", ["--camera", f"{folder}/camera.json"]
+        cloud, mask, camera = (
+            f"{folder}/initial.ply",
+            f"{folder}/mask.png",
+            ["--camera", f"{folder}/camera.json"],
+        )
         for mode, preset in itertools.product(MODES, PRESETS):
             if (mode, preset) != ("latent", "paper"):
                 start = cloud if mode == "points" else f"{folder}/image.png"
-                words[f"{example} {mode} {preset}"] = ["refine", "--mode", mode, start, mask, *camera, "--preset", preset]
+                words[f"{example} {mode} {preset}"] = [
+                    "refine",
+                    "--mode",
+                    mode,
+                    start,
+                    mask,
+                    *camera,
+                    "--preset",
+                    preset,
+                ]
         points = ["refine", "--mode", "points"]
         mesh = sorted(Path("examples/meshes", example).glob("*.ply"))[0]
         words[f"{example} two masks"] = [*points, cloud, mask, f"{folder}/second.png"]
@@ -72,7 +85,10 @@ def pins() -> dict[str, str]:
     digests = {}
     for number, (name, words) in enumerate(commands().items(), 1):
         output = [] if words[0] == "eval" or "--check" in words else ["-o", f"{number}.ply"]
-        with contextlib.redirect_stdout(io.StringIO()) as printed, contextlib.redirect_stderr(io.StringIO()):
+        with (
+            contextlib.redirect_stdout(io.StringIO()) as printed,
+            contextlib.redirect_stderr(io.StringIO()),
+        ):
             try:
                 tso([*words, *output, "--json"])
             except SystemExit as stopped:

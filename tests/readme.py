@@ -55,7 +55,10 @@ def initial_error() -> str:
     from tso_cli.evaluation.metrics import chamfer
     from tso_cli.io.clouds import read_cloud
 
-    initial, target = (read_cloud(ROOT / "examples" / "chair" / f"{name}.ply").points for name in ("initial", "target"))
+    initial, target = (
+        read_cloud(ROOT / "examples" / "chair" / f"{name}.ply").points
+        for name in ("initial", "target")
+    )
     return f"The initial cloud was at {1e3 * chamfer(initial, target).chamfer:.3f}."
 
 
@@ -69,11 +72,19 @@ def advice() -> str:
         ("a cloud, two masks", "the default", "other", "points, best, 2 masks"),
         ("a cloud, four masks", "the default", "other", "points, best, 4 masks"),
         ("a photo alone", "`--mode latent`", "network", "latent, best"),
-        ("", "`--mode encoder-decoder`, then points mode", "network", "encoder-decoder, then points"),
+        (
+            "",
+            "`--mode encoder-decoder`, then points mode",
+            "network",
+            "encoder-decoder, then points",
+        ),
     ]
     cells = "{mean_ratio:.2f} ± {standard_error:.2f}|{median_seconds:.2f}|{worse} of {cases}, {worst_ratio:.2f}"
     study = record("pareto")["summary"]
-    figures = [cells.format_map(study[kind] | study[kind]["ways"][way]).split("|") for _, _, kind, way in rows]
+    figures = [
+        cells.format_map(study[kind] | study[kind]["ways"][way]).split("|")
+        for _, _, kind, way in rows
+    ]
     header = ["you have", "use", "after / before", "seconds", "made worse, worst"]
     return markdown(header, [[*row[:2], *found] for row, found in zip(rows, figures, strict=True)])
 
@@ -84,19 +95,42 @@ def types() -> str:
     for name, group in record("accuracy")["summary"]["other"].items():
         before, row = group["before"], group["variants"]["best"]
         chamfer = f"{1e3 * before['chamfer']:.1f} -> {1e3 * row['chamfer']:.1f}"
-        ratios = f"{row['mean_ratio']:.2f}", f"{row['worst_ratio']:.2f}", str(row["worse"]), f"{before['floor_ratio']:.2f}"
-        measures = f"{before['f_score']:.2f} -> {row['f_score']:.2f}", f"{row['iou_before']:.2f} -> {row['iou']:.2f}"
+        ratios = (
+            f"{row['mean_ratio']:.2f}",
+            f"{row['worst_ratio']:.2f}",
+            str(row["worse"]),
+            f"{before['floor_ratio']:.2f}",
+        )
+        measures = (
+            f"{before['f_score']:.2f} -> {row['f_score']:.2f}",
+            f"{row['iou_before']:.2f} -> {row['iou']:.2f}",
+        )
         rows.append([f"{name}, {group['cases']}", chamfer, *ratios, *measures])
-    header = ["object, clouds", "Chamfer x1000", "mean", "worst", "made worse", "floor", "F-score", "IoU"]
+    header = [
+        "object, clouds",
+        "Chamfer x1000",
+        "mean",
+        "worst",
+        "made worse",
+        "floor",
+        "F-score",
+        "IoU",
+    ]
     return markdown(header, rows)
 
 
 def pooled(kind: str, variant: str) -> list[str]:
     """Of all object types together: mean and worst Chamfer after / before, and how many got worse."""
-    groups = [(group["cases"], group["variants"][variant]) for group in record("accuracy")["summary"][kind].values()]
+    groups = [
+        (group["cases"], group["variants"][variant])
+        for group in record("accuracy")["summary"][kind].values()
+    ]
     total = sum(cases for cases, _ in groups)
     mean = sum(cases * row["mean_ratio"] for cases, row in groups) / total
-    worst, worse = max(row["worst_ratio"] for _, row in groups), sum(row["worse"] for _, row in groups)
+    worst, worse = (
+        max(row["worst_ratio"] for _, row in groups),
+        sum(row["worse"] for _, row in groups),
+    )
     return [f"{mean:.2f}", f"{worst:.2f}", f"{worse} of {total}"]
 
 
@@ -110,7 +144,10 @@ def starts() -> str:
         "right": "the truth itself, sampled anew",
     }
     variants = {"paper": "paper", "default": "best", "default, four masks": "best, four masks"}
-    rows = [[label, *(", ".join(pooled(kind, name)) for name in variants.values())] for kind, label in kinds.items()]
+    rows = [
+        [label, *(", ".join(pooled(kind, name)) for name in variants.values())]
+        for kind, label in kinds.items()
+    ]
     return markdown(["start", *variants], rows)
 
 
@@ -125,7 +162,10 @@ def depth() -> str:
         "two masks and their depth maps": "two masks and their depths, no symmetry",
     }
     study = record("evidence")["summary"]["depth"]["other"]["all"]
-    cells = [[label, f"{study[name]['mean_ratio']:.2f}", f"{study[name]['worst_ratio']:.2f}"] for label, name in rows.items()]
+    cells = [
+        [label, f"{study[name]['mean_ratio']:.2f}", f"{study[name]['worst_ratio']:.2f}"]
+        for label, name in rows.items()
+    ]
     return markdown(["observations", "after / before", "worst"], cells)
 
 
@@ -139,25 +179,47 @@ def targets(name: str) -> str:
 def cameras() -> str:
     """How often a camera is found from mask and cloud."""
     rows = [
-        [name, f"{row['median_degrees']:.0f}", f"{row['right']} of {row['cases']}", f"{row['sure']}, {row['sure_right']}"]
+        [
+            name,
+            f"{row['median_degrees']:.0f}",
+            f"{row['right']} of {row['cases']}",
+            f"{row['sure']}, {row['sure_right']}",
+        ]
         for name, row in record("pose")["summary"].items()
     ]
-    return markdown(["cloud", "median error, degrees", "within 15 degrees", "called sure, of them right"], rows)
+    return markdown(
+        ["cloud", "median error, degrees", "within 15 degrees", "called sure, of them right"], rows
+    )
 
 
 def confidence() -> str:
     """How well a low confidence tells results that are worse, by what is wrong with the input."""
-    names = {"all": "anything", "mask": "the mask", "camera": "the camera", "gross": "a common mistake", "cloud": "the cloud"}
+    names = {
+        "all": "anything",
+        "mask": "the mask",
+        "camera": "the camera",
+        "gross": "a common mistake",
+        "cloud": "the cloud",
+    }
     summary = record("confidence")["summary"]
     rows = [
-        [text, *(f"{100 * summary[name][key]:.0f} %" for key in ("worse", "flagged_of_worse")), f"{summary[name]['auc']:.2f}"]
+        [
+            text,
+            *(f"{100 * summary[name][key]:.0f} %" for key in ("worse", "flagged_of_worse")),
+            f"{summary[name]['auc']:.2f}",
+        ]
         for name, text in names.items()
     ]
     right, gross = summary["right scenes"], summary["gross"]
     note = f"Of {gross['results'] + gross['refused']} common mistakes {100 * gross['named']:.0f} % are named rightly, "
     note += f"{100 * gross['suspected']:.0f} % noticed; "
-    note += f"of {right['results']} right scenes {100 * right['flagged']:.0f} % are called doubtful."
-    return markdown(["wrong is", "results worse by over 5 %", "of these flagged", "AUC"], rows) + f"\n\n{note}"
+    note += (
+        f"of {right['results']} right scenes {100 * right['flagged']:.0f} % are called doubtful."
+    )
+    return (
+        markdown(["wrong is", "results worse by over 5 %", "of these flagged", "AUC"], rows)
+        + f"\n\n{note}"
+    )
 
 
 def flagged() -> str:
@@ -165,7 +227,13 @@ def flagged() -> str:
     halves, knees = record("stability")["halves"], record("stability")["knees"]["best"]
     dilated, shifted, yaw, aside, distance = (
         f"{knees[axis]['works_to']:g}"
-        for axis in ("mask dilated", "mask shifted", "yaw of the camera", "camera moved aside", "distance of the camera")
+        for axis in (
+            "mask dilated",
+            "mask shifted",
+            "yaw of the camera",
+            "camera moved aside",
+            "distance of the camera",
+        )
     )
     works = (
         f"Clouds come nearer to the truth with a mask dilated by {dilated} % or shifted by {shifted} % of the object's size,\n"
@@ -175,30 +243,52 @@ def flagged() -> str:
         f"{100 * halves[group]['flagged'] / halves[group]['hopeless_worse']:.0f} % ({group})"
         for group in ("mask", "camera", "cloud")
     ]
-    return f"{works}\nOf worse results in the harder half of the axes tso flags {', '.join(shares)}."
+    return (
+        f"{works}\nOf worse results in the harder half of the axes tso flags {', '.join(shares)}."
+    )
 
 
 def network() -> str:
     """The shipped network on types that it has not seen."""
     keys = ("network", "mean_view", "mean_aligned", "nearest")
     summary = record("network")["summary"]["test"].items()
-    rows = [[f"{name}, {row['shapes']}", *(f"{1e3 * row[key]:.2f}" for key in keys)] for name, row in summary]
-    return markdown(["object, shapes", "network", "mean shape, view", "mean shape, aligned", "nearest shape"], rows)
+    rows = [
+        [f"{name}, {row['shapes']}", *(f"{1e3 * row[key]:.2f}" for key in keys)]
+        for name, row in summary
+    ]
+    return markdown(
+        ["object, shapes", "network", "mean shape, view", "mean shape, aligned", "nearest shape"],
+        rows,
+    )
 
 
 def photos() -> str:
     """The temple before and after, judged by photos that were not used."""
-    shown = (row for row in record("photos")["summary"] if row["symmetry"] != "auto" and len(row["masks"]) in (0, 4))
+    shown = (
+        row
+        for row in record("photos")["summary"]
+        if row["symmetry"] != "auto" and len(row["masks"]) in (0, 4)
+    )
     cells = "{start} {preset} {iou:.2f} {worst_iou:.2f} {beside:.0%}"
-    rows = [cells.format_map(row | {"start": len(row["start"]), "preset": row["preset"] or "none"}).split() for row in shown]
-    return markdown(["start carved from photos", "preset", "IoU, mean", "IoU, worst", "points beside a mask"], rows)
+    rows = [
+        cells.format_map(
+            row | {"start": len(row["start"]), "preset": row["preset"] or "none"}
+        ).split()
+        for row in shown
+    ]
+    return markdown(
+        ["start carved from photos", "preset", "IoU, mean", "IoU, worst", "points beside a mask"],
+        rows,
+    )
 
 
 def machine() -> str:
     """Where the times were taken."""
     settings = record("speed")["settings"]
     cpu, versions = settings["machine"], settings["versions"]
-    return f"{cpu['cpu']}, {cpu['cores']} cores, torch {versions['torch']}, numba {versions['numba']}."
+    return (
+        f"{cpu['cpu']}, {cpu['cores']} cores, torch {versions['torch']}, numba {versions['numba']}."
+    )
 
 
 def installation() -> str:
@@ -216,25 +306,47 @@ def objects() -> str:
     """Milliseconds of one cloud in both forms, and the quicker one beside the import of torch."""
     rows = []
     objects = [row for row in _timed("object") if row.get("form")]
-    for preset, points, views in dict.fromkeys((row["preset"], row["points"], row["views"]) for row in objects):
-        forms = {row["form"]: row for row in objects if (row["preset"], row["points"], row["views"]) == (preset, points, views)}
+    for preset, points, views in dict.fromkeys(
+        (row["preset"], row["points"], row["views"]) for row in objects
+    ):
+        forms = {
+            row["form"]: row
+            for row in objects
+            if (row["preset"], row["points"], row["views"]) == (preset, points, views)
+        }
         taken = [f"{1e3 * forms[form]['seconds']['median']:.0f}" for form in ("numpy", "compiled")]
         ratio = min(row["over_import_torch"] for row in forms.values())
         rows.append([preset, f"{points:,}", str(views), *taken, f"{ratio:.2f}x"])
-    return markdown(["preset", "points", "masks", "numpy, ms", "compiled, ms", "quicker / `import torch`"], rows)
+    return markdown(
+        ["preset", "points", "masks", "numpy, ms", "compiled, ms", "quicker / `import torch`"], rows
+    )
 
 
 def batches() -> str:
     """Milliseconds a cloud in batches."""
-    timed = [row for row in _timed("batch") if row.get("batch", 1) > 1 and (row["points"], row.get("views", 1)) == (1024, 1)]
+    timed = [
+        row
+        for row in _timed("batch")
+        if row.get("batch", 1) > 1 and (row["points"], row.get("views", 1)) == (1024, 1)
+    ]
     cores = max(row["processes"] for row in timed)
     columns = [(1, False), (cores, False), (1, True), (cores, True)]
     rows = []
     for preset, size in dict.fromkeys((row["preset"], row["batch"]) for row in timed):
-        of_batch = {(row["processes"], row["busy"]): row for row in timed if (row["preset"], row["batch"]) == (preset, size)}
-        cells = [f"{1e3 * of_batch[key]['seconds']['median']:.0f}" if key in of_batch else "" for key in columns]
+        of_batch = {
+            (row["processes"], row["busy"]): row
+            for row in timed
+            if (row["preset"], row["batch"]) == (preset, size)
+        }
+        cells = [
+            f"{1e3 * of_batch[key]['seconds']['median']:.0f}" if key in of_batch else ""
+            for key in columns
+        ]
         rows.append([preset, str(size), *cells])
-    names = [f"{count} {'process' if count == 1 else 'processes'}{', busy' if busy else ''}" for count, busy in columns]
+    names = [
+        f"{count} {'process' if count == 1 else 'processes'}{', busy' if busy else ''}"
+        for count, busy in columns
+    ]
     return markdown(["preset", "clouds", *names], rows)
 
 
@@ -247,8 +359,13 @@ def kernels() -> str:
     }
     rows = []
     for what, names in ways.items():
-        taken = {(row["name"], row["points"]): f"{1e3 * row['seconds']['median']:.3g}" for row in _timed(what)}
-        rows += [[what, name, *(taken.get((name, count), "") for count in points)] for name in names]
+        taken = {
+            (row["name"], row["points"]): f"{1e3 * row['seconds']['median']:.3g}"
+            for row in _timed(what)
+        }
+        rows += [
+            [what, name, *(taken.get((name, count), "") for count in points)] for name in names
+        ]
     return markdown(["kernel", "way", *(f"{count:,} points" for count in points)], rows)
 
 
@@ -263,11 +380,25 @@ def stages() -> str:
         "nodes": "nodes",
         "averaging weight": "averaging_weight",
     }
-    rows = [[str(n), *(f"{getattr(stage, name):g}" for name in columns.values())] for n, stage in enumerate(STAGES, 1)]
+    rows = [
+        [str(n), *(f"{getattr(stage, name):g}" for name in columns.values())]
+        for n, stage in enumerate(STAGES, 1)
+    ]
     return markdown(["stage", *columns], rows)
 
 
-FIGURES = (initial_error, advice, types, starts, depth, cameras, confidence, flagged, network, photos)
+FIGURES = (
+    initial_error,
+    advice,
+    types,
+    starts,
+    depth,
+    cameras,
+    confidence,
+    flagged,
+    network,
+    photos,
+)
 FIGURES += (machine, installation, objects, batches, kernels, stages)
 FILLED: dict[str, Callable[[], str]] = {made.__name__: made for made in FIGURES}
 FILLED |= {f"{name}_targets": partial(targets, name) for name in ("accuracy", "speed")}
@@ -275,7 +406,12 @@ FILLED |= {f"{name}_targets": partial(targets, name) for name in ("accuracy", "s
 
 def with_figures(text: str) -> str:
     """``text`` with what stands between ``<!-- NAME -->`` and ``<!-- end -->`` made anew by the function of that name."""
-    return re.sub(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", lambda m: f"{m[1]}{FILLED[m[2]]()}\n{m[3]}", text, flags=re.DOTALL)
+    return re.sub(
+        r"(<!-- (\w+) -->\n).*?(<!-- end -->)",
+        lambda m: f"{m[1]}{FILLED[m[2]]()}\n{m[3]}",
+        text,
+        flags=re.DOTALL,
+    )
 
 
 def _run(command: str, folder: Path) -> str:
@@ -289,7 +425,11 @@ def _run(command: str, folder: Path) -> str:
 def _with_commands(text: str, folder: Path) -> str:
     def again(match: re.Match[str]) -> str:
         commands = [command for command, _ in console_commands(match[0])]
-        return "```console\n" + "".join(f"$ {command}\n{_run(command, folder)}\n" for command in commands) + "```"
+        return (
+            "```console\n"
+            + "".join(f"$ {command}\n{_run(command, folder)}\n" for command in commands)
+            + "```"
+        )
 
     return CONSOLE.sub(again, text)
 

@@ -37,7 +37,12 @@ def example(name: str) -> Example:
     folder = EXAMPLES / name
     mask = read_mask(folder / "mask.png")
     camera = read_camera(folder / "camera.json", mask.shape[1], mask.shape[0])
-    return Example(read_cloud(folder / "initial.ply").points, mask, camera, read_cloud(folder / "target.ply").points)
+    return Example(
+        read_cloud(folder / "initial.ply").points,
+        mask,
+        camera,
+        read_cloud(folder / "target.ply").points,
+    )
 
 
 def block(region: tuple[slice, slice], shape: tuple[int, int] = (64, 64)) -> np.ndarray:
@@ -68,4 +73,6 @@ def in_photo(view: View, times: int, left: int, top: int) -> View:
     mask = np.zeros((times * height, times * width), np.float32)
     mask[top : top + height, left : left + width] = view.mask
     K = view.camera.K + [[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]]
-    return View(mask, replace(view.camera, K=K, width=times * width, height=times * height), name=view.name)
+    return View(
+        mask, replace(view.camera, K=K, width=times * width, height=times * height), name=view.name
+    )

@@ -16,12 +16,18 @@ from tso_cli.train import TrainConfig
 def make_thin(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same layers with few channels: steps of milliseconds and files of kilobytes."""
     make_known(monkeypatch)
-    monkeypatch.setattr(networks, "CONVOLUTIONS", tuple((4, size, stride) for _, size, stride in networks.CONVOLUTIONS))
+    monkeypatch.setattr(
+        networks,
+        "CONVOLUTIONS",
+        tuple((4, size, stride) for _, size, stride in networks.CONVOLUTIONS),
+    )
 
 
 def make_known(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fingerprints cost nothing: every part has one number. What they are of is tested in test_fingerprint.py."""
-    monkeypatch.setattr(fingerprint, "today", lambda part: {"number": float(list(fingerprint.PARTS).index(part))})
+    monkeypatch.setattr(
+        fingerprint, "today", lambda part: {"number": float(list(fingerprint.PARTS).index(part))}
+    )
 
 
 def box_surface(sides: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -56,11 +62,17 @@ def make_objects(count: int = 3, views: int = 4, category: str = "box") -> list[
         for view in range(views):
             camera = look_at(rng.uniform(0, 360), rng.uniform(-5, 40), 2.8, (64, 64))
             shown = picture(dense, camera)
-            taken.append(ViewItem(f"{category}{number} view {view}", camera, lambda shown=shown: shown))  # type: ignore[misc]
+            taken.append(
+                ViewItem(f"{category}{number} view {view}", camera, lambda shown=shown: shown)
+            )  # type: ignore[misc]
         points = dense[::20].astype(np.float32)
-        objects.append(ObjectItem(f"{category}{number}", category, taken, lambda points=points: points))  # type: ignore[misc]
+        objects.append(
+            ObjectItem(f"{category}{number}", category, taken, lambda points=points: points)
+        )  # type: ignore[misc]
     return objects
 
 
 def config(**changes: Any) -> TrainConfig:
-    return TrainConfig(**{"steps": 6, "batch_size": 2, "points": 64, "views": 2, "saturation_steps": 2, **changes})
+    return TrainConfig(
+        **{"steps": 6, "batch_size": 2, "points": 64, "views": 2, "saturation_steps": 2, **changes}
+    )

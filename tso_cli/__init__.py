@@ -23,7 +23,17 @@ _WHERE = {
     "refine_batch": "refinement",
     "View": "geometry.view",
 }
-__all__ = ["Camera", "GateError", "InputError", "RefineConfig", "RefineResult", "TsoError", "View", "refine", "refine_batch"]
+__all__ = [
+    "Camera",
+    "GateError",
+    "InputError",
+    "RefineConfig",
+    "RefineResult",
+    "TsoError",
+    "View",
+    "refine",
+    "refine_batch",
+]
 
 
 def __getattr__(name: str) -> Any:

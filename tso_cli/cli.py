@@ -23,26 +23,49 @@ from .version import __version__
 SECTIONS = {
     "Your data": {
         "refine": ("tso_cli.commands.refine", "Make a cloud agree with a mask."),
-        "eval": ("tso_cli.commands.evaluate", "Evaluate clouds against ground truth: Chamfer, F-score, EMD, IoU."),
+        "eval": (
+            "tso_cli.commands.evaluate",
+            "Evaluate clouds against ground truth: Chamfer, F-score, EMD, IoU.",
+        ),
     },
     "Networks": {
-        "train": ("tso_cli.commands.train", "Train the network that predicts a cloud from a photo."),
-        "render": ("tso_cli.commands.render", "Render meshes to images, masks, cameras and ground truth."),
-        "export": ("tso_cli.commands.export", "Write a network with 16-bit weights, without its training state."),
-        "curves": ("tso_cli.commands.curves", "Draw the loss curves of trainings, and samples of a network."),
+        "train": (
+            "tso_cli.commands.train",
+            "Train the network that predicts a cloud from a photo.",
+        ),
+        "render": (
+            "tso_cli.commands.render",
+            "Render meshes to images, masks, cameras and ground truth.",
+        ),
+        "export": (
+            "tso_cli.commands.export",
+            "Write a network with 16-bit weights, without its training state.",
+        ),
+        "curves": (
+            "tso_cli.commands.curves",
+            "Draw the loss curves of trainings, and samples of a network.",
+        ),
     },
     "Speed and research": {
         "compile": (
             "tso_cli.commands.compile_loops",
             "Compile the kernels of large refinements now, once, for all runs.",
         ),
-        "bench": ("tso_cli.lab.commands.bench", "Measure the speed on this machine and compare it with other packages."),
-        "lab": ("tso_cli.lab.commands", "Studies of the method: accuracy, the paper's tables, generated shapes."),
+        "bench": (
+            "tso_cli.lab.commands.bench",
+            "Measure the speed on this machine and compare it with other packages.",
+        ),
+        "lab": (
+            "tso_cli.lab.commands",
+            "Studies of the method: accuracy, the paper's tables, generated shapes.",
+        ),
     },
 }
 
 
-@click.group(cls=LazyGroup, sections=SECTIONS, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=LazyGroup, sections=SECTIONS, context_settings={"help_option_names": ["-h", "--help"]}
+)
 @click.version_option(__version__, prog_name="tso")
 def tso() -> None:
     """Make a 3D point cloud agree with a picture.
@@ -77,11 +100,15 @@ def _open_streams() -> None:
     if sys.stderr is sys.__stderr__:  # not replaced by a caller
         encoding = sys.stderr.encoding if sys.stderr else "utf-8"
         # A copy, so that what C libraries print can be told apart.
-        sys.stderr = io.TextIOWrapper(_Stream(2, OSError), encoding, "backslashreplace", write_through=True)
+        sys.stderr = io.TextIOWrapper(
+            _Stream(2, OSError), encoding, "backslashreplace", write_through=True
+        )
     if sys.stdout is sys.__stdout__ and (stdout := sys.__stdout__) is not None:
         # `tso eval ... | head`; that a file could not be written is told.
         buffered = io.BufferedWriter(_Stream(1, BrokenPipeError))
-        sys.stdout = io.TextIOWrapper(buffered, stdout.encoding, stdout.errors, line_buffering=stdout.line_buffering)
+        sys.stdout = io.TextIOWrapper(
+            buffered, stdout.encoding, stdout.errors, line_buffering=stdout.line_buffering
+        )
 
 
 @contextmanager
@@ -96,7 +123,9 @@ def _ended_as_by_ctrl_c() -> Iterator[None]:
     if threading.current_thread() is threading.main_thread():
         for name in ("SIGTERM", "SIGHUP"):
             # nohup's SIGHUP stays ignored; Windows has none.
-            if (number := getattr(signal, name, None)) and signal.getsignal(number) is signal.SIG_DFL:
+            if (number := getattr(signal, name, None)) and signal.getsignal(
+                number
+            ) is signal.SIG_DFL:
                 before[number] = signal.signal(number, interrupt)
     try:
         yield

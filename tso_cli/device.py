@@ -24,6 +24,12 @@ def resolve(name: str) -> torch.device:
         # Reading a value back excludes "meta", whose tensors have no data.
         torch.ones(1, device=device).item()
     except (RuntimeError, AssertionError, NotImplementedError):
-        available = f"{torch.cuda.device_count()} CUDA devices" if torch.cuda.is_available() else "no CUDA device"
-        raise InputError(f"--device {name}: not available here (found the CPU and {available})") from None
+        available = (
+            f"{torch.cuda.device_count()} CUDA devices"
+            if torch.cuda.is_available()
+            else "no CUDA device"
+        )
+        raise InputError(
+            f"--device {name}: not available here (found the CPU and {available})"
+        ) from None
     return device

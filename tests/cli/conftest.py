@@ -19,7 +19,11 @@ def views(folder):
 
     camera, target = read_camera("camera.json", 256, 256), read_cloud("target.ply").points
     records = []
-    for name, degrees, size in (("front.png", 0.0, (64, 64)), ("side.png", 80.0, (96, 80)), ("back.png", 200.0, (128, 128))):
+    for name, degrees, size in (
+        ("front.png", 0.0, (64, 64)),
+        ("side.png", 80.0, (96, 80)),
+        ("back.png", 200.0, (128, 128)),
+    ):
         around = turned(camera, degrees).resized(*size)
         Image.fromarray((silhouette_of(target, around) * 255.0).astype(np.uint8)).save(name)
         records.append(CameraRecord(around, Path(name)))
@@ -32,7 +36,11 @@ def save_untrained(path, frame="view"):
     from tso_cli.io.checkpoints import save_network
     from tso_cli.network.model import NetworkConfig, build_network
 
-    save_network(path, build_network(points=128, seed=0), NetworkConfig(points=128, frame=frame, version=__version__))
+    save_network(
+        path,
+        build_network(points=128, seed=0),
+        NetworkConfig(points=128, frame=frame, version=__version__),
+    )
     return path
 
 

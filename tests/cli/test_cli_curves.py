@@ -30,7 +30,8 @@ def log(tmp_path):
 
 def test_a_log_is_one_line_of_settings_and_one_a_step_and_is_read_as_it_was_written(log):
     lines = [json.loads(line) for line in log.read_text().splitlines()]
-    assert len(lines) == 13 and "supervision" in lines[0]
+    assert len(lines) == 13
+    assert "supervision" in lines[0]
     read = read_log(log)
     assert read.settings["supervision"] == "masks"
     assert list(read.columns) == ["step", "loss", "bce", "affinity", "lambda"]
@@ -44,7 +45,10 @@ def test_the_drop_of_lambda_is_the_first_step_with_the_smaller_one(log):
     assert lambda_drop(read_log(path)) is None
 
 
-@pytest.mark.parametrize(("window", "means"), [(1, [4.0, 2.0, 6.0, 0.0]), (2, [4.0, 3.0, 4.0, 3.0]), (9, [4.0, 3.0, 4.0, 3.0])])
+@pytest.mark.parametrize(
+    ("window", "means"),
+    [(1, [4.0, 2.0, 6.0, 0.0]), (2, [4.0, 3.0, 4.0, 3.0]), (9, [4.0, 3.0, 4.0, 3.0])],
+)
 def test_the_running_mean_is_over_the_last_values_there_are(window, means):
     np.testing.assert_allclose(running_mean(np.array([4.0, 2.0, 6.0, 0.0]), window), means)
 
@@ -63,7 +67,11 @@ def test_logs_of_one_name_are_told_apart_by_their_folders(log, tmp_path):
         (2, "{not json", "line 3 is"),
         (2, "[1, 2]", "line 3 .*expected a JSON object"),
         (2, '{"step": 2, "loss": 1.0}', "line 3 .*expected numbers for step, loss, bce"),
-        (2, '{"step": 2, "loss": NaN, "bce": 1, "affinity": 1, "lambda": 1}', "line 3 .*expected numbers"),
+        (
+            2,
+            '{"step": 2, "loss": NaN, "bce": 1, "affinity": 1, "lambda": 1}',
+            "line 3 .*expected numbers",
+        ),
         (1, "", "no step"),
         (0, '{"step": 2, "loss": 1.0}', "no supervision"),
     ],
@@ -73,7 +81,9 @@ def test_a_damaged_log_is_refused(log, kept, line, message):
     assert_refused(f"masks.jsonl: .*{message}", read_log, log)
 
 
-def test_the_command_draws_several_logs_of_different_losses_and_one_that_is_zero(log, tmp_path, tso):
+def test_the_command_draws_several_logs_of_different_losses_and_one_that_is_zero(
+    log, tmp_path, tso
+):
     points = tmp_path / "points.jsonl"
     write_history(points, [(1.0 / step, 0.5, 0.0, 0.0) for step in range(1, 20)], NetworkConfig())
     output = tmp_path / "curves.png"
@@ -89,7 +99,9 @@ def test_the_command_draws_several_logs_of_different_losses_and_one_that_is_zero
 
 
 @pytest.mark.slow
-def test_the_command_draws_samples_spread_over_the_data_beside_the_curves(monkeypatch, tmp_path, tso):
+def test_the_command_draws_samples_spread_over_the_data_beside_the_curves(
+    monkeypatch, tmp_path, tso
+):
     make_thin(monkeypatch)
     objects = make_objects(3, 2)
     for item in objects:
@@ -98,11 +110,21 @@ def test_the_command_draws_samples_spread_over_the_data_beside_the_curves(monkey
     save_network(tmp_path / "net.safetensors", result.network, result.config)
     write_history(tmp_path / "log.jsonl", [tuple(row) for row in result.history], result.config)
     network = ("--checkpoint", tmp_path / "net.safetensors")
-    asked = (tmp_path / "log.jsonl", "-o", tmp_path / "curves.png", *network, "--data", tmp_path / "data", "--samples", 2)
+    asked = (
+        tmp_path / "log.jsonl",
+        "-o",
+        tmp_path / "curves.png",
+        *network,
+        "--data",
+        tmp_path / "data",
+        "--samples",
+        2,
+    )
     assert "2 samples" in tso("curves", *asked).out
     samples = sample_predictions(result.network, TrainingData(objects, "three boxes"), "view", 2)
     assert [sample.name for sample in samples] == ["box0", "box2"]
-    assert samples[0].points.shape == (64, 3) and samples[0].chamfer > 0.0
+    assert samples[0].points.shape == (64, 3)
+    assert samples[0].chamfer > 0.0
     with Image.open(tmp_path / "curves.samples.png") as picture:
         assert picture.size[0] > 800
     alone = tso("curves", tmp_path / "log.jsonl", "-o", tmp_path / "other.png", *network)

@@ -74,7 +74,11 @@ def test_two_files_give_one_pair_with_raw_numbers(cloud, document):
     found = document("--chamfer", cloud("a.ply", 1), cloud("b.ply", 2, 50))
     (pair,) = found["pairs"]
     expected = chamfer(points_of(1), points_of(2, 50))
-    assert (pair["forward"], pair["backward"], pair["chamfer"]) == (expected.forward, expected.backward, expected.chamfer)
+    assert (pair["forward"], pair["backward"], pair["chamfer"]) == (
+        expected.forward,
+        expected.backward,
+        expected.chamfer,
+    )
     assert (pair["name"], pair["prediction_points"], pair["target_points"]) == ("a", 40, 50)
     assert found["mean"] == {key: pair[key] for key in ("forward", "backward", "chamfer")}
     assert (found["convention"]["protocol"], found["convention"]["seed"]) == ("plain", 0)
@@ -85,7 +89,8 @@ def test_the_table_shows_thousandfold_values_and_names_its_convention(cloud, run
     result = run(a, b)
     value = chamfer(points_of(1), points_of(2)).chamfer
     assert f"{1000 * value:.3f}" in result.out.splitlines()[2].split()
-    assert "Chamfer x1000: squared distances" in result.out and "seed 0" in result.out
+    assert "Chamfer x1000: squared distances" in result.out
+    assert "seed 0" in result.out
     assert result.err == ""
     assert document(a, b) == document("--chamfer", a, b)
 
@@ -98,7 +103,10 @@ def test_folders_are_matched_by_the_path_without_suffix(cloud, tmp_path, documen
     (tmp_path / "ours" / ".hidden.ply").write_text("not a shape")
     found = document(tmp_path / "ours", tmp_path / "theirs")
     assert [pair["name"] for pair in found["pairs"]] == ["chair/one", "two.v2"]
-    values = [chamfer(points_of(1), points_of(3)).chamfer, chamfer(points_of(2), points_of(4)).chamfer]
+    values = [
+        chamfer(points_of(1), points_of(3)).chamfer,
+        chamfer(points_of(2), points_of(4)).chamfer,
+    ]
     assert [pair["chamfer"] for pair in found["pairs"]] == values
     assert found["mean"]["chamfer"] == pytest.approx(np.mean(values))
 
@@ -106,7 +114,8 @@ def test_folders_are_matched_by_the_path_without_suffix(cloud, tmp_path, documen
 def test_an_unmatched_name_is_an_error_that_names_it(cloud, tmp_path, refusal):
     cloud("ours/a.ply"), cloud("theirs/a.ply"), cloud("ours/b.ply"), cloud("theirs/c.ply")
     message = refusal(tmp_path / "ours", tmp_path / "theirs")
-    assert f"{tmp_path / 'ours'} has b, which" in message and f"{tmp_path / 'theirs'} has c, which" in message
+    assert f"{tmp_path / 'ours'} has b, which" in message
+    assert f"{tmp_path / 'theirs'} has c, which" in message
     for name in "defg":
         cloud(f"ours/{name}.ply")
     assert "b, d, e and 2 more" in refusal(tmp_path / "ours", tmp_path / "theirs")
@@ -134,11 +143,16 @@ def test_inputs_that_do_not_pair_are_refused(cloud, tmp_path, refusal):
 
 def test_capnet_protocol_hides_scale_and_place_and_plain_does_not(cloud, document):
     a, b, b_large = cloud("a.ply", 1), cloud("b.ply", 2), cloud("large.ply", 2, scale=7.0)
-    assert document(a, b)["mean"]["chamfer"] != pytest.approx(document(a, b_large)["mean"]["chamfer"])
+    assert document(a, b)["mean"]["chamfer"] != pytest.approx(
+        document(a, b_large)["mean"]["chamfer"]
+    )
     scaled = document(a, b_large, "--protocol", "capnet", "--emd", "--chamfer")
-    assert scaled["mean"] == pytest.approx(document(a, b, "--protocol", "capnet", "--emd", "--chamfer")["mean"])
+    assert scaled["mean"] == pytest.approx(
+        document(a, b, "--protocol", "capnet", "--emd", "--chamfer")["mean"]
+    )
     boxed = map(normalise_longest_side, (points_of(1), points_of(2)))
-    assert scaled["mean"]["emd"] == pytest.approx(emd(*boxed, squared=True)) and "squared" in scaled["convention"]["emd"]
+    assert scaled["mean"]["emd"] == pytest.approx(emd(*boxed, squared=True))
+    assert "squared" in scaled["convention"]["emd"]
     assert document(a, b, "--emd")["mean"]["emd"] == pytest.approx(emd(points_of(1), points_of(2)))
 
 
@@ -148,7 +162,10 @@ CHAIR_MESH = examples_folder() / "meshes" / "chair" / "q17_ChairHandle.ply"
 def papers_chamfer(prediction, thinned=1024):
     """The paper's evaluation: 16,384 points of a mesh, farthest-point sampling, each cloud in its own box."""
     mesh = read_mesh(CHAIR_MESH)
-    clouds = read_cloud(prediction).points, sample_surface(mesh.vertices, mesh.faces, 16384, np.random.default_rng(0))
+    clouds = (
+        read_cloud(prediction).points,
+        sample_surface(mesh.vertices, mesh.faces, 16384, np.random.default_rng(0)),
+    )
     if thinned is not None:
         clouds = [points[farthest_point_sample(points, thinned)] for points in clouds]
     return chamfer(*map(normalise_longest_side, clouds)).chamfer
@@ -160,13 +177,18 @@ def test_capnet_protocol_is_the_papers_evaluation(prediction, document):
     result = document(ours, CHAIR_MESH, "--protocol", "capnet")
     expected = papers_chamfer(ours)
     assert result["mean"]["chamfer"] == pytest.approx(expected, rel=0.04)
-    assert (result["pairs"][0]["prediction_points"], result["pairs"][0]["target_points"]) == (1024, 1024)
+    assert (result["pairs"][0]["prediction_points"], result["pairs"][0]["target_points"]) == (
+        1024,
+        1024,
+    )
     assert result["convention"]["points"] == 1024
     # Without the thinning it would be another figure.
     assert abs(papers_chamfer(ours, thinned=None) / expected - 1) > 0.06
 
 
-def test_capnet_protocol_takes_other_numbers_on_request_and_small_clouds_whole(cloud, run, document, refusal):
+def test_capnet_protocol_takes_other_numbers_on_request_and_small_clouds_whole(
+    cloud, run, document, refusal
+):
     a, b = cloud("a.ply", 1, 40), cloud("b.ply", 2, 1500)
 
     def counts(*more):
@@ -181,7 +203,9 @@ def test_capnet_protocol_takes_other_numbers_on_request_and_small_clouds_whole(c
 
 
 @pytest.mark.parametrize("in_the_middle", [False, True])
-def test_a_binvox_grid_of_a_shape_lies_on_it_whatever_its_header_places_where(tmp_path, in_the_middle, run):
+def test_a_binvox_grid_of_a_shape_lies_on_it_whatever_its_header_places_where(
+    tmp_path, in_the_middle, run
+):
     write_mesh(tmp_path / "shape.ply", lopsided())
     write_binvox(tmp_path / "grid" / "shape.binvox", in_the_middle)
     result = run(tmp_path / "shape.ply", tmp_path / "grid" / "shape.binvox", "--json")
@@ -201,7 +225,9 @@ def test_a_grid_far_from_what_it_is_compared_with_is_remarked_on(cloud, grid, ru
 
 
 def test_a_surface_against_itself_is_as_far_as_two_samples_of_it(square, run, document):
-    assert "prediction and target draw their own points" in run(square, square, "--samples", 4000).out
+    assert (
+        "prediction and target draw their own points" in run(square, square, "--samples", 4000).out
+    )
     distance = document(square, square, "--samples", 4000)["mean"]
     # Of N points at random on an area A the nearest to any place is at a mean squared distance of A / (pi N).
     assert distance["forward"] == pytest.approx(4 / (np.pi * 4000), rel=0.1)
@@ -210,7 +236,9 @@ def test_a_surface_against_itself_is_as_far_as_two_samples_of_it(square, run, do
     assert "draw" not in run(square, square, "--vertices").out
 
 
-def test_a_single_point_is_judged_by_distance_and_not_by_its_own_size(tmp_path, run, document, refusal):
+def test_a_single_point_is_judged_by_distance_and_not_by_its_own_size(
+    tmp_path, run, document, refusal
+):
     one, two = tmp_path / "one.xyz", tmp_path / "two.xyz"
     one.write_text("1 0 0\n")
     two.write_text("0 0 0\n1 0 0\n")
@@ -233,7 +261,8 @@ def test_plain_protocol_says_when_the_target_is_not_of_size_one(cloud, run):
 
 def test_emd_of_unequal_clouds_advises_points_and_names_the_files(cloud, refusal):
     message = refusal(cloud("a.ply", 1, 60), cloud("b.ply", 2, 30), "--emd")
-    assert "a.ply against" in message and "--points 30" in message
+    assert "a.ply against" in message
+    assert "--points 30" in message
 
 
 def test_f_score_takes_a_threshold(cloud, document):
@@ -243,7 +272,9 @@ def test_f_score_takes_a_threshold(cloud, document):
     assert wide["mean"] == {"precision": 1.0, "recall": 1.0, "f_score": 1.0}
 
 
-def test_meshes_and_voxel_grids_are_compared_by_their_surface_and_this_is_logged(square, grid, run, document):
+def test_meshes_and_voxel_grids_are_compared_by_their_surface_and_this_is_logged(
+    square, grid, run, document
+):
     mesh = square.with_name("b.ply")
     mesh.write_text(SQUARE_PLY)
     result = run(square, mesh, "--samples", 500, "--json")
@@ -267,7 +298,8 @@ def test_fail_above_prints_the_result_and_then_fails_the_gate(cloud, run, docume
     thousandfold = 1000 * document(a, b)["mean"]["chamfer"]
     assert run(a, b, "--fail-above", thousandfold * 1.01).code == 0
     result = run(a, b, "--json", "--fail-above", thousandfold * 0.99)
-    assert result.code == 3 and json.loads(result.out)["pairs"]
+    assert result.code == 3
+    assert json.loads(result.out)["pairs"]
 
 
 @pytest.mark.parametrize(
@@ -291,7 +323,9 @@ def test_options_that_make_no_sense_are_refused(cloud, options, message, refusal
 @pytest.fixture
 def pictured(cloud, tmp_path):
     """A folder with a dense cloud in the left half of the picture, as `cloud.ply`, and its mask and camera."""
-    points = np.stack(np.meshgrid(np.linspace(-0.5, 0.0, 40), np.linspace(-0.25, 0.25, 40), 0.0), -1).reshape(-1, 3)
+    points = np.stack(
+        np.meshgrid(np.linspace(-0.5, 0.0, 40), np.linspace(-0.25, 0.25, 40), 0.0), -1
+    ).reshape(-1, 3)
     write_cloud(tmp_path / "cloud.ply", points)
     mask = block(np.s_[8:24, 1:16], (32, 32)) > 0.5
     write_image(tmp_path / "mask.png", mask)
@@ -302,7 +336,9 @@ def pictured(cloud, tmp_path):
 
 def test_iou_compares_the_silhouette_with_the_mask(pictured, document):
     cloud = pictured / "cloud.ply"
-    found = document(cloud, cloud, "--iou", "--mask", pictured / "mask.png", "--camera", pictured / "camera.json")
+    found = document(
+        cloud, cloud, "--iou", "--mask", pictured / "mask.png", "--camera", pictured / "camera.json"
+    )
     assert found["pairs"][0]["iou"] > 0.85
     assert found["convention"]["iou"] == IOU_MEANS
     assert set(found["mean"]) == {"iou"}
@@ -337,9 +373,13 @@ def test_masks_and_cameras_of_a_folder_are_found_by_name(pictured, tmp_path, doc
         shutil.copy(pictured / "camera.json", cameras / f"{name}.camera.json")
     found = document(clouds, clouds, "--iou", "--mask", masks, "--camera", cameras)
     assert found["pairs"][0]["iou"] > 0.85 > 0.15 > found["pairs"][1]["iou"]
-    assert found == document(clouds, clouds, "--iou", "--mask", masks, "--camera", pictured / "camera.json")
+    assert found == document(
+        clouds, clouds, "--iou", "--mask", masks, "--camera", pictured / "camera.json"
+    )
     (masks / "two.png").unlink()
-    assert "no mask for 'two', expected two.png" in refusal(clouds, clouds, "--iou", "--mask", masks)
+    assert "no mask for 'two', expected two.png" in refusal(
+        clouds, clouds, "--iou", "--mask", masks
+    )
 
 
 def test_iou_without_a_fitting_camera_is_refused(pictured, refusal):
@@ -349,7 +389,8 @@ def test_iou_without_a_fitting_camera_is_refused(pictured, refusal):
     assert "no mask.camera.json or camera.json beside it" in refusal(cloud, cloud, *masked)
     write_cameras(pictured / "small.json", [CameraRecord(Camera.canonical(16, 32))])
     message = refusal(cloud, cloud, *masked, "--camera", pictured / "small.json")
-    assert "16x32" in message and "32x32" in message
+    assert "16x32" in message
+    assert "32x32" in message
 
 
 def test_progress_counts_the_pairs(cloud):

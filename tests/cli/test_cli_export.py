@@ -65,7 +65,14 @@ def test_a_weight_too_large_for_half_precision_is_named_and_nothing_is_written(b
     network, _ = load_network(base)
     with torch.no_grad():
         network.decoder.layers[0].weight[0, 0] = 1e6
-    assert_refused("decoder.layers.0.weight", save_network, "small.safetensors", network, CONFIG, dtype=torch.float16)
+    assert_refused(
+        "decoder.layers.0.weight",
+        save_network,
+        "small.safetensors",
+        network,
+        CONFIG,
+        dtype=torch.float16,
+    )
     assert not Path("small.safetensors").exists()
 
 

@@ -30,19 +30,30 @@ def refined(name):
     return read_cloud(name).points
 
 
-def test_four_lines_say_what_was_written_how_well_it_agrees_how_far_it_moved_and_what_was_used(folder, refine):
+def test_four_lines_say_what_was_written_how_well_it_agrees_how_far_it_moved_and_what_was_used(
+    folder, refine
+):
     run = refine(*POINTS, "--steps", "12")
     lines = run.out.splitlines()
     assert (run.code, run.err, len(lines)) == (0, "", 4)
     assert lines[0] == "initial.refined.ply: 1,024 points"
-    assert re.fullmatch(r"  IoU    0\.\d{3} -> 0\.\d{3} with the mask \(improved, confidence 0\.\d\d\)", lines[1])
-    assert re.fullmatch(r"  moved  \d\.\d % of the object's size on average, \d+\.\d % at most", lines[2])
-    assert re.fullmatch(r"  used   camera camera.json; assumed mirror-symmetric, as the cloud is; \d+\.\d s", lines[3])
+    assert re.fullmatch(
+        r"  IoU    0\.\d{3} -> 0\.\d{3} with the mask \(improved, confidence 0\.\d\d\)", lines[1]
+    )
+    assert re.fullmatch(
+        r"  moved  \d\.\d % of the object's size on average, \d+\.\d % at most", lines[2]
+    )
+    assert re.fullmatch(
+        r"  used   camera camera.json; assumed mirror-symmetric, as the cloud is; \d+\.\d s",
+        lines[3],
+    )
     assert 0.0 < np.abs(refined("initial.refined.ply") - refined("initial.ply")).max() < 0.2
 
 
 def test_json_is_one_document_with_all_promised_entries(folder, refine):
-    document = refine(*POINTS, "--steps", "12", "-o", "out.ply", "--overlay", "out.png", "--json").document
+    document = refine(
+        *POINTS, "--steps", "12", "-o", "out.ply", "--overlay", "out.png", "--json"
+    ).document
     promised = (
         "mode output camera steps stop_reason warnings iou_before iou_after loss_before loss_after moved_mean moved_max "
         "chamfer_to_initial symmetry_outcome seconds frame points sigma_sq device version"
@@ -51,16 +62,24 @@ def test_json_is_one_document_with_all_promised_entries(folder, refine):
     assert (document["mode"], document["frame"], document["points"]) == ("points", "input", 1024)
     assert document["iou_after"] > document["iou_before"]
     assert document["loss_after"] < document["loss_before"]
-    assert (document["stop_reason"], document["warnings"], document["symmetry_outcome"]) == ("max_steps", [], "used")
+    assert (document["stop_reason"], document["warnings"], document["symmetry_outcome"]) == (
+        "max_steps",
+        [],
+        "used",
+    )
     moved = np.linalg.norm(refined("out.ply") - refined("initial.ply"), axis=1)
-    assert (document["moved_mean"], document["moved_max"]) == pytest.approx((moved.mean(), moved.max()), rel=1e-4)
+    assert (document["moved_mean"], document["moved_max"]) == pytest.approx(
+        (moved.mean(), moved.max()), rel=1e-4
+    )
     assert document["version"] == __version__
     assert {"read", "optimise", "write", "total"} <= set(document["seconds"])
     with Image.open("out.png") as picture:
         assert picture.size[0] > 600
 
 
-def test_the_camera_named_after_the_mask_wins_over_the_folders_and_the_canonical_one_stands_in(folder, refine):
+def test_the_camera_named_after_the_mask_wins_over_the_folders_and_the_canonical_one_stands_in(
+    folder, refine
+):
     shutil.copy("camera.json", "mask.camera.json")
     Path("camera.json").write_text("not used")
     assert "used   camera mask.camera.json; " in refine(*POINTS, "--steps", "0").out
@@ -81,26 +100,44 @@ def test_an_inverted_mask_is_the_same_with_the_flag_and_ignored_pixels_matter(fo
     assert Path("a.ply").read_bytes() == Path("b.ply").read_bytes() != Path("c.ply").read_bytes()
 
 
-def test_check_says_where_the_points_fall_or_why_they_do_not_meet_the_mask_and_writes_nothing(folder, refine):
+def test_check_says_where_the_points_fall_or_why_they_do_not_meet_the_mask_and_writes_nothing(
+    folder, refine
+):
     out = refine(*POINTS, "--check").out
-    assert all(word in out for word in ("perspective", "inside the image", "on the mask", "IoU", "depth"))
+    assert all(
+        word in out for word in ("perspective", "inside the image", "on the mask", "IoU", "depth")
+    )
     assert not list(folder.glob("*refined*"))
     write_cloud("far.ply", refined("initial.ply") + [30.0, 0.0, 0.0])
     run = refine("far.ply", "mask.png", "--check")
-    assert run.code == 2 and "do not meet" in run.out and "behind the camera" in run.err
+    assert run.code == 2
+    assert "do not meet" in run.out
+    assert "behind the camera" in run.err
 
 
 def test_a_camera_that_names_another_mask_is_warned_of(folder, refine):
     _change_json(Path("camera.json"), lambda camera: {"views": [camera | {"mask": "else.png"}]})
     run = refine(*POINTS, "--steps", "0")
-    assert run.code == 0 and "else.png" in run.err
+    assert run.code == 0
+    assert "else.png" in run.err
 
 
 # Several masks
 
 
-def test_several_masks_of_their_own_sizes_and_cameras_refine_one_cloud_and_bring_it_nearer_than_one(views, refine):
-    files = ("initial.ply", *views, "--camera", "views.json", "-o", "out.ply", "--overlay", "out.png")
+def test_several_masks_of_their_own_sizes_and_cameras_refine_one_cloud_and_bring_it_nearer_than_one(
+    views, refine
+):
+    files = (
+        "initial.ply",
+        *views,
+        "--camera",
+        "views.json",
+        "-o",
+        "out.ply",
+        "--overlay",
+        "out.png",
+    )
     document = refine(*files, "--steps", "24", *PLAIN, "--json").document
     assert [view["mask"] for view in document["views"]] == ["front.png", "side.png", "back.png"]
     assert [view["camera"]["width"] for view in document["views"]] == [64, 96, 128]
@@ -111,8 +148,12 @@ def test_several_masks_of_their_own_sizes_and_cameras_refine_one_cloud_and_bring
     assert [view["weight"] for view in document["views"]] == pytest.approx([1.0, 1.0, 1.0], abs=0.2)
     with Image.open("out.png") as picture:
         assert picture.size[1] > 3 * 340
-    refine("initial.ply", views[0], "--camera", "views.json", "--steps", "24", *PLAIN, "-o", "one.ply")
-    three, one = (chamfer(refined(name), refined("target.ply")).chamfer for name in ("out.ply", "one.ply"))
+    refine(
+        "initial.ply", views[0], "--camera", "views.json", "--steps", "24", *PLAIN, "-o", "one.ply"
+    )
+    three, one = (
+        chamfer(refined(name), refined("target.ply")).chamfer for name in ("out.ply", "one.ply")
+    )
     assert three < 0.97 * one
 
 
@@ -125,7 +166,9 @@ def test_named_masks_may_come_in_any_order_or_be_left_out(views, refine):
         assert view["iou_after"] == pytest.approx(same["iou_after"], abs=0.01)
 
 
-def test_masks_take_their_cameras_from_a_file_of_all_views_beside_them_or_from_one_of_their_own(views, refine):
+def test_masks_take_their_cameras_from_a_file_of_all_views_beside_them_or_from_one_of_their_own(
+    views, refine
+):
     def cameras(masks, *more):
         document = refine("initial.ply", *masks, "--steps", "0", "--json", *more).document
         return [(view["camera"]["source"], view["camera"]["width"]) for view in document["views"]]
@@ -133,7 +176,9 @@ def test_masks_take_their_cameras_from_a_file_of_all_views_beside_them_or_from_o
     Path("views.json").rename("cameras.json")
     Path("camera.json").unlink()
     assert cameras(views[1:]) == [("cameras.json", 96), ("cameras.json", 128)]
-    for view, mask in zip(json.loads(Path("cameras.json").read_text())["views"], views, strict=True):
+    for view, mask in zip(
+        json.loads(Path("cameras.json").read_text())["views"], views, strict=True
+    ):
         del view["mask"]
         mask.with_suffix(".camera.json").write_text(json.dumps(view))
     own = [("front.camera.json", 64), ("side.camera.json", 96), ("back.camera.json", 128)]
@@ -147,7 +192,9 @@ def test_each_mask_has_an_ignore_map_of_its_own(views, refine):
         maps = []
         for mask, rows in zip(views, (0, 0, ignored), strict=True):
             with Image.open(mask) as image:
-                Image.fromarray((255 * block(np.s_[:rows], image.size[::-1])).astype(np.uint8)).save(f"ignore-{mask}")
+                Image.fromarray(
+                    (255 * block(np.s_[:rows], image.size[::-1])).astype(np.uint8)
+                ).save(f"ignore-{mask}")
             maps += ["--ignore", f"ignore-{mask}"]
         refine(*common, name, *maps)
     np.testing.assert_allclose(refined("empty.ply"), refined("none.ply"), atol=1e-6)
@@ -157,8 +204,16 @@ def test_each_mask_has_an_ignore_map_of_its_own(views, refine):
 def test_check_prints_a_block_for_each_view(views, refine):
     files = ("initial.ply", *views, "--camera", "views.json", "--check")
     out = refine(*files).out
-    assert re.findall(r"^view +(.*)$", out, re.M) == ["1 of 3, front.png", "2 of 3, side.png", "3 of 3, back.png"]
-    assert re.findall(r"perspective, (\d+x\d+), from views.json", out) == ["64x64", "96x80", "128x128"]
+    assert re.findall(r"^view +(.*)$", out, re.M) == [
+        "1 of 3, front.png",
+        "2 of 3, side.png",
+        "3 of 3, back.png",
+    ]
+    assert re.findall(r"perspective, (\d+x\d+), from views.json", out) == [
+        "64x64",
+        "96x80",
+        "128x128",
+    ]
     assert out.count("they meet") == 3
     document = refine(*files, "--json").document
     assert document["meets"] is True
@@ -196,11 +251,15 @@ def shipped(tmp_path, checkpoint, monkeypatch):
     return weights / "default.safetensors"
 
 
-def test_without_a_checkpoint_the_shipped_one_refines_and_is_named(folder, checkpoint, shipped, refine):
+def test_without_a_checkpoint_the_shipped_one_refines_and_is_named(
+    folder, checkpoint, shipped, refine
+):
     assert refine(*ENCODER, "-o", "a.ply", "--json").document["checkpoint"] == str(shipped)
     used = f"used   network {checkpoint}; camera camera.json (only its K); "
     assert used in refine(*ENCODER, "-o", "b.ply", "--checkpoint", checkpoint).out
-    assert "used   shipped network; " in refine(*ENCODER, "-o", "c.ply", "--checkpoint", "default").out
+    assert (
+        "used   shipped network; " in refine(*ENCODER, "-o", "c.ply", "--checkpoint", "default").out
+    )
     assert Path("a.ply").read_bytes() == Path("b.ply").read_bytes() == Path("c.ply").read_bytes()
 
 
@@ -214,7 +273,8 @@ def test_an_installation_without_its_network_is_said_so(folder, shipped, refine)
     shipped.unlink()
     for arguments in (ENCODER, (*ENCODER, "--checkpoint", "default")):
         message = refine(*arguments).refusal
-        assert str(shipped) in message and "--checkpoint" in message
+        assert str(shipped) in message
+        assert "--checkpoint" in message
     assert not Path("image.refined.ply").exists()
     assert refine(*POINTS, "--steps", "1").code == 0
 
@@ -226,29 +286,51 @@ def test_the_shipped_network_is_small_view_aligned_and_refines_the_examples(fold
     assert {tensor.dtype for tensor in load_file(path).values()} == {torch.float16}
     config, _ = read_metadata(path)
     assert (config.frame, config.points) == ("view", 1024)
-    document = refine("--mode", "latent", "image.png", "mask.png", "--steps", "10", "--json").document
+    document = refine(
+        "--mode", "latent", "image.png", "mask.png", "--steps", "10", "--json"
+    ).document
     assert document["points"] == 1024
     assert document["iou_after"] > document["iou_before"] > 0.3
 
 
 def test_a_view_aligned_cloud_can_be_had_in_world_coordinates(folder, checkpoint, refine):
-    world = refine(*ENCODER, "--checkpoint", checkpoint, "-o", "world.ply", "--frame", "world", "--json").document
+    world = refine(
+        *ENCODER, "--checkpoint", checkpoint, "-o", "world.ply", "--frame", "world", "--json"
+    ).document
     assert world["frame"] == "world"
     # In the world of the camera file, the cloud falls on the mask as it is.
-    assert refine("world.ply", "mask.png", "--check", "--json").document["placement"]["box_iou"] > 0.5
+    assert (
+        refine("world.ply", "mask.png", "--check", "--json").document["placement"]["box_iou"] > 0.5
+    )
 
 
-def test_a_view_aligned_cloud_can_be_placed_where_the_camera_file_has_the_object(folder, checkpoint, refine):
-    common = ("--mode", "latent", "image.png", "mask.png", "--checkpoint", checkpoint, "--steps", "1", "--json")
+def test_a_view_aligned_cloud_can_be_placed_where_the_camera_file_has_the_object(
+    folder, checkpoint, refine
+):
+    common = (
+        "--mode",
+        "latent",
+        "image.png",
+        "mask.png",
+        "--checkpoint",
+        checkpoint,
+        "--steps",
+        "1",
+        "--json",
+    )
     distances = {
-        placing: refine(*common, "-o", f"{placing}.ply", "--place", placing).document["camera"]["t"][2]
+        placing: refine(*common, "-o", f"{placing}.ply", "--place", placing).document["camera"][
+            "t"
+        ][2]
         for placing in ("silhouette", "box", "camera")
     }
     assert distances["camera"] == json.loads(Path("camera.json").read_text())["t"][2]
     assert len(set(distances.values())) == 3
 
 
-def test_a_network_without_a_camera_file_sees_the_crop_through_the_canonical_camera(folder, checkpoint, refine):
+def test_a_network_without_a_camera_file_sees_the_crop_through_the_canonical_camera(
+    folder, checkpoint, refine
+):
     Path("camera.json").unlink()
     arguments = (*ENCODER, "--checkpoint", checkpoint)
     assert refine(*arguments, "--json").document["camera"]["K"][0][0] == 120.0
@@ -257,10 +339,18 @@ def test_a_network_without_a_camera_file_sees_the_crop_through_the_canonical_cam
 
 
 def test_a_canonical_frame_network_needs_a_camera_file(folder, refine):
-    arguments = (*ENCODER, "--checkpoint", save_untrained(Path("canonical.safetensors"), "canonical"), "--overwrite")
+    arguments = (
+        *ENCODER,
+        "--checkpoint",
+        save_untrained(Path("canonical.safetensors"), "canonical"),
+        "--overwrite",
+    )
     assert refine(*arguments, "--json").document["frame"] == "canonical"
     for option in (("--place", "box"), ("--frame", "world")):
-        assert f"{' '.join(option)}, which is for view-aligned networks" in refine(*arguments, *option).refusal
+        assert (
+            f"{' '.join(option)}, which is for view-aligned networks"
+            in refine(*arguments, *option).refusal
+        )
     Path("camera.json").unlink()
     assert "R and t" in refine(*arguments).refusal
 
@@ -275,7 +365,8 @@ def test_an_interrupt_writes_the_best_so_far(folder, refine, monkeypatch):
 
     monkeypatch.setattr(MaskChamferObjective, "__call__", interrupted)
     run = refine(*POINTS, *PLAIN)
-    assert run.code == 130 and "interrupted at step 6 of 48: the result is the best so far" in run.err
+    assert run.code == 130
+    assert "interrupted at step 6 of 48: the result is the best so far" in run.err
     assert Path("initial.refined.ply").exists()
 
 
@@ -334,21 +425,29 @@ def _change_json(path: Path, change) -> None:
 DAMAGE = {
     "unlink": lambda path: path.unlink(),
     "text": lambda path, text: path.write_text(text),
-    "mask": lambda path, side, value: Image.fromarray(np.full((int(side), int(side)), int(value), np.uint8)).save(path),
-    "set": lambda path, key, value: _change_json(path, lambda document: document | {key: json.loads(value)}),
+    "mask": lambda path, side, value: Image.fromarray(
+        np.full((int(side), int(side)), int(value), np.uint8)
+    ).save(path),
+    "set": lambda path, key, value: _change_json(
+        path, lambda document: document | {key: json.loads(value)}
+    ),
     "resize": lambda path: Image.open(path).resize((128, 128)).save(path),
     "move": lambda path: write_cloud(path, refined(path) + [30.0, 0.0, 0.0], overwrite=True),
 }
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_what_cannot_work_gets_one_line_and_exit_code_two_and_writes_nothing(case, folder, checkpoint, refine):
+def test_what_cannot_work_gets_one_line_and_exit_code_two_and_writes_nothing(
+    case, folder, checkpoint, refine
+):
     action, arguments, words = BAD[case]
     if action:
         verb, name, *values = action.split(":")
         DAMAGE[verb](Path(name), *values)
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
-    arguments = arguments.replace("ENCODER", "--mode encoder --checkpoint").replace("CHECKPOINT", str(checkpoint))
+    arguments = arguments.replace("ENCODER", "--mode encoder --checkpoint").replace(
+        "CHECKPOINT", str(checkpoint)
+    )
     message = refine(*arguments.split(" ")).refusal
     for word in words.split():
         assert re.search(word.replace(".", r"\."), message), f"{word!r} not in {message!r}"

@@ -23,21 +23,34 @@ def depth_map(folder, chair):
 
 
 def test_a_depth_map_takes_off_a_quarter_more_than_the_mask_alone(depth_map, chair, refine):
-    for name, words in {"mask": (), "depth": ("--depth", "depth.png", "--depth-scale", "0.0001")}.items():
-        assert "depth-scale" not in refine("initial.ply", "mask.png", "-o", f"{name}.ply", "--symmetry", "none", *words).err
+    for name, words in {
+        "mask": (),
+        "depth": ("--depth", "depth.png", "--depth-scale", "0.0001"),
+    }.items():
+        assert (
+            "depth-scale"
+            not in refine(
+                "initial.ply", "mask.png", "-o", f"{name}.ply", "--symmetry", "none", *words
+            ).err
+        )
     mask, depth = (chair.error(read_cloud(name).points) for name in ("mask.ply", "depth.ply"))
     assert depth < 0.75 * mask
 
 
 def test_a_depth_map_in_another_unit_is_warned_of(depth_map, refine):
-    assert "is --depth-scale right?" in refine("initial.ply", "mask.png", "--check", "--depth", "depth.png").err
+    assert (
+        "is --depth-scale right?"
+        in refine("initial.ply", "mask.png", "--check", "--depth", "depth.png").err
+    )
 
 
 @pytest.fixture
 def painted(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     points, colours = sheet(2.0)
-    start = points + np.stack([0.03 * np.cos(3.3 * points[:, 0]), 0.0 * points[:, 0], 0.0 * points[:, 0]], 1)
+    start = points + np.stack(
+        [0.03 * np.cos(3.3 * points[:, 0]), 0.0 * points[:, 0], 0.0 * points[:, 0]], 1
+    )
     trimesh.PointCloud(start, np.rint(255.0 * colours).astype(np.uint8)).export("cloud.ply")
     Image.fromarray((255 * MASK).astype(np.uint8)).save("mask.png")
     Image.fromarray(np.rint(255.0 * photo(0.8)).astype(np.uint8)).save("photo.png")
@@ -47,7 +60,10 @@ def painted(tmp_path, monkeypatch):
 
 def test_an_image_brings_a_cloud_nearer_and_its_colours_stay(painted, refine):
     for name, words in {"image": ("--image", "photo.png"), "mask": ()}.items():
-        assert refine("cloud.ply", "mask.png", *words, "-o", f"{name}.ply", "--symmetry", "none").code == 0
+        assert (
+            refine("cloud.ply", "mask.png", *words, "-o", f"{name}.ply", "--symmetry", "none").code
+            == 0
+        )
     truth = sheet(2.0)[0]
     moved = np.stack([read_cloud(name).points for name in ("image.ply", "mask.ply")])
     with_image, without = np.linalg.norm(moved - truth, axis=2).mean(1)
@@ -63,6 +79,13 @@ def test_an_image_brings_a_cloud_nearer_and_its_colours_stay(painted, refine):
         (("none.png",), "none.png: does not exist"),
     ],
 )
-def test_an_image_that_does_not_fit_gets_one_line_and_writes_nothing(painted, refine, photos, message):
-    assert message in refine("cloud.ply", "mask.png", *(word for photo in photos for word in ("--image", photo))).refusal
+def test_an_image_that_does_not_fit_gets_one_line_and_writes_nothing(
+    painted, refine, photos, message
+):
+    assert (
+        message
+        in refine(
+            "cloud.ply", "mask.png", *(word for photo in photos for word in ("--image", photo))
+        ).refusal
+    )
     assert not list(painted.glob("*.refined.ply"))

@@ -22,7 +22,13 @@ def refine(tso):
 def test_verbose_prints_every_measure_and_setting(folder, refine):
     run = refine("initial.ply", "mask.png", "-v", "--steps", "6")
     assert (run.code, run.err) == (0, "tso: camera: camera.json\n")
-    for words in ("loss ", "Chamfer to the start", "mirror plane", "sigma_sq ", "loss weight 1.00, mask.png"):
+    for words in (
+        "loss ",
+        "Chamfer to the start",
+        "mirror plane",
+        "sigma_sq ",
+        "loss weight 1.00, mask.png",
+    ):
         assert words in run.out
 
 
@@ -32,18 +38,34 @@ def test_quiet_prints_nothing_but_errors_and_the_json_document(folder, refine):
     assert Path("picture.png").exists()
     run = refine("initial.ply", "mask.png", "-q", "--steps", "0", "--json")
     assert (run.err, run.document["stop_reason"], run.document["steps"]) == ("", "max_steps", 0)
-    assert run.document["warnings"] == ["nothing moved: no steps were asked for; the cloud is as it was"]
+    assert run.document["warnings"] == [
+        "nothing moved: no steps were asked for; the cloud is as it was"
+    ]
     assert refine("initial.ply", "nowhere.png", "-q").refusal.startswith("tso: error: nowhere.png")
 
 
 def test_a_run_that_moves_nothing_says_so_and_why(folder, refine):
     why = "none of 3 steps agrees better with what the mask shows than the start does"
     warning = f"nothing moved: {why}; the cloud is as it was"
-    arguments = ("initial.ply", "mask.png", "--preset", "paper", "--learning-rate", "0.5", "--steps", "3")
+    arguments = (
+        "initial.ply",
+        "mask.png",
+        "--preset",
+        "paper",
+        "--learning-rate",
+        "0.5",
+        "--steps",
+        "3",
+    )
     run = refine(*arguments)
-    assert run.err == f"tso: warning: {warning}\n" and f"  moved  nothing: {why}\n" in run.out
+    assert run.err == f"tso: warning: {warning}\n"
+    assert f"  moved  nothing: {why}\n" in run.out
     document = refine(*arguments, "--json").document
-    assert (document["stop_reason"], document["steps"], document["moved_max"]) == ("not_improved", 3, 0.0)
+    assert (document["stop_reason"], document["steps"], document["moved_max"]) == (
+        "not_improved",
+        3,
+        0.0,
+    )
     assert document["warnings"] == [warning]
 
 
@@ -71,22 +93,54 @@ def test_the_assumed_symmetry_is_printed(folder, refine, options, printed):
     assert used == (printed or "")
 
 
-@pytest.mark.parametrize(("mode", "rows", "columns"), [("points", 3, 2), ("encoder", 1, 1), ("latent", 5, 3)])
-def test_an_object_of_a_few_pixels_in_a_photo_is_warned_of_in_every_mode(mode, rows, columns, folder, checkpoint, refine):
+@pytest.mark.parametrize(
+    ("mode", "rows", "columns"), [("points", 3, 2), ("encoder", 1, 1), ("latent", 5, 3)]
+)
+def test_an_object_of_a_few_pixels_in_a_photo_is_warned_of_in_every_mode(
+    mode, rows, columns, folder, checkpoint, refine
+):
     mask = np.zeros((480, 640), np.uint8)
     mask[200 : 200 + rows, 300 : 300 + columns] = 255
     Image.fromarray(mask).save("few.png")
-    Image.fromarray(np.random.default_rng(0).integers(0, 255, (480, 640, 3), np.uint8)).save("photo.png")
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (480, 640, 3), np.uint8)).save(
+        "photo.png"
+    )
     camera = read_camera("camera.json", 256, 256)
     focal = 0.75 * rows * camera.t[2]
-    K = np.array([[focal, 0.0, 300.0 + (columns - 1) / 2], [0.0, focal, 200.0 + (rows - 1) / 2], [0.0, 0.0, 1.0]])
-    write_cameras(Path("few.camera.json"), [CameraRecord(replace(camera, K=K, width=640, height=480))])
+    K = np.array(
+        [
+            [focal, 0.0, 300.0 + (columns - 1) / 2],
+            [0.0, focal, 200.0 + (rows - 1) / 2],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    write_cameras(
+        Path("few.camera.json"), [CameraRecord(replace(camera, K=K, width=640, height=480))]
+    )
     seen = f"only {rows * columns} pixels: details smaller than 1/{rows} of its size cannot be seen"
-    expected = "a single pixel, which tells where it is and nothing of its shape" if rows == 1 else seen
+    expected = (
+        "a single pixel, which tells where it is and nothing of its shape" if rows == 1 else seen
+    )
     source = ("initial.ply",) if mode == "points" else ("photo.png", "--checkpoint", checkpoint)
     for preset in ("best", "paper"):
-        run = refine(*source, "few.png", "--mode", mode, "--steps", "2", "-o", "out.ply", "--json", "--preset", preset)
-        (warning,) = [text for text in run.document["warnings"] if text.startswith("few.png: shows the object with ")]
+        run = refine(
+            *source,
+            "few.png",
+            "--mode",
+            mode,
+            "--steps",
+            "2",
+            "-o",
+            "out.ply",
+            "--json",
+            "--preset",
+            preset,
+        )
+        (warning,) = [
+            text
+            for text in run.document["warnings"]
+            if text.startswith("few.png: shows the object with ")
+        ]
         assert warning == f"few.png: shows the object with {expected}"
         assert np.isfinite(read_cloud("out.ply").points).all()
 
@@ -105,7 +159,10 @@ def test_the_bar_stays_on_one_line_and_tells_the_time_left(columns, monkeypatch)
     bar = options.ProgressBar("tso: refining")
     for step in range(1, 9):
         bar(step, 8, "steps")
-    shown = [line.removesuffix("\x1b[K") for line in terminal.getvalue().removesuffix("\n").split("\r")[1:]]
+    shown = [
+        line.removesuffix("\x1b[K")
+        for line in terminal.getvalue().removesuffix("\n").split("\r")[1:]
+    ]
     assert "\n" not in terminal.getvalue().removesuffix("\n")
     left = [re.findall(r"(?:, (.*) left)?$", line)[0] for line in shown]
     assert left == ["", "1:00", "0:50", "0:40", "0:30", "0:20", "0:10", ""]
@@ -119,26 +176,47 @@ def test_a_bar_that_ends_early_ends_its_line(monkeypatch):
     bar(1, 8)
     bar.close()
     bar.close()
-    assert terminal.getvalue().count("\n") == 1 and terminal.getvalue().endswith("\n")
+    assert terminal.getvalue().count("\n") == 1
+    assert terminal.getvalue().endswith("\n")
 
 
 def test_a_log_gets_no_progress(folder, refine, monkeypatch):
-    monkeypatch.setattr(options.ProgressBar, "__call__", lambda *_: pytest.fail("progress where there is no terminal"))
+    monkeypatch.setattr(
+        options.ProgressBar,
+        "__call__",
+        lambda *_: pytest.fail("progress where there is no terminal"),
+    )
     assert refine("initial.ply", "mask.png", "--steps", "2").code == 0
 
 
 def test_the_help_is_one_screen_and_tells_of_a_longer_one(refine, tso):
     brief, whole = (tso("refine", option).out for option in ("--help", "--help-all"))
-    assert len(brief.splitlines()) <= 48 and "--help-all" in brief and "--budget" in brief
-    assert "--learning-rate" not in brief and "--learning-rate" in whole and "Camera:" in whole
+    assert len(brief.splitlines()) <= 48
+    assert "--help-all" in brief
+    assert "--budget" in brief
+    assert "--learning-rate" not in brief
+    assert "--learning-rate" in whole
+    assert "Camera:" in whole
 
 
 def test_a_budget_says_what_was_decided_and_why(folder, refine):
     document = refine("initial.ply", "mask.png", "--json", "--budget", "0.000001").document
-    assert document["stop_reason"] == "out_of_time" and document["budget"]["given"] == 1e-6
+    assert document["stop_reason"] == "out_of_time"
+    assert document["budget"]["given"] == 1e-6
     decisions = {decision["what"]: decision for decision in document["budget"]["decisions"]}
-    assert decisions["steps"]["reason"] == "1e-06 s were over" and decisions["points"]["choice"] == "512 of 1024"
-    assert "spent  steps: 96 (the budget is full)" in refine("initial.ply", "mask.png", "-v", "--budget", "full").out
-    assert refine("initial.ply", "mask.png", "--budget", "soon").refusal.endswith("expected auto, full or seconds")
+    assert decisions["steps"]["reason"] == "1e-06 s were over"
+    assert decisions["points"]["choice"] == "512 of 1024"
+    assert (
+        "spent  steps: 96 (the budget is full)"
+        in refine("initial.ply", "mask.png", "-v", "--budget", "full").out
+    )
+    assert refine("initial.ply", "mask.png", "--budget", "soon").refusal.endswith(
+        "expected auto, full or seconds"
+    )
     assert "--points" in refine("initial.ply", "mask.png", "--points", "none").err
-    assert refine("initial.ply", "mask.png", "--points", "auto", "-o", "auto.ply", "--json").document["moving"] == 1024
+    assert (
+        refine("initial.ply", "mask.png", "--points", "auto", "-o", "auto.ply", "--json").document[
+            "moving"
+        ]
+        == 1024
+    )

@@ -32,15 +32,32 @@ from tso_cli.refinement.objective import SilhouetteObjective
 
 ROOT = Path(__file__).parents[2]
 NAMES = ("out.ply", "out.png", "out.json")
-OUTPUTS = ("initial.ply", "mask.png", "-o", "out.ply", "--overlay", "out.png", "--write-camera", "out.json")
+OUTPUTS = (
+    "initial.ply",
+    "mask.png",
+    "-o",
+    "out.ply",
+    "--overlay",
+    "out.png",
+    "--write-camera",
+    "out.json",
+)
 
 
 def started(*words, program="from tso_cli.cli import main; main()", **options):
     """`tso WORDS` as a process of its own."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", **options.pop("environment", {})}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(ROOT),
+        "OMP_NUM_THREADS": "1",
+        **options.pop("environment", {}),
+    }
     words = [sys.executable, "-c", program, *map(str, words)]
     return subprocess.Popen(
-        words, env=environment, text=True, **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
+        words,
+        env=environment,
+        text=True,
+        **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options},
     )
 
 
@@ -61,32 +78,49 @@ def at_end_of_refinement(monkeypatch, action):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_file_that_appears_during_the_work_is_kept_and_nothing_is_written(refine, folder, monkeypatch, name):
+def test_a_file_that_appears_during_the_work_is_kept_and_nothing_is_written(
+    refine, folder, monkeypatch, name
+):
     at_end_of_refinement(monkeypatch, lambda: Path(name).write_text("mine"))
     assert f"{name}: exists already" in refine(*OUTPUTS).refusal
-    assert written(folder) == [name] and Path(name).read_text() == "mine"
+    assert written(folder) == [name]
+    assert Path(name).read_text() == "mine"
 
 
 @pytest.mark.parametrize("links", [True, False], ids=["links", "no links"])
 def test_of_two_writers_of_one_name_one_succeeds(tmp_path, monkeypatch, links):
     if not links:
-        monkeypatch.setattr(os, "link", lambda *_: (_ for _ in ()).throw(OSError(errno.EPERM, "no links here")))
+        monkeypatch.setattr(
+            os, "link", lambda *_: (_ for _ in ()).throw(OSError(errno.EPERM, "no links here"))
+        )
     path = tmp_path / "out.txt"
-    with pytest.raises(InputError, match="exists already.*--overwrite"), atomic_output(path, overwrite=False) as slow:
+    with (
+        pytest.raises(InputError, match="exists already.*--overwrite"),
+        atomic_output(path, overwrite=False) as slow,
+    ):
         slow.write_text("slow")
         with atomic_output(path, overwrite=False) as fast:
             fast.write_text("fast")
-    assert path.read_text() == "fast" and list(tmp_path.iterdir()) == [path]
+    assert path.read_text() == "fast"
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_what_killed_runs_left_of_a_file_is_removed_but_for_what_a_living_one_writes(tmp_path):
-    names = (".out.0123456789ab.ply", ".out.ba9876543210.ply", ".other.0123456789ab.ply", ".out.0123456789ab.png")
+    names = (
+        ".out.0123456789ab.ply",
+        ".out.ba9876543210.ply",
+        ".other.0123456789ab.ply",
+        ".out.0123456789ab.png",
+    )
     stale, living, *others = (tmp_path / name for name in names)
     for path in (stale, living, *others):
         path.touch()
     held = lock(living)
     with atomic_output(tmp_path / "out.ply") as temporary:
-        assert not stale.exists() and temporary.exists() and living.exists() and all(path.exists() for path in others)
+        assert not stale.exists()
+        assert temporary.exists()
+        assert living.exists()
+        assert all(path.exists() for path in others)
     os.close(held)
 
 
@@ -98,7 +132,8 @@ def test_a_signal_while_files_are_written_leaves_none(folder, name):
     )
     run = started("refine", *OUTPUTS, program=program)
     assert run.communicate()[1].splitlines()[-1] == "tso: error: interrupted"
-    assert run.returncode == 130 and written(folder) == []
+    assert run.returncode == 130
+    assert written(folder) == []
 
 
 def test_nohup_stays_nohup(folder):
@@ -109,16 +144,20 @@ def test_nohup_stays_nohup(folder):
     )
     run = started("refine", *OUTPUTS, program=program)
     run.communicate()
-    assert run.returncode == 0 and written(folder) == sorted(NAMES)
+    assert run.returncode == 0
+    assert written(folder) == sorted(NAMES)
 
 
 @pytest.mark.parametrize("number", [0, 1, 2])
 def test_a_closed_stream_does_not_end_the_work(folder, number):
     run = started(
-        "refine", *OUTPUTS, program=f"import os; os.close({number}); import sys; from tso_cli.cli import main; main()"
+        "refine",
+        *OUTPUTS,
+        program=f"import os; os.close({number}); import sys; from tso_cli.cli import main; main()",
     )
     run.communicate()
-    assert run.returncode == 0 and written(folder) == sorted(NAMES)
+    assert run.returncode == 0
+    assert written(folder) == sorted(NAMES)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
@@ -129,7 +168,8 @@ def test_a_full_stderr_does_not_end_the_work_or_change_the_exit_code(folder):
             started("refine", "initial.ply", "coarse.png", "--camera", "fit", stderr=full),
             started("refine", "x.ply", stderr=full),
         )
-    assert warned.wait() == 0 and failed.wait() == 2
+    assert warned.wait() == 0
+    assert failed.wait() == 2
     assert "initial.refined.ply" in written(folder)
 
 
@@ -137,7 +177,9 @@ def test_a_full_stderr_does_not_end_the_work_or_change_the_exit_code(folder):
 def test_a_full_stdout_is_one_line_and_a_failure():
     with open("/dev/full", "w") as full:
         process = started("refine", "--help-all", stdout=full)
-        assert process.communicate()[1].splitlines() == ["tso: error: stdout, or a file: No space left on device"]
+        assert process.communicate()[1].splitlines() == [
+            "tso: error: stdout, or a file: No space left on device"
+        ]
     assert process.returncode == 1
 
 
@@ -158,7 +200,9 @@ SQUARE = (
 def whole_cache(tmp_path_factory):
     """A folder with machine code, and what its function prints."""
     folder = tmp_path_factory.mktemp("cache")
-    return folder, started(program=SQUARE, environment={"NUMBA_CACHE_DIR": str(folder)}).communicate()[0]
+    return folder, started(
+        program=SQUARE, environment={"NUMBA_CACHE_DIR": str(folder)}
+    ).communicate()[0]
 
 
 @pytest.fixture
@@ -167,21 +211,38 @@ def cache(whole_cache, tmp_path):
     return shutil.copytree(whole_cache[0], tmp_path / "cache"), whole_cache[1]
 
 
-@pytest.mark.parametrize(("suffix", "damage"), [(".nbi", "empty"), (".nbi", "a folder"), *((".nbc", name) for name in DAMAGES)])
+@pytest.mark.parametrize(
+    ("suffix", "damage"),
+    [(".nbi", "empty"), (".nbi", "a folder"), *((".nbc", name) for name in DAMAGES)],
+)
 def test_damaged_machine_code_is_compiled_anew(cache, damage, suffix):
     folder, before = cache
     files = list(folder.rglob(f"*{suffix}"))
-    assert files and "compiled anew" not in before
+    assert files
+    assert "compiled anew" not in before
     for path in files:
         DAMAGES[damage](path)
-    first, second = (started(program=SQUARE, environment={"NUMBA_CACHE_DIR": str(folder)}).communicate() for _ in range(2))
-    assert "they are compiled anew" in first[0] and first[0].endswith(before) and first[1] == ""
+    first, second = (
+        started(program=SQUARE, environment={"NUMBA_CACHE_DIR": str(folder)}).communicate()
+        for _ in range(2)
+    )
+    assert "they are compiled anew" in first[0]
+    assert first[0].endswith(before)
+    assert first[1] == ""
     assert damage == "a folder" or second == (before, "")
 
 
 @pytest.mark.parametrize(
     "cases",
-    [[1], [{}], [{"size": "x"}, {"size": 2}], [{"size": 1}, {"size": None}], [{"size": 1}, {"size": 2}, {}], [[]], [None]],
+    [
+        [1],
+        [{}],
+        [{"size": "x"}, {"size": 2}],
+        [{"size": 1}, {"size": None}],
+        [{"size": 1}, {"size": 2}, {}],
+        [[]],
+        [None],
+    ],
     ids=str,
 )
 def test_a_damaged_record_is_not_gone_on_from(cases):
@@ -209,7 +270,9 @@ WHOLE = json.loads((ROOT / "docs" / "records" / "pose.json").read_text())
     ],
     ids=str,
 )
-def test_a_damaged_record_is_refused_by_its_name_and_nothing_is_written(tso, tmp_path, damage, commands, monkeypatch):
+def test_a_damaged_record_is_refused_by_its_name_and_nothing_is_written(
+    tso, tmp_path, damage, commands, monkeypatch
+):
     make_known(monkeypatch)
     path = tmp_path / "record.json"
     path.write_text(json.dumps({**WHOLE, **damage}))
@@ -217,13 +280,25 @@ def test_a_damaged_record_is_refused_by_its_name_and_nothing_is_written(tso, tmp
     for name in commands:
         words = resume if name == "resume" else (name,)
         message = tso("lab", *words, path).refusal
-        assert re.search(rf"{re.escape(str(path))}: the record is damaged \(.+\), expected it as it was kept", message)
+        assert re.search(
+            rf"{re.escape(str(path))}: the record is damaged \(.+\), expected it as it was kept",
+            message,
+        )
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_record_that_cannot_be_gone_on_from_is_named(tso, tmp_path):
     path = tmp_path / "record.json"
-    path.write_text(json.dumps({"study": "stability", "settings": {"quick": False}, "cases": [], "fingerprint": {"x": {}}}))
+    path.write_text(
+        json.dumps(
+            {
+                "study": "stability",
+                "settings": {"quick": False},
+                "cases": [],
+                "fingerprint": {"x": {}},
+            }
+        )
+    )
     words = ("bench", "stability", "--quick", "--resume", "-o", path)
     assert f"{path}: the record to go on from has " in tso(*words).refusal
 
@@ -235,7 +310,9 @@ HOLD = (
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no forks, and no locks, here")
-def test_a_record_that_another_process_writes_is_refused_until_that_ends_or_is_killed(tso, tmp_path):
+def test_a_record_that_another_process_writes_is_refused_until_that_ends_or_is_killed(
+    tso, tmp_path
+):
     path = tmp_path / "record.json"
     other = started(path, program=HOLD, stdin=subprocess.PIPE)
     other.stdout.readline()
@@ -255,52 +332,82 @@ def test_masks_of_a_few_pixels_can_be_used(refine, folder, size, preset):
     pixels = np.zeros((size, size), np.uint8)
     pixels[: size // 2, : size // 2 + size % 2] = 255
     Image.fromarray(pixels).save("tiny.png")
-    assert refine("initial.ply", "tiny.png", "--camera", "fit", "--steps", "1", "--preset", preset).code == 0
+    assert (
+        refine(
+            "initial.ply", "tiny.png", "--camera", "fit", "--steps", "1", "--preset", preset
+        ).code
+        == 0
+    )
 
 
-@pytest.mark.parametrize("plane", ["1e200,1e200,0,0", "1e-200,0,0,0", "1,0,0,1e300", "0,0,0,1", "nan,0,0,1", "1,0,0,inf"])
+@pytest.mark.parametrize(
+    "plane", ["1e200,1e200,0,0", "1e-200,0,0,0", "1,0,0,1e300", "0,0,0,1", "nan,0,0,1", "1,0,0,inf"]
+)
 def test_a_plane_of_impossible_numbers_is_named_as_such(refine, folder, plane):
-    assert refine("initial.ply", "mask.png", "--symmetry", plane).refusal.startswith(f"tso: error: symmetry is '{plane}'")
+    assert refine("initial.ply", "mask.png", "--symmetry", plane).refusal.startswith(
+        f"tso: error: symmetry is '{plane}'"
+    )
 
 
 @pytest.mark.parametrize("scale", [1e308, 1e200, float("inf"), float("nan")])
 def test_depths_beyond_all_bounds_are_refused(tmp_path, scale):
     np.save(tmp_path / "depth.npy", np.full((4, 4), 2.0))
     assert_refused(
-        r"depth\.npy: its largest depth, times .*, expected at most 1e\+15", read_depth, tmp_path / "depth.npy", scale
+        r"depth\.npy: its largest depth, times .*, expected at most 1e\+15",
+        read_depth,
+        tmp_path / "depth.npy",
+        scale,
     )
 
 
 def test_a_depth_scale_that_leaves_no_depth_is_refused(tmp_path):
     np.save(tmp_path / "depth.npy", np.full((4, 4), 2.0))
-    assert_refused(r"depth\.npy: .* is 2e-30, expected at least 1e-15", read_depth, tmp_path / "depth.npy", 1e-30)
+    assert_refused(
+        r"depth\.npy: .* is 2e-30, expected at least 1e-15",
+        read_depth,
+        tmp_path / "depth.npy",
+        1e-30,
+    )
 
 
 def test_a_loss_that_is_not_finite_names_the_file(refine, folder, monkeypatch):
     monkeypatch.setattr(SilhouetteObjective, "__call__", lambda self, points: (np.nan, points))
     run = refine("initial.ply", "mask.png", "--preset", "paper")
-    assert (run.code, run.err) == (1, "tso: error: initial.ply: the loss of the start is no finite number\n")
+    assert (run.code, run.err) == (
+        1,
+        "tso: error: initial.ply: the loss of the start is no finite number\n",
+    )
 
 
 @pytest.mark.parametrize("normal", ["a b c", "0 0"])
 def test_an_stl_with_odd_normals_is_read_in_silence(tso, tmp_path, normal, caplog):
     corners = "".join(f"vertex {corner}\n" for corner in ("0 0 0", "1 0 0", "0 1 0"))
     path = tmp_path / "odd.stl"
-    path.write_text(f"solid x\nfacet normal {normal}\nouter loop\n{corners}endloop\nendfacet\nendsolid x\n")
+    path.write_text(
+        f"solid x\nfacet normal {normal}\nouter loop\n{corners}endloop\nendfacet\nendsolid x\n"
+    )
     run = tso("eval", "--chamfer", path, path)
-    assert run.code == 0 and "Traceback" not in run.err and caplog.records == []
+    assert run.code == 0
+    assert "Traceback" not in run.err
+    assert caplog.records == []
 
 
 @pytest.mark.parametrize("compression", ["tiff_lzw", "tiff_deflate", "group4", "jpeg"])
-def test_what_libtiff_says_of_a_damaged_picture_is_the_reason_of_its_refusal(tmp_path, capfd, compression):
+def test_what_libtiff_says_of_a_damaged_picture_is_the_reason_of_its_refusal(
+    tmp_path, capfd, compression
+):
     mask = np.random.default_rng(0).integers(0, 2, (64, 64), np.uint8) * 255
-    Image.fromarray(mask).convert("1" if compression == "group4" else "L").save(tmp_path / "a.tif", compression=compression)
+    Image.fromarray(mask).convert("1" if compression == "group4" else "L").save(
+        tmp_path / "a.tif", compression=compression
+    )
     data = bytearray((tmp_path / "a.tif").read_bytes())
     for place in range(20, 200, 7):
         data[place] ^= 0x5A
     read_mask(tmp_path / "a.tif")
     (tmp_path / "a.tif").write_bytes(data)
-    assert_refused(r"a\.tif: is not readable as a mask image \(\w.*: ", read_mask, tmp_path / "a.tif")
+    assert_refused(
+        r"a\.tif: is not readable as a mask image \(\w.*: ", read_mask, tmp_path / "a.tif"
+    )
     assert capfd.readouterr().err == ""
 
 
@@ -331,9 +438,14 @@ def test_what_does_not_fit_into_memory_is_refused_before_the_work(refine, folder
     monkeypatch.setattr(reading, "free_memory", lambda: 1.1e6)
     # Of 1,024 points all of which move by themselves, and of those that may follow.
     refused = refine(*OUTPUTS, "--preset", "paper").refusal
-    assert "initial.ply: needs about 0.001 GiB of memory, expected at most the 0.001 that" in refused
+    assert (
+        "initial.ply: needs about 0.001 GiB of memory, expected at most the 0.001 that" in refused
+    )
     monkeypatch.setattr(reading, "free_memory", lambda: 2e5)
-    assert "initial.ply: needs about 0.00024 GiB of memory, expected at most the 0.00019 that" in refine(*OUTPUTS).refusal
+    assert (
+        "initial.ply: needs about 0.00024 GiB of memory, expected at most the 0.00019 that"
+        in refine(*OUTPUTS).refusal
+    )
     monkeypatch.setattr(reading, "free_memory", lambda: 1e5)
     assert_refused("mask.png: needs about", read_mask, Path("mask.png"))
     assert written(folder) == []
@@ -342,7 +454,9 @@ def test_what_does_not_fit_into_memory_is_refused_before_the_work(refine, folder
 
 
 @pytest.mark.parametrize("name", ["cloud.ply", "cloud.npy", "cloud.xyz"])
-def test_a_cloud_too_large_for_the_memory_is_refused_before_it_is_parsed(tmp_path, monkeypatch, name):
+def test_a_cloud_too_large_for_the_memory_is_refused_before_it_is_parsed(
+    tmp_path, monkeypatch, name
+):
     points, path = np.random.default_rng(0).random((2000, 3)), tmp_path / name
     if name == "cloud.npy":
         np.save(path, points)
@@ -369,8 +483,11 @@ def test_a_full_disk_leaves_the_old_files_and_no_other(refine, folder, monkeypat
 
         with monkeypatch.context() as patch:
             patch.setattr(output.os, "fsync", fsync)
-            assert "No space left on device" in refine(*OUTPUTS, "--overwrite", "--steps", "3").refusal
-        assert written(folder) == sorted(NAMES) and (number > 1 or before == {n: Path(n).read_bytes() for n in NAMES})
+            assert (
+                "No space left on device" in refine(*OUTPUTS, "--overwrite", "--steps", "3").refusal
+            )
+        assert written(folder) == sorted(NAMES)
+        assert number > 1 or before == {n: Path(n).read_bytes() for n in NAMES}
 
 
 def test_a_process_that_is_killed_leaves_nothing_that_the_next_does_not_remove(folder):
@@ -380,10 +497,12 @@ def test_a_process_that_is_killed_leaves_nothing_that_the_next_does_not_remove(f
     )
     killed = started("refine", *OUTPUTS, program=program)
     killed.communicate()
-    assert killed.returncode == -signal.SIGKILL and len(written(folder)) == 1
+    assert killed.returncode == -signal.SIGKILL
+    assert len(written(folder)) == 1
     again = started("refine", *OUTPUTS)
     again.communicate()
-    assert again.returncode == 0 and written(folder) == sorted(NAMES)
+    assert again.returncode == 0
+    assert written(folder) == sorted(NAMES)
 
 
 def test_ctrl_c_while_the_command_line_is_imported_ends_it_without_a_traceback():
@@ -411,4 +530,5 @@ WRONG = ("refine", CHAIR / "initial.ply", CHAIR / "mask.png", "--invert-mask", "
 def test_a_reader_that_leaves_early_changes_no_exit_code(arguments, code, tmp_path):
     with started(*arguments, cwd=tmp_path) as process:
         process.stdout.close()
-        assert bool(process.stderr.read()) == bool(code) and process.wait() == code
+        assert bool(process.stderr.read()) == bool(code)
+        assert process.wait() == code

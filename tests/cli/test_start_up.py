@@ -12,7 +12,17 @@ from tso_cli.io.shipped import examples_folder
 from tso_cli.refinement import PRESETS
 
 # Each takes a tenth of a second or more to import (with what it brings along), in a command that takes little over one.
-HEAVY = ("torch", "numba", "scipy", "matplotlib", "skimage", "trimesh", "open3d", "sympy", "numpy.f2py")
+HEAVY = (
+    "torch",
+    "numba",
+    "scipy",
+    "matplotlib",
+    "skimage",
+    "trimesh",
+    "open3d",
+    "sympy",
+    "numpy.f2py",
+)
 CHAIR = examples_folder() / "chair"
 
 
@@ -23,7 +33,9 @@ def _imported(folder, *command_lines):
         code += f"try:\n    main({line.split()!r})\nexcept SystemExit as end:\n    assert end.code == 0\n"
     code += "print('', *sys.modules, sep='\\n')"
     environment = os.environ | {"PYTHONPATH": str(Path(tso_cli.__file__).parents[1])}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=folder, env=environment)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=folder, env=environment
+    )
     assert done.returncode == 0, done.stderr
     return set(done.stdout.split())
 
@@ -58,7 +70,11 @@ NO_TORCH = "tso: error: networks need torch, which is not installed: pip install
         ("refine no.ply no.png", 2, "tso: error: no.ply: does not exist, expected a point cloud\n"),
     ],
 )
-def test_without_torch_an_error_is_one_line_and_a_command_that_needs_it_says_so(tmp_path, line, code, error):
+def test_without_torch_an_error_is_one_line_and_a_command_that_needs_it_says_so(
+    tmp_path, line, code, error
+):
     script = f"import sys; sys.modules['torch'] = None\nfrom tso_cli.cli import main\nmain({line.split()!r})"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path
+    )
     assert (done.returncode, done.stderr) == (code, error)

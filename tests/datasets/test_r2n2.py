@@ -30,7 +30,9 @@ def test_the_cloud_seen_by_the_cameras_covers_the_masks(tmp_path, rotation):
 @pytest.mark.parametrize("in_the_middle", [False, True])
 def test_voxels_are_a_target_in_the_frame_of_the_cameras(tmp_path, in_the_middle):
     trees.write_r2n2(tmp_path / "ShapeNetRendering")
-    trees.write_binvox(tmp_path / "ShapeNetVox32" / trees.CHAIR / "abc" / "model.binvox", in_the_middle)
+    trees.write_binvox(
+        tmp_path / "ShapeNetVox32" / trees.CHAIR / "abc" / "model.binvox", in_the_middle
+    )
     (item,) = open_r2n2(tmp_path).objects
     assert trees.agreement(item) > 0.8
     points = item.target()
@@ -47,14 +49,17 @@ def test_clouds_go_before_voxels_and_neither_is_needed(root):
     assert [item.target for item in open_r2n2(root).objects] == [None, None]
     trees.write_binvox(root.parent / "ShapeNetVox32" / trees.CHAIR / "abc" / "model.binvox", True)
     trees.write_clouds(root.parent, "abc")
-    np.testing.assert_array_equal(open_r2n2(root).objects[0].target(), trees.lopsided_points().astype(np.float32))
+    np.testing.assert_array_equal(
+        open_r2n2(root).objects[0].target(), trees.lopsided_points().astype(np.float32)
+    )
 
 
 def test_a_name_in_the_list_cannot_lead_out_of_the_folder(root):
     (root / "secret.png").write_bytes((pictures(root) / "00.png").read_bytes())
     (pictures(root) / "renderings.txt").write_text("../../../secret.png\n01.png\n")
     data = open_r2n2(root)
-    assert [view.name[-6:] for view in data.objects[0].views] == ["01.png"] and len(data.skipped) == 1
+    assert [view.name[-6:] for view in data.objects[0].views] == ["01.png"]
+    assert len(data.skipped) == 1
 
 
 def test_the_mask_is_the_alpha_channel_soft_edges_and_all(root):
@@ -62,7 +67,8 @@ def test_the_mask_is_the_alpha_channel_soft_edges_and_all(root):
     pixels[5, 7] = 10, 20, 30, 51
     Image.fromarray(pixels).save(pictures(root) / "01.png")
     image, mask = open_r2n2(root).objects[0].views[1].load()
-    assert mask[5, 7] == np.float32(0.2) and mask.sum() == mask[5, 7]
+    assert mask[5, 7] == np.float32(0.2)
+    assert mask.sum() == mask[5, 7]
     assert image[5, 7].tolist() == [10, 20, 30]
 
 
@@ -77,5 +83,6 @@ def test_lines_of_the_table_belong_to_the_listed_names_else_to_the_numbers(tmp_p
 
 def test_the_focal_length_is_35_of_a_sensor_of_32_whatever_the_field_of_view_says():
     camera = r2n2_camera(0.0, 0.0, 0.8, (137, 137))
-    assert camera.K[0, 0] == pytest.approx(35 / 32 * 137) and camera.K[0, 2] == 68.0
+    assert camera.K[0, 0] == pytest.approx(35 / 32 * 137)
+    assert camera.K[0, 2] == 68.0
     np.testing.assert_allclose(-camera.R.T @ camera.t, [1.4, 0.0, 0.0], atol=1e-12)

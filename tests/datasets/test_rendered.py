@@ -29,7 +29,9 @@ def cloud(seed, count=20):
 def write(folder, number, views=1, **options):
     pictures = [picture(10 * number + view) for view in range(views)]
     with writing(folder.parent) as writer:
-        writer.write(folder.name, pictures, cloud(number, 50), cloud(number), {"n": number}, **options)
+        writer.write(
+            folder.name, pictures, cloud(number, 50), cloud(number), {"n": number}, **options
+        )
 
 
 @pytest.fixture
@@ -79,13 +81,18 @@ def test_an_object_is_replaced_only_when_asked(tmp_path):
     write(tmp_path / "a", 1, views=2)
     assert (stored_record(tmp_path / "a"), stored_record(tmp_path / "other")) == ({"n": 1}, None)
     write(tmp_path / "a", 2)
-    assert stored_record(tmp_path / "a") == {"n": 2} and not (tmp_path / "a/001.png").exists()
+    assert stored_record(tmp_path / "a") == {"n": 2}
+    assert not (tmp_path / "a/001.png").exists()
 
 
 def test_as_a_data_set_an_object_has_its_views_target_and_category(folder):
     data = open_rendered(folder)
-    assert [(item.name, item.category, len(item.views)) for item in data.objects] == [("a/chair", "a", 2), ("b", "", 2)]
-    assert data.skipped == {} and data.description == "data"
+    assert [(item.name, item.category, len(item.views)) for item in data.objects] == [
+        ("a/chair", "a", 2),
+        ("b", "", 2),
+    ]
+    assert data.skipped == {}
+    assert data.description == "data"
     item = data.objects[0]
     np.testing.assert_array_equal(item.target(), cloud(1))
     for number, view in enumerate(item.views):
@@ -110,7 +117,9 @@ def test_missing_damaged_and_resized_pictures_are_named_when_they_are_loaded(fol
 def test_a_camera_file_is_read_once_until_it_changes(folder, monkeypatch):
     reads = []
     original = rendered.read_cameras
-    monkeypatch.setattr(rendered, "read_cameras", lambda path: (reads.append(path), original(path))[1])
+    monkeypatch.setattr(
+        rendered, "read_cameras", lambda path: (reads.append(path), original(path))[1]
+    )
     views = open_rendered(folder / "b").objects[0].views
     assert [views[index].camera.width for index in (0, 1, 0, 1)] == [12] * 4
     assert len(reads) == 1
@@ -136,7 +145,8 @@ def test_an_unusable_object_of_a_data_set_is_skipped_or_an_error(folder, cameras
         path = folder / "b/cameras.json"
         path.write_text(path.read_text().replace(*cameras))
     data = open_rendered(folder)
-    assert [item.name for item in data.objects] == ["a/chair"] and list(data.skipped) == ["b"]
+    assert [item.name for item in data.objects] == ["a/chair"]
+    assert list(data.skipped) == ["b"]
     with pytest.raises(InputError, match=message) as raised:
         open_rendered(folder, strict=True)
     assert str(raised.value) == data.skipped["b"]

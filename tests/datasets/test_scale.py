@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.dataset_trees import CHAIR, agreement, lopsided_points, write_clouds, write_r2n2, write_shapenet
+from tests.dataset_trees import (
+    CHAIR,
+    agreement,
+    lopsided_points,
+    write_clouds,
+    write_r2n2,
+    write_shapenet,
+)
 from tso_cli.datasets.items import Dataset
 from tso_cli.datasets.opening import open_dataset
 from tso_cli.datasets.scale import normalised, of_unit_diagonal
@@ -38,7 +45,9 @@ def test_the_layout_of_the_authors_is_scaled_alike(tmp_path):
 def test_objects_of_two_sizes_come_out_alike(root):
     """A shape twice as large, seen from twice as far, is the same item."""
     item = open_dataset(root, own_scale=True).objects[0]
-    views = [replace(view, camera=replace(view.camera, t=2.0 * view.camera.t)) for view in item.views]
+    views = [
+        replace(view, camera=replace(view.camera, t=2.0 * view.camera.t)) for view in item.views
+    ]
     large = replace(item, name="large", views=views, target=lambda: 2.0 * item.target())
     one, other = normalised(Dataset([item, large], "both")).objects
     np.testing.assert_allclose(one.target(), other.target(), atol=1e-6)
@@ -49,7 +58,9 @@ def test_objects_of_two_sizes_come_out_alike(root):
 def test_an_object_without_a_3d_file_takes_the_size_that_is_usual_for_its_category(root):
     data = open_dataset(root)
     known, lacking = data.objects[0], data.objects[2]
-    assert lacking.target is None and "ghi" in lacking.lacking and "does not exist" in lacking.lacking
+    assert lacking.target is None
+    assert "ghi" in lacking.lacking
+    assert "does not exist" in lacking.lacking
     # The pictures of the three are the same.
     np.testing.assert_allclose(lacking.views[0].camera.t, known.views[0].camera.t)
     assert agreement(replace(lacking, target=known.target)) > 0.85
@@ -59,7 +70,10 @@ def test_a_category_without_any_3d_file_takes_the_usual_size_of_the_others(root)
     (root / "ShapeNetRendering" / CHAIR).rename(root / "ShapeNetRendering" / "chairs")
     (root / "ShapeNet_pcl" / CHAIR).rename(root / "ShapeNet_pcl" / "chairs")
     write_r2n2(root / "ShapeNetRendering", ("car",))
-    chair, other = (next(item for item in open_dataset(root).objects if item.category == name) for name in ("chairs", "chair"))
+    chair, other = (
+        next(item for item in open_dataset(root).objects if item.category == name)
+        for name in ("chairs", "chair")
+    )
     assert other.target is None
     np.testing.assert_allclose(other.views[0].camera.t, chair.views[0].camera.t)
 
@@ -69,7 +83,9 @@ def test_shapes_that_have_lost_their_size_get_a_unit_diagonal_where_sizes_are_ke
     one = of_unit_diagonal(normalised(raw)).objects[0]
     assert np.linalg.norm(np.ptp(one.target(), axis=0)) == pytest.approx(1.0, rel=1e-6)
     # ShapeNet's models have one from the start.
-    np.testing.assert_allclose(one.views[0].camera.t, raw.objects[0].views[0].camera.t, rtol=0.05, atol=0.02)
+    np.testing.assert_allclose(
+        one.views[0].camera.t, raw.objects[0].views[0].camera.t, rtol=0.05, atol=0.02
+    )
 
 
 def test_a_damaged_3d_file_does_not_stop_masks(root):

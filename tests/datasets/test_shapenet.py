@@ -43,13 +43,17 @@ def test_the_cloud_seen_by_the_cameras_covers_the_masks(tmp_path, clouds):
 def test_the_object_is_what_is_nearer_than_254_and_the_picture_keeps_its_colours(root):
     Image.fromarray(np.uint8(254 - block(np.s_[10:20, 30:40]))).save(model(root) / "depth_1.png")
     image, mask = open_shapenet(root).objects[0].views[1].load()
-    assert mask.sum() == 100 and mask[10:20, 30:40].all()
-    np.testing.assert_array_equal(image, np.asarray(Image.open(model(root) / "render_1.png"))[..., :3])
+    assert mask.sum() == 100
+    assert mask[10:20, 30:40].all()
+    np.testing.assert_array_equal(
+        image, np.asarray(Image.open(model(root) / "render_1.png"))[..., :3]
+    )
 
 
 def test_pictures_of_any_size_have_the_camera_for_it(tmp_path):
     (item,) = open_shapenet(trees.write_shapenet(tmp_path, size=96)).objects
-    assert item.views[0].camera.width == 96 and item.views[0].camera.K[0, 0] == 180.0
+    assert item.views[0].camera.width == 96
+    assert item.views[0].camera.K[0, 0] == 180.0
     assert trees.agreement(item) > 0.85
 
 
@@ -72,4 +76,8 @@ def test_only_the_first_picture_of_a_category_is_read_on_opening(root, monkeypat
 def test_a_category_without_any_readable_picture_is_left_out(root):
     for path in model(root).parent.rglob("depth_*.png"):
         path.write_bytes(b"not a picture")
-    assert_refused(r"no object can be used, the first: .*abc: no picture of the category can be read", open_shapenet, root)
+    assert_refused(
+        r"no object can be used, the first: .*abc: no picture of the category can be read",
+        open_shapenet,
+        root,
+    )

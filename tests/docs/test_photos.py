@@ -34,7 +34,9 @@ def photos(tmp_path_factory, script):
         R = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
         t = np.array([0.0, 0.0, 0.55]) - R @ middle
         camera = surface @ R.T + t
-        column, row = ((camera[:, :2] / camera[:, 2:]) @ K[:2, :2].T + K[:2, 2]).round().astype(int).T
+        column, row = (
+            ((camera[:, :2] / camera[:, 2:]) @ K[:2, :2].T + K[:2, 2]).round().astype(int).T
+        )
         picture = np.zeros((120, 160, 3), np.uint8)
         picture[100:] = 50
         picture[row, column] = 200
@@ -53,7 +55,9 @@ def test_a_mask_is_the_largest_bright_thing_without_holes(script):
     picture[25:30, 35:45] = 0
     picture[5:9, 70:75] = 255
     mask = script.mask_of(picture)
-    assert mask[27, 40] and not mask[7, 72] and not mask[55, 5]
+    assert mask[27, 40]
+    assert not mask[7, 72]
+    assert not mask[55, 5]
     assert mask.sum() == pytest.approx(40 * 40, rel=0.05)
 
 

@@ -12,7 +12,18 @@ import click
 import pytest
 from PIL import Image
 
-from tests.readme import CONSOLE, DOCS, PAGES, README, RECORDS, ROOT, console_commands, record, with_figures, working_copy
+from tests.readme import (
+    CONSOLE,
+    DOCS,
+    PAGES,
+    README,
+    RECORDS,
+    ROOT,
+    console_commands,
+    record,
+    with_figures,
+    working_copy,
+)
 from tso_cli import cli
 from tso_cli.lab.studies.fingerprint import differences
 
@@ -24,7 +35,9 @@ def alike(text: str) -> tuple[str, list[float]]:
     """The words of a command's output, whatever the width of its columns, and its numbers but for times."""
     plain = re.sub(r"-{2,}", "--", re.sub(r" +", " ", text))
     timeless = re.sub(rf"{NUMBER.pattern} s\b", "", plain)
-    return NUMBER.sub("#", plain), [float(number.replace(",", "")) for number in NUMBER.findall(timeless)]
+    return NUMBER.sub("#", plain), [
+        float(number.replace(",", "")) for number in NUMBER.findall(timeless)
+    ]
 
 
 @pytest.mark.slow
@@ -37,7 +50,10 @@ def test_the_commands_of_a_page_print_what_it_shows(page, tmp_path, monkeypatch,
             cli.main(shlex.split(command)[1:])
         printed = capsys.readouterr()
         assert stopped.value.code == 0, f"{command}: {printed.err}"
-        (words, numbers), (expected_words, expected_numbers) = alike(printed.out.rstrip("\n")), alike(expected)
+        (words, numbers), (expected_words, expected_numbers) = (
+            alike(printed.out.rstrip("\n")),
+            alike(expected),
+        )
         assert words == expected_words
         # Rounding differs between machines.
         assert numbers == pytest.approx(expected_numbers, rel=0.05, abs=0.05), command
@@ -45,7 +61,9 @@ def test_the_commands_of_a_page_print_what_it_shows(page, tmp_path, monkeypatch,
 
 def test_the_figures_of_the_pages_are_those_of_the_records():
     for page in PAGES:
-        assert page.read_text() == with_figures(page.read_text()), f"{page.name}: python -m tests.readme --figures"
+        assert page.read_text() == with_figures(page.read_text()), (
+            f"{page.name}: python -m tests.readme --figures"
+        )
 
 
 def test_the_list_of_records_names_each_record_once():
@@ -68,12 +86,22 @@ def test_the_papers_preset_brings_each_category_nearer_to_the_truth():
 
 def test_the_default_preset_is_judged_on_unseen_shapes_and_hardly_makes_any_worse():
     study = record("accuracy")
-    assert (study["complete"], study["settings"]["part"], len(study["settings"]["shapes"])) == (True, "test", 73)
+    assert (study["complete"], study["settings"]["part"], len(study["settings"]["shapes"])) == (
+        True,
+        "test",
+        73,
+    )
     met = {claim["claim"]: claim["holds"] for claim in study["claims"]}
-    for target in ("points mode, all starts", "airplane near the truth", "every column lies below the paper's preset"):
+    for target in (
+        "points mode, all starts",
+        "airplane near the truth",
+        "every column lies below the paper's preset",
+    ):
         assert [holds for claim, holds in met.items() if claim.startswith(target)] == [True]
     for group in study["summary"]["other"].values():
-        assert group["variants"]["best"]["mean_ratio"] < group["variants"]["paper"]["mean_ratio"] - 0.1
+        assert (
+            group["variants"]["best"]["mean_ratio"] < group["variants"]["paper"]["mean_ratio"] - 0.1
+        )
 
 
 def anchors(page: Path) -> set[str]:
@@ -87,7 +115,9 @@ def test_every_link_leads_somewhere():
             target, _, anchor = link.partition("#")
             path = (page.parent / target).resolve() if target else page
             assert link.startswith("http") or path.exists(), f"{page.name}: {link}"
-            assert not anchor or link.startswith("http") or anchor in anchors(path), f"{page.name}: {link}"
+            assert not anchor or link.startswith("http") or anchor in anchors(path), (
+                f"{page.name}: {link}"
+            )
 
 
 def commands(group: click.Group = cli.tso) -> Iterator[click.Command]:
@@ -99,7 +129,12 @@ def commands(group: click.Group = cli.tso) -> Iterator[click.Command]:
 
 
 def test_every_option_that_a_page_names_is_one_of_a_command():
-    options = {option for command in commands() for parameter in command.params for option in parameter.opts}
+    options = {
+        option
+        for command in commands()
+        for parameter in command.params
+        for option in parameter.opts
+    }
     # of every command, of torchrun and of a script
     options |= {"--help", "--nproc-per-node", "--used"}
     for page in PAGES:
@@ -112,12 +147,21 @@ def test_every_message_in_troubleshooting_is_one_of_the_program():
     for path in (ROOT / "tso_cli").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.JoinedStr):
-                texts.append("".join(str(part.value) if isinstance(part, ast.Constant) else "{}" for part in node.values))
+                texts.append(
+                    "".join(
+                        str(part.value) if isinstance(part, ast.Constant) else "{}"
+                        for part in node.values
+                    )
+                )
             elif isinstance(node, ast.Constant) and isinstance(node.value, str):
                 texts.append(node.value)
     everything = "\n".join(texts)
     quoted = re.findall(r"`([^`]+)`", (DOCS / "troubleshooting.md").read_text())
-    messages = [text for text in quoted if " " in text and not text.startswith(("--", "pip", "apt-get", "tso "))]
+    messages = [
+        text
+        for text in quoted
+        if " " in text and not text.startswith(("--", "pip", "apt-get", "tso "))
+    ]
     assert len(messages) > 15
     assert [message for message in messages if message not in everything] == []
 
@@ -127,7 +171,9 @@ def test_the_python_of_the_page_runs(tmp_path, monkeypatch):
     working_copy(tmp_path)
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
-    for block in re.findall(r"```python\n(.*?)```", (DOCS / "python.md").read_text(), flags=re.DOTALL):
+    for block in re.findall(
+        r"```python\n(.*?)```", (DOCS / "python.md").read_text(), flags=re.DOTALL
+    ):
         exec(block, names)
     assert len(names["results"]) == 2
 
@@ -154,7 +200,10 @@ def test_the_pictures_are_small():
 @pytest.mark.slow
 def test_the_script_for_points_runs(capsys):
     runpy.run_path(str(ROOT / "examples" / "refine_points.py"), run_name="__main__")
-    before, after = (float(n) for n in re.findall(r"Chamfer x1000 ([\d.]+) -> ([\d.]+)", capsys.readouterr().out)[0])
+    before, after = (
+        float(n)
+        for n in re.findall(r"Chamfer x1000 ([\d.]+) -> ([\d.]+)", capsys.readouterr().out)[0]
+    )
     assert after < before
 
 
@@ -165,7 +214,9 @@ def test_the_script_for_networks_runs(tmp_path, monkeypatch, capsys):
     from tso_cli.network.model import NetworkConfig, build_network
 
     script, checkpoint = ROOT / "examples" / "refine_network.py", tmp_path / "small.safetensors"
-    save_network(checkpoint, build_network(points=128), NetworkConfig(points=128, version=__version__))
+    save_network(
+        checkpoint, build_network(points=128), NetworkConfig(points=128, version=__version__)
+    )
     printed = []
     for arguments in ([str(checkpoint)], []):
         monkeypatch.setattr(sys, "argv", [script.name, *arguments])

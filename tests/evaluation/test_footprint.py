@@ -10,12 +10,27 @@ from scipy.spatial import cKDTree
 
 from tests.scenes import EXAMPLES, block, example, in_photo
 from tso_cli import Camera, View
-from tso_cli.evaluation.footprint import RIM, common_window, footprint, in_window, spacing, window_iou
+from tso_cli.evaluation.footprint import (
+    RIM,
+    common_window,
+    footprint,
+    in_window,
+    spacing,
+    window_iou,
+)
 from tso_cli.geometry.resampling import area_resize
 from tso_cli.geometry.window import window_of
 from tso_cli.io.meshes import read_mesh
 from tso_cli.refinement.judge import view_ious
-from tso_cli.render import RayScene, RenderSettings, fitting_distance, ground_truth, look_at, normalise, render_view
+from tso_cli.render import (
+    RayScene,
+    RenderSettings,
+    fitting_distance,
+    ground_truth,
+    look_at,
+    normalise,
+    render_view,
+)
 
 NAMES = ("chair", "car", "airplane")
 # One unit is 100 px; x to the right, y down.
@@ -29,7 +44,9 @@ def _example(name):
 
 
 def _resized(view, size):
-    cover, _ = area_resize(view.mask, (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5), size, size)
+    cover, _ = area_resize(
+        view.mask, (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5), size, size
+    )
     return View(np.float32(cover > 0.5), view.camera.resized(size, size))
 
 
@@ -42,7 +59,9 @@ def _straight(focal, column, row, width, height):
 def _plate(step=0.02, last=0.88):
     """A square lattice in the plane z = 0, from 0.1 on."""
     steps = np.arange(0.1, last + 1e-9, step)
-    return np.stack([*np.meshgrid(steps, steps), np.zeros((len(steps), len(steps)))], -1).reshape(-1, 3)
+    return np.stack([*np.meshgrid(steps, steps), np.zeros((len(steps), len(steps)))], -1).reshape(
+        -1, 3
+    )
 
 
 # The mask of that plate: it reaches half a pixel beyond the outermost points.
@@ -51,7 +70,9 @@ SQUARE = block(np.s_[10:89, 10:89], (100, 100))
 
 @pytest.mark.parametrize("size", [64, 1024])
 @pytest.mark.parametrize("name", NAMES)
-def test_the_truth_scores_near_1_on_every_example_and_about_the_same_on_a_mask_of_another_size(name, size):
+def test_the_truth_scores_near_1_on_every_example_and_about_the_same_on_a_mask_of_another_size(
+    name, size
+):
     points, view = _example(name)
     score = window_iou(points, view)
     assert score > 0.93
@@ -62,7 +83,12 @@ def test_the_truth_scores_near_1_on_every_example_and_about_the_same_on_a_mask_o
 @pytest.mark.parametrize("mesh", ["chair/kfurn_chairDesk", "airplane/qplane_Private_plane"])
 def test_more_points_bring_the_truth_nearer_to_1(mesh):
     shape = normalise(read_mesh(EXAMPLES / "meshes" / f"{mesh}.ply"))
-    camera = look_at(35.0, 20.0, fitting_distance(shape.vertices, look_at(35.0, 20.0, 2.0, (256, 256)), 8.0), (256, 256))
+    camera = look_at(
+        35.0,
+        20.0,
+        fitting_distance(shape.vertices, look_at(35.0, 20.0, 2.0, (256, 256)), 8.0),
+        (256, 256),
+    )
     view = View(np.float32(render_view(RayScene(shape), camera).mask > 0), camera)
     samples, target = ground_truth(shape, RenderSettings(), np.random.default_rng(0))
     assert (len(target), len(samples)) == (1024, 16384)
@@ -76,7 +102,9 @@ def test_a_cloud_scores_the_same_in_a_canvas_of_any_size(name, size):
     view = _resized(view, size)
     score = window_iou(points, view)
     for times, left, top in ((2, 0, 17), (4, 611 * size // 256, 5), (8, 3 * size, 7 * size)):
-        assert window_iou(points, in_photo(view, times, left, top)) == pytest.approx(score, abs=0.01)
+        assert window_iou(points, in_photo(view, times, left, top)) == pytest.approx(
+            score, abs=0.01
+        )
 
 
 @pytest.mark.parametrize("name", ["chair", "airplane"])
@@ -84,7 +112,14 @@ def test_a_cloud_that_is_shifted_scaled_or_of_another_shape_scores_clearly_lower
     points, view = _example(name)
     right, down, _ = 0.05 * np.ptp(points, axis=0).max() * view.camera.R
     score = window_iou(points, view)
-    for other in (points + right, points - right, points + down, points - down, 1.1 * points, 0.9 * points):
+    for other in (
+        points + right,
+        points - right,
+        points + down,
+        points - down,
+        1.1 * points,
+        0.9 * points,
+    ):
         assert window_iou(other, view) < score - 0.1
     assert window_iou(example(name).points, view) < score - 0.1
 
@@ -106,7 +141,8 @@ def test_pixels_compared_do_not_grow_with_the_photo(size):
     points, view = _example("chair")
     large = _resized(view, size)
     seen = in_window(points, large, window_of(large, points))
-    assert max(seen.mask.shape) <= 257 and seen.silhouette.shape == seen.mask.shape
+    assert max(seen.mask.shape) <= 257
+    assert seen.silhouette.shape == seen.mask.shape
 
 
 def test_a_hole_wider_than_two_spacings_stays_open_and_the_gaps_between_points_are_closed():
@@ -152,7 +188,9 @@ def test_points_at_the_camera_take_no_part():
     points, close = _plate() + [-0.5, -0.5, 2.0], np.array([[1e-3, 0.0, 1e-3]])
     camera = _straight(200.0, 59.5, 59.5, 300, 120)
     np.testing.assert_allclose(camera.project(close)[0], [[259.5, 59.5]])
-    np.testing.assert_array_equal(footprint(np.concatenate([points, close]), camera), footprint(points, camera))
+    np.testing.assert_array_equal(
+        footprint(np.concatenate([points, close]), camera), footprint(points, camera)
+    )
 
 
 def test_before_and_after_are_judged_in_one_window_that_holds_both_clouds():
@@ -162,7 +200,9 @@ def test_before_and_after_are_judged_in_one_window_that_holds_both_clouds():
     assert box == common_window([(moved, view), (points, view)])
     alone = np.array([window_of(view, cloud) for cloud in (points, moved)])
     assert box == (*alone.min(0)[:2], *alone.max(0)[2:])
-    assert view_ious(points, moved, [view], [view]) == [(window_iou(points, view, box), window_iou(moved, view, box))]
+    assert view_ious(points, moved, [view], [view]) == [
+        (window_iou(points, view, box), window_iou(moved, view, box))
+    ]
     assert window_iou(moved, view, box) != window_iou(moved, view, window_of(view, points))
 
 
@@ -171,7 +211,9 @@ def test_the_silhouette_is_the_cloud_dilated_by_a_disc_and_eroded_by_a_little_le
     points = np.random.default_rng(0).uniform([0.2, 0.2, 0.0], [0.8, 0.6, 0.0], (400, 3))
     camera = FLAT.resized(200, 200)
     spaced, radius = (200.0 * length for length in spacing(points))
-    everywhere = np.stack(np.meshgrid(np.arange(25.0, 175.0, 0.125), np.arange(25.0, 135.0, 0.125)), -1).reshape(-1, 2)
+    everywhere = np.stack(
+        np.meshgrid(np.arange(25.0, 175.0, 0.125), np.arange(25.0, 135.0, 0.125)), -1
+    ).reshape(-1, 2)
     empty = everywhere[cKDTree(camera.project(points)[0]).query(everywhere)[0] > radius]
     expected = np.zeros((200, 200), bool)
     cells = np.stack(np.meshgrid(np.arange(35, 165), np.arange(35, 125)), -1)
@@ -195,7 +237,9 @@ def test_the_disc_is_as_wide_as_the_spacing_is_seen_at_its_depth():
 
 
 @pytest.mark.parametrize("count", [300, 30_000])
-def test_the_spacing_is_that_of_the_points_on_their_surface_and_random_points_need_a_larger_disc(count):
+def test_the_spacing_is_that_of_the_points_on_their_surface_and_random_points_need_a_larger_disc(
+    count,
+):
     ball = np.random.default_rng(0).standard_normal((count, 3))
     spaced, radius = spacing(7.0 * ball / np.linalg.norm(ball, axis=1, keepdims=True))
     assert spaced == pytest.approx(7.0 * np.sqrt(4.0 * np.pi / count), rel=0.06)
@@ -228,7 +272,13 @@ def test_degenerate_clouds_get_a_number_and_no_warning(cloud, model):
     camera = replace(Camera.canonical(60, 40), model=model)
     if model == "orthographic":
         camera = replace(camera, K=_straight(40.0, 29.5, 19.5, 60, 40).K)
-    assert 0.0 <= window_iou(np.array(DEGENERATE[cloud]), View(block(np.s_[5:30, 20:50], (40, 60)), camera)) < 0.1
+    assert (
+        0.0
+        <= window_iou(
+            np.array(DEGENERATE[cloud]), View(block(np.s_[5:30, 20:50], (40, 60)), camera)
+        )
+        < 0.1
+    )
 
 
 def test_a_window_whose_cells_miss_all_that_is_known_scores_0():
@@ -240,11 +290,21 @@ def test_a_window_whose_cells_miss_all_that_is_known_scores_0():
 
 @st.composite
 def _cases(draw):
-    seed, count, size = draw(st.integers(0, 1 << 30)), draw(st.integers(1, 60)), draw(st.sampled_from([7, 40, 300]))
+    seed, count, size = (
+        draw(st.integers(0, 1 << 30)),
+        draw(st.integers(1, 60)),
+        draw(st.sampled_from([7, 40, 300])),
+    )
     rng = np.random.default_rng(seed)
-    points = rng.normal(size=(count, 3)) * 10.0 ** draw(st.integers(-3, 2)) * rng.uniform(0.0, 1.0, 3).round()
+    points = (
+        rng.normal(size=(count, 3))
+        * 10.0 ** draw(st.integers(-3, 2))
+        * rng.uniform(0.0, 1.0, 3).round()
+    )
     mask = np.zeros((size, size + draw(st.integers(0, 20))), np.float32)
-    mask[tuple(rng.integers(0, mask.shape[i], 4 * size) for i in (0, 1))] = rng.uniform(0.0, 1.0, 4 * size)
+    mask[tuple(rng.integers(0, mask.shape[i], 4 * size) for i in (0, 1))] = rng.uniform(
+        0.0, 1.0, 4 * size
+    )
     mask[0, 0], mask[-1, -1] = 1.0, 0.0
     camera = Camera.canonical(mask.shape[1], mask.shape[0])
     if draw(st.booleans()):
@@ -258,4 +318,5 @@ def _cases(draw):
 @given(_cases())
 def test_of_any_cloud_and_mask_it_is_a_number_from_0_to_1_and_the_same_every_time(case):
     score = window_iou(*case)
-    assert 0.0 <= score <= 1.0 and window_iou(case[0].copy(), case[1]) == score
+    assert 0.0 <= score <= 1.0
+    assert window_iou(case[0].copy(), case[1]) == score

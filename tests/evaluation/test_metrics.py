@@ -48,7 +48,13 @@ def test_f_score_counts_points_with_a_near_counterpart(prediction, target, thres
     result = f_score(prediction, target, threshold)
     precision, recall = (table.min(1) < threshold).mean(), (table.min(0) < threshold).mean()
     assert (result.precision, result.recall) == (precision, recall)
-    expected = 0.0 if precision + recall == 0 else 2 / (1 / precision + 1 / recall) if precision * recall else 0.0
+    expected = (
+        0.0
+        if precision + recall == 0
+        else 2 / (1 / precision + 1 / recall)
+        if precision * recall
+        else 0.0
+    )
     assert result.f_score == pytest.approx(expected)
 
 
@@ -85,7 +91,9 @@ def test_emd_measures_a_translation():
 
 
 def test_emd_refuses_clouds_of_different_or_excessive_size_with_advice(monkeypatch):
-    assert_refused(r"found 3 \(prediction\) and 2 \(target\).*--points 2", emd, np.eye(3), np.eye(3)[:2])
+    assert_refused(
+        r"found 3 \(prediction\) and 2 \(target\).*--points 2", emd, np.eye(3), np.eye(3)[:2]
+    )
     monkeypatch.setattr(metrics, "EMD_LIMIT", 2)
     assert_refused(r"EMD of 3 points .*at most 2.*--points", emd, np.eye(3), np.eye(3))
 
@@ -98,12 +106,16 @@ def test_an_empty_or_infinite_cloud_is_refused_by_its_role(metric):
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([None, 0.0, 0.7]), st.sampled_from([0.5, 1.0]))
-def test_iou_counts_pixels_over_a_half_is_1_for_nothing_and_undefined_without_known_pixels(seed, part, largest):
+def test_iou_counts_pixels_over_a_half_is_1_for_nothing_and_undefined_without_known_pixels(
+    seed, part, largest
+):
     rng = np.random.default_rng(seed)
     silhouette, mask = np.minimum(rng.choice([0.0, 0.3, 0.5, 0.51, 1.0], (2, 4, 6)), largest)
     known = None if part is None else rng.random((4, 6)) < part
     counted = np.ones((4, 6), bool) if known is None else known
-    ours, theirs = (set(map(tuple, np.argwhere(counted & (picture > 0.5)))) for picture in (silhouette, mask))
+    ours, theirs = (
+        set(map(tuple, np.argwhere(counted & (picture > 0.5)))) for picture in (silhouette, mask)
+    )
     result, either = iou(silhouette, mask, known), ours | theirs
     if not counted.any():
         assert math.isnan(result)

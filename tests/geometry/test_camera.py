@@ -26,8 +26,17 @@ def test_the_canonical_camera_is_centred_and_two_units_away_at_any_size():
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.floats(-20, 20), st.floats(-20, 20), st.floats(5, 90), st.floats(5, 90), st.integers(8, 200), st.integers(8, 200))
-def test_a_point_seen_in_a_crop_is_the_point_seen_in_the_picture(left, top, across, down, width, height):
+@given(
+    st.floats(-20, 20),
+    st.floats(-20, 20),
+    st.floats(5, 90),
+    st.floats(5, 90),
+    st.integers(8, 200),
+    st.integers(8, 200),
+)
+def test_a_point_seen_in_a_crop_is_the_point_seen_in_the_picture(
+    left, top, across, down, width, height
+):
     box = (left, top, left + across, top + down)
     pixels, _ = CANONICAL.project(_points())
     cropped, _ = CANONICAL.cropped(box, width, height).project(_points())
@@ -40,7 +49,9 @@ def test_a_point_seen_in_a_crop_is_the_point_seen_in_the_picture(left, top, acro
 @given(st.floats(1e-3, 1e4), st.tuples(*[st.floats(-1e6, 1e6)] * 3))
 def test_a_normalised_cloud_is_seen_where_the_cloud_is(model, scale, centre):
     shift = np.array(centre)
-    camera = Camera(CANONICAL.K, CANONICAL.R, scale * CANONICAL.t - CANONICAL.R @ shift, 64, 48, model)
+    camera = Camera(
+        CANONICAL.K, CANONICAL.R, scale * CANONICAL.t - CANONICAL.R @ shift, 64, 48, model
+    )
     cloud = _points() * scale + shift
     seen, _ = camera.project(cloud)
     normalised, _ = camera.for_normalised(shift, scale).project((cloud - shift) / scale)

@@ -24,9 +24,13 @@ def clouds(smallest=1, largest=30):
         if kind == "grid":
             return rng.integers(-2, 3, (count, 3)).astype(float)
         if kind == "duplicates":
-            return rng.normal(size=(max(count // 3, 1), 3))[rng.integers(0, max(count // 3, 1), count)]
+            return rng.normal(size=(max(count // 3, 1), 3))[
+                rng.integers(0, max(count // 3, 1), count)
+            ]
         if kind == "clusters":
-            return rng.normal(size=(3, 3))[rng.integers(0, 3, count)] + 1e-6 * rng.normal(size=(count, 3))
+            return rng.normal(size=(3, 3))[rng.integers(0, 3, count)] + 1e-6 * rng.normal(
+                size=(count, 3)
+            )
         if kind == "far":
             return 4e6 + rng.normal(size=(count, 3))
         return rng.normal(size=(count, 3))
@@ -74,7 +78,9 @@ def test_normalising_undoes_scale_and_place(points, scale, seed):
     place = np.random.default_rng(seed).normal(size=3)
     ours = normalise_longest_side(points)
     tolerance = 1e-9 / np.ptp(points, axis=0).max()
-    np.testing.assert_allclose(normalise_longest_side(points * scale + place * scale), ours, atol=tolerance)
+    np.testing.assert_allclose(
+        normalise_longest_side(points * scale + place * scale), ours, atol=tolerance
+    )
     assert np.ptp(ours, axis=0).max() == pytest.approx(1.0, abs=1e-9)
     np.testing.assert_allclose(ours.min(0) + ours.max(0), 0.0, atol=1e-9)
 
@@ -84,12 +90,17 @@ def test_centre_and_scale_are_those_of_the_bounding_box_not_of_the_points():
     assert (centre.tolist(), scale) == ([2.0, 1.0, 0.5], 4.0)
 
 
-@pytest.mark.parametrize("points", [[[1.0, 2.0, 3.0]], [[1.0, 2.0, 3.0]] * 5, [[-1.7e308, 0, 0], [1.7e308, 0, 0]]])
+@pytest.mark.parametrize(
+    "points", [[[1.0, 2.0, 3.0]], [[1.0, 2.0, 3.0]] * 5, [[-1.7e308, 0, 0], [1.7e308, 0, 0]]]
+)
 def test_a_cloud_without_a_measurable_extent_cannot_be_normalised(points):
     assert_refused(r"a\.ply: ", bounding_box_normalisation, points, "a.ply")
 
 
-TWO_SQUARES = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 5], [3, 0, 5], [3, 3, 5], [0, 3, 5]], dtype=float)
+TWO_SQUARES = np.array(
+    [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 5], [3, 0, 5], [3, 3, 5], [0, 3, 5]],
+    dtype=float,
+)
 SQUARE_FACES = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7], [0, 0, 1]])
 
 
@@ -107,7 +118,11 @@ def test_surface_samples_share_out_by_area():
 @pytest.mark.parametrize("scale", [1e-170, 1e150])
 def test_surface_samples_do_not_depend_on_the_unit(scale):
     ours = sample_surface(TWO_SQUARES * scale, SQUARE_FACES, 50, np.random.default_rng(3))
-    np.testing.assert_allclose(ours / scale, sample_surface(TWO_SQUARES, SQUARE_FACES, 50, np.random.default_rng(3)), atol=1e-9)
+    np.testing.assert_allclose(
+        ours / scale,
+        sample_surface(TWO_SQUARES, SQUARE_FACES, 50, np.random.default_rng(3)),
+        atol=1e-9,
+    )
 
 
 def test_the_last_face_is_not_drawn_from_if_it_has_no_area():
@@ -123,10 +138,22 @@ def test_the_last_face_is_not_drawn_from_if_it_has_no_area():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: farthest_point_sample(np.zeros((5, 3)), 0), "asked for 0 of 5 points, expected 1 to 5"),
-        (lambda: farthest_point_sample(np.zeros((5, 3)), 6), "asked for 6 of 5 points, expected 1 to 5"),
-        (lambda: sample_surface(TWO_SQUARES, np.zeros((0, 3), int), 5, np.random.default_rng(0)), "at least one triangle"),
-        (lambda: sample_surface(TWO_SQUARES, [[0, 1, 8]], 5, np.random.default_rng(0)), "outside 0 to 7"),
+        (
+            lambda: farthest_point_sample(np.zeros((5, 3)), 0),
+            "asked for 0 of 5 points, expected 1 to 5",
+        ),
+        (
+            lambda: farthest_point_sample(np.zeros((5, 3)), 6),
+            "asked for 6 of 5 points, expected 1 to 5",
+        ),
+        (
+            lambda: sample_surface(TWO_SQUARES, np.zeros((0, 3), int), 5, np.random.default_rng(0)),
+            "at least one triangle",
+        ),
+        (
+            lambda: sample_surface(TWO_SQUARES, [[0, 1, 8]], 5, np.random.default_rng(0)),
+            "outside 0 to 7",
+        ),
         (lambda: sample_surface(TWO_SQUARES, [[0, 0, 1]], 5, np.random.default_rng(0)), "no area"),
     ],
 )
@@ -134,10 +161,14 @@ def test_samples_that_cannot_be_are_refused(call, message):
     assert_refused(message, call)
 
 
-@given(st.lists(st.tuples(*[st.floats(-1e3, 1e3)] * 2), min_size=1, max_size=20), st.floats(0.0, 1.0))
+@given(
+    st.lists(st.tuples(*[st.floats(-1e3, 1e3)] * 2), min_size=1, max_size=20), st.floats(0.0, 1.0)
+)
 def test_a_quantile_is_that_of_numpy(rows, share):
     values = np.array(rows)
-    np.testing.assert_allclose(quantile(values, share), np.quantile(values, share, axis=0), rtol=1e-12, atol=1e-9)
+    np.testing.assert_allclose(
+        quantile(values, share), np.quantile(values, share, axis=0), rtol=1e-12, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("columns", [640, 1024])
@@ -151,5 +182,6 @@ def test_a_subset_of_an_organised_cloud_reaches_every_part_of_it(columns):
 @given(st.integers(1, 300), st.integers(1, 300))
 def test_a_part_of_many_points_keeps_their_order_and_repeats_none(count, most):
     part = scattered(np.arange(count), most)
-    assert len(part) <= most and (np.diff(part) > 0).all()
+    assert len(part) <= most
+    assert (np.diff(part) > 0).all()
     assert len(part) == count if count <= most else len(part) >= min(most, count) * 0.6

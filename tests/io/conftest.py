@@ -15,7 +15,9 @@ def save(tmp_path):
         elif isinstance(content, bytes):
             path.write_bytes(content)
         else:
-            path.write_text(content if isinstance(content, str) else json.dumps(content), newline="")
+            path.write_text(
+                content if isinstance(content, str) else json.dumps(content), newline=""
+            )
         return path
 
     return write

@@ -7,7 +7,15 @@ import pytest
 
 from tests.corruption import assert_reads_or_refuses, assert_refused
 from tso_cli.geometry.camera import Camera
-from tso_cli.io.cameras import CameraRecord, find_camera, named_masks, pair_with_masks, read_camera, read_cameras, write_cameras
+from tso_cli.io.cameras import (
+    CameraRecord,
+    find_camera,
+    named_masks,
+    pair_with_masks,
+    read_camera,
+    read_cameras,
+    write_cameras,
+)
 
 TURN = 0.3
 GOOD = {
@@ -38,14 +46,19 @@ def assert_same(a, b):
 
 
 def test_a_single_camera_is_read_as_it_stands(save):
-    (record,) = read_cameras(save(b"\xef\xbb\xbf" + json.dumps(GOOD).encode()))  # a byte order mark is no obstacle
+    (record,) = read_cameras(
+        save(b"\xef\xbb\xbf" + json.dumps(GOOD).encode())
+    )  # a byte order mark is no obstacle
     assert (record.mask, record.image) == (None, None)
     assert_same(record.camera, Camera(GOOD["K"], GOOD["R"], GOOD["t"], 64, 48))
     assert_same(read_camera(save(GOOD), 64, 48), record.camera)
 
 
 def test_views_name_their_files_relative_to_the_camera_file(save, tmp_path):
-    views = [changed(mask="a.png", image="photos/a.jpg", model="orthographic"), changed(mask="/b.png", width=32.0)]
+    views = [
+        changed(mask="a.png", image="photos/a.jpg", model="orthographic"),
+        changed(mask="/b.png", width=32.0),
+    ]
     first, second = read_cameras(save({"views": views}))
     assert (first.mask, first.image) == (tmp_path / "a.png", tmp_path / "photos" / "a.jpg")
     assert first.camera.model == "orthographic"
@@ -61,9 +74,14 @@ def test_what_is_written_reads_back_exactly(tmp_path):
     assert_same(read_camera(tmp_path / "flat.json", 33, 31), camera)
 
     (tmp_path / "sub").mkdir()
-    records = [CameraRecord(camera, tmp_path / "m.png"), CameraRecord(camera.resized(7, 8), None, tmp_path / "sub" / "i.png")]
+    records = [
+        CameraRecord(camera, tmp_path / "m.png"),
+        CameraRecord(camera.resized(7, 8), None, tmp_path / "sub" / "i.png"),
+    ]
     write_cameras(tmp_path / "sub" / "views.json", records)
-    assert json.loads((tmp_path / "sub" / "views.json").read_text())["views"][0]["mask"] == "../m.png"
+    assert (
+        json.loads((tmp_path / "sub" / "views.json").read_text())["views"][0]["mask"] == "../m.png"
+    )
     for written, read in zip(records, read_cameras(tmp_path / "sub" / "views.json"), strict=True):
         assert_same(written.camera, read.camera)
         for name in ("mask", "image"):
@@ -81,14 +99,23 @@ def test_the_masks_own_camera_comes_before_the_folders(save, tmp_path):
 
 
 def test_a_camera_for_another_size_is_refused(save, tmp_path):
-    message = r"camera\.json: width x height is 64x48, the mask .*m\.png is 128x96, expected the same$"
+    message = (
+        r"camera\.json: width x height is 64x48, the mask .*m\.png is 128x96, expected the same$"
+    )
     assert_refused(message, read_camera, save(GOOD), 128, 96, tmp_path / "m.png")
 
 
 def test_the_view_that_names_the_mask_is_chosen(save, tmp_path):
     path = save({"views": [changed(mask="a.png"), changed(mask="b.png", t=[0, 0, 9])]})
     assert read_camera(path, 64, 48, tmp_path / "b.png").t[2] == 9
-    assert_refused(r"0 of its 2 views name the mask .*c\.png, expected one", read_camera, path, 64, 48, tmp_path / "c.png")
+    assert_refused(
+        r"0 of its 2 views name the mask .*c\.png, expected one",
+        read_camera,
+        path,
+        64,
+        48,
+        tmp_path / "c.png",
+    )
     assert_refused("0 of its 2 views name a mask", read_camera, path, 64, 48)
 
 
@@ -142,25 +169,43 @@ def test_what_is_wrong_is_said_with_file_and_key(save, case):
 def test_a_file_too_large_for_a_camera_file_is_refused(tmp_path):
     with (tmp_path / "huge.json").open("wb") as file:
         file.truncate(65 << 20)
-    assert_refused(r"huge\.json: holds 68,157,440 bytes, .* at most 67,108,864", read_cameras, tmp_path / "huge.json")
+    assert_refused(
+        r"huge\.json: holds 68,157,440 bytes, .* at most 67,108,864",
+        read_cameras,
+        tmp_path / "huge.json",
+    )
 
 
 def test_unknown_keys_are_ignored_with_one_warning(save):
-    with pytest.warns(UserWarning, match=r"camera\.json: unknown keys are ignored: 'author, date'") as caught:
-        assert len(read_cameras(save({"views": [changed(author="me"), changed(author="you", date=1)]}))) == 2
+    with pytest.warns(
+        UserWarning, match=r"camera\.json: unknown keys are ignored: 'author, date'"
+    ) as caught:
+        assert (
+            len(
+                read_cameras(save({"views": [changed(author="me"), changed(author="you", date=1)]}))
+            )
+            == 2
+        )
     assert len(caught) == 1
 
 
 @pytest.mark.parametrize("form", ["flat", "views"])
 def test_any_damage_is_read_or_refused_in_one_line(save, form):
-    path = save(GOOD if form == "flat" else {"views": [changed(mask="a.png"), changed(model="orthographic")]}, "good.json")
+    path = save(
+        GOOD
+        if form == "flat"
+        else {"views": [changed(mask="a.png"), changed(model="orthographic")]},
+        "good.json",
+    )
 
     def read(path):
         for camera in (record.camera for record in read_cameras(path)):
-            assert np.isfinite(camera.K).all() and np.abs(camera.R @ camera.R.T - np.eye(3)).max() < 2e-3
+            assert np.isfinite(camera.K).all()
+            assert np.abs(camera.R @ camera.R.T - np.eye(3)).max() < 2e-3
 
     was_read, refused = assert_reads_or_refuses(read, path, count=200)
-    assert was_read > 5 and refused > 60
+    assert was_read > 5
+    assert refused > 60
 
 
 # Which view of a camera file belongs to which mask
@@ -171,7 +216,10 @@ def save_views(tmp_path):
     """Write a camera file whose view number i has width 10 + i and names the i-th of the masks (None: no mask)."""
 
     def write(*masks):
-        records = [CameraRecord(Camera.canonical(10 + i, 8), mask and tmp_path / mask) for i, mask in enumerate(masks)]
+        records = [
+            CameraRecord(Camera.canonical(10 + i, 8), mask and tmp_path / mask)
+            for i, mask in enumerate(masks)
+        ]
         write_cameras(tmp_path / "views.json", records, overwrite=True)
         return tmp_path / "views.json"
 
@@ -179,7 +227,10 @@ def save_views(tmp_path):
 
 
 def _order(path, *masks, folder=""):
-    return [camera.width - 10 for camera in pair_with_masks(path, [path.parent / folder / mask for mask in masks])]
+    return [
+        camera.width - 10
+        for camera in pair_with_masks(path, [path.parent / folder / mask for mask in masks])
+    ]
 
 
 def test_masks_that_are_named_find_their_views_in_whatever_order(save_views):
@@ -196,18 +247,26 @@ def test_views_that_name_no_mask_are_taken_in_their_order(save_views, recwarn):
 
 
 def test_views_that_name_other_masks_are_taken_in_their_order_with_a_warning(save_views):
-    with pytest.warns(UserWarning, match=r"views\[1\] names the mask .*b\.png, used for .*other\.png"):
+    with pytest.warns(
+        UserWarning, match=r"views\[1\] names the mask .*b\.png, used for .*other\.png"
+    ):
         assert _order(save_views("a.png", "b.png"), "a.png", "other.png") == [0, 1]
 
 
-def test_another_number_of_masks_than_views_and_an_order_that_contradicts_the_names_are_refused(save_views):
+def test_another_number_of_masks_than_views_and_an_order_that_contradicts_the_names_are_refused(
+    save_views,
+):
     message = r"views\.json: holds 3 views, found 2 masks; expected as many"
     assert_refused(message, _order, save_views(None, None, None), "a.png", "b.png")
     message = r"b\.png is named by views\[1\] and given at place 0, expected the same order"
-    assert_refused(message, _order, save_views("a.png", "b.png", "c.png"), "b.png", "a.png", "other.png")
+    assert_refused(
+        message, _order, save_views("a.png", "b.png", "c.png"), "b.png", "a.png", "other.png"
+    )
 
 
 def test_the_masks_that_the_views_name_are_listed_relative_to_the_file(save_views):
     path = save_views("b.png", "in/a.png")
     assert named_masks(path) == [path.parent / "b.png", path.parent / "in" / "a.png"]
-    assert_refused(r"views\.json: views\[1\] of 2 names no mask", named_masks, save_views("a.png", None))
+    assert_refused(
+        r"views\.json: views\[1\] of 2 names no mask", named_masks, save_views("a.png", None)
+    )

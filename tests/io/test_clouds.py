@@ -14,7 +14,16 @@ from tso_cli.io.clouds import read_cloud, write_cloud
 
 POINTS = np.array([[0.1, -2.5, 3.0], [1e-7, 4.25, -0.0], [7.0, 1 / 3, -9.875], [0.5, 0.5, 0.5]])
 FACES = [[0, 1, 2], [0, 1, 2, 3], [1, 2, 3]]
-CODES = {"float": "f", "double": "d", "uchar": "B", "int": "i", "short": "h", "char": "b", "uint": "I", "ushort": "H"}
+CODES = {
+    "float": "f",
+    "double": "d",
+    "uchar": "B",
+    "int": "i",
+    "short": "h",
+    "char": "b",
+    "uint": "I",
+    "ushort": "H",
+}
 
 
 def a_ply(form, kind="float", eol="\n", faces=FACES, extra_first=False, lists=None, points=POINTS):
@@ -24,9 +33,14 @@ def a_ply(form, kind="float", eol="\n", faces=FACES, extra_first=False, lists=No
     body = []
 
     def row(*columns):  # pairs (kind, value), value a list for a list with a uchar count
-        parts = [(f"B{len(v)}{CODES[k]}", [len(v), *v]) if isinstance(v, list) else (CODES[k], [v]) for k, v in columns]
+        parts = [
+            (f"B{len(v)}{CODES[k]}", [len(v), *v]) if isinstance(v, list) else (CODES[k], [v])
+            for k, v in columns
+        ]
         if order is None:
-            body.append(("  ".join(str(word) for _, words in parts for word in words) + " " + eol).encode())
+            body.append(
+                ("  ".join(str(word) for _, words in parts for word in words) + " " + eol).encode()
+            )
         else:
             body.extend(struct.pack(order + codes, *values) for codes, values in parts)
 
@@ -34,7 +48,12 @@ def a_ply(form, kind="float", eol="\n", faces=FACES, extra_first=False, lists=No
         lines += ["element camera 2", "property list uchar short ids", "property double focal"]
         row(("short", [5, 6]), ("double", 1.5))
         row(("short", [-7]), ("double", 2.5))
-    lines += [f"element vertex {len(points)}", f"property {kind} x", "property uchar red", f"property {kind} y"]
+    lines += [
+        f"element vertex {len(points)}",
+        f"property {kind} x",
+        "property uchar red",
+        f"property {kind} y",
+    ]
     if lists:
         lines += ["property list uchar int neighbours"]
     lines += [f"property  {kind} z", "property float32 quality"]
@@ -42,7 +61,11 @@ def a_ply(form, kind="float", eol="\n", faces=FACES, extra_first=False, lists=No
         x, y, z = (v if kind in ("float", "double") else int(v) for v in (x, y, z))
         middle = [("int", lists[i])] if lists else []
         row((kind, x), ("uchar", 200 + i), (kind, y), *middle, (kind, z), ("float", 0.25 * i))
-    lines += [f"element face {len(faces)}", "property list uchar int vertex_indices", "property uchar flag"]
+    lines += [
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "property uchar flag",
+    ]
     for i, face in enumerate(faces):
         row(("int", face), ("uchar", i))
     return (eol.join([*lines, "end_header"]) + eol).encode() + b"".join(body)
@@ -50,7 +73,14 @@ def a_ply(form, kind="float", eol="\n", faces=FACES, extra_first=False, lists=No
 
 # What precedes the numbers of a binary row in the terms of `struct`.
 ORDERS = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
-SHAPES = [{}, {"eol": "\r\n"}, {"eol": "\r"}, {"extra_first": True}, {"faces": []}, {"lists": [[1], [], [0, 3], [2]]}]
+SHAPES = [
+    {},
+    {"eol": "\r\n"},
+    {"eol": "\r"},
+    {"extra_first": True},
+    {"faces": []},
+    {"lists": [[1], [], [0, 3], [2]]},
+]
 every_shape = pytest.mark.parametrize("shape", SHAPES, ids=str)
 every_form = pytest.mark.parametrize("form", ORDERS)
 
@@ -58,7 +88,9 @@ every_form = pytest.mark.parametrize("form", ORDERS)
 @every_form
 @pytest.mark.parametrize("kind", ["float", "double", "int"])
 @every_shape
-def test_vertices_are_read_wherever_they_stand_and_unmoved_give_the_same_bytes(save, tmp_path, form, kind, shape):
+def test_vertices_are_read_wherever_they_stand_and_unmoved_give_the_same_bytes(
+    save, tmp_path, form, kind, shape
+):
     source = save("a.ply", a_ply(form, kind, **shape))
     cloud = read_cloud(source)
     exact = POINTS if kind == "double" or form == "ascii" else POINTS.astype(np.float32)
@@ -69,7 +101,9 @@ def test_vertices_are_read_wherever_they_stand_and_unmoved_give_the_same_bytes(s
 
 
 @every_form
-@pytest.mark.parametrize("faces", [FACES, FACES[:1], [[2, 1, 0], [1, 2, 3]], [], [[], [1], [0, 3]]], ids=str)
+@pytest.mark.parametrize(
+    "faces", [FACES, FACES[:1], [[2, 1, 0], [1, 2, 3]], [], [[], [1], [0, 3]]], ids=str
+)
 def test_faces_are_read_as_triangles(save, form, faces):
     triangles = read_cloud(save("a.ply", a_ply(form, faces=faces, extra_first=True))).faces()
     fans = [[face[0], *face[k : k + 2]] for face in faces for k in range(1, len(face) - 1)]
@@ -94,8 +128,12 @@ def test_moved_points_change_their_coordinates_and_nothing_else(save, tmp_path, 
     written = (tmp_path / "b.ply").read_bytes()
     expected = a_ply(form, "double" if kind == "int" else kind, points=moved, **shape)
     if form == "ascii":  # blanks, words and numbers
-        assert np.array_equal(read_cloud(tmp_path / "b.ply").points.astype(np.float32), moved.astype(np.float32))
-        written, expected = (re.sub(rb"[0-9.][0-9.e-]*", b"0", data) for data in (written, expected))
+        assert np.array_equal(
+            read_cloud(tmp_path / "b.ply").points.astype(np.float32), moved.astype(np.float32)
+        )
+        written, expected = (
+            re.sub(rb"[0-9.][0-9.e-]*", b"0", data) for data in (written, expected)
+        )
     assert written == expected
 
 
@@ -147,7 +185,10 @@ def test_text_is_written_in_the_digits_of_its_type_or_in_as_many_as_it_has(save,
     assert (tmp_path / "b.ply").read_text() == head + "0.6 1 2.1\n0.35 1.50 3.1"
     cloud = read_cloud(save("scan.ply", head + "4000000.123456 1 2\n4000001.123456 1 2\n"))
     moved = cloud.points + np.array([0.000001, 0, 0])
-    with pytest.warns(UserWarning, match="its coordinates are stored as float, as in .*: rounding moves points by up to"):
+    with pytest.warns(
+        UserWarning,
+        match="its coordinates are stored as float, as in .*: rounding moves points by up to",
+    ):
         write_cloud(tmp_path / "c.ply", moved, like=cloud)
     assert np.array_equal(read_cloud(tmp_path / "c.ply").points, moved)
 
@@ -163,17 +204,24 @@ def test_old_normals_stay_with_a_warning(save, tmp_path):
 
 
 def test_of_gaussian_splats_only_the_places_move_and_a_warning_says_so(save, tmp_path):
-    more = "".join(f"property float {name}\n" for name in ("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1"))
+    more = "".join(
+        f"property float {name}\n"
+        for name in ("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1")
+    )
     head = HEAD.format(2).replace("end_header", more + "end_header")
     cloud = read_cloud(save("splat.ply", head + "0 0 0 1 2 3 4 5 6\n1 1 1 6 5 4 3 2 1\n"))
-    with pytest.warns(UserWarning, match=r"b\.ply: the rotations, scales are those of .*splat\.ply"):
+    with pytest.warns(
+        UserWarning, match=r"b\.ply: the rotations, scales are those of .*splat\.ply"
+    ):
         write_cloud(tmp_path / "b.ply", cloud.points + 1.0, like=cloud)
     assert b" 1 2 3 4 5 6\n" in (tmp_path / "b.ply").read_bytes()
 
 
 def test_a_new_cloud_is_written_in_the_precision_of_its_source_or_as_asked(save, tmp_path):
     write_cloud(tmp_path / "a.ply", POINTS, dtype="float32")
-    write_cloud(tmp_path / "b.ply", POINTS, like=read_cloud(save("b.xyz", "0 0 0\n1 1 1\n2 2 2\n3 3 3")))
+    write_cloud(
+        tmp_path / "b.ply", POINTS, like=read_cloud(save("b.xyz", "0 0 0\n1 1 1\n2 2 2\n3 3 3"))
+    )
     for name, dtype in (("a", "float32"), ("b", "float64")):
         cloud = read_cloud(tmp_path / f"{name}.ply")
         assert np.array_equal(cloud.points, POINTS.astype(dtype))
@@ -181,7 +229,9 @@ def test_a_new_cloud_is_written_in_the_precision_of_its_source_or_as_asked(save,
     far = 4e6 + np.random.default_rng(0).random((100, 3))
     write_cloud(tmp_path / "far.ply", far)
     assert np.array_equal(read_cloud(tmp_path / "far.ply").points, far)
-    assert np.array_equal(trimesh.load(tmp_path / "a.ply", process=False).vertices, POINTS.astype(np.float32))
+    assert np.array_equal(
+        trimesh.load(tmp_path / "a.ply", process=False).vertices, POINTS.astype(np.float32)
+    )
 
 
 def test_arrays_and_tables_are_clouds_too(save, tmp_path):
@@ -193,9 +243,14 @@ def test_arrays_and_tables_are_clouds_too(save, tmp_path):
     assert read_cloud(tmp_path / "b.npy").precision == "float32"
     text = "# a comment\n\n" + "\n".join(" ".join(map(repr, row)) for row in POINTS.tolist())
     assert np.array_equal(read_cloud(save("a.xyz", text)).points, POINTS)
-    assert np.array_equal(read_cloud(save("a.TXT", text.replace("\n", "\r\n").replace(" ", "\t"))).points, POINTS)
+    assert np.array_equal(
+        read_cloud(save("a.TXT", text.replace("\n", "\r\n").replace(" ", "\t"))).points, POINTS
+    )
     with pytest.warns(UserWarning, match=r"six\.xyz: only the first three"):
-        assert np.array_equal(read_cloud(save("six.xyz", "1 2 3 255 0 0\n4 5 6 255 0 0\n")).points, [[1, 2, 3], [4, 5, 6]])
+        assert np.array_equal(
+            read_cloud(save("six.xyz", "1 2 3 255 0 0\n4 5 6 255 0 0\n")).points,
+            [[1, 2, 3], [4, 5, 6]],
+        )
 
 
 XYZ = "property float x\nproperty float y\nproperty float z\n"
@@ -240,7 +295,9 @@ def test_a_binary_body_of_another_length_than_the_header_says_is_refused(save, f
     data = a_ply(form, **shape)
     start = data.index(b"end_header") + len("end_header" + shape.get("eol", "\n"))
     for end in range(start, len(data), 3):
-        assert_refused(r"a\.ply: ends after \d of \d rows of element", read_cloud, save("a.ply", data[:end]))
+        assert_refused(
+            r"a\.ply: ends after \d of \d rows of element", read_cloud, save("a.ply", data[:end])
+        )
     assert_refused(r"3 bytes follow the data", read_cloud, save("a.ply", data + b"abc"))
     assert len(read_cloud(save("a.ply", data + b"\n")).points) == 4
 
@@ -249,7 +306,11 @@ def test_a_binary_body_of_another_length_than_the_header_says_is_refused(save, f
 def test_a_count_that_lies_allocates_nothing(save, form):
     for element, count in ((b"vertex", b"4"), (b"face", b"3")):
         data = a_ply(form).replace(element + b" " + count, element + b" 900000000000000000")
-        assert_refused(f"of 900000000000000000 rows of element '{element.decode()}'", read_cloud, save("a.ply", data))
+        assert_refused(
+            f"of 900000000000000000 rows of element '{element.decode()}'",
+            read_cloud,
+            save("a.ply", data),
+        )
 
 
 def test_files_that_cannot_be_opened_are_refused(save, tmp_path):
@@ -316,7 +377,9 @@ def test_nothing_is_written_for_points_that_cannot_be(save, tmp_path):
 
 DAMAGED = {
     "ascii.ply": a_ply("ascii", extra_first=True, lists=[[1], [], [0, 3], [2]]),
-    "lists.ply": a_ply("binary_little_endian", "double", extra_first=True, lists=[[1], [], [0, 3], [2]]),
+    "lists.ply": a_ply(
+        "binary_little_endian", "double", extra_first=True, lists=[[1], [], [0, 3], [2]]
+    ),
     "big.ply": a_ply("binary_big_endian", "double", eol="\r\n", faces=FACES[:1]),
     "integers.ply": a_ply("binary_big_endian", "short", eol="\r"),
     "table.xyz": b"# table\n" + b"0.5 -1e-3 7\n1 2 3\n" * 4,
@@ -330,27 +393,47 @@ def test_any_damage_is_read_or_refused_in_one_line(save, tmp_path, name):
 
     def read_and_rewrite(path):
         cloud = read_cloud(path)
-        assert len(cloud.points) >= 2 and np.isfinite(cloud.points).all()
+        assert len(cloud.points) >= 2
+        assert np.isfinite(cloud.points).all()
         write_cloud(tmp_path / "rewritten.ply", cloud.points * 0.5, like=cloud, overwrite=True)
         again = read_cloud(tmp_path / "rewritten.ply").points
         assert np.allclose(again, cloud.points * 0.5, rtol=1e-6, atol=1e-40)
 
     was_read, refused = assert_reads_or_refuses(read_and_rewrite, tmp_path / name, count=120)
-    assert was_read > 3 and refused > 20
+    assert was_read > 3
+    assert refused > 20
 
 
 @every_form
 def test_colours_are_read_as_shares_of_what_their_type_can_hold(save, form):
-    assert_refused("its points have no colours, expected red, green and blue", read_cloud(save("a.ply", a_ply(form))).colours)
-    kinds = {"blue": "ushort", "x": "float", "red": "uchar", "y": "float", "z": "double", "green": "float"}
+    assert_refused(
+        "its points have no colours, expected red, green and blue",
+        read_cloud(save("a.ply", a_ply(form))).colours,
+    )
+    kinds = {
+        "blue": "ushort",
+        "x": "float",
+        "red": "uchar",
+        "y": "float",
+        "z": "double",
+        "green": "float",
+    }
     rows = [(65535, 0.5, 200, 1.0, 2.0, 0.25), (13, 1.5, 0, 1.0, 2.0, 1.0)]
     header = "".join(f"property {kind} {name}\n" for name, kind in kinds.items())
     order, codes = ORDERS[form], "".join(CODES[kind] for kind in kinds.values())
-    body = [struct.pack(order + codes, *row) if order else " ".join(map(str, row)).encode() + b"\n" for row in rows]
+    body = [
+        struct.pack(order + codes, *row) if order else " ".join(map(str, row)).encode() + b"\n"
+        for row in rows
+    ]
     head = f"ply\nformat {form} 1.0\nelement vertex 2\n{header}end_header\n".encode()
     cloud = read_cloud(save("b.ply", head + b"".join(body)))
     assert np.array_equal(cloud.points, [[0.5, 1.0, 2.0], [1.5, 1.0, 2.0]])
-    assert np.allclose(cloud.colours(), [[200 / 255, 0.25, 1.0], [0.0, 1.0, 13 / 65535]], rtol=0.0, atol=1e-12)
+    assert np.allclose(
+        cloud.colours(), [[200 / 255, 0.25, 1.0], [0.0, 1.0, 13 / 65535]], rtol=0.0, atol=1e-12
+    )
     if form == "ascii":
         too_bright = save("c.ply", head + body[0].replace(b"0.25", b"200") + body[1])
-        assert_refused("colours span 0 to 200 of their type's range, expected 0 to 1", read_cloud(too_bright).colours)
+        assert_refused(
+            "colours span 0 to 200 of their type's range, expected 0 to 1",
+            read_cloud(too_bright).colours,
+        )

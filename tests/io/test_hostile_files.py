@@ -18,8 +18,15 @@ GOOD = {
     "faces": a_ply("binary_little_endian"),
     "state": b"\x08" + b"\0" * 7 + b'{"a":{}}',
     "log": "\n".join(map(json.dumps, (SETTINGS, STEP, {**STEP, "step": 2}))),
-    "split": {"train": ["chair/a", "chair/b"], "validation": ["car/a"], "test": ["chair/c", "car/b"]},
-    "record": {"summary": {"mean_ratio": 0.25, "worst_ratio": 1.5}, "claims": [{"claim": "it is exact", "holds": True}]},
+    "split": {
+        "train": ["chair/a", "chair/b"],
+        "validation": ["car/a"],
+        "test": ["chair/c", "car/b"],
+    },
+    "record": {
+        "summary": {"mean_ratio": 0.25, "worst_ratio": 1.5},
+        "claims": [{"claim": "it is exact", "holds": True}],
+    },
     "depth.npy": np.eye(3),
     "depth": GREY,
     "mask.webp": GREY,

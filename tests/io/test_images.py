@@ -62,9 +62,15 @@ def test_a_mask_means_the_same_in_every_kind_of_png(tmp_path, kind):
 
 
 @pytest.mark.parametrize("suffix", [".tif", ".bmp", ".gif", ".pgm"])
-def test_a_mask_means_the_same_in_every_format_and_of_several_frames_the_first_counts(tmp_path, suffix):
-    frames = {"save_all": True, "append_images": [Image.new("L", (9, 6))]} if suffix == ".gif" else {}
-    assert np.array_equal(read_mask(saved(tmp_path, HARD["8-bit"](), "mask" + suffix, **frames)), SHAPE)
+def test_a_mask_means_the_same_in_every_format_and_of_several_frames_the_first_counts(
+    tmp_path, suffix
+):
+    frames = (
+        {"save_all": True, "append_images": [Image.new("L", (9, 6))]} if suffix == ".gif" else {}
+    )
+    assert np.array_equal(
+        read_mask(saved(tmp_path, HARD["8-bit"](), "mask" + suffix, **frames)), SHAPE
+    )
 
 
 def test_soft_values_are_kept_and_a_mask_of_one_value_is_left_to_the_view_to_refuse(tmp_path):
@@ -124,7 +130,11 @@ def test_arrays_are_masks_too(tmp_path):
     ("read", "array", "message"),
     [
         (read_mask, np.array([[0.0, np.nan]]), "values span nan to nan, expected 0 to 1"),
-        (read_mask, np.array([[0x7F800001]], np.uint32).view(np.float32), "values span nan to nan"),  # a signalling NaN
+        (
+            read_mask,
+            np.array([[0x7F800001]], np.uint32).view(np.float32),
+            "values span nan to nan",
+        ),  # a signalling NaN
         (read_mask, np.array([[0.0, 1.5]]), "values span 0 to 1.5, expected 0 to 1"),
         (read_mask, np.array([[0, -1]]), "smallest value is -1"),
         (read_mask, np.array([[0, 70000]]), "largest value is 70000"),
@@ -153,7 +163,9 @@ def test_images_and_masks_are_turned_as_the_camera_noted(tmp_path, orientation):
     exif = Image.Exif()
     exif[274] = orientation
     for suffix in (".png", ".tif"):
-        path = saved(tmp_path, Image.fromarray(np.ascontiguousarray(stored)), "a" + suffix, exif=exif)
+        path = saved(
+            tmp_path, Image.fromarray(np.ascontiguousarray(stored)), "a" + suffix, exif=exif
+        )
         assert np.array_equal(read_image(path)[..., 0], upright), suffix
         assert np.array_equal(np.rint(read_mask(path) * 255), upright), suffix
 
@@ -163,9 +175,15 @@ def test_images_become_8_bit_colours(tmp_path):
     for array in (rgb, np.dstack([rgb, SOFT])):
         assert np.array_equal(read_image(saved(tmp_path, Image.fromarray(array))), array)
     for array in (SOFT, SOFT.astype(np.uint16) * 257):
-        assert np.array_equal(read_image(saved(tmp_path, Image.fromarray(array))), np.dstack([SOFT] * 3))
+        assert np.array_equal(
+            read_image(saved(tmp_path, Image.fromarray(array))), np.dstack([SOFT] * 3)
+        )
     assert np.array_equal(read_image(saved(tmp_path, HARD["1-bit"]()))[..., 1], SHAPE * 255)
-    assert read_image(saved(tmp_path, Image.fromarray(rgb).convert("CMYK"), "a.jpg")).shape == (6, 9, 3)
+    assert read_image(saved(tmp_path, Image.fromarray(rgb).convert("CMYK"), "a.jpg")).shape == (
+        6,
+        9,
+        3,
+    )
 
 
 def test_what_is_written_reads_back(tmp_path):
@@ -181,7 +199,9 @@ def png_of(width, height, rows=b""):
     """A PNG header that promises ``width`` x ``height`` grey pixels, and compressed zeros."""
 
     def chunk(name, body):
-        return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+        return (
+            struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+        )
 
     header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0))
     return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
@@ -189,7 +209,9 @@ def png_of(width, height, rows=b""):
 
 @pytest.mark.parametrize("side", [10_001, 32_000, 2**31 - 1])
 @pytest.mark.parametrize("read", [read_mask, read_image])
-def test_a_billion_pixels_in_a_kilobyte_are_refused_without_decoding(tmp_path, monkeypatch, side, read):
+def test_a_billion_pixels_in_a_kilobyte_are_refused_without_decoding(
+    tmp_path, monkeypatch, side, read
+):
     monkeypatch.setattr(Image.Image, "load", lambda *_: pytest.fail("decoded"))
     (tmp_path / "bomb.png").write_bytes(png_of(side, side, zlib.compress(bytes(100_000))))
     assert (tmp_path / "bomb.png").stat().st_size < 1024
@@ -212,7 +234,11 @@ def test_a_large_picture_within_the_limit_passes_without_warning(tmp_path, monke
         ("text.png", b"hello", "is not a readable image"),
         ("none.png", png_of(0, 5), "is not"),
         # A format whose reader would start another program.
-        ("page.eps", b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n", "is not a readable image"),
+        (
+            "page.eps",
+            b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n",
+            "is not a readable image",
+        ),
     ],
 )
 def test_files_that_are_no_images_are_refused(tmp_path, read, name, content, message):
@@ -237,14 +263,21 @@ def test_any_damage_is_read_or_refused_in_one_line(tmp_path, read, name):
     if name == "array.npy":
         np.save(tmp_path / name, SOFT)
     else:
-        saved(tmp_path, DAMAGED[name](), name, **({"exif": exif} if name.endswith((".jpg", ".png", ".tif")) else {}))
+        saved(
+            tmp_path,
+            DAMAGED[name](),
+            name,
+            **({"exif": exif} if name.endswith((".jpg", ".png", ".tif")) else {}),
+        )
 
     def checked(path):
         array = read(path)
         if read is read_mask:
-            assert (array.dtype, array.ndim) == (np.float32, 2) and 0 <= array.min() <= array.max() <= 1
+            assert (array.dtype, array.ndim) == (np.float32, 2)
+            assert 0 <= array.min() <= array.max() <= 1
         else:
-            assert array.dtype == np.uint8 and array.shape[2:] in ((3,), (4,))
+            assert array.dtype == np.uint8
+            assert array.shape[2:] in ((3,), (4,))
 
     repair = repair_png if name.endswith(".png") else None
     was_read, refused = assert_reads_or_refuses(checked, tmp_path / name, count=100, repair=repair)

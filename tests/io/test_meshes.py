@@ -29,7 +29,9 @@ def tetrahedron(path):
         text = "".join(f"v {line}\n" for line in corners.splitlines())
         path.write_text(text + "".join("f {} {} {}\n".format(*(f + 1)) for f in FACES))
     elif path.suffix == ".off":
-        path.write_text(f"OFF\n4 4 0\n{corners}" + "".join("3 {} {} {}\n".format(*f) for f in FACES))
+        path.write_text(
+            f"OFF\n4 4 0\n{corners}" + "".join("3 {} {} {}\n".format(*f) for f in FACES)
+        )
     elif path.suffix == ".stl":
         triangles = b"".join(struct.pack("<12fH", 0, 0, 0, *VERTICES[f].ravel(), 0) for f in FACES)
         path.write_bytes(bytes(80) + struct.pack("<I", len(FACES)) + triangles)
@@ -51,13 +53,16 @@ def test_every_format_gives_the_same_triangles(tmp_path, suffix):
 def test_a_quadrilateral_becomes_two_triangles(tmp_path):
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
     mesh = read_mesh(tmp_path / "a.obj")
-    assert len(mesh.faces) == 2 and triangles.area(mesh.vertices[mesh.faces]).sum() == pytest.approx(1.0)
+    assert len(mesh.faces) == 2
+    assert triangles.area(mesh.vertices[mesh.faces]).sum() == pytest.approx(1.0)
 
 
 def test_materials_colour_their_own_faces_and_parts_stay_in_place(tmp_path):
     (tmp_path / "a.mtl").write_text("newmtl red\nKd 1 0 0\nnewmtl green\nKd 0 1 0\n")
     path = tmp_path / "a.obj"
-    path.write_text("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 9 9 9\nusemtl red\nf 1 2 3\nusemtl green\nf 2 3 4\n")
+    path.write_text(
+        "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 9 9 9\nusemtl red\nf 1 2 3\nusemtl green\nf 2 3 4\n"
+    )
     mesh = read_mesh(path)
     for corners, colour in zip(mesh.vertices[mesh.faces], mesh.colours, strict=True):
         assert tuple(colour) == ((0, 255, 0) if corners.max() == 9 else (255, 0, 0))
@@ -81,7 +86,10 @@ BAD = {
     "index.ply": (ply(faces="3 0 2 4\n3 0 1 3\n").encode(), "vertex 4, expected 0 to 3"),
     "negative.ply": (ply(faces="3 0 2 -1\n3 0 1 3\n").encode(), "vertex -1, expected 0 to 3"),
     "flat.ply": (ply("1 1 1\n1 1 1\n1 1 1\n1 1 1\n").encode(), "area"),
-    "huge.ply": (ply("0 0 0\n1e300 0 0\n0 1e300 0\n0 0 5\n").replace("float", "double").encode(), "area"),
+    "huge.ply": (
+        ply("0 0 0\n1e300 0 0\n0 1e300 0\n0 0 5\n").replace("float", "double").encode(),
+        "area",
+    ),
     "lies.ply": (ply(counts="999999999999 2").encode(), "mesh"),
     "lies.stl": (bytes(80) + struct.pack("<I", 2**31) + bytes(100), "mesh"),
     "name.txt": (b"1 2 3\n", "suffix"),
@@ -109,7 +117,11 @@ def test_meshes_are_found_in_subfolders_sorted_and_hidden_ones_left_out(tmp_path
     for name in ("b/z.ply", "b/a.OBJ", "a.stl", ".hidden/c.ply", "b/.d.ply", "notes.txt"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
-    assert [path.relative_to(tmp_path).as_posix() for path in find_meshes(tmp_path)] == ["a.stl", "b/a.OBJ", "b/z.ply"]
+    assert [path.relative_to(tmp_path).as_posix() for path in find_meshes(tmp_path)] == [
+        "a.stl",
+        "b/a.OBJ",
+        "b/z.ply",
+    ]
     (tmp_path / "empty").mkdir()
     assert_refused("no mesh", find_meshes, tmp_path / "empty")
     assert_refused("not a folder", find_meshes, tmp_path / "missing")

@@ -21,10 +21,16 @@ from tso_cli.network.model import NetworkConfig, build_network
 
 WRITERS = {
     "cloud.ply": lambda path, **options: write_cloud(path, np.eye(3), **options),
-    "mesh.ply": lambda path, **options: write_mesh(path, Mesh(np.eye(3), np.array([[0, 1, 2]])), **options),
+    "mesh.ply": lambda path, **options: write_mesh(
+        path, Mesh(np.eye(3), np.array([[0, 1, 2]])), **options
+    ),
     "picture.png": lambda path, **options: write_image(path, np.eye(8, dtype=np.uint8), **options),
-    "camera.json": lambda path, **options: write_cameras(path, [CameraRecord(Camera.canonical(8, 8))], **options),
-    "network.safetensors": lambda path, **options: save_network(path, build_network(4), NetworkConfig(points=4), **options),
+    "camera.json": lambda path, **options: write_cameras(
+        path, [CameraRecord(Camera.canonical(8, 8))], **options
+    ),
+    "network.safetensors": lambda path, **options: save_network(
+        path, build_network(4), NetworkConfig(points=4), **options
+    ),
 }
 
 
@@ -82,8 +88,15 @@ FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "temporary")
 def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path, error):
     path = tmp_path / "out.txt"
     path.write_text("old")
-    message = r"out\.txt: cannot be written \(No space left on device\), nothing was kept$" if error is FULL else None
-    with pytest.raises(InputError if error is FULL else type(error), match=message), atomic_output(path) as temporary:
+    message = (
+        r"out\.txt: cannot be written \(No space left on device\), nothing was kept$"
+        if error is FULL
+        else None
+    )
+    with (
+        pytest.raises(InputError if error is FULL else type(error), match=message),
+        atomic_output(path) as temporary,
+    ):
         temporary.write_text("new")
         raise error
     assert path.read_text() == "old"
@@ -100,7 +113,9 @@ def test_a_real_limit_on_file_size_leaves_nothing_behind(tmp_path):
         "except Exception as error:\n"
         "    print(type(error).__name__, error)\n"
     )
-    run = subprocess.run([sys.executable, "-c", program, str(tmp_path / "big.ply")], capture_output=True, text=True)
+    run = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path / "big.ply")], capture_output=True, text=True
+    )
     assert run.stdout.startswith("InputError"), run.stderr
     assert "big.ply: cannot be written (File too large)" in run.stdout
     assert list(tmp_path.iterdir()) == []
@@ -121,6 +136,9 @@ def test_a_symbolic_link_stays_and_a_reader_of_the_old_file_keeps_it(tmp_path):
 
 
 def test_what_a_library_says_becomes_one_printable_line():
-    assert reason(ValueError('format of "\x1b[2J,\x07" is\n  unknown')) == 'format of "\\x1b[2J,\\x07" is unknown'
+    assert (
+        reason(ValueError('format of "\x1b[2J,\x07" is\n  unknown'))
+        == 'format of "\\x1b[2J,\\x07" is unknown'
+    )
     assert reason(KeyError()) == "KeyError"
     assert len(reason(ValueError("x" * 1000))) == 200

@@ -21,7 +21,10 @@ def binvox_bytes(grid, translate="0 0 0", scale="1"):
         whole, rest = divmod(len(run), 255)
         runs += bytes([run[0], 255]) * whole + bytes([run[0], rest]) * (rest > 0)
     depth, width, height = grid.shape
-    return f"#binvox 1\ndim {depth} {height} {width}\ntranslate {translate}\nscale {scale}\ndata\n".encode() + runs
+    return (
+        f"#binvox 1\ndim {depth} {height} {width}\ntranslate {translate}\nscale {scale}\ndata\n".encode()
+        + runs
+    )
 
 
 def ball(side, radius):
@@ -45,25 +48,33 @@ def test_axes_of_both_grids_are_x_y_z(save):
     grid = np.zeros((8, 8, 8), dtype=bool)
     grid[1, 3, 6] = True
     vertices, _ = grid_surface(save("a.npy", grid))
-    np.testing.assert_allclose((vertices.min(0) + vertices.max(0)) / 2, (np.array([1, 3, 6]) + 0.5) / 8 - 0.5, atol=1e-6)
+    np.testing.assert_allclose(
+        (vertices.min(0) + vertices.max(0)) / 2, (np.array([1, 3, 6]) + 0.5) / 8 - 0.5, atol=1e-6
+    )
     grid[1:4, 3:5, 6] = grid[2, 3, 7] = True  # no two axes and no two directions of an axis alike
     expected, _ = grid_surface(save("a.npy", grid))
     vertices, _ = grid_surface(save("a.binvox", binvox_bytes(grid)))
-    np.testing.assert_allclose(vertices, expected - (expected.min(0) + expected.max(0)) / 2, atol=1e-6)
+    np.testing.assert_allclose(
+        vertices, expected - (expected.min(0) + expected.max(0)) / 2, atol=1e-6
+    )
 
 
 def test_the_scale_of_a_binvox_file_counts_and_its_occupied_part_is_centred(save):
     grid = np.zeros((4, 4, 4), dtype=bool)
     grid[:3, 1:, :2] = True
     vertices, _ = grid_surface(save("cube.binvox", binvox_bytes(grid, "10 20 30", "2")))
-    np.testing.assert_allclose([vertices.min(0), vertices.max(0)], [[-0.75, -0.75, -0.5], [0.75, 0.75, 0.5]], atol=1e-6)
+    np.testing.assert_allclose(
+        [vertices.min(0), vertices.max(0)], [[-0.75, -0.75, -0.5], [0.75, 0.75, 0.5]], atol=1e-6
+    )
 
 
 def test_the_surface_of_a_grid_is_closed_at_its_border_and_its_longest_side_is_1(save):
     vertices, faces = grid_surface(save("full.npy", np.ones((4, 10, 2))))
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
-    np.testing.assert_allclose([vertices.min(0), vertices.max(0)], [[-0.2, -0.5, -0.1], [0.2, 0.5, 0.1]], atol=1e-6)
+    np.testing.assert_allclose(
+        [vertices.min(0), vertices.max(0)], [[-0.2, -0.5, -0.1], [0.2, 0.5, 0.1]], atol=1e-6
+    )
 
 
 def test_soft_occupancy_places_the_surface_between_voxels(save):
@@ -78,7 +89,9 @@ def test_soft_occupancy_places_the_surface_between_voxels(save):
 @pytest.mark.parametrize("dtype", [bool, np.int32, ">f4", np.float16])
 def test_grids_of_any_number_type_are_read(save, dtype):
     expected = grid_surface(save("a.npy", ball(8, 0.3)))[0]
-    np.testing.assert_allclose(grid_surface(save("b.npy", np.asfortranarray(ball(8, 0.3).astype(dtype))))[0], expected)
+    np.testing.assert_allclose(
+        grid_surface(save("b.npy", np.asfortranarray(ball(8, 0.3).astype(dtype))))[0], expected
+    )
 
 
 def test_what_is_in_a_file_decides_how_it_is_read(save, tmp_path):
@@ -96,11 +109,18 @@ def test_what_is_in_a_file_decides_how_it_is_read(save, tmp_path):
 def test_a_mesh_gives_points_of_its_surface_or_on_request_its_vertices(save, name):
     path = save(name, SQUARE_OFF if name.endswith("off") else SQUARE_PLY)
     points = read_shape(path, 300, seed=1)
-    assert points.shape == (300, 3) and len(np.unique(points, axis=0)) == 300
-    assert (points[:, 2] == 0).all() and 0 <= points.min() <= points.max() <= 2
+    assert points.shape == (300, 3)
+    assert len(np.unique(points, axis=0)) == 300
+    assert (points[:, 2] == 0).all()
+    assert 0 <= points.min() <= points.max() <= 2
     np.testing.assert_array_equal(points, read_shape(path, 300, seed=1))
     assert not np.array_equal(points, read_shape(path, 300, seed=2))
-    assert sorted(read_shape(path, 300, as_vertices=True).tolist()) == [[0, 0, 0], [0, 2, 0], [2, 0, 0], [2, 2, 0]]
+    assert sorted(read_shape(path, 300, as_vertices=True).tolist()) == [
+        [0, 0, 0],
+        [0, 2, 0],
+        [2, 0, 0],
+        [2, 2, 0],
+    ]
 
 
 GOOD = binvox_bytes(ball(6, 0.4))
@@ -137,12 +157,20 @@ def test_a_wrong_grid_is_refused_in_one_line(save, content, message):
 
 def test_a_grid_too_large_to_turn_into_a_surface_is_refused(save, monkeypatch):
     monkeypatch.setattr(shapes, "MAX_VOXELS", 26)
-    for path in (save("a.npy", np.ones((3, 3, 3))), save("a.binvox", binvox_bytes(np.ones((3, 3, 3))))):
+    for path in (
+        save("a.npy", np.ones((3, 3, 3))),
+        save("a.binvox", binvox_bytes(np.ones((3, 3, 3)))),
+    ):
         assert_refused("expected 1 to 26 voxels", read_shape, path, 10)
 
 
 def test_paths_without_a_shape_are_refused(tmp_path, save):
-    for path in (save("a.png", b"x"), tmp_path / "missing.ply", tmp_path / "missing.binvox", tmp_path / "missing.off"):
+    for path in (
+        save("a.png", b"x"),
+        tmp_path / "missing.ply",
+        tmp_path / "missing.binvox",
+        tmp_path / "missing.off",
+    ):
         assert_refused(path.name, read_shape, path)
     (tmp_path / "folder.npy").mkdir()
     assert_refused("is a folder", read_shape, tmp_path / "folder.npy")
@@ -152,4 +180,5 @@ def test_paths_without_a_shape_are_refused(tmp_path, save):
 def test_any_damage_to_a_grid_is_read_or_refused(save, name):
     path = save(name, GOOD if name.endswith("binvox") else ball(6, 0.4).astype(np.float32))
     read, refused = assert_reads_or_refuses(lambda path: read_shape(path, 4), path, 150)
-    assert read > 0 and refused > 30
+    assert read > 0
+    assert refused > 30

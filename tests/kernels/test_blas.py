@@ -8,7 +8,9 @@ from tso_cli.kernels.blas import one_thread
 
 
 def _threads() -> set[int]:
-    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+    return {
+        library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"
+    }
 
 
 def test_the_last_of_interleaved_users_gives_the_threads_back():

@@ -25,7 +25,8 @@ def test_small_work_is_left_to_numpy_and_large_work_compiled(monkeypatch, on_dis
         assert use_compiled()
         # The outermost plan decides, in threads too.
         with planned(1, 1), ThreadPoolExecutor(1) as pool:
-            assert use_compiled() and pool.submit(copy_context().run, use_compiled).result()
+            assert use_compiled()
+            assert pool.submit(copy_context().run, use_compiled).result()
     assert not use_compiled()
 
 
@@ -36,11 +37,14 @@ def test_work_that_repays_loading_but_not_compiling_needs_machine_code_on_disk(m
             warnings.simplefilter("always")
             assert use_compiled() == use_compiled() == on_disk
         # Said once, and the choice stays.
-        assert ["`tso compile` makes them once" in str(warning.message) for warning in caught] == [True] * (not on_disk)
+        assert ["`tso compile` makes them once" in str(warning.message) for warning in caught] == [
+            True
+        ] * (not on_disk)
 
 
 def test_batches_of_tensors_are_compiled_by_their_size_and_type():
-    assert use_numba(torch.zeros(2, 4096, 2)) and not use_numba(torch.zeros(1, 4096, 2))
+    assert use_numba(torch.zeros(2, 4096, 2))
+    assert not use_numba(torch.zeros(1, 4096, 2))
     assert not use_numba(torch.zeros(1, 8192, 2, dtype=torch.bfloat16))
 
 
@@ -59,14 +63,18 @@ def test_without_numba_numpy_and_torch_do_the_work_and_a_warning_says_so():
 
 
 def _python(script: str, **environment: str) -> None:
-    process = subprocess.run([sys.executable, "-c", script], env=os.environ | environment, capture_output=True, text=True)
+    process = subprocess.run(
+        [sys.executable, "-c", script], env=os.environ | environment, capture_output=True, text=True
+    )
     assert process.returncode == 0, process.stderr
 
 
 @pytest.mark.slow
 def test_tso_compile_keeps_every_loop_that_a_refinement_needs(tmp_path):
     """In a process of its own, with an empty folder for machine code."""
-    script = "from tso_cli.kernels import dispatch; from tso_cli.refinement.api import compile_loops\n"
+    script = (
+        "from tso_cli.kernels import dispatch; from tso_cli.refinement.api import compile_loops\n"
+    )
     _python(script + "compile_loops(); assert dispatch._on_disk()", NUMBA_CACHE_DIR=str(tmp_path))
 
 

@@ -20,7 +20,12 @@ from tso_cli.kernels.tensors import PrecomputedGradient
 def test_machine_code_older_than_any_source_is_removed(tmp_path):
     cache = tmp_path / "__pycache__"
     cache.mkdir()
-    for age, name in ((30, "one.py"), (10, "two.py"), (20, "__pycache__/one.f.nbi"), (5, "__pycache__/two.g.nbi")):
+    for age, name in (
+        (30, "one.py"),
+        (10, "two.py"),
+        (20, "__pycache__/one.f.nbi"),
+        (5, "__pycache__/two.g.nbi"),
+    ):
         (tmp_path / name).touch()
         os.utime(tmp_path / name, (1e9 - age, 1e9 - age))
     forget_stale(tmp_path)
@@ -31,14 +36,16 @@ def test_machine_code_older_than_any_source_is_removed(tmp_path):
 
 def test_what_a_killed_process_left_beside_the_machine_code_is_removed_a_minute_later(tmp_path):
     stale, living, *others = paths = [
-        tmp_path / name for name in ("a.1.nbc.tmp.0", "a.nbi.tmp.1", "a.1.nbc", "a.nbi", "notes.tmp.0")
+        tmp_path / name
+        for name in ("a.1.nbc.tmp.0", "a.nbi.tmp.1", "a.1.nbc", "a.nbi", "notes.tmp.0")
     ]
     for path in paths:
         path.touch()
         if path != living:
             os.utime(path, (1e9, 1e9))
     jit.sweep(str(tmp_path))
-    assert not stale.exists() and all(path.exists() for path in (living, *others))
+    assert not stale.exists()
+    assert all(path.exists() for path in (living, *others))
 
 
 def test_without_a_writable_folder_the_loops_are_compiled_in_every_process(monkeypatch):
@@ -65,7 +72,8 @@ def test_ctrl_c_while_a_loop_is_compiled_arrives_when_it_is():
     loop._cache.load_overload = interrupted
     with pytest.raises(KeyboardInterrupt):
         loop(2.0)
-    assert loop.signatures and loop(2.0) == 4.0
+    assert loop.signatures
+    assert loop(2.0) == 4.0
 
 
 def test_after_an_interrupt_no_thread_writes():
@@ -104,11 +112,18 @@ def test_an_error_in_another_thread_is_raised():
 
 
 def _silhouette(kernel):
-    return lambda points: splat(points[..., :2], torch.ones(1, 5, dtype=torch.bool), 8, 8, 0.4, kernel).square().sum()
+    return lambda points: (
+        splat(points[..., :2], torch.ones(1, 5, dtype=torch.bool), 8, 8, 0.4, kernel).square().sum()
+    )
 
 
 def _loss(points):
-    return PrecomputedGradient.apply(points, points.detach().sum((1, 2)), torch.ones_like(points)).sum() * points.sum()
+    return (
+        PrecomputedGradient.apply(
+            points, points.detach().sum((1, 2)), torch.ones_like(points)
+        ).sum()
+        * points.sum()
+    )
 
 
 @pytest.mark.parametrize("function", [_silhouette("compiled"), _loss])

@@ -12,7 +12,10 @@ from tso_cli.kernels.nearest import nearest_both_ways, nearest_marked
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 40), (40, 1), (30, 47), (64, 64)])
 @pytest.mark.parametrize("share", [0.003, 0.05, 0.6])
 def test_the_nearest_marked_pixel_is_as_near_as_scipys(height, width, share):
-    marked = torch.rand(4, height, width, generator=torch.Generator().manual_seed(height * width)) < share
+    marked = (
+        torch.rand(4, height, width, generator=torch.Generator().manual_seed(height * width))
+        < share
+    )
     marked[0] = False
     for image, *nearest in zip(marked, *nearest_marked(marked), strict=True):
         distance = np.linalg.norm(np.stack(nearest) - np.mgrid[:height, :width], axis=0)
@@ -38,5 +41,8 @@ def test_neighbours_between_clouds_are_those_of_all_pairs(both_forms, dtype, fir
 
 def test_neighbours_do_not_depend_on_the_number_of_threads(assert_same_on_threads, monkeypatch):
     monkeypatch.setattr(tensors, "POINTS_WORTH_COMPILING", 0)
-    clouds = [torch.rand(9, count, 3, generator=torch.Generator().manual_seed(count)) for count in (42, 44)]
+    clouds = [
+        torch.rand(9, count, 3, generator=torch.Generator().manual_seed(count))
+        for count in (42, 44)
+    ]
     assert_same_on_threads(lambda: nearest_both_ways(*clouds))

@@ -16,18 +16,27 @@ def _cloud(seed: int, count: int, size: int, dtype: torch.dtype = torch.float64)
     return (torch.rand(2, count, 2, generator=generator, dtype=dtype) * 1.6 - 0.3) * size
 
 
-def _assert_agree(points: torch.Tensor, height: int, width: int, sigma_sq: float, atol: float) -> None:
+def _assert_agree(
+    points: torch.Tensor, height: int, width: int, sigma_sq: float, atol: float
+) -> None:
     """Both kernels give the same sums and gradient."""
-    results = (_sums_and_gradient(points, height, width, sigma_sq, kernel) for kernel in ("exact", "compiled"))
+    results = (
+        _sums_and_gradient(points, height, width, sigma_sq, kernel)
+        for kernel in ("exact", "compiled")
+    )
     for exact, fast in zip(*results, strict=True):
         assert (exact - fast).abs().max() <= 1e-5 * exact.abs().max() + atol
 
 
 def _sums_and_gradient(points: torch.Tensor, height: int, width: int, sigma_sq: float, kernel: str):
     """Sums of Gaussians, and the gradient of a randomly weighted sum of the silhouette."""
-    weight = torch.randn(len(points), height, width, generator=torch.Generator().manual_seed(1), dtype=points.dtype)
+    weight = torch.randn(
+        len(points), height, width, generator=torch.Generator().manual_seed(1), dtype=points.dtype
+    )
     leaf = points.clone().requires_grad_()
-    sums = splat(leaf, torch.ones(points.shape[:2], dtype=torch.bool), height, width, sigma_sq, kernel)
+    sums = splat(
+        leaf, torch.ones(points.shape[:2], dtype=torch.bool), height, width, sigma_sq, kernel
+    )
     (torch.tanh(sums) * weight).sum().backward()
     return sums.detach(), leaf.grad
 
@@ -39,7 +48,10 @@ def test_the_windowed_kernel_agrees_with_the_exact_product_in_value_and_gradient
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.lists(st.tuples(st.floats(-12, 36), st.floats(-12, 36)), min_size=1, max_size=20), st.floats(0.05, 8.0))
+@given(
+    st.lists(st.tuples(st.floats(-12, 36), st.floats(-12, 36)), min_size=1, max_size=20),
+    st.floats(0.05, 8.0),
+)
 def test_the_kernels_agree_for_any_points_inside_and_outside_the_image(points, sigma_sq):
     # far outside, all entries are below what a tap may neglect
     _assert_agree(torch.tensor([points], dtype=torch.float64), 24, 20, sigma_sq, 1e-6)
@@ -49,7 +61,9 @@ def test_the_exact_product_is_the_printed_formula():
     points = _cloud(2, 50, 24)
     valid = torch.ones(points.shape[:2], dtype=torch.bool)
     for image, cloud in zip(splat(points, valid, 24, 30, 0.4, "exact"), points, strict=True):
-        torch.testing.assert_close(image, oracles.silhouette_sums(cloud, 24, 30, 0.4), atol=1e-12, rtol=1e-12)
+        torch.testing.assert_close(
+            image, oracles.silhouette_sums(cloud, 24, 30, 0.4), atol=1e-12, rtol=1e-12
+        )
 
 
 SINGULAR_POINTS = {
@@ -80,7 +94,8 @@ def test_invalid_points_add_nothing_and_get_no_gradient(kernel):
     sums = splat(points, valid, 8, 8, 0.4, kernel)
     torch.testing.assert_close(sums, splat(points[:, :1], valid[:, :1], 8, 8, 0.4, kernel))
     (sums.square().sum() + sums[0, 4, 5]).backward()
-    assert points.grad[0, 0].any() and not points.grad[0, 1].any()
+    assert points.grad[0, 0].any()
+    assert not points.grad[0, 1].any()
 
 
 @KERNELS
@@ -88,11 +103,14 @@ def test_points_at_huge_coordinates_add_nothing_and_break_nothing(kernel):
     points = torch.tensor([[[1e30, 3.0], [-1e12, 4.0], [3.0, 3e9], [2.0, 2.0]]], requires_grad=True)
     sums = splat(points, torch.ones(1, 4, dtype=torch.bool), 6, 6, 0.4, kernel)
     sums.sum().backward()
-    assert torch.isfinite(sums).all() and torch.isfinite(points.grad).all()
+    assert torch.isfinite(sums).all()
+    assert torch.isfinite(points.grad).all()
     assert sums[0, 2, 2].item() == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(("images", "count", "height", "width"), [(1, 2000, 200, 90), (7, 300, 40, 50), (3, 1, 5, 4)])
+@pytest.mark.parametrize(
+    ("images", "count", "height", "width"), [(1, 2000, 200, 90), (7, 300, 40, 50), (3, 1, 5, 4)]
+)
 def test_sums_and_gradients_do_not_depend_on_the_number_of_threads_by_one_bit(
     assert_same_on_threads, images, count, height, width
 ):

@@ -13,7 +13,13 @@ from ..training import make_thin
 from .studying import write_split
 
 TRAIN = [
-    *("car/qreal_SUV", "car/qbasic_BasicCar", "car/qreal_NormalCar1", "chair/q19_Chair", "chair/q17_Chair"),
+    *(
+        "car/qreal_SUV",
+        "car/qbasic_BasicCar",
+        "car/qreal_NormalCar1",
+        "chair/q19_Chair",
+        "chair/q17_Chair",
+    ),
     *("airplane/qplane_SmallPlane", "airplane/qplane_Private_plane"),
 ]
 VALIDATION = ["car/qreal_Cop", "car/qpublic_Taxi", "chair/kfurn_chair"]
@@ -23,7 +29,9 @@ see, mean_shape = cache(judging.see), judging.mean_shape
 
 @pytest.fixture(scope="session")
 def split(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_split(tmp_path_factory.mktemp("split"), train=TRAIN, validation=VALIDATION, test=TEST)
+    return write_split(
+        tmp_path_factory.mktemp("split"), train=TRAIN, validation=VALIDATION, test=TEST
+    )
 
 
 @pytest.fixture

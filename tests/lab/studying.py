@@ -25,7 +25,9 @@ def write_split(folder: Path, **parts: list[str]) -> Path:
     return path
 
 
-def thin_checkpoint(folder: Path, monkeypatch: pytest.MonkeyPatch, points: int, **settings: object) -> Path:
+def thin_checkpoint(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, points: int, **settings: object
+) -> Path:
     """A network of the paper's layers with few channels, untrained."""
     make_thin(monkeypatch)
     monkeypatch.setattr(networks, "LATENT", 8)

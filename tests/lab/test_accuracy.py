@@ -30,7 +30,11 @@ def test_an_ablation_changes_one_ingredient_of_the_preset_at_a_time():
 
     plain = moved(RefineConfig())
     np.testing.assert_array_equal(moved(RefineConfig(coarse_to_fine=BEST)), plain)
-    changed = {name: variant for name, variant in ABLATION.items() if variant.config.coarse_to_fine is not BEST}
+    changed = {
+        name: variant
+        for name, variant in ABLATION.items()
+        if variant.config.coarse_to_fine is not BEST
+    }
     assert len(changed) == 14
     for name, variant in changed.items():
         recipe = variant.config.coarse_to_fine
@@ -43,7 +47,9 @@ def test_an_ablation_changes_one_ingredient_of_the_preset_at_a_time():
             assert np.abs(moved(variant.config) - plain).max() > 1e-4, name
 
 
-def fake(kind: str, category: str, number: int, ratios: dict[str, float], before: float = 1e-3) -> dict:
+def fake(
+    kind: str, category: str, number: int, ratios: dict[str, float], before: float = 1e-3
+) -> dict:
     """A case with nothing but Chamfer in its figures."""
 
     rest = {"f_score": 0.5, "iou_before": 0.5, "iou": 0.6}
@@ -80,7 +86,9 @@ NEVER_WORSE = "points mode, all starts, with one, two and four masks"
 
 
 def near(*ratios: float) -> list[dict]:
-    return [fake("near", "car", 20 + i, GOOD | {"best": ratio}, 5e-4) for i, ratio in enumerate(ratios)]
+    return [
+        fake("near", "car", 20 + i, GOOD | {"best": ratio}, 5e-4) for i, ratio in enumerate(ratios)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -91,11 +99,19 @@ def near(*ratios: float) -> list[dict]:
         (lambda cases: [*cases, *near(1.04)], {NEVER_WORSE}),
         (lambda cases: [*cases * 3, *near(1.06)], {"car near the truth", NEVER_WORSE}),
         (
-            lambda cases: [fake("other", "airplane", i, GOOD | {"best, two masks": 0.31}) for i in range(10)],
+            lambda cases: [
+                fake("other", "airplane", i, GOOD | {"best, two masks": 0.31}) for i in range(10)
+            ],
             {"airplane: best, two masks"},
         ),
         # What starts right can only get worse, and is not counted.
-        (lambda cases: [*cases, *(fake("right", "car", i, GOOD | {"best": 1.2}) for i in range(10))], set()),
+        (
+            lambda cases: [
+                *cases,
+                *(fake("right", "car", i, GOOD | {"best": 1.2}) for i in range(10)),
+            ],
+            set(),
+        ),
     ],
 )
 def test_targets_are_met_only_where_the_figures_say_so(change, missed):
@@ -106,17 +122,24 @@ def test_targets_are_met_only_where_the_figures_say_so(change, missed):
         for i in range(10)
     ]
     assert len(held(cases)) == 6 + 1 + 2 + 1
-    assert {text.rpartition(": ")[0] for text, holds in held(change(cases)).items() if not holds} == missed
+    assert {
+        text.rpartition(": ")[0] for text, holds in held(change(cases)).items() if not holds
+    } == missed
 
 
 def test_what_starts_far_off_says_nothing_of_what_is_near():
-    assert "car near the truth: mean ratio at most 1.00, worst at most 1.05" in held([fake("near", "car", 0, GOOD, 1.1e-3)])
+    assert "car near the truth: mean ratio at most 1.00, worst at most 1.05" in held(
+        [fake("near", "car", 0, GOOD, 1.1e-3)]
+    )
     assert not any("near" in text for text in held([fake("near", "car", 0, GOOD, 1.3e-3)]))
     assert held([fake("right", "car", 0, GOOD)]) == {}
 
 
 def test_a_column_beside_the_papers_must_be_clearly_below_it():
-    even = [fake("other", "sofa", i, GOOD | {"best, no symmetry": 0.65 if i % 4 < 2 else 1.22}) for i in range(12)]
+    even = [
+        fake("other", "sofa", i, GOOD | {"best, no symmetry": 0.65 if i % 4 < 2 else 1.22})
+        for i in range(12)
+    ]
     assert not next(holds for claim, holds in held(even).items() if "every column" in claim)
 
 
@@ -124,16 +147,29 @@ def test_network_variants_must_gain_twice_what_the_papers_settings_do_and_harm_f
     best = {name: 0.89 for name in NETWORK if name.endswith("best")}
     ratios = dict.fromkeys(NETWORK, 0.95) | best | {"latent, then points": 0.7}
     assert all(held([fake("network", "car", i, ratios) for i in range(4)]).values())
-    failing = [fake("network", "car", i, ratios | {"encoder, best": 0.91, "latent, then points": 0.76}) for i in range(4)]
-    assert [holds for text, holds in held(failing).items() if "made worse" not in text] == [False, False]
+    failing = [
+        fake("network", "car", i, ratios | {"encoder, best": 0.91, "latent, then points": 0.76})
+        for i in range(4)
+    ]
+    assert [holds for text, holds in held(failing).items() if "made worse" not in text] == [
+        False,
+        False,
+    ]
     good = dict.fromkeys(NETWORK, 0.9)
-    cases = [fake("network", "car", i, good | {"latent, then points": 1.01 if i == 0 else 0.9}) for i in range(20)]
-    harmed = {text.partition(":")[0]: holds for text, holds in held(cases).items() if "made worse" in text}
+    cases = [
+        fake("network", "car", i, good | {"latent, then points": 1.01 if i == 0 else 0.9})
+        for i in range(20)
+    ]
+    harmed = {
+        text.partition(":")[0]: holds for text, holds in held(cases).items() if "made worse" in text
+    }
     assert harmed == {NEVER_WORSE: True, "network modes, and points mode after them": True}
 
 
 def test_the_table_of_an_ablation_has_a_row_an_ingredient_and_a_column_a_kind():
-    summary = conclude([fake(kind, "car", i, GOOD) for kind in ("other", "near") for i in range(4)])["summary"]
+    summary = conclude(
+        [fake(kind, "car", i, GOOD) for kind in ("other", "near") for i in range(4)]
+    )["summary"]
     table = accuracy.tables({"settings": {"ablation": True}, "summary": summary})[0]
     assert table.header == ["", "car, other", "car, near"]
     assert ["best", "0.35 (0, 0.35)", "0.35 (0, 0.35)"] in table.rows
@@ -142,11 +178,28 @@ def test_the_table_of_an_ablation_has_a_row_an_ingredient_and_a_column_a_kind():
 
 
 @pytest.mark.slow
-def test_the_command_draws_extreme_cases_and_overwrites_no_picture(tso, split, tmp_path, monkeypatch):
+def test_the_command_draws_extreme_cases_and_overwrites_no_picture(
+    tso, split, tmp_path, monkeypatch
+):
     make_known(monkeypatch)
-    quick = {name: replace(variant, config=replace(variant.config, steps=3)) for name, variant in POINTS.items()}
+    quick = {
+        name: replace(variant, config=replace(variant.config, steps=3))
+        for name, variant in POINTS.items()
+    }
     monkeypatch.setattr(accuracy, "variants_of", lambda kind, ablation: quick)
-    arguments = ["accuracy", "--meshes", MESHES, "--split", split, "--category", "car", "--kind", "near", "--views", 1]
+    arguments = [
+        "accuracy",
+        "--meshes",
+        MESHES,
+        "--split",
+        split,
+        "--category",
+        "car",
+        "--kind",
+        "near",
+        "--views",
+        1,
+    ]
     arguments += ["--pictures", tmp_path / "cases.png"]
     (case,) = tso("lab", *arguments, "--json").document["cases"]
     assert set(case["variants"]) == set(POINTS)
@@ -156,4 +209,5 @@ def test_the_command_draws_extreme_cases_and_overwrites_no_picture(tso, split, t
     with Image.open(tmp_path / "cases.png") as picture:
         assert min(picture.size) > 100
     run = tso("lab", *arguments)
-    assert run.code == 2 and "exists" in run.err
+    assert run.code == 2
+    assert "exists" in run.err

@@ -55,15 +55,23 @@ def border(mask) -> bool:
 def distances_of(names, target) -> dict[str, float]:
     """Chamfer distance of samplings of training shapes to a target."""
     meshes = {name: normalise(read_mesh(MESHES / f"{name}.ply")) for name in names}
-    clouds = {name: ground_truth(mesh, RenderSettings(), np.random.default_rng(0))[1] for name, mesh in meshes.items()}
+    clouds = {
+        name: ground_truth(mesh, RenderSettings(), np.random.default_rng(0))[1]
+        for name, mesh in meshes.items()
+    }
     return {name: chamfer(cloud, target).chamfer for name, cloud in clouds.items()}
 
 
 @pytest.mark.slow
-def test_the_start_is_the_training_shape_nearest_to_the_categorys_level_or_the_most_similar(builder, shapes, cars):
+def test_the_start_is_the_training_shape_nearest_to_the_categorys_level_or_the_most_similar(
+    builder, shapes, cars
+):
     for kind in ("other", "near"):
         case = cars[kind][0]
-        away = {name: abs(d - LEVELS[kind]["car"]) for name, d in distances_of(TRAIN[:3], case.target).items()}
+        away = {
+            name: abs(d - LEVELS[kind]["car"])
+            for name, d in distances_of(TRAIN[:3], case.target).items()
+        }
         # Another sampling of a shape is a little nearer or further.
         assert away[case.start] <= min(away.values()) + 1e-4
     case = builder.cases(shapes["chair"], "other")[0]
@@ -76,7 +84,11 @@ def test_a_training_shape_starts_from_one_of_another_type(builder, split, tmp_pa
     chair = shapes_of_part(MESHES, split, "train", ["chair"])[1]
     assert (chair.name, builder.cases(chair, "other")[0].start) == (TRAIN[4], TRAIN[3])
     # Two files of one type: `fg_ka50_black` and `fg_ka50_red`.
-    for name, source in (("fg_ka50_black", TRAIN[4]), ("fg_ka50_red", TRAIN[4]), ("kfurn_chair", TRAIN[3])):
+    for name, source in (
+        ("fg_ka50_black", TRAIN[4]),
+        ("fg_ka50_red", TRAIN[4]),
+        ("kfurn_chair", TRAIN[3]),
+    ):
         (tmp_path / "chair").mkdir(exist_ok=True)
         shutil.copy(MESHES / f"{source}.ply", tmp_path / "chair" / f"{name}.ply")
     names = ["chair/fg_ka50_black", "chair/fg_ka50_red", "chair/kfurn_chair"]
@@ -85,7 +97,9 @@ def test_a_training_shape_starts_from_one_of_another_type(builder, split, tmp_pa
     black = shapes_of_part(tmp_path, lists, "train")[0]
     assert CaseBuilder(tmp_path, lists, 1, 64, 1024).cases(black, "other")[0].start == names[2]
     lists.write_text(json.dumps({"train": names[:2]}))
-    with pytest.raises(InputError, match="fg_ka50_black: no chair of another type is in the list train"):
+    with pytest.raises(
+        InputError, match="fg_ka50_black: no chair of another type is in the list train"
+    ):
         CaseBuilder(tmp_path, lists, 1, 64, 1024).cases(black, "other")
 
 
@@ -103,7 +117,9 @@ def test_the_whole_object_is_seen_unless_it_is_to_be_truncated(cars, shapes):
 
 
 @pytest.mark.slow
-def test_a_start_that_is_right_is_another_sampling_of_the_truth_and_the_floor_its_distance(builder, shapes, cars):
+def test_a_start_that_is_right_is_another_sampling_of_the_truth_and_the_floor_its_distance(
+    builder, shapes, cars
+):
     case = builder.cases(shapes["car"], "right")[0]
     assert case.start == "the truth"
     assert chamfer(case.initial, case.target).chamfer == pytest.approx(case.floor)
@@ -117,14 +133,19 @@ def test_a_case_depends_on_the_seed_alone(cars, split, shapes):
     first, same = cars["cut"]
     assert len(first.views) == len(same.views) == MASKS
     assert first.views[1] is same.views[0]
-    again, other = (CaseBuilder(MESHES, split, 2, 64, 1024, seed).cases(shapes["car"], "cut")[1] for seed in (0, 1))
+    again, other = (
+        CaseBuilder(MESHES, split, 2, 64, 1024, seed).cases(shapes["car"], "cut")[1]
+        for seed in (0, 1)
+    )
     np.testing.assert_array_equal(again.initial, same.initial)
     np.testing.assert_array_equal(again.views[0].mask, same.views[0].mask)
     assert not np.array_equal(other.views[0].mask, same.views[0].mask)
 
 
 @pytest.mark.slow
-def test_a_networks_case_is_in_the_axes_of_a_camera_that_stands_where_it_stood(split, shapes, tmp_path, monkeypatch):
+def test_a_networks_case_is_in_the_axes_of_a_camera_that_stands_where_it_stood(
+    split, shapes, tmp_path, monkeypatch
+):
     network, about = load_network(thin_checkpoint(tmp_path, monkeypatch, 1024))
     builder = CaseBuilder(MESHES, split, 2, 64, 1024, 0, network, about)
     for case in builder.cases(shapes["car"], "network"):
@@ -136,4 +157,6 @@ def test_a_networks_case_is_in_the_axes_of_a_camera_that_stands_where_it_stood(s
         assert chamfer(case.target, case.dense).backward == 0.0
         left, top, right, bottom = case.views[0].box()
         pixels = case.views[0].camera.project(case.target)[0]
-        assert np.abs([*(pixels.min(0) - [left, top]), *(pixels.max(0) - [right, bottom])]).max() < 2.0
+        assert (
+            np.abs([*(pixels.min(0) - [left, top]), *(pixels.max(0) - [right, bottom])]).max() < 2.0
+        )

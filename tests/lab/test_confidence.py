@@ -16,7 +16,13 @@ def row_of(monkeypatch, axis, level=1.0, options=None, refusal=""):
     result = None
     if options is not None:
         suspects = tuple(Suspect("", option, 0.5) for option in options)
-        numbers = {"confidence": 0.5, "verdict": "doubtful", "iou_before": 0.5, "iou_after": 0.6, "best_step": 3}
+        numbers = {
+            "confidence": 0.5,
+            "verdict": "doubtful",
+            "iou_before": 0.5,
+            "iou_after": 0.6,
+            "best_step": 3,
+        }
         result = SimpleNamespace(suspects=suspects, signs={"motion: mean": 0.0}, **numbers)
     run = SimpleNamespace(axis=AXIS[axis], level=level, case=CASE)
     outcome = SimpleNamespace(run=run, result=result, refusal=refusal, ratio=lambda: 1.2)
@@ -40,12 +46,15 @@ def test_a_mistake_is_named_if_its_name_is_among_the_options(monkeypatch, option
 
 
 def test_a_longer_name_is_another(monkeypatch):
-    assert not row_of(monkeypatch, "axes of OpenGL", options=["--assume opengl-camera-to-world"])["named"]
+    assert not row_of(monkeypatch, "axes of OpenGL", options=["--assume opengl-camera-to-world"])[
+        "named"
+    ]
 
 
 def test_the_level_tells_which_unit_is_wrong(monkeypatch):
     found = [
-        row_of(monkeypatch, "cloud in smaller units", level, ["--assume cloud-inches"])["named"] for level in (39.37, 1000.0)
+        row_of(monkeypatch, "cloud in smaller units", level, ["--assume cloud-inches"])["named"]
+        for level in (39.37, 1000.0)
     ]
     assert found == [True, False]
 
@@ -53,9 +62,12 @@ def test_the_level_tells_which_unit_is_wrong(monkeypatch):
 def test_a_refusal_names_it_too(monkeypatch):
     said = "no point falls inside; it looks as if the cloud's z points up: try --assume cloud-y-up, or --assume cloud-z-up"
     row = row_of(monkeypatch, "cloud with z up", refusal=said)
-    assert row["refused"] and row["suspected"] and row["named"]
+    assert row["refused"]
+    assert row["suspected"]
+    assert row["named"]
     row = row_of(monkeypatch, "cloud with z up", refusal="no point falls inside; check the camera")
-    assert not row["suspected"] and not row["named"]
+    assert not row["suspected"]
+    assert not row["named"]
 
 
 def test_an_error_that_is_no_gross_mistake_has_no_name(monkeypatch):
@@ -64,8 +76,13 @@ def test_an_error_that_is_no_gross_mistake_has_no_name(monkeypatch):
 
 def test_every_case_of_the_fit_has_the_levels_that_chance_would_bring_too_seldom():
     case = SimpleNamespace(shape="chair/a", kind="other", view=0)
-    judged, fit = (list(confidence.alterations(case, case, 5, 0, to_fit)) for to_fit in (False, True))
+    judged, fit = (
+        list(confidence.alterations(case, case, 5, 0, to_fit)) for to_fit in (False, True)
+    )
     drawn = [(run.axis.name, run.level) for run in fit]
     assert drawn[:6] == [(run.axis.name, run.level) for run in judged]
-    assert drawn[6:] == [(name, level) for name, levels in confidence.LEARNED.items() for level in levels]
-    assert drawn[6:] and all(level in AXIS[name].levels for name, level in drawn[6:])
+    assert drawn[6:] == [
+        (name, level) for name, levels in confidence.LEARNED.items() for level in levels
+    ]
+    assert drawn[6:]
+    assert all(level in AXIS[name].levels for name, level in drawn[6:])

@@ -8,7 +8,15 @@ import pytest
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.lab.studies.cases import CaseBuilder
 from tso_cli.lab.studies.evidence import Question, conclude, judge, tables
-from tso_cli.lab.studies.evidence_alterations import Truth, paint_of, painted, photo, unaltered, with_depth, without
+from tso_cli.lab.studies.evidence_alterations import (
+    Truth,
+    paint_of,
+    painted,
+    photo,
+    unaltered,
+    with_depth,
+    without,
+)
 from tso_cli.lab.studies.refining import Variant
 from tso_cli.lab.studies.shapes import shapes_of_part
 from tso_cli.refinement import RefineConfig
@@ -41,7 +49,9 @@ def test_depth_maps_lie_on_the_true_surface_and_noise_is_as_large_as_the_row_say
     from scipy.spatial import cKDTree
 
     surface = cKDTree(cases["chair"].dense)
-    exact, noisy = (with_depth(cases["chair"], truths["chair"], rng(), noise) for noise in (0.0, 0.03))
+    exact, noisy = (
+        with_depth(cases["chair"], truths["chair"], rng(), noise) for noise in (0.0, 0.03)
+    )
     assert np.median(surface.query(lifted(exact.views[1]))[0]) < 0.006
     off = noisy.views[1].depth - exact.views[1].depth
     assert np.nanstd(off) == pytest.approx(0.03, rel=0.1)
@@ -50,11 +60,15 @@ def test_depth_maps_lie_on_the_true_surface_and_noise_is_as_large_as_the_row_say
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", ["side", "low"])
-def test_an_object_that_lacks_a_part_lacks_it_in_truth_and_masks_and_keeps_its_start(part, cases, truths):
+def test_an_object_that_lacks_a_part_lacks_it_in_truth_and_masks_and_keeps_its_start(
+    part, cases, truths
+):
     whole = cases["chair"]
     lacking = without(whole, truths["chair"], rng(), part)
     np.testing.assert_array_equal(lacking.initial, whole.initial)
-    assert sum((b.mask < a.mask).any() for a, b in zip(whole.views, lacking.views, strict=True)) >= 3
+    assert (
+        sum((b.mask < a.mask).any() for a, b in zip(whole.views, lacking.views, strict=True)) >= 3
+    )
     assert all((b.mask <= a.mask).all() for a, b in zip(whole.views, lacking.views, strict=True))
     assert find_mirror_plane(whole.target).symmetric
     assert not find_mirror_plane(lacking.target).symmetric
@@ -95,11 +109,22 @@ QUICK = RefineConfig(steps=3)
 
 
 @pytest.mark.slow
-def test_a_row_that_a_case_cannot_have_is_left_out_and_planes_are_told_where_they_are_asked_for(cases, truths):
-    none, auto = (Variant(RefineConfig(steps=3, symmetry=symmetry)) for symmetry in ("none", "auto"))
-    rows = {"cars": (lambda case, *_: case if case.category == "car" else None, none), "as it is": (unaltered, auto)}
+def test_a_row_that_a_case_cannot_have_is_left_out_and_planes_are_told_where_they_are_asked_for(
+    cases, truths
+):
+    none, auto = (
+        Variant(RefineConfig(steps=3, symmetry=symmetry)) for symmetry in ("none", "auto")
+    )
+    rows = {
+        "cars": (lambda case, *_: case if case.category == "car" else None, none),
+        "as it is": (unaltered, auto),
+    }
     question = Question("Cars", ("other",), rows, ("car", "chair"), planes=True)
-    records = [record for name in cases for record in judge("cars", question, [(cases[name], truths[name])], 0)]
+    records = [
+        record
+        for name in cases
+        for record in judge("cars", question, [(cases[name], truths[name])], 0)
+    ]
     summary = conclude(records)["summary"]["cars"]["other"]
     assert summary["all"]["as it is"]["cases"] == 2
     assert summary["all"]["cars"]["cases"] == summary["car"]["cars"]["cases"] == 1
@@ -109,12 +134,27 @@ def test_a_row_that_a_case_cannot_have_is_left_out_and_planes_are_told_where_the
 
 
 def a_case(category: str, rows: dict[str, tuple[float, float]]) -> dict:
-    names = {"question": "depth", "kind": "other", "category": category, "shape": f"{category}/a", "view": 0}
-    return {**names, "rows": {row: {"before": before, "chamfer": after} for row, (before, after) in rows.items()}}
+    names = {
+        "question": "depth",
+        "kind": "other",
+        "category": category,
+        "shape": f"{category}/a",
+        "view": 0,
+    }
+    return {
+        **names,
+        "rows": {
+            row: {"before": before, "chamfer": after} for row, (before, after) in rows.items()
+        },
+    }
 
 
 def test_the_summary_is_of_the_cases_own_ratios():
-    cases = [a_case("car", {"mask": (1.0, 0.5)}), a_case("car", {"mask": (4.0, 4.4)}), a_case("chair", {"mask": (1.0, 1.0)})]
+    cases = [
+        a_case("car", {"mask": (1.0, 0.5)}),
+        a_case("car", {"mask": (4.0, 4.4)}),
+        a_case("chair", {"mask": (1.0, 1.0)}),
+    ]
     summary = conclude(cases)
     groups = summary["summary"]["depth"]["other"]
     assert list(groups) == ["car", "chair", "all"]
@@ -122,4 +162,7 @@ def test_the_summary_is_of_the_cases_own_ratios():
     assert groups["all"]["mask"]["mean_ratio"] == pytest.approx(2.6 / 3.0, abs=1e-5)
     (table,) = tables(summary)
     assert table.title == "Depth maps"
-    assert [row[1:6] for row in table.rows][:2] == [["car", "mask", 2, 0.8, 1.1], ["chair", "mask", 1, 1.0, 1.0]]
+    assert [row[1:6] for row in table.rows][:2] == [
+        ["car", "mask", 2, 0.8, 1.1],
+        ["chair", "mask", 1, 1.0, 1.0],
+    ]

@@ -30,12 +30,18 @@ def fixed(monkeypatch):
 
 
 CHANGES = {
-    "points, best": lambda patch: patch.setitem(vars(presets.BEST), "prior_weight", 0.8 * presets.BEST.prior_weight),
+    "points, best": lambda patch: patch.setitem(
+        vars(presets.BEST), "prior_weight", 0.8 * presets.BEST.prior_weight
+    ),
     "points, paper": lambda patch: patch.setattr(footprint, "EVEN", 1.5 * footprint.EVEN),
-    "network modes, paper": lambda patch: patch.setitem(presets.PAPER_LEARNING_RATE, "latent", 2e-3),
+    "network modes, paper": lambda patch: patch.setitem(
+        presets.PAPER_LEARNING_RATE, "latent", 2e-3
+    ),
     "network modes, best": lambda patch: patch.setitem(presets.BEST_LEARNING_RATE, "latent", 2e-3),
     "camera fit": lambda patch: patch.setattr(camera_correction, "MISFIT_LEFT", 0.0),
-    "training": lambda patch: patch.setattr(losses, "affinity", lambda *of: 1.1 * affinity.affinity(*of)),
+    "training": lambda patch: patch.setattr(
+        losses, "affinity", lambda *of: 1.1 * affinity.affinity(*of)
+    ),
     "pictures": lambda patch: patch.setattr(rays, "AMBIENT", 1.1 * rays.AMBIENT),
 }
 
@@ -56,7 +62,9 @@ def test_another_method_has_another_fingerprint(part, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("part", ["points, paper", "network modes, paper", "training"])
-def test_the_same_method_has_the_same_fingerprint_in_plain_and_in_compiled_loops(part, compiled, monkeypatch):
+def test_the_same_method_has_the_same_fingerprint_in_plain_and_in_compiled_loops(
+    part, compiled, monkeypatch
+):
     record = of_today(part)
     for module in (splat, nearest, affinity, bce):
         monkeypatch.setattr(module, "use_numba", lambda points: compiled)
@@ -97,9 +105,14 @@ def test_a_record_of_another_method_is_not_resumed(tmp_path, fixed):
     fixed(number=1.0)
     write_record(record, ["camera fit"], path)
     assert path.read_text().splitlines()[-3:] == ['{"shape":"a"},', '{"shape":"b"}', "]}"]
-    assert earlier_record("pose", path, True) == {**record, "fingerprint": {"camera fit": {"number": 1.0}}}
+    assert earlier_record("pose", path, True) == {
+        **record,
+        "fingerprint": {"camera fit": {"number": 1.0}},
+    }
     fixed(number=2.0)
-    with pytest.raises(InputError, match="record.json: was made by another method .camera fit: number 1.0, now 2.0"):
+    with pytest.raises(
+        InputError, match="record.json: was made by another method .camera fit: number 1.0, now 2.0"
+    ):
         earlier_record("pose", path, True)
     # A record of another study is for the study to refuse.
     assert earlier_record("sigma", path, True)["study"] == "pose"
@@ -109,19 +122,26 @@ def test_the_command_tells_records_of_the_method_from_others(tso, tmp_path, fixe
     path = tmp_path / "pose.json"
     path.write_text('{"study": "pose"}')
     run = tso("lab", "fingerprint", path)
-    assert run.code == 3 and "of another method\n  it has no fingerprint" in run.out
+    assert run.code == 3
+    assert "of another method\n  it has no fingerprint" in run.out
     fixed(number=1.0)
     write_record({"study": "pose", "cases": []}, ["camera fit"], path)
     run = tso("lab", "fingerprint", path)
-    assert run.code == 0 and "pose.json: of the method as it is" in run.out
+    assert run.code == 0
+    assert "pose.json: of the method as it is" in run.out
     fixed(number=7.0)
     run = tso("lab", "fingerprint", path)
-    assert run.code == 3 and "  camera fit: number 1.0, now 7.0\n" in run.out and "1 of 1 records" in run.err
+    assert run.code == 3
+    assert "  camera fit: number 1.0, now 7.0\n" in run.out
+    assert "1 of 1 records" in run.err
 
 
-@pytest.mark.parametrize(("text", "message"), [("{", "is not JSON"), ("[1]", "holds no JSON object")])
+@pytest.mark.parametrize(
+    ("text", "message"), [("{", "is not JSON"), ("[1]", "holds no JSON object")]
+)
 def test_what_is_no_record_gets_one_line(tso, text, message, tmp_path):
     path = tmp_path / "record.json"
     path.write_text(text)
     refusal = tso("lab", "fingerprint", path).refusal
-    assert str(path) in refusal and message in refusal
+    assert str(path) in refusal
+    assert message in refusal

@@ -33,13 +33,18 @@ def volume(mesh: Mesh) -> float:
 def is_closed(mesh: Mesh) -> bool:
     """Whether every edge is run once in each direction."""
     edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
-    return len(np.unique(edges, axis=0)) == len(edges) and {*map(tuple, edges)} == {*map(tuple, edges[:, ::-1])}
+    return len(np.unique(edges, axis=0)) == len(edges) and {*map(tuple, edges)} == {
+        *map(tuple, edges[:, ::-1])
+    }
 
 
 @pytest.mark.parametrize(("category", "kind"), KINDS)
 def test_every_kind_is_of_closed_parts_of_moderate_size_and_mirror_symmetric(category, kind):
     for seed in range(2):
-        assert all(is_closed(part) for part in MAKERS[category].build(np.random.default_rng([5, seed]), kind))
+        assert all(
+            is_closed(part)
+            for part in MAKERS[category].build(np.random.default_rng([5, seed]), kind)
+        )
         mesh = of_kind(category, kind, seed)
         assert np.isfinite(mesh.vertices).all()
         assert len(mesh.faces) < 6000
@@ -102,7 +107,11 @@ def test_aeroplanes_spread_their_wings_along_z_and_have_their_fin_at_the_rear(ki
         x, y, z = np.ptp(points, axis=0)
         assert z > 1.1 * y
         assert z > 0.3 * x
-        if kind in ("airliner", "rear jet", "glider"):  # of the others, a propeller or wing may be higher
+        if kind in (
+            "airliner",
+            "rear jet",
+            "glider",
+        ):  # of the others, a propeller or wing may be higher
             middle = points[np.abs(points[:, 2]) < 0.2 * z]
             assert middle[middle[:, 1].argmax(), 0] > points[:, 0].min() + 0.7 * x
 
@@ -111,17 +120,26 @@ def test_parts_have_the_volume_of_what_they_are():
     assert volume(parts.box((2, 3, 4), (5, 6, 7))) == pytest.approx(24)
     frustum = parts.rod((0, 0, 0), (0, 2, 0), 0.5, 0.25, sides=200)
     assert volume(frustum) == pytest.approx(np.pi * 2 / 3 * (0.25 + 0.125 + 0.0625), rel=1e-3)
-    assert volume(parts.ellipsoid((1, 2, 3), (9, 9, 9), 60, 60)) == pytest.approx(8 * np.pi, rel=0.01)
+    assert volume(parts.ellipsoid((1, 2, 3), (9, 9, 9), 60, 60)) == pytest.approx(
+        8 * np.pi, rel=0.01
+    )
     u, v = np.meshgrid(np.linspace(0, 2, 5), np.linspace(0, 3, 4))
     assert volume(parts.plate(np.stack([u, v, 0 * u], axis=-1), 0.1)) == pytest.approx(0.6)
-    assert [volume(part) for part in parts.both(parts.box((1, 1, 1), (3, 0, 0)))] == pytest.approx([1, 1])
+    assert [volume(part) for part in parts.both(parts.box((1, 1, 1), (3, 0, 0)))] == pytest.approx(
+        [1, 1]
+    )
 
 
 def test_a_shape_depends_on_seed_category_and_number_alone(tmp_path):
     steps: list[tuple[int, int, str]] = []
     short = write_shapes(tmp_path / "short", {"car": 2}, 1)
-    long = write_shapes(tmp_path / "long", {"airplane": 1, "car": 4}, 1, lambda *step: steps.append(step))
-    assert [path.relative_to(tmp_path).as_posix() for path in short] == ["short/car/gen_00000.ply", "short/car/gen_00001.ply"]
+    long = write_shapes(
+        tmp_path / "long", {"airplane": 1, "car": 4}, 1, lambda *step: steps.append(step)
+    )
+    assert [path.relative_to(tmp_path).as_posix() for path in short] == [
+        "short/car/gen_00000.ply",
+        "short/car/gen_00001.ply",
+    ]
     assert [path.read_bytes() for path in short] == [path.read_bytes() for path in long[1:3]]
     assert steps[-1] == (5, 5, "car/gen_00003")
     other_seed = write_shapes(tmp_path / "other", {"car": 2}, 2)
@@ -142,8 +160,13 @@ def test_existing_files_are_kept_unless_overwriting_is_asked_for(tmp_path):
 
 def test_the_command_writes_and_counts(tso, tmp_path):
     counts = ("--chair", 2, "--car", 0, "--airplane", 1)
-    assert "3 shapes written" in tso("lab", "generate", "-o", tmp_path / "out", *counts, "--seed", 3).out
-    written = sorted(path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*.ply"))
+    assert (
+        "3 shapes written"
+        in tso("lab", "generate", "-o", tmp_path / "out", *counts, "--seed", 3).out
+    )
+    written = sorted(
+        path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*.ply")
+    )
     assert written == ["airplane/gen_00000.ply", "chair/gen_00000.ply", "chair/gen_00001.ply"]
 
 

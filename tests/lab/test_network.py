@@ -19,7 +19,10 @@ def cloud(seed: int, stretch: tuple[float, float, float] = (1.0, 0.6, 0.3)) -> n
 
 def test_the_mean_is_nearer_to_all_than_any_one_of_them():
     clouds = [cloud(i, (1.0, 0.2 + 0.2 * i, 0.3)) for i in range(4)]
-    totals = [sum(chamfer(one, other).chamfer for other in clouds) for one in (mean_shape(clouds, steps=60), *clouds)]
+    totals = [
+        sum(chamfer(one, other).chamfer for other in clouds)
+        for one in (mean_shape(clouds, steps=60), *clouds)
+    ]
     assert np.argmin(totals) == 0
 
 

@@ -37,7 +37,10 @@ def test_none_of_the_front_is_dominated_and_every_other_point_is(places):
 
 
 def case(shape, ratios, kind="other", view=0):
-    ways = {name: {"ratio": ratio, "seconds": 0.1 * (i + 1)} for i, (name, ratio) in enumerate(ratios.items())}
+    ways = {
+        name: {"ratio": ratio, "seconds": 0.1 * (i + 1)}
+        for i, (name, ratio) in enumerate(ratios.items())
+    }
     return {"kind": kind, "category": "car", "shape": shape, "view": view, "ways": ways}
 
 
@@ -55,10 +58,20 @@ def test_views_of_a_shape_count_once_in_the_error_and_further_masks_not_in_the_f
     assert (again["cases"], again["ways"][DEFAULT]) == (4, group["ways"][DEFAULT])
 
 
-@pytest.mark.parametrize(("default", "holds"), [(0.7, [True, True, True]), (0.95, [True, False, True]), (1.2, [False] * 3)])
+@pytest.mark.parametrize(
+    ("default", "holds"),
+    [(0.7, [True, True, True]), (0.95, [True, False, True]), (1.2, [False] * 3)],
+)
 def test_claims_are_of_the_figures(default, holds):
-    ratios = SOME | {PAPER: 0.96, DEFAULT: default} | dict.fromkeys(PEERS, 1.0 if default == 0.95 else 0.96)
-    cases = [case(f"car/{name}", ratios | {PAPER: 0.95 + 0.05 * i}, "network") for i, name in enumerate("ab")]
+    ratios = (
+        SOME
+        | {PAPER: 0.96, DEFAULT: default}
+        | dict.fromkeys(PEERS, 1.0 if default == 0.95 else 0.96)
+    )
+    cases = [
+        case(f"car/{name}", ratios | {PAPER: 0.95 + 0.05 * i}, "network")
+        for i, name in enumerate("ab")
+    ]
     claims = conclude(cases)["claims"]
     assert [claim["holds"] for claim in claims] == [holds[0], holds[1], default <= 0.94]
 
@@ -71,7 +84,8 @@ def test_sweeps_of_the_input_go_through_the_default():
         *(f"{DEFAULT}, {count} points" for count in ("4,096", "16,384")),
     ]
     assert lines["masks"] == [DEFAULT, f"{DEFAULT}, 2 masks", f"{DEFAULT}, 4 masks"]
-    assert lines[DEFAULT][0] == f"{DEFAULT}, 6 steps" and DEFAULT in lines[DEFAULT]
+    assert lines[DEFAULT][0] == f"{DEFAULT}, 6 steps"
+    assert DEFAULT in lines[DEFAULT]
     assert lines["alpha points"] == ["alpha points"]
 
 
@@ -80,7 +94,9 @@ def test_without_meshes_only_the_quick_run_is_there(tso):
 
 
 @pytest.mark.slow
-def test_the_command_writes_record_chart_and_page_and_a_line_more_in_the_table_is_a_way_more(tso, tmp_path, monkeypatch):
+def test_the_command_writes_record_chart_and_page_and_a_line_more_in_the_table_is_a_way_more(
+    tso, tmp_path, monkeypatch
+):
     make_known(monkeypatch)
     kept = (
         DEFAULT,
@@ -95,7 +111,11 @@ def test_the_command_writes_record_chart_and_page_and_a_line_more_in_the_table_i
         if name not in (*kept, *PEERS):
             monkeypatch.delitem(WAYS, name)
         elif isinstance(way.run, Variant):
-            monkeypatch.setitem(WAYS, name, replace(way, run=replace(way.run, config=replace(way.run.config, steps=2))))
+            monkeypatch.setitem(
+                WAYS,
+                name,
+                replace(way, run=replace(way.run, config=replace(way.run.config, steps=2))),
+            )
     monkeypatch.setitem(WAYS, "budget auto", Way(Variant(RefineConfig(steps=1))))
     output = tmp_path / "pareto.json"
     arguments = ("bench", "pareto", "--quick", "-o", output)
@@ -103,11 +123,15 @@ def test_the_command_writes_record_chart_and_page_and_a_line_more_in_the_table_i
     record = json.loads(output.read_text())
     assert (record["complete"], record["command"]) == (True, "tso bench pareto --quick")
     assert {"cpu", "cores"} <= set(record["settings"]["machine"])
-    assert set(record["summary"]["network"]["ways"]) == {name for name, way in WAYS.items() if "network" in way.kinds}
+    assert set(record["summary"]["network"]["ways"]) == {
+        name for name, way in WAYS.items() if "network" in way.kinds
+    }
     for row in record["cases"]:
         assert row["kind"] in STARTS
         # One or two steps move a cloud, or come no nearer to its mask, and leave it.
-        assert all(found["seconds"] > 0.0 and found["ratio"] > 0.0 for found in row["ways"].values())
+        assert all(
+            found["seconds"] > 0.0 and found["ratio"] > 0.0 for found in row["ways"].values()
+        )
         assert sum(found["ratio"] != 1.0 for found in row["ways"].values()) > len(row["ways"]) / 2
     assert "| budget auto |" in output.with_suffix(".md").read_text()
     with Image.open(output.with_suffix(".png")) as picture:

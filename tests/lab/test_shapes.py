@@ -13,7 +13,13 @@ from tso_cli.render import RenderSettings
 
 from .studying import MESHES, thin_checkpoint, write_split
 
-NAMES = ["car/qreal_Cop", "car/qreal_SUV", "car/qbasic_RaceCar", "chair/q19_Chair", "chair/q17_Chair"]
+NAMES = [
+    "car/qreal_Cop",
+    "car/qreal_SUV",
+    "car/qbasic_RaceCar",
+    "chair/q19_Chair",
+    "chair/q17_Chair",
+]
 
 
 @pytest.fixture
@@ -27,7 +33,12 @@ def test_only_shapes_of_the_part_are_studied_spread_over_each_category(split):
 
     assert sorted(names()) == sorted(NAMES)
     assert names("validation") == ["chair/kfurn_chair"]
-    assert names(limit=2) == ["car/qreal_Cop", "car/qbasic_RaceCar", "chair/q19_Chair", "chair/q17_Chair"]
+    assert names(limit=2) == [
+        "car/qreal_Cop",
+        "car/qbasic_RaceCar",
+        "chair/q19_Chair",
+        "chair/q17_Chair",
+    ]
     assert names(categories=["chair"], limit=1) == ["chair/q19_Chair"]
 
 

@@ -25,14 +25,25 @@ SETTINGS = {"length": 1}
 
 
 def plan(progress: Progress, *, meshes: Path, sizes: tuple[int, ...], deep: bool) -> Plan:
-    return Plan(SETTINGS, [({"size": size}, lambda size=size: [{"size": size}]) for size in sizes], "measuring")
+    return Plan(
+        SETTINGS,
+        [({"size": size}, lambda size=size: [{"size": size}]) for size in sizes],
+        "measuring",
+    )
 
 
 TOY = Study(
     name="pose",
     about="Sizes of toys.",
     parts=("camera fit",),
-    tables=lambda record: [Table(["size", "name"], [[case["size"] / 3, "car"] for case in record["cases"]], "Toys", "in cm")],
+    tables=lambda record: [
+        Table(
+            ["size", "name"],
+            [[case["size"] / 3, "car"] for case in record["cases"]],
+            "Toys",
+            "in cm",
+        )
+    ],
     draw=lambda path, record, overwrite: path.write_bytes(b"chart"),
     reading="They are small.",
     convention={"size": "in cm"},
@@ -42,11 +53,15 @@ TOY = Study(
         Option("--deep", kind=bool),
     ),
     plan=plan,
-    conclude=lambda cases: {"claims": [claim("sizes grow", True, "2 > 1"), claim("sizes shrink", False, "2 > 1")]},
+    conclude=lambda cases: {
+        "claims": [claim("sizes grow", True, "2 > 1"), claim("sizes shrink", False, "2 > 1")]
+    },
 )
 
 
-def run_toys(progress: Progress, study: Study = TOY, sizes: tuple[int, ...] = (1, 2)) -> dict[str, Any]:
+def run_toys(
+    progress: Progress, study: Study = TOY, sizes: tuple[int, ...] = (1, 2)
+) -> dict[str, Any]:
     return study.run(progress, meshes=Path(), sizes=sizes, deep=False)
 
 
@@ -57,7 +72,11 @@ def sizes_of(record: dict[str, Any]) -> tuple[list[int], bool, bool]:
 def test_the_record_is_kept_after_every_job_and_concluded_after_the_last():
     kept, reported = [], []
     result = run_toys(Progress(lambda *what: reported.append(what), keep=kept.append))
-    assert list(map(sizes_of, kept)) == [([], False, False), ([1], False, False), ([1, 2], True, True)]
+    assert list(map(sizes_of, kept)) == [
+        ([], False, False),
+        ([1], False, False),
+        ([1, 2], True, True),
+    ]
     assert result == kept[-1]
     assert reported == [("measuring", 1, 2), ("measuring", 2, 2)]
     kept.clear()
@@ -72,7 +91,10 @@ def test_an_interruption_leaves_the_record_so_far():
     kept: list[dict[str, Any]] = []
     jobs = [({"size": 1}, lambda: [{"size": 1}]), ({"size": 2}, interrupted)]
     with pytest.raises(KeyboardInterrupt):
-        run_toys(Progress(keep=kept.append), replace(TOY, plan=lambda progress, **_: Plan(SETTINGS, jobs)))
+        run_toys(
+            Progress(keep=kept.append),
+            replace(TOY, plan=lambda progress, **_: Plan(SETTINGS, jobs)),
+        )
     assert sizes_of(kept[-1]) == ([1], False, False)
     assert sizes_of(run_toys(Progress(earlier=kept[-1]))) == ([1, 2], True, True)
 
@@ -80,9 +102,15 @@ def test_an_interruption_leaves_the_record_so_far():
 @pytest.mark.parametrize(
     ("earlier", "message"),
     [
-        ({"study": "tso", "settings": SETTINGS, "cases": []}, "of the study 'tso', expected one of tso lab pose"),
+        (
+            {"study": "tso", "settings": SETTINGS, "cases": []},
+            "of the study 'tso', expected one of tso lab pose",
+        ),
         ({"study": "pose", "settings": SETTINGS}, "of the study 'pose'"),
-        ({"study": "pose", "settings": {"length": 2}, "cases": []}, "has length 2, now it is 1; expected the same"),
+        (
+            {"study": "pose", "settings": {"length": 2}, "cases": []},
+            "has length 2, now it is 1; expected the same",
+        ),
     ],
 )
 def test_a_record_of_another_study_or_of_other_settings_is_not_resumed(earlier, message):
@@ -132,7 +160,11 @@ def test_outputs_that_cannot_be_are_refused_before_the_work(toy, tmp_path):
     call, output = toy
     assert "--resume goes on from a record" in call("--resume").refusal
     assert "expected .json" in call("-o", tmp_path / "toys.txt").refusal
-    for content, message in (("precious", "is not JSON"), ("[1]", "no JSON object"), ('{"study": "sigma"}', "'sigma'")):
+    for content, message in (
+        ("precious", "is not JSON"),
+        ("[1]", "no JSON object"),
+        ('{"study": "sigma"}', "'sigma'"),
+    ):
         output.write_text(content)
         assert message in call("-o", output, "--resume").refusal
         assert output.read_text() == content
@@ -141,7 +173,9 @@ def test_outputs_that_cannot_be_are_refused_before_the_work(toy, tmp_path):
 def test_pages_are_written_anew_of_complete_records(tso, tmp_path, monkeypatch):
     monkeypatch.setattr(pages, "load", lambda name: TOY)
     path = tmp_path / "toys.json"
-    path.write_text(json.dumps({"study": "pose", "convention": {"size": "in cm"}, "cases": [{"size": 3}]}))
+    path.write_text(
+        json.dumps({"study": "pose", "convention": {"size": "in cm"}, "cases": [{"size": 3}]})
+    )
     assert tso("lab", "page", path).out == f"{path.with_suffix('.md')}\n"
     assert "| 1.000 | car |" in path.with_suffix(".md").read_text()
     for content, message in (
@@ -167,7 +201,9 @@ def test_the_cases_of_a_kept_record_give_its_conclusions_and_its_page(path):
     assert list(record["fingerprint"]) == list(shown.parts)
     assert set(shown.parts) <= set(fingerprint.PARTS)
     assert len(shown.reading.split()) <= 120
-    assert all(len(row) == len(table.header) for table in shown.tables(record) for row in table.rows)
+    assert all(
+        len(row) == len(table.header) for table in shown.tables(record) for row in table.rows
+    )
     charts = sorted(chart.name for chart in RECORDS.glob(f"{path.stem}.*.png"))
     assert path.with_suffix(".md").read_text() == page(shown, record, path.name, charts)
     assert (shown.name, record["complete"]) == (name, True)
@@ -175,14 +211,25 @@ def test_the_cases_of_a_kept_record_give_its_conclusions_and_its_page(path):
     assert conclusions == {key: record[key] for key in conclusions}
 
 
-QUICK = {name: replace(variant, config=replace(variant.config, steps=3)) for name, variant in refining.POINTS.items()}
+QUICK = {
+    name: replace(variant, config=replace(variant.config, steps=3))
+    for name, variant in refining.POINTS.items()
+}
 CARS, PLANES, CHAIRS = (("--category", name) for name in ("car", "airplane", "chair"))
 TINY = ("--steps", 1, "--batch-size", 2)
 # Study -> its arguments, the number of cases of its first job, and words of its page.
 COMMANDS: dict[str, tuple[tuple[Any, ...], int, tuple[str, ...]]] = {
-    "accuracy": ((*CARS, "--kind", "other", "--kind", "right", "--views", 1), 1, ("made worse", "floor")),
+    "accuracy": (
+        (*CARS, "--kind", "other", "--kind", "right", "--views", 1),
+        1,
+        ("made worse", "floor"),
+    ),
     "evidence": (("--views", 1), 1, ("whole", "Parts missing")),
-    "tso": ((*CARS, *CHAIRS, "--views", 1, "--steps", 1), 1, ("4.64", "-5.82", "E and D", "occluded", "chair", "hold")),
+    "tso": (
+        (*CARS, *CHAIRS, "--views", 1, "--steps", 1),
+        1,
+        ("4.64", "-5.82", "E and D", "occluded", "chair", "hold"),
+    ),
     "pose": (("--views", 1), 3, (pose.TRUE,)),
     "network": ((*CARS, *CHAIRS), 3, ("validation", "Chamfer x1000")),
     "sigma": (("--views", 1), 1, ("best sigma^2", "the paper's")),
@@ -191,7 +238,11 @@ COMMANDS: dict[str, tuple[tuple[Any, ...], int, tuple[str, ...]]] = {
     "lambda": ((*TINY, *CHAIRS), 1, ("1 steps of 2", "seed 0")),
     "affinity": ((*TINY, *CARS), 1, ("1 steps of 2", "seed 0")),
     "failures": ((*TINY, *PLANES, *CARS), 1, ("1 steps of 2", "seed 0")),
-    "confidence": ((*CARS, *CHAIRS, "--views", 1, "--alterations", 2), 9, ("Reliability", "right scenes")),
+    "confidence": (
+        (*CARS, *CHAIRS, "--views", 1, "--alterations", 2),
+        9,
+        ("Reliability", "right scenes"),
+    ),
 }
 
 
@@ -208,18 +259,35 @@ def test_each_command_writes_record_chart_and_page_and_resumes_to_the_same_cases
     monkeypatch.setattr(pose, "CATEGORIES", ("car",))
     monkeypatch.setattr(pose, "kinds_of", lambda category, kinds: ["other"])
     row = refining.Variant(RefineConfig(steps=3), 4)
-    rows = {"whole": (evidence.unaltered, row), "part": (partial(evidence.without, part="side"), row)}
+    rows = {
+        "whole": (evidence.unaltered, row),
+        "part": (partial(evidence.without, part="side"), row),
+    }
     monkeypatch.setattr(
-        evidence, "QUESTIONS", {"missing": evidence.Question("Parts missing", ("other",), rows, ("chair", "car"))}
+        evidence,
+        "QUESTIONS",
+        {"missing": evidence.Question("Parts missing", ("other",), rows, ("chair", "car"))},
     )
     output = tmp_path / "record.json"
-    arguments = ("lab", name, "--meshes", studying.MESHES, "--split", split, *arguments, "-o", output)
+    arguments = (
+        "lab",
+        name,
+        "--meshes",
+        studying.MESHES,
+        "--split",
+        split,
+        *arguments,
+        "-o",
+        output,
+    )
     printed, text = tso(*arguments).out, output.with_suffix(".md").read_text()
     for word in words:
-        assert word in printed and word in text
+        assert word in printed
+        assert word in text
     assert output.with_suffix(".png").stat().st_size > 3000
     whole = json.loads(output.read_text())
-    assert whole["complete"] and whole["command"].startswith(f"tso lab {name} --meshes DIR")
+    assert whole["complete"]
+    assert whole["command"].startswith(f"tso lab {name} --meshes DIR")
     assert len(output.read_text().splitlines()) > len(whole["cases"])
     output.write_text(json.dumps({**whole, "complete": False, "cases": whole["cases"][:first]}))
     assert tso(*arguments, "--resume", "--json").code == 0
@@ -234,15 +302,25 @@ def test_each_command_writes_record_chart_and_page_and_resumes_to_the_same_cases
         (["views", "--resume", "-o", "other.json"], "expected one of tso lab views"),
         (["views", "--split", "absent.json"], "car/nothing"),
         (["failures", "--category", "chair"], "found chair, expected one of the two"),
-        (["accuracy", "--category", "car", "--points", 100], "points is 100, expected 1024 to 16384"),
-        (["accuracy", "--kind", "near", "--category", "chair"], "kinds are near, expected some that chair have"),
+        (
+            ["accuracy", "--category", "car", "--points", 100],
+            "points is 100, expected 1024 to 16384",
+        ),
+        (
+            ["accuracy", "--kind", "near", "--category", "chair"],
+            "kinds are near, expected some that chair have",
+        ),
     ],
 )
 def test_unusable_input_is_one_line(tso, arguments, message, split, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("other.json").write_text(json.dumps({"study": "points", "settings": {}, "cases": []}))
-    Path("absent.json").write_text(json.dumps({"train": ["car/nothing"], "test": ["car/qreal_SUV"]}))
+    Path("absent.json").write_text(
+        json.dumps({"train": ["car/nothing"], "test": ["car/qreal_SUV"]})
+    )
     run = tso("lab", arguments[0], "--meshes", studying.MESHES, "--split", split, *arguments[1:])
     errors = [line for line in run.err.splitlines() if not line.startswith("tso: checkpoint")]
-    assert run.code == 2 and len(errors) == 1 and message in errors[0]
+    assert run.code == 2
+    assert len(errors) == 1
+    assert message in errors[0]
     assert len(list(tmp_path.iterdir())) == 2

@@ -78,30 +78,46 @@ def test_visible_and_occluded_points_make_up_the_forward_distance():
     assert distances(prediction, target, np.ones(30, dtype=bool))["occluded"] is None
 
 
-def test_the_truth_in_the_cameras_axes_is_at_distance_zero_whatever_its_scale(checkpoint, monkeypatch):
+def test_the_truth_in_the_cameras_axes_is_at_distance_zero_whatever_its_scale(
+    checkpoint, monkeypatch
+):
     """A network that predicted the true shape, twice as large and elsewhere, is faultless by the paper's protocol only."""
     seen = see(COP, RenderSettings(views=1), 0)
     points = 2.0 * (seen.target @ seen.views[0].camera.R.T) * [1.0, -1.0, -1.0] + 0.1
-    untouched = SimpleNamespace(points=points, iou_before=0.5, iou_after=0.5, best_step=0, stop_reason="max_steps")
-    monkeypatch.setattr(variants, "network_scene", lambda *of, **options: replace(network_scene(*of, **options), points=points))
+    untouched = SimpleNamespace(
+        points=points, iou_before=0.5, iou_after=0.5, best_step=0, stop_reason="max_steps"
+    )
+    monkeypatch.setattr(
+        variants,
+        "network_scene",
+        lambda *of, **options: replace(network_scene(*of, **options), points=points),
+    )
     monkeypatch.setattr(variants, "refine", lambda *_, **__: untouched)
-    case = judge_view(COP, seen, 0, *view_aligned_network(checkpoint), RefineConfig(steps=2, preset="paper"))
+    case = judge_view(
+        COP, seen, 0, *view_aligned_network(checkpoint), RefineConfig(steps=2, preset="paper")
+    )
     for name in ("before", *VARIANTS):
         assert case["capnet"][name]["forward"] == pytest.approx(0.0, abs=1e-20)
 
 
 @pytest.mark.slow
-def test_every_variant_moves_the_prediction_and_is_judged_as_eval_does_under_the_papers_protocol(checkpoint):
+def test_every_variant_moves_the_prediction_and_is_judged_as_eval_does_under_the_papers_protocol(
+    checkpoint,
+):
     seen = see(COP, RenderSettings(views=1, size=(128, 128)), 0)
     network, about = view_aligned_network(checkpoint)
     case = judge_view(COP, seen, 0, network, about, RefineConfig(steps=2, preset="paper"))
     assert len({case["capnet"][name]["forward"] for name in ("before", *VARIANTS)}) == 4
     picture = seen.views[0]
-    scene = network_scene(picture.image, View(picture.mask / np.float32(255.0), picture.camera), network, about)
+    scene = network_scene(
+        picture.image, View(picture.mask / np.float32(255.0), picture.camera), network, about
+    )
     target = (seen.target @ picture.camera.R.T) * [1.0, -1.0, -1.0]
     expected = chamfer(normalise_longest_side(scene.points), normalise_longest_side(target))
     before = case["capnet"]["before"]
-    assert (before["forward"], before["backward"]) == pytest.approx((expected.forward, expected.backward), rel=1e-5)
+    assert (before["forward"], before["backward"]) == pytest.approx(
+        (expected.forward, expected.backward), rel=1e-5
+    )
 
 
 def case_of(category: str, before: float, after: dict[str, float], occluded: float = 1.0) -> dict:
@@ -110,7 +126,10 @@ def case_of(category: str, before: float, after: dict[str, float], occluded: flo
     def cloud(value: float, hidden: float) -> dict:
         return {"forward": value / 2, "backward": value / 2, "visible": value, "occluded": hidden}
 
-    found = {"before": cloud(before, 1.0), **{name: cloud(value, occluded) for name, value in after.items()}}
+    found = {
+        "before": cloud(before, 1.0),
+        **{name: cloud(value, occluded) for name, value in after.items()},
+    }
     return {
         "category": category,
         "shape": f"{category}/{before}",
@@ -154,7 +173,10 @@ def test_a_claim_holds_only_where_the_figures_say_so():
 
 def test_a_gain_that_depends_on_the_choice_of_shapes_does_not_count():
     # On average a gain of 1 %, but of shapes that gain or lose 20 %.
-    cases = [case_of("car", 1.0 + 0.001 * i, GAINS | {"encoder": 0.79 if i % 2 else 1.19}) for i in range(12)]
+    cases = [
+        case_of("car", 1.0 + 0.001 * i, GAINS | {"encoder": 0.79 if i % 2 else 1.19})
+        for i in range(12)
+    ]
     record = conclude(cases)
     summary = record["summary"]
     low, high = summary["all"]["capnet"]["encoder"]["interval"]
@@ -162,12 +184,17 @@ def test_a_gain_that_depends_on_the_choice_of_shapes_does_not_count():
     assert not holding(record["claims"])[0]
     assert 0.93 < summary["all"]["capnet"]["encoder-decoder"]["interval"][1] < 0.95
     # The interval is over shapes and not over their views.
-    assert conclude(cases * 5)["summary"]["all"]["capnet"]["encoder"]["interval"] == pytest.approx([low, high])
+    assert conclude(cases * 5)["summary"]["all"]["capnet"]["encoder"]["interval"] == pytest.approx(
+        [low, high]
+    )
 
 
 @pytest.mark.slow
 def test_ctrl_c_keeps_the_shapes_done(tso, checkpoint, tmp_path, monkeypatch):
-    output, split = tmp_path / "tso.json", write_split(tmp_path, test=["car/qreal_Cop", "chair/q19_Chair"])
+    output, split = (
+        tmp_path / "tso.json",
+        write_split(tmp_path, test=["car/qreal_Cop", "chair/q19_Chair"]),
+    )
     calls = iter(range(1000))
     true_call = SilhouetteObjective.__call__
 
@@ -177,7 +204,20 @@ def test_ctrl_c_keeps_the_shapes_done(tso, checkpoint, tmp_path, monkeypatch):
         return true_call(self, moved)
 
     monkeypatch.setattr(SilhouetteObjective, "__call__", interrupted)
-    arguments = ("--meshes", MESHES, "--split", split, "--checkpoint", checkpoint, "--views", 1, "--steps", 1, "-o", output)
+    arguments = (
+        "--meshes",
+        MESHES,
+        "--split",
+        split,
+        "--checkpoint",
+        checkpoint,
+        "--views",
+        1,
+        "--steps",
+        1,
+        "-o",
+        output,
+    )
     assert tso("lab", "tso", *arguments).code == 130
     record = json.loads(output.read_text())
     assert not record["complete"]

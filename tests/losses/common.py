@@ -21,7 +21,9 @@ def in_form(form: int, function: Callable, *arguments):
         return function(*arguments)
 
 
-def by_autograd(loss: Callable[[torch.Tensor], torch.Tensor], at: np.ndarray) -> tuple[float, np.ndarray]:
+def by_autograd(
+    loss: Callable[[torch.Tensor], torch.Tensor], at: np.ndarray
+) -> tuple[float, np.ndarray]:
     """Value and gradient of a loss in torch."""
     leaf = torch.tensor(at, dtype=torch.float64, requires_grad=True)
     value = loss(leaf)
@@ -32,10 +34,14 @@ def by_autograd(loss: Callable[[torch.Tensor], torch.Tensor], at: np.ndarray) ->
 def assert_equal(result: tuple, expected: tuple, tolerance: float = 1e-9) -> None:
     """Value and gradient agree to so much of the largest entry."""
     for part, other in zip(result, expected, strict=True):
-        np.testing.assert_allclose(part, other, rtol=0.0, atol=tolerance * max(np.abs(other).max(), 1e-3))
+        np.testing.assert_allclose(
+            part, other, rtol=0.0, atol=tolerance * max(np.abs(other).max(), 1e-3)
+        )
 
 
-def assert_gradient(loss: Loss, at: np.ndarray, step: float = 1e-6, tolerance: float = 1e-5) -> None:
+def assert_gradient(
+    loss: Loss, at: np.ndarray, step: float = 1e-6, tolerance: float = 1e-5
+) -> None:
     """The gradient is that of central differences, and of the shape of its argument."""
     gradient = loss(at)[1]
     differences = np.empty_like(at)
@@ -44,4 +50,6 @@ def assert_gradient(loss: Loss, at: np.ndarray, step: float = 1e-6, tolerance: f
         ahead[place] += step
         back[place] -= step
         differences[place] = (loss(ahead)[0] - loss(back)[0]) / (2.0 * step)
-    np.testing.assert_allclose(gradient, differences, rtol=0.0, atol=tolerance * max(np.abs(differences).max(), 1e-3))
+    np.testing.assert_allclose(
+        gradient, differences, rtol=0.0, atol=tolerance * max(np.abs(differences).max(), 1e-3)
+    )

@@ -23,7 +23,9 @@ CLOUDS = {
 }
 
 
-def _assert_exact(chamfer: ChamferToStart, moved: np.ndarray, compare_gradients: bool = True) -> None:
+def _assert_exact(
+    chamfer: ChamferToStart, moved: np.ndarray, compare_gradients: bool = True
+) -> None:
     start = torch.tensor(chamfer.initial)
     expected, slope = by_autograd(lambda leaf: sum(oracles.chamfer(leaf, start)), moved)
     value, gradient = chamfer(moved)
@@ -43,15 +45,23 @@ def test_value_and_gradient_are_those_of_all_pairs_at_every_step(cloud, step, fo
     # Each compiled search starts from the neighbours of the previous one.
     for factor in (0.0, 0.5, 1.0, -1.0):
         # Of duplicates either may be the nearest.
-        _assert_exact(chamfer, start + step * (factor * drift + 0.3 * noise), cloud not in ("duplicated", "all in one place"))
+        _assert_exact(
+            chamfer,
+            start + step * (factor * drift + 0.3 * noise),
+            cloud not in ("duplicated", "all in one place"),
+        )
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.lists(st.tuples(*[st.floats(-1, 1, width=32)] * 6), min_size=1, max_size=30), st.floats(0, 1))
+@given(
+    st.lists(st.tuples(*[st.floats(-1, 1, width=32)] * 6), min_size=1, max_size=30), st.floats(0, 1)
+)
 def test_the_distance_is_that_of_all_pairs_whatever_moved(rows, step):
     start, way = np.array(rows)[:, :3], np.array(rows)[:, 3:]
     for form in (NUMPY, COMPILED):
-        _assert_exact(in_form(form, ChamferToStart, start), start + step * way, compare_gradients=False)
+        _assert_exact(
+            in_form(form, ChamferToStart, start), start + step * way, compare_gradients=False
+        )
 
 
 @FORMS
@@ -59,7 +69,12 @@ def test_the_distance_is_that_of_all_pairs_whatever_moved(rows, step):
 def test_the_gradient_is_that_of_finite_differences(cloud, form):
     rng = np.random.default_rng(2)
     start = CLOUDS[cloud](rng)[:12]
-    in_form(form, lambda: assert_gradient(ChamferToStart(start), start + 0.02 * rng.random(start.shape), 1e-7))
+    in_form(
+        form,
+        lambda: assert_gradient(
+            ChamferToStart(start), start + 0.02 * rng.random(start.shape), 1e-7
+        ),
+    )
 
 
 @FORMS

@@ -29,14 +29,18 @@ def on(column: float, row: float, depth: float) -> list[float]:
     return points_at(np.array([[column, row]]), CANONICAL, np.array([depth]))[0].tolist()
 
 
-def loss(points, depth: np.ndarray, robust_scale: float = 3.0, camera: Camera = CANONICAL) -> tuple[float, np.ndarray]:
+def loss(
+    points, depth: np.ndarray, robust_scale: float = 3.0, camera: Camera = CANONICAL
+) -> tuple[float, np.ndarray]:
     target = DepthTarget.of(depth, np.ones(depth.shape, bool), camera)
     points = np.asarray(points, float)
     return depth_loss(points, project(points, camera), target, robust_scale)
 
 
 def grid(depth: float, step: float = 1.0) -> np.ndarray:
-    return np.array([on(c, r, depth) for c in np.arange(24, 40, step) for r in np.arange(24, 40, step)])
+    return np.array(
+        [on(c, r, depth) for c in np.arange(24, 40, step) for r in np.arange(24, 40, step)]
+    )
 
 
 def _uneven() -> np.ndarray:
@@ -62,7 +66,10 @@ def _oracle(points: torch.Tensor, depth: np.ndarray, robust_scale: float) -> tor
     rows, columns = np.nonzero(np.isfinite(depth))
     known = torch.tensor(depth[rows, columns])
     surface = torch.tensor(points_at(np.stack([columns, rows], 1), camera, depth[rows, columns]))
-    focal, area = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])) * 64.0 / WIDTH, (64.0 / WIDTH) ** 2
+    focal, area = (
+        float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])) * 64.0 / WIDTH,
+        (64.0 / WIDTH) ** 2,
+    )
 
     def robust(squared: torch.Tensor) -> torch.Tensor:
         return torch.where(squared > TOLERANCE**2, oracles.robust(squared, robust_scale), 0.0).sum()
@@ -73,7 +80,9 @@ def _oracle(points: torch.Tensor, depth: np.ndarray, robust_scale: float) -> tor
         i, j = round(row.item()), round(column.item())
         if exists and 0 <= i < HEIGHT and 0 <= j < WIDTH and np.isfinite(depth[i, j]):
             least = np.nanmin(depth[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2])
-            total = total + robust(((least - z).clamp_min(0.0) * focal / depth[i, j]).square()) * 1024.0 / len(points)
+            total = total + robust(
+                ((least - z).clamp_min(0.0) * focal / depth[i, j]).square()
+            ) * 1024.0 / len(points)
     return total
 
 
@@ -87,14 +96,23 @@ def test_value_and_gradient_are_those_of_all_pairs(form):
 
 @FORMS
 def test_the_gradient_is_that_of_finite_differences(form):
-    in_form(form, assert_gradient, lambda at: loss(at, _uneven(), 3.0, camera_of()), _scene(20), 1e-7, 1e-4)
+    in_form(
+        form,
+        assert_gradient,
+        lambda at: loss(at, _uneven(), 3.0, camera_of()),
+        _scene(20),
+        1e-7,
+        1e-4,
+    )
 
 
 @settings(max_examples=30, deadline=None)
 @given(PLACES)
 def test_any_points_cost_the_same_in_both_forms(places):
     points = points_of(places, camera_of())
-    assert_equal(*(in_form(form, loss, points, _uneven(), 3.0, camera_of()) for form in (COMPILED, NUMPY)))
+    assert_equal(
+        *(in_form(form, loss, points, _uneven(), 3.0, camera_of()) for form in (COMPILED, NUMPY))
+    )
 
 
 def test_points_on_a_surface_or_hidden_behind_it_cost_nothing_and_a_point_in_front_is_pushed_back():
@@ -103,7 +121,8 @@ def test_points_on_a_surface_or_hidden_behind_it_cost_nothing_and_a_point_in_fro
     value, gradient = loss(points, wall(), 2.0)
     assert value == pytest.approx(9.0 * 4.0 / (4.0 + 9.0) * 1024.0 / len(points), rel=1e-9)
     # The camera looks along -z of the world: downhill is away from it.
-    assert gradient[-1, 2] > 0.0 and not gradient[:-1].any()
+    assert gradient[-1, 2] > 0.0
+    assert not gradient[:-1].any()
 
 
 def test_a_point_on_the_nearer_side_of_an_edge_is_not_taken_to_be_in_front_of_the_farther():

@@ -30,11 +30,23 @@ LARGER_IMAGE = (-0.5, -2.3, 40.5, 30.0)
 SCENES = {
     "one object": (MaskTarget.of(DISC), "perspective", None),
     "orthographic": (MaskTarget.of(DISC), "orthographic", None),
-    "a mask with holes and unknown pixels": (MaskTarget.of(DISC * KNOWN[::-1], KNOWN), "perspective", None),
-    "a truncated object": (MaskTarget.of(np.where(COLUMNS > 18, DISC.max(), DISC), truncated=True), "perspective", None),
+    "a mask with holes and unknown pixels": (
+        MaskTarget.of(DISC * KNOWN[::-1], KNOWN),
+        "perspective",
+        None,
+    ),
+    "a truncated object": (
+        MaskTarget.of(np.where(COLUMNS > 18, DISC.max(), DISC), truncated=True),
+        "perspective",
+        None,
+    ),
     "a mask thinner than a pixel": (MaskTarget.of(LINE), "perspective", None),
     "an enlarged mask": (MaskTarget.of(DISC, grain=3.3), "perspective", None),
-    "a mask enlarged beyond the pixels that are tried first": (MaskTarget.of(DISC, grain=4.5), "perspective", None),
+    "a mask enlarged beyond the pixels that are tried first": (
+        MaskTarget.of(DISC, grain=4.5),
+        "perspective",
+        None,
+    ),
     "a part of a larger image": (MaskTarget.of(DISC, bounds=LARGER_IMAGE), "perspective", None),
     "parts that are not resolved": (MaskTarget.of(DISC), "orthographic", [PARTS]),
 }
@@ -59,7 +71,10 @@ def _oracle(points: torch.Tensor, objective: MaskChamferObjective) -> torch.Tens
     x, y = pixels.detach().T
     in_image = valid & (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
     observed = in_image if target.truncated else valid
-    area, resolved = target.scale**2, torch.tensor(objective.resolvability[0] if objective.resolvability else np.ones(len(x)))
+    area, resolved = (
+        target.scale**2,
+        torch.tensor(objective.resolvability[0] if objective.resolvability else np.ones(len(x))),
+    )
 
     def robust(squared: torch.Tensor) -> torch.Tensor:
         return oracles.robust(squared * area, objective.robust_scale)
@@ -73,9 +88,13 @@ def _oracle(points: torch.Tensor, objective: MaskChamferObjective) -> torch.Tens
     uncovered = (robust(squared[paired]) * area).sum()
     own_pixel = torch.stack([x.clamp(0, WIDTH - 1), y.clamp(0, HEIGHT - 1)], 1).round()
     on_background = observed & in_image
-    on_background[on_background.clone()] = torch.tensor(target.outside)[tuple(own_pixel[on_background].long().T.flip(0))]
+    on_background[on_background.clone()] = torch.tensor(target.outside)[
+        tuple(own_pixel[on_background].long().T.flip(0))
+    ]
     nearest = (own_pixel[:, None] - foreground).square().sum(2).argmin(1)
-    stray = robust((pixels - foreground[nearest]).square().sum(1)) * resolved * (1024.0 / len(points))
+    stray = (
+        robust((pixels - foreground[nearest]).square().sum(1)) * resolved * (1024.0 / len(points))
+    )
     return view.weight * (uncovered + stray[on_background].sum())
 
 
@@ -86,14 +105,18 @@ def test_value_and_gradient_are_those_of_all_pairs(name, form):
     expected = by_autograd(lambda leaf: _oracle(leaf, objective), points)
     assert expected[0] > 1.0
     assert_equal(in_form(form, objective, points), expected)
-    assert in_form(form, objective.in_parts, points)[2].sum() == pytest.approx(expected[0], rel=1e-9)
+    assert in_form(form, objective.in_parts, points)[2].sum() == pytest.approx(
+        expected[0], rel=1e-9
+    )
 
 
 @FORMS
 def test_of_points_equally_near_the_first_is_drawn(form):
     objective, points = _objective("one object")
     twice = np.concatenate([points, points])
-    assert_equal(in_form(form, objective, twice), by_autograd(lambda leaf: _oracle(leaf, objective), twice))
+    assert_equal(
+        in_form(form, objective, twice), by_autograd(lambda leaf: _oracle(leaf, objective), twice)
+    )
 
 
 @FORMS
@@ -118,25 +141,35 @@ def test_any_points_cost_the_same_in_both_forms(places, name, robust_scale):
 def test_a_view_that_observes_no_point_has_an_infinite_loss(name, form):
     objective, points = _objective(name)
     places, camera = ((9.0, -2.0), (-50.0, 2.0)), objective.targets.views[0].camera
-    behind, beside = (points_at(np.full((4, 2), place), camera, np.full(4, depth)) for place, depth in places)
+    behind, beside = (
+        points_at(np.full((4, 2), place), camera, np.full(4, depth)) for place, depth in places
+    )
     value, gradient = in_form(form, objective, behind)
-    assert value == np.inf and not gradient.any()
+    assert value == np.inf
+    assert not gradient.any()
     # Beyond the border that truncates the object, nobody can judge them.
     assert np.isinf(in_form(form, objective, beside)[0]) == (name == "a truncated object")
     unweighted = replace(objective.targets.views[0], weight=0.0)
     assert in_form(form, replace(objective, targets=ViewTargets((unweighted,))), behind)[0] == 0.0
 
 
-def _loss(pixels, target: MaskTarget, robust_scale: float = 3.0, parts=None) -> tuple[float, np.ndarray]:
+def _loss(
+    pixels, target: MaskTarget, robust_scale: float = 3.0, parts=None
+) -> tuple[float, np.ndarray]:
     """By pixels in place of points."""
-    costs, gradient = mask_chamfer(np.asarray(pixels, float), np.ones(len(pixels), bool), target, robust_scale, parts)
+    costs, gradient = mask_chamfer(
+        np.asarray(pixels, float), np.ones(len(pixels), bool), target, robust_scale, parts
+    )
     return float(costs.sum()), gradient
 
 
 def test_a_covered_mask_costs_nothing():
     square = block(np.s_[20:30, 20:30])
-    value, gradient = _loss(np.argwhere(square)[:, ::-1] + 0.5 * COVERED_WITHIN, MaskTarget.of(square))
-    assert value == 0.0 and not gradient.any()
+    value, gradient = _loss(
+        np.argwhere(square)[:, ::-1] + 0.5 * COVERED_WITHIN, MaskTarget.of(square)
+    )
+    assert value == 0.0
+    assert not gradient.any()
 
 
 def test_pixels_many_times_the_robust_scale_away_have_next_to_no_gradient():

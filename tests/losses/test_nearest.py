@@ -17,7 +17,9 @@ def search(request, monkeypatch):
         monkeypatch.setattr(nearest_module, "PAIRS_AT_ONCE", 1000)
     if request.param == "tree":
         monkeypatch.setattr(nearest_module, "MOST_PAIRS", 0)
-    return lambda *arguments: in_form(COMPILED if request.param == "compiled" else NUMPY, *arguments)
+    return lambda *arguments: in_form(
+        COMPILED if request.param == "compiled" else NUMPY, *arguments
+    )
 
 
 def _pairs(queries: np.ndarray, data: np.ndarray) -> np.ndarray:
@@ -28,7 +30,10 @@ def _pairs(queries: np.ndarray, data: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("count", [1, 5, 700])
 def test_neighbours_are_those_of_all_pairs_by_increasing_distance(search, dimension, count):
     rng = np.random.default_rng(0)
-    queries, data = rng.normal(size=(150, dimension)) + 100.0, rng.normal(size=(count, dimension)) + 100.0
+    queries, data = (
+        rng.normal(size=(150, dimension)) + 100.0,
+        rng.normal(size=(count, dimension)) + 100.0,
+    )
     pairs = _pairs(queries, data)
     few = search(nearest_few, queries, data, min(count, 7))
     for index, expected in ((search(nearest, queries, data)[:, None], 1), (few, min(count, 7))):
@@ -48,7 +53,9 @@ def test_of_points_equally_near_the_first_is_chosen(form):
 def test_neighbours_close_together_and_far_from_the_rest_are_exact(search, spread):
     rng = np.random.default_rng(2)
     places = np.array([[3.0, -1.0, 2.0], [-5.0, 4.0, 0.5]])
-    data, queries = ((places[:, None] + spread * rng.normal(size=(2, n, 3))).reshape(-1, 3) for n in (300, 40))
+    data, queries = (
+        (places[:, None] + spread * rng.normal(size=(2, n, 3))).reshape(-1, 3) for n in (300, 40)
+    )
     pairs = _pairs(queries, data)
     chosen = pairs[np.arange(80), search(nearest, queries, data)]
     # The matrix product loses digits of distances that are tiny beside the cloud.
@@ -63,4 +70,6 @@ def test_subsets_are_spread_as_by_farthest_point_sampling(form, count):
     # Of a grid many points are equally far: both forms must round alike.
     grid = np.stack(np.meshgrid(*[np.linspace(-0.3, 0.4, 7)] * 3), -1).reshape(-1, 3)
     for cloud in (points, grid):
-        np.testing.assert_array_equal(in_form(form, spread_subset, cloud, count), plain_subset(cloud, count))
+        np.testing.assert_array_equal(
+            in_form(form, spread_subset, cloud, count), plain_subset(cloud, count)
+        )

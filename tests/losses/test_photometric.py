@@ -12,7 +12,9 @@ from tso_cli.losses.photometric import Photo, PhotometricTerm, _detail
 from .common import assert_equal, assert_gradient, by_autograd
 
 
-def term(colours: np.ndarray, image: np.ndarray, start: np.ndarray, weight: float = 1.0, mask=MASK > 0.5) -> PhotometricTerm:
+def term(
+    colours: np.ndarray, image: np.ndarray, start: np.ndarray, weight: float = 1.0, mask=MASK > 0.5
+) -> PhotometricTerm:
     shown = np.where(mask[..., None], image, 0.0).astype(float)
     return PhotometricTerm.at(Photo(shown, mask, CAMERA, weight), colours, start, 1.0)
 
@@ -84,10 +86,14 @@ def test_value_and_gradient_are_those_of_bilinear_samples_of_the_details(scene):
     def oracle(leaf: torch.Tensor) -> torch.Tensor:
         places = ((oracles.project(leaf, CAMERA)[0] - 31.5) / 31.5)[None, None]
         image = torch.tensor(objective.detail).permute(2, 0, 1)[None]
-        sampled = torch.nn.functional.grid_sample(image, places, padding_mode="border", align_corners=True)[0, :, 0].T
+        sampled = torch.nn.functional.grid_sample(
+            image, places, padding_mode="border", align_corners=True
+        )[0, :, 0].T
         difference = (sampled - torch.tensor(objective.expected)) / torch.tensor(objective.exposure)
         squared = difference.square().sum(1)[torch.tensor(visible)]
-        return 3000.0 * objective.agreement * 1024.0 / len(points) * oracles.robust(squared, 0.1).sum()
+        return (
+            3000.0 * objective.agreement * 1024.0 / len(points) * oracles.robust(squared, 0.1).sum()
+        )
 
     assert_equal(objective(points), by_autograd(oracle, points))
 

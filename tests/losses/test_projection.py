@@ -27,22 +27,38 @@ def test_the_gradient_by_points_is_that_of_finite_differences(model):
 
     def weighted(at):
         projected = project(at, camera)
-        return float((weight * np.sin(projected.points_px)).sum()), projected.pull_back(weight * np.cos(projected.points_px))
+        return float((weight * np.sin(projected.points_px)).sum()), projected.pull_back(
+            weight * np.cos(projected.points_px)
+        )
 
     assert_gradient(weighted, points)
 
 
 def test_points_at_or_behind_the_camera_are_invalid_with_finite_pixels_and_no_gradient():
     # The canonical camera stands at z = 2 and looks toward -z.
-    projected = project(np.array([[0.0, 0.0, 0.0], [0.1, 0.1, 2.0], [0.1, 0.0, 5.0]]), Camera.canonical(64, 64))
+    projected = project(
+        np.array([[0.0, 0.0, 0.0], [0.1, 0.1, 2.0], [0.1, 0.0, 5.0]]), Camera.canonical(64, 64)
+    )
     assert projected.valid.tolist() == [True, False, False]
     assert np.isfinite(projected.points_px).all()
     gradient = projected.pull_back(np.ones((3, 2)))
-    assert gradient[0].any() and not gradient[1:].any()
+    assert gradient[0].any()
+    assert not gradient[1:].any()
 
 
 def test_the_pixel_under_a_point_is_the_nearest_one_inside_the_image():
-    pixels = np.array([[0.4, 2.6], [-0.4, 0.0], [-0.6, 0.0], [7.4, 4.4], [7.6, 4.0], [3.0, 1e30], [np.nan, 0.0], [1.0, 1.0]])
+    pixels = np.array(
+        [
+            [0.4, 2.6],
+            [-0.4, 0.0],
+            [-0.6, 0.0],
+            [7.4, 4.4],
+            [7.6, 4.0],
+            [3.0, 1e30],
+            [np.nan, 0.0],
+            [1.0, 1.0],
+        ]
+    )
     place, inside = pixels_under(pixels, np.arange(8) < 7, 5, 8)
     assert inside.tolist() == [True, True, False, True, False, False, False, False]
     assert place.tolist() == [24, 0, 0, 39, 0, 0, 0, 0]

@@ -22,10 +22,15 @@ def rectangle(height, width, region):
 def overlaps(low, high, cells, pixels):
     """Lengths [cells, pixels] that the cells between two borders share with the pixels of an image."""
     borders, centres = np.linspace(low, high, cells + 1)[:, None], np.arange(pixels)
-    return np.clip(np.minimum(borders[1:], centres + 0.5) - np.maximum(borders[:-1], centres - 0.5), 0.0, None)
+    return np.clip(
+        np.minimum(borders[1:], centres + 0.5) - np.maximum(borders[:-1], centres - 0.5), 0.0, None
+    )
 
 
-@pytest.mark.parametrize("box", [(0.2, 1.1, 6.7, 5.4), (-3.0, -2.0, 4.0, 9.0), (2.1, 2.2, 2.9, 3.7), (-4.5, 0.0, 3.5, 3.0)])
+@pytest.mark.parametrize(
+    "box",
+    [(0.2, 1.1, 6.7, 5.4), (-3.0, -2.0, 4.0, 9.0), (2.1, 2.2, 2.9, 3.7), (-4.5, 0.0, 3.5, 3.0)],
+)
 def test_area_resize_is_the_exact_average_and_coverage_the_share_inside_the_image(box):
     array, (left, top, right, bottom) = np.random.default_rng(0).random((7, 8)), box
     values, coverage = area_resize(array, box, 4, 3)
@@ -38,7 +43,9 @@ def test_area_resize_is_the_exact_average_and_coverage_the_share_inside_the_imag
 
 def test_pixels_of_weight_zero_do_not_enter_the_average():
     known = np.array([[True, False], [True, False]])
-    values, coverage = area_resize(np.array([[1.0, 100.0], [3.0, 100.0]]), (-0.5, -0.5, 1.5, 1.5), 1, 1, known)
+    values, coverage = area_resize(
+        np.array([[1.0, 100.0], [3.0, 100.0]]), (-0.5, -0.5, 1.5, 1.5), 1, 1, known
+    )
     assert (values.item(), coverage.item()) == pytest.approx((2.0, 0.5))
 
 
@@ -75,15 +82,20 @@ def test_the_background_follows_the_mask(background, value):
     view = rectangle(90, 90, np.s_[30:60, 40:50])
     image = np.full((90, 90, 3), 153, np.uint8)
     crop = network_input(image, view, background=background)
-    assert crop.image.dtype == np.float32 and crop.image.shape == (3, 64, 64)
+    assert crop.image.dtype == np.float32
+    assert crop.image.shape == (3, 64, 64)
     np.testing.assert_allclose(crop.image[:, crop.mask == 1.0], 0.6, atol=1e-6)
     np.testing.assert_allclose(crop.image[:, crop.mask == 0.0], value, atol=1e-6)
 
 
 def test_what_lies_outside_the_photo_is_unknown_and_has_the_background_colour():
     view = rectangle(40, 40, np.s_[:, :20])
-    crop = network_input(np.full((40, 40, 3), 255, np.uint8), view, crop_share=0.8, background="white")
-    assert not crop.known[0].any() and not crop.known[:, 0].any() and crop.known[32, 32]
+    crop = network_input(
+        np.full((40, 40, 3), 255, np.uint8), view, crop_share=0.8, background="white"
+    )
+    assert not crop.known[0].any()
+    assert not crop.known[:, 0].any()
+    assert crop.known[32, 32]
     np.testing.assert_array_equal(crop.mask[~crop.known], 0.0)
     np.testing.assert_allclose(crop.image, 1.0, atol=1e-6)
     assert crop.view().known is crop.known
@@ -94,7 +106,9 @@ def test_ignored_pixels_stay_unknown_in_the_crop():
     crop = network_input(np.zeros((64, 64, 3), np.uint8), replace(view, known=known))
     left, _, right, _ = crop_box(view.box(), 0.9)
     centres = left + (np.flatnonzero(~crop.known.all(0)) + 0.5) * (right - left) / 64
-    assert len(centres) > 0 and centres.min() > 39.0 and centres.max() < 44.0
+    assert len(centres) > 0
+    assert centres.min() > 39.0
+    assert centres.max() < 44.0
 
 
 def test_an_alpha_channel_counts_only_where_the_photo_is_kept():
@@ -136,13 +150,17 @@ def test_a_crop_of_share_0_keeps_the_size_of_the_object(size):
 
 def test_a_crop_of_share_0_does_not_depend_on_resolution_or_distance():
     near = Camera.canonical(64, 64)
-    far = Camera([[360.0, 0.0, 200.0], [0.0, 360.0, 90.0], [0.0, 0.0, 1.0]], near.R, 1.5 * near.t, 320, 240)
+    far = Camera(
+        [[360.0, 0.0, 200.0], [0.0, 360.0, 90.0], [0.0, 0.0, 1.0]], near.R, 1.5 * near.t, 320, 240
+    )
     point = np.array([[0.2, -0.1, 0.0]])
     pixels = []
     for camera in (near, far):
         u, v = np.rint(camera.project(np.zeros((1, 3)))[0][0]).astype(int)
         mask = block(np.s_[v - 3 : v + 4, u - 3 : u + 4], (camera.height, camera.width))
-        crop = network_input(np.zeros((*mask.shape, 3), np.uint8), View(mask, camera), crop_share=0.0)
+        crop = network_input(
+            np.zeros((*mask.shape, 3), np.uint8), View(mask, camera), crop_share=0.0
+        )
         pixels.append(crop.camera.project(point)[0][0])
     np.testing.assert_allclose(pixels[0], pixels[1], atol=1e-9)
 
@@ -151,7 +169,10 @@ def test_a_crop_of_share_0_does_not_depend_on_resolution_or_distance():
     ("t", "message"),
     [
         ((0.0, 0.0, -2.0), "at depth -2, expected it in front"),
-        ((5.0, 0.0, 2.0), r"nothing of the object lies in the 1\.07 units around the world's origin"),
+        (
+            (5.0, 0.0, 2.0),
+            r"nothing of the object lies in the 1\.07 units around the world's origin",
+        ),
     ],
 )
 def test_a_crop_of_share_0_needs_the_object_before_the_camera_and_near_the_origin(t, message):

@@ -46,7 +46,8 @@ def test_gradients_reach_the_first_convolution_and_images_make_a_difference():
     assert points.std(0).mean() > 1e-3
     points.square().mean().backward()
     first, *_, last = (parameter.grad for parameter in network.parameters() if parameter.dim() > 1)
-    assert first is not None and last is not None
+    assert first is not None
+    assert last is not None
     assert first.square().mean() > 1e-4 * last.square().mean()
 
 

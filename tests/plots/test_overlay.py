@@ -35,7 +35,9 @@ def test_the_dots_of_a_large_cloud_are_small_but_there():
 
 @pytest.mark.parametrize("height", [10, 1000])
 def test_an_image_fills_its_panel_and_keeps_its_shape(height):
-    image = overlay._fitted(np.repeat([[(0.0, 0.0, 0.0)] * height + [(1.0, 0.5, 0.0)] * height], height, axis=0))
+    image = overlay._fitted(
+        np.repeat([[(0.0, 0.0, 0.0)] * height + [(1.0, 0.5, 0.0)] * height], height, axis=0)
+    )
     assert image.size == (PANEL, PANEL // 2)
     assert (image.getpixel((0, 3)), image.getpixel((PANEL - 1, 3))) == ((0, 0, 0), (255, 128, 0))
 
@@ -57,7 +59,9 @@ def test_one_view_gets_a_row_before_and_one_after_and_several_a_row_each(count, 
 
 
 def test_mask_and_silhouette_are_told_apart_by_colour():
-    silhouette, mask, known = (np.array([row], bool) for row in ([1, 0, 1, 0, 1], [1, 1, 0, 0, 1], [1, 1, 1, 1, 0]))
+    silhouette, mask, known = (
+        np.array([row], bool) for row in ([1, 0, 1, 0, 1], [1, 1, 0, 0, 1], [1, 1, 1, 1, 0])
+    )
     expected = [[overlay.AGREED, overlay.MISSING, overlay.STRAY, (1.0, 1.0, 1.0), overlay.UNKNOWN]]
     np.testing.assert_array_equal(compare(Seen(silhouette, mask, known)), expected)
 
@@ -65,6 +69,8 @@ def test_mask_and_silhouette_are_told_apart_by_colour():
 @pytest.mark.parametrize("times", [1, 8])
 def test_the_object_fills_its_panel_in_a_photo_of_any_size(times, tmp_path):
     photo = in_photo(View(block(np.s_[20:46, 20:46]), Camera.canonical(64, 64)), times, 0, 0)
-    panel = _drawn(tmp_path, [photo])[overlay.TITLE : overlay.TITLE + PANEL, overlay.GAP : overlay.GAP + PANEL]
+    panel = _drawn(tmp_path, [photo])[
+        overlay.TITLE : overlay.TITLE + PANEL, overlay.GAP : overlay.GAP + PANEL
+    ]
     agreed = (panel == np.rint(255.0 * np.array(overlay.AGREED))).all(2).mean()
     assert 0.25 < agreed < 0.8

@@ -4,7 +4,9 @@ from tso_cli.plots.table import text_table
 
 
 def test_a_table_sets_text_to_the_left_and_numbers_to_the_right():
-    table = text_table(["name", "value", "count"], [["a", 1.5, 10], ["long name", None, 2], ["c", float("nan"), 3]])
+    table = text_table(
+        ["name", "value", "count"], [["a", 1.5, 10], ["long name", None, 2], ["c", float("nan"), 3]]
+    )
     assert table.splitlines() == [
         "name       value  count",
         "---------  -----  -----",

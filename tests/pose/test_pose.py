@@ -22,7 +22,8 @@ def fitted_chair(chair):
 def test_the_camera_of_the_true_cloud_is_found_with_confidence(fitted_chair, chair):
     fitted, camera = fitted_chair, chair.camera
     assert angle_between(fitted.camera.R, camera.R) < 6.0
-    assert fitted.sure and fitted.iou > 0.8
+    assert fitted.sure
+    assert fitted.iou > 0.8
     assert fitted.camera.t == pytest.approx(camera.t, abs=0.2 * camera.t[2])
     assert fitted.focal_range[0] <= fitted.camera.K[0, 0] <= fitted.focal_range[1]
 
@@ -33,7 +34,8 @@ def test_alternatives_are_over_20_degrees_away_and_have_a_lower_iou(fitted_chair
     assert fitted_chair.confidence == pytest.approx(fitted_chair.iou - ious[0])
     for alternative in fitted_chair.alternatives:
         degrees = angle_between(alternative.camera.R, fitted_chair.camera.R)
-        assert alternative.degrees == pytest.approx(degrees) and degrees > 20.0
+        assert alternative.degrees == pytest.approx(degrees)
+        assert degrees > 20.0
 
 
 def test_a_rotated_cloud_in_other_units_gets_the_same_picture(fitted_chair, chair):
@@ -66,7 +68,9 @@ def test_a_symmetry_of_the_cloud_is_no_alternative():
 def test_gauss_newton_brings_a_turned_pose_back():
     _, mask, camera, points = example("airplane")
     small = camera.resized(64, 64)
-    target = Target(mask.reshape(64, 4, 64, 4).mean((1, 3)), np.ones((64, 64)), small.K[:2, 2], False)
+    target = Target(
+        mask.reshape(64, 4, 64, 4).mean((1, 3)), np.ones((64, 64)), small.K[:2, 2], False
+    )
     focal, t = small.K[0, 0], small.t
     centre = small.K[:2, 2] + focal * t[:2] / t[2]
     turned = from_vectors(np.radians([[8.0, -6.0, 5.0]])) @ camera.R
@@ -80,11 +84,20 @@ def test_gauss_newton_brings_a_turned_pose_back():
 def test_the_jacobian_agrees_with_finite_differences():
     rng = np.random.default_rng(1)
     points, principal = rng.uniform(-0.5, 0.5, (5, 3)), np.array([31.0, 33.0])
-    pose = Poses(from_vectors(rng.normal(size=(1, 3))), np.array([[20.0, 40.0]]), np.array([50.0]), np.array([120.0]))
+    pose = Poses(
+        from_vectors(rng.normal(size=(1, 3))),
+        np.array([[20.0, 40.0]]),
+        np.array([50.0]),
+        np.array([120.0]),
+    )
     px, rotated, inverse = alignment.project(points, pose, principal)
     J = alignment._jacobian(px - principal, rotated, inverse, pose)
     for column, step in enumerate(1e-6 * np.eye(7)):
-        R, scale, focal = from_vectors(step[None, :3]) @ pose.R, pose.scale * np.exp(step[5]), pose.focal * np.exp(step[6])
+        R, scale, focal = (
+            from_vectors(step[None, :3]) @ pose.R,
+            pose.scale * np.exp(step[5]),
+            pose.focal * np.exp(step[6]),
+        )
         moved = Poses(R, pose.centre + step[3:5], scale, focal)
         difference = (alignment.project(points, moved, principal)[0] - px) / 1e-6
         np.testing.assert_allclose(J[..., column], difference, atol=1e-3)
@@ -113,14 +126,19 @@ def test_a_cloud_or_mask_that_cannot_be_fitted_is_refused(points, mask, said):
 @pytest.mark.parametrize("line", [np.s_[:, 30], np.s_[5, 3:60]])
 def test_a_mask_one_pixel_wide_gets_a_finite_camera(line):
     fitted = fit_camera(np.random.default_rng(0).normal(size=(40, 3)), block(line))
-    assert np.isfinite(fitted.camera.R).all() and 0.0 <= fitted.iou <= 1.0
+    assert np.isfinite(fitted.camera.R).all()
+    assert 0.0 <= fitted.iou <= 1.0
 
 
 def test_the_command_fits_refines_and_writes_a_camera_that_reads_back(refine, folder, chair):
     written = folder / "fitted.json"
-    run = refine("target.ply", "mask.png", "--camera", "fit", "--steps", "0", "--write-camera", written, "-v")
-    assert "tso: camera: fitted, IoU 0." in run.err and "next best" in run.err
-    assert "used   camera fitted to cloud and mask (sure); " in run.out and f"{written}: camera" in run.out
+    run = refine(
+        "target.ply", "mask.png", "--camera", "fit", "--steps", "0", "--write-camera", written, "-v"
+    )
+    assert "tso: camera: fitted, IoU 0." in run.err
+    assert "next best" in run.err
+    assert "used   camera fitted to cloud and mask (sure); " in run.out
+    assert f"{written}: camera" in run.out
     assert angle_between(read_camera(written, 256, 256, "mask.png").R, chair.camera.R) < 8.0
     assert refine("target.ply", "mask.png", "--camera", written, "--check").code == 0
 
@@ -130,7 +148,10 @@ def test_the_cameras_of_several_masks_are_written_with_their_masks(refine, folde
     shutil.copy("camera.json", "second.camera.json")
     options = "--refine-camera", "--steps", "2", "-v", "--write-camera", "used.json"
     assert refine("target.ply", "mask.png", "second.png", *options).out.count("camera kept") == 2
-    assert "view        2 of 2, second.png" in refine("target.ply", "--camera", "used.json", "--check").out
+    assert (
+        "view        2 of 2, second.png"
+        in refine("target.ply", "--camera", "used.json", "--check").out
+    )
 
 
 def test_a_camera_file_called_fit_is_read_when_written_with_its_folder(refine, folder):
@@ -151,5 +172,8 @@ def test_a_camera_file_called_fit_is_read_when_written_with_its_folder(refine, f
 )
 def test_wrong_use_of_the_camera_options_is_refused_in_one_line(options, message, refine, folder):
     before = set(folder.iterdir())
-    assert message in refine("initial.ply", "mask.png", "--camera", "camera.json", *options.split()).refusal
+    assert (
+        message
+        in refine("initial.ply", "mask.png", "--camera", "camera.json", *options.split()).refusal
+    )
     assert set(folder.iterdir()) == before

@@ -49,7 +49,8 @@ def merged(points, density, noise, seed=0):
 
 @NAMES
 @pytest.mark.parametrize(
-    ("strays", "share"), [(in_cube, 0.02), (in_cube, 0.05), (in_cube, 0.2), (in_box, 0.02), (in_box, 0.05)]
+    ("strays", "share"),
+    [(in_cube, 0.02), (in_cube, 0.05), (in_cube, 0.2), (in_box, 0.02), (in_box, 0.05)],
 )
 def test_strays_hide_no_mirror_plane(name, share, strays):
     points = example(name).points
@@ -62,10 +63,15 @@ def test_strays_hide_no_mirror_plane(name, share, strays):
 def test_a_cloud_with_strays_comes_about_as_near_to_the_truth(name, monkeypatch):
     scene, count = example(name), len(example(name).points)
     given_points = with_strays(scene.points, 0.05)
-    alone, beside = (refine(points, scene.view).points[:count] for points in (scene.points, given_points))
+    alone, beside = (
+        refine(points, scene.view).points[:count] for points in (scene.points, given_points)
+    )
     assert chamfer(beside, scene.target).chamfer < 1.1 * chamfer(alone, scene.target).chamfer
     monkeypatch.setattr(symmetry, "lying_apart", lambda points: np.zeros(len(points), bool))
-    assert refine(given_points, scene.view, config=RefineConfig(steps=6)).symmetry_outcome == "none_found"
+    assert (
+        refine(given_points, scene.view, config=RefineConfig(steps=6)).symmetry_outcome
+        == "none_found"
+    )
 
 
 @MESHES
@@ -76,7 +82,11 @@ def test_strays_are_few_of_the_samples_of_a_large_cloud(path):
         chosen = spread_on_surfaces(with_strays(points, share), 1024)
         assert len(set(chosen)) == 1024
         strays = (chosen >= len(points)).mean()
-        assert strays < max(MOST_APART, 1.3 * share) < (spread_subset(with_strays(points, share), 1024) >= len(points)).mean()
+        assert (
+            strays
+            < max(MOST_APART, 1.3 * share)
+            < (spread_subset(with_strays(points, share), 1024) >= len(points)).mean()
+        )
 
 
 @MESHES
@@ -110,7 +120,8 @@ def test_strays_in_a_scan_kept_row_by_row_are_seen(path, width):
     strays = (np.arange(48)[:, None] * width + column).ravel()
     rows[strays] = in_cube(points, 1.0, rng)[: len(strays)]
     found = lying_apart(rows)
-    assert found[strays].mean() > 0.6 and np.delete(found, strays).mean() < 0.1
+    assert found[strays].mean() > 0.6
+    assert np.delete(found, strays).mean() < 0.1
 
 
 def test_which_points_lie_apart_depends_on_no_order_and_not_on_repeats():
@@ -134,7 +145,10 @@ def test_a_point_is_no_neighbour_of_its_own():
 
 
 @settings(max_examples=50, deadline=None)
-@given(st.lists(st.tuples(*[st.floats(-1.0, 1.0, width=32)] * 3), min_size=1, max_size=60), st.floats(0.01, 100.0))
+@given(
+    st.lists(st.tuples(*[st.floats(-1.0, 1.0, width=32)] * 3), min_size=1, max_size=60),
+    st.floats(0.01, 100.0),
+)
 def test_which_points_lie_apart_depends_on_no_unit_and_some_always_do_not(rows, scale):
     points, scale = np.array(rows), np.exp2(np.round(np.log2(scale)))
     found = lying_apart(points)

@@ -41,9 +41,12 @@ def test_tensors_lists_and_views_give_the_result_of_arrays(chair):
 
 def test_zero_steps_return_the_start_bit_for_bit(chair):
     points, mask, camera, _ = chair
-    result = refine(points + 4_000_000.1, mask, _shifted(camera, 4_000_000.1), RefineConfig(steps=0))
+    result = refine(
+        points + 4_000_000.1, mask, _shifted(camera, 4_000_000.1), RefineConfig(steps=0)
+    )
     np.testing.assert_array_equal(result.points, points + 4_000_000.1)
-    assert result.loss_before == result.loss_after and result.chamfer_to_initial == 0.0
+    assert result.loss_before == result.loss_after
+    assert result.chamfer_to_initial == 0.0
 
 
 def _shifted(camera: Camera, by: float) -> Camera:
@@ -58,7 +61,9 @@ def test_a_scan_with_coordinates_near_four_million_is_refined_as_at_the_origin(c
     expected = refine(points, mask, camera, config)
     far = refine(points + 4e6, mask, _shifted(camera, 4e6), config)
     # At four million, coordinates hold nine digits after the point: of two points equally near, the other may be the nearer.
-    np.testing.assert_allclose(far.points - 4e6, expected.points, atol=1e-4 if preset == "paper" else 0.02)
+    np.testing.assert_allclose(
+        far.points - 4e6, expected.points, atol=1e-4 if preset == "paper" else 0.02
+    )
     assert chair.error(far.points - 4e6) == pytest.approx(chair.error(expected.points), rel=0.02)
 
 
@@ -96,7 +101,9 @@ def test_a_grid_of_64_cells_loses_nothing_against_one_of_256(chair, monkeypatch)
 
 
 def test_a_large_gamma_keeps_the_cloud_near_its_start(chair):
-    strong, weak = (refine(*chair[:3], RefineConfig(gamma=gamma, preset="paper")) for gamma in (1e8, 0.0))
+    strong, weak = (
+        refine(*chair[:3], RefineConfig(gamma=gamma, preset="paper")) for gamma in (1e8, 0.0)
+    )
     assert strong.chamfer_to_initial < 0.2 * weak.chamfer_to_initial
 
 
@@ -120,7 +127,9 @@ def test_a_loss_that_stops_being_a_number_keeps_the_best_before_it(chair, monkey
 def test_points_on_ignored_pixels_hardly_move(chair):
     points, mask, camera, _ = chair
     known = block(np.s_[:, :128], mask.shape) > 0.0
-    result = refine(points, View(mask, camera, known), config=RefineConfig(gamma=0.0, preset="paper"))
+    result = refine(
+        points, View(mask, camera, known), config=RefineConfig(gamma=0.0, preset="paper")
+    )
     columns = camera.project(points)[0][:, 0]
     moved = np.linalg.norm(result.points - points, axis=1)
     # Points in the ignored half, whose Gaussians are next to nothing where pixels are known: Adam enlarges what is left.
@@ -134,7 +143,9 @@ def test_losses_of_views_add_up_and_best_counts_a_repeated_view_once(chair, pres
     config = RefineConfig(steps=0, preset=preset, symmetry="none")
     one = refine(points, mask, camera, config)
     two = refine(points, [mask, mask], [camera, camera], config)
-    assert two.loss_before == pytest.approx({"paper": 2, "best": 1}[preset] * one.loss_before, rel=1e-6)
+    assert two.loss_before == pytest.approx(
+        {"paper": 2, "best": 1}[preset] * one.loss_before, rel=1e-6
+    )
     assert two.view_weights == {"paper": [1.0, 1.0], "best": [0.5, 0.5]}[preset]
     assert two.iou_before == pytest.approx(one.iou_before)
 
@@ -155,7 +166,10 @@ def test_unusable_points_masks_and_cameras_are_refused(chair):
         (dict(points=points * 0.0), "same|degenerate|extent"),
         (dict(points=points + [0, 0, 50.0]), "behind|outside|hardly meet|no point"),
         (dict(masks=mask * 0.0), "no pixel is foreground"),
-        (dict(masks=mask * 0.0 + 1.0), "every pixel is foreground, expected some background \\(try --invert-mask"),
+        (
+            dict(masks=mask * 0.0 + 1.0),
+            "every pixel is foreground, expected some background \\(try --invert-mask",
+        ),
         (dict(masks=mask[:-1]), "expected the same"),
         (dict(masks=[mask, mask]), "one camera for each mask"),
         (dict(masks=None), "masks are no arrays"),
@@ -186,7 +200,9 @@ def test_a_pole_thinner_than_a_cell_of_the_window_moves_onto_its_mask():
     mask = block(np.s_[rows, rows // 6 + 106], (256, 256))
     camera = Camera.canonical(256, 256)
     result = refine(pole, mask, camera)
-    columns, rows = np.stack([camera.project(cloud)[0] for cloud in (pole, result.points)]).transpose(2, 0, 1)
+    columns, rows = np.stack(
+        [camera.project(cloud)[0] for cloud in (pole, result.points)]
+    ).transpose(2, 0, 1)
     before, after = np.abs(columns - rows / 6 - 106.0).mean(1)
     assert after < 0.9 * before
 
@@ -194,4 +210,9 @@ def test_a_pole_thinner_than_a_cell_of_the_window_moves_onto_its_mask():
 def test_an_ignore_map_that_leaves_no_known_cell_is_refused(chair):
     every_fourth = np.arange(256)[:, None] % 4 + np.arange(256) % 4 == 0
     view = replace(chair.view, known=every_fourth, name="front")
-    assert_refused("front: no pixel is known to be foreground when it is worked on at 64x64", refine, chair.points, view)
+    assert_refused(
+        "front: no pixel is known to be foreground when it is worked on at 64x64",
+        refine,
+        chair.points,
+        view,
+    )

@@ -30,13 +30,23 @@ def test_points_outside_every_image_hardly_move():
     assert np.abs(moved[~observed]).mean() < 0.15 * moved[observed].mean()
 
 
-def test_the_result_is_the_weighted_mean_of_the_stages_and_more_masks_raise_the_weight_of_the_last(chair):
-    points, views = chair.points, [chair.view, seen(chair.points * [1.0, 1.1, 1.0], look_at(90.0, 10.0, 2.0, (64, 64)))]
+def test_the_result_is_the_weighted_mean_of_the_stages_and_more_masks_raise_the_weight_of_the_last(
+    chair,
+):
+    points, views = (
+        chair.points,
+        [chair.view, seen(chair.points * [1.0, 1.1, 1.0], look_at(90.0, 10.0, 2.0, (64, 64)))],
+    )
 
     def refined(*weights):
-        stages = tuple(replace(stage, averaging_weight=weight) for stage, weight in zip(BEST.stages, weights, strict=True))
+        stages = tuple(
+            replace(stage, averaging_weight=weight)
+            for stage, weight in zip(BEST.stages, weights, strict=True)
+        )
         config = replace(BEST, stages=stages, least_prior_weight=0.0)
-        return refine(points, views, config=RefineConfig(steps=24, symmetry="none", coarse_to_fine=config))
+        return refine(
+            points, views, config=RefineConfig(steps=24, symmetry="none", coarse_to_fine=config)
+        )
 
     alone = [refined(*np.eye(3)[stage].clip(1e-12)).points for stage in range(3)]
     result = refined(1.0, 2.0, 3.0)
@@ -49,7 +59,9 @@ def test_the_result_is_the_weighted_mean_of_the_stages_and_more_masks_raise_the_
 
 def test_as_evidence_a_flipped_mask_counts_a_quarter_and_a_depth_map_as_a_mask(chair):
     def evidence(views, symmetry="none", weights=(1.0, 1.0)):
-        problem = Problem.of(Cloud(chair.points, "points"), tuple(views), RefineConfig(symmetry=symmetry).settings())
+        problem = Problem.of(
+            Cloud(chair.points, "points"), tuple(views), RefineConfig(symmetry=symmetry).settings()
+        )
         return problem.evidence(list(weights[: len(views)]))
 
     plain = View(chair.mask, chair.camera)
@@ -66,11 +78,18 @@ def _truncated(view: View) -> View:
     """The view without its upper half: the border truncates the object."""
     lower = view.mask[view.mask.shape[0] // 2 :]
     height, width = lower.shape
-    return View(lower, view.camera.cropped((-0.5, height - 0.5, width - 0.5, 2 * height - 0.5), width, height))
+    return View(
+        lower,
+        view.camera.cropped((-0.5, height - 0.5, width - 0.5, 2 * height - 0.5), width, height),
+    )
 
 
-@pytest.mark.parametrize(("truncated", "expected"), [((True, True), 1.0), ((True, False), 2.0), ((False, False), 2.0)])
-def test_views_that_all_truncate_the_object_are_no_more_evidence_than_one(chair, monkeypatch, truncated, expected):
+@pytest.mark.parametrize(
+    ("truncated", "expected"), [((True, True), 1.0), ((True, False), 2.0), ((False, False), 2.0)]
+)
+def test_views_that_all_truncate_the_object_are_no_more_evidence_than_one(
+    chair, monkeypatch, truncated, expected
+):
     evidence, views = [], [chair.view, seen(chair.points, look_at(90.0, 10.0, 3.0, (64, 64)))]
 
     def spied(*arguments):
@@ -80,25 +99,34 @@ def test_views_that_all_truncate_the_object_are_no_more_evidence_than_one(chair,
     monkeypatch.setattr("tso_cli.refinement.coarse_to_fine.position_prior", spied)
     views = [_truncated(view) if cut else view for view, cut in zip(views, truncated, strict=True)]
     refine(chair.points, views, config=RefineConfig(steps=3, symmetry="none"))
-    assert evidence and evidence == [pytest.approx(expected, rel=0.05)] * len(evidence)
+    assert evidence
+    assert evidence == [pytest.approx(expected, rel=0.05)] * len(evidence)
 
 
 def test_an_object_that_every_view_truncates_is_held_three_times_as_much(chair):
     for view, factor in ((_truncated(chair.view), 3.0), (chair.view, 1.0)):
-        held, loose = (_prior(chair.points, view, truncated_prior=prior)[0].weights for prior in (3.0, 1.0))
+        held, loose = (
+            _prior(chair.points, view, truncated_prior=prior)[0].weights for prior in (3.0, 1.0)
+        )
         np.testing.assert_allclose(held, factor * loose)
 
 
-def _prior(points: np.ndarray, view: View, evidence: float = 1.0, **settings: object) -> tuple[PositionPrior, ViewTargets]:
+def _prior(
+    points: np.ndarray, view: View, evidence: float = 1.0, **settings: object
+) -> tuple[PositionPrior, ViewTargets]:
     problem = Problem.of(Cloud(points, "points"), (view,), RefineConfig(symmetry="none").settings())
     initial, targets = problem.cloud.normalised(), ViewTargets.of(problem.resampled, [1.0])
-    return position_prior(initial, targets, SmoothField(initial), replace(BEST, **settings), evidence), targets
+    return position_prior(
+        initial, targets, SmoothField(initial), replace(BEST, **settings), evidence
+    ), targets
 
 
 def test_the_position_prior_is_a_weighted_square_with_its_gradient(chair):
     prior, _ = _prior(chair.points[::40], chair.view)
     moved = prior.initial + np.random.default_rng(0).normal(size=prior.initial.shape)
-    assert prior(moved)[0] == pytest.approx((prior.weights * np.square(moved - prior.initial).sum(1)).sum())
+    assert prior(moved)[0] == pytest.approx(
+        (prior.weights * np.square(moved - prior.initial).sum(1)).sum()
+    )
     assert_gradient(prior, moved)
     assert prior(prior.initial)[0] == 0.0
 
@@ -115,7 +143,9 @@ def test_a_worse_start_is_held_less_and_more_evidence_lowers_the_least_weight(ch
         least = _prior(points, chair.view, evidence, local_prior=False, least_prior_weight=1e6)[0]
         np.testing.assert_allclose(least.weights, 1e6 / evidence**2 * 1024.0 / len(points))
     # Even a perfect start is held no more than where e = 0.1.
-    square = np.stack(np.meshgrid(np.arange(26, 38, 0.5), np.arange(26, 38, 0.5)), -1).reshape(-1, 2)
+    square = np.stack(np.meshgrid(np.arange(26, 38, 0.5), np.arange(26, 38, 0.5)), -1).reshape(
+        -1, 2
+    )
     flat = np.concatenate([(square - 31.5) / 60.0 * [1.0, -1.0], np.zeros((len(square), 1))], 1)
     exact = _prior(flat, View(block(np.s_[26:38, 26:38]), Camera.canonical(64, 64)))[0]
     np.testing.assert_allclose(exact.weights, 300.0 / 0.1 * 1024.0 / len(flat))
@@ -139,4 +169,5 @@ def test_parts_that_the_pixels_do_not_resolve_have_no_resolvability():
     _, targets = _prior(points, View(block(np.s_[4:60, 20:44]), Camera.canonical(64, 64)))
     initial = Cloud(points, "points").normalised()
     (resolved,) = targets.resolvability(initial, SmoothField(initial))
-    assert resolved[:400].mean() > 0.9 and resolved[-50:].max() < 0.1
+    assert resolved[:400].mean() > 0.9
+    assert resolved[-50:].max() < 0.1

@@ -41,7 +41,9 @@ def test_a_resampled_image_averages_the_known_foreground_alone():
     image = np.where(mask[..., None] > 0.5, [0.2, 0.4, 0.6], 1.0)
     known = block(np.s_[100:110, 100:110], (256, 256)) == 0.0
     image[~known] = 0.0
-    resampled = resample_view(View(mask, Camera.canonical(256, 256), known, image=image), 0.4, np.zeros(3), 1.0)
+    resampled = resample_view(
+        View(mask, Camera.canonical(256, 256), known, image=image), 0.4, np.zeros(3), 1.0
+    )
     assert resampled.image.shape == (64, 64, 3)
     assert np.allclose(resampled.image[resampled.target.inside], [0.2, 0.4, 0.6])
     assert not resampled.image[resampled.mask == 0.0].any()
@@ -50,7 +52,9 @@ def test_a_resampled_image_averages_the_known_foreground_alone():
 def test_a_depth_map_brings_a_cloud_nearer_than_its_mask_alone():
     start, target = _plain_sheet(0.0), _plain_sheet(0.4)
     views = TILTED, View(MASK, CAMERA)
-    with_depth, without = (chamfer(refine(start, view, config=CONFIG).points, target).chamfer for view in views)
+    with_depth, without = (
+        chamfer(refine(start, view, config=CONFIG).points, target).chamfer for view in views
+    )
     assert with_depth < 0.3 * without
 
 
@@ -62,7 +66,9 @@ def test_views_with_and_without_a_depth_map_add_up_by_their_weights():
         resampled = [resample_view(view, 0.4, np.zeros(3), 1.0) for view in views]
         return MaskChamferObjective(ViewTargets.of(resampled, weights), 3.0)(start)[0]
 
-    assert total([1.0, 0.5], TILTED, plain) == pytest.approx(total([1.0], TILTED) + 0.5 * total([1.0], plain))
+    assert total([1.0, 0.5], TILTED, plain) == pytest.approx(
+        total([1.0], TILTED) + 0.5 * total([1.0], plain)
+    )
     assert total([1.0], TILTED) > total([1.0], View(MASK, CAMERA)) + 10.0
 
 
@@ -75,18 +81,26 @@ def test_a_photo_moves_points_along_a_surface_where_a_mask_does_not():
     for behind in (1.0, 0.0):
         view = View(MASK, CAMERA, image=photo(0.7, behind))
         clouds.append(refine(start, view, config=CONFIG, colours=colours).points)
-    before, alone, both, other = (np.linalg.norm(points - target, axis=1).mean() for points in clouds)
+    before, alone, both, other = (
+        np.linalg.norm(points - target, axis=1).mean() for points in clouds
+    )
     assert alone > 0.75 * before
-    assert both == pytest.approx(other) and both < 0.5 * before
+    assert both == pytest.approx(other)
+    assert both < 0.5 * before
 
 
 def test_colours_without_an_image_change_nothing_and_uint8_stands_for_fractions():
     points, colours = sheet(3.0)
     start, config = points * [0.95, 1.0, 1.0], RefineConfig(steps=6, symmetry="none")
     plain = refine(start, View(MASK, CAMERA), config=config).points
-    assert np.array_equal(refine(start, View(MASK, CAMERA), config=config, colours=colours).points, plain)
+    assert np.array_equal(
+        refine(start, View(MASK, CAMERA), config=config, colours=colours).points, plain
+    )
     view, as_uint8 = View(MASK, CAMERA, image=photo()), np.rint(255.0 * colours).astype(np.uint8)
-    results = (refine(start, view, config=config, colours=values).points for values in (as_uint8, as_uint8 / 255.0))
+    results = (
+        refine(start, view, config=config, colours=values).points
+        for values in (as_uint8, as_uint8 / 255.0)
+    )
     assert np.abs(np.subtract(*results)).max() < 1e-6
 
 
@@ -97,7 +111,8 @@ def test_a_flipped_view_has_a_flipped_depth_map_and_no_flipped_photo():
     cloud, settings = Cloud(points, "points", colours), RefineConfig(symmetry="x").settings()
     problem = Problem.of(cloud, (View(MASK, CAMERA, image=photo(), depth=depth),), settings)
     own, flipped = problem.all_views
-    assert own.image is not None and flipped.image is None
+    assert own.image is not None
+    assert flipped.image is None
     np.testing.assert_array_equal(flipped.depth, own.depth[:, ::-1])
     assert [photo.weight for photo in _photos(problem, [0.7])] == [0.7]
 
@@ -108,9 +123,18 @@ def test_a_flipped_view_has_a_flipped_depth_map_and_no_flipped_photo():
         (dict(depth=np.ones((3, 3))), r"depth map has shape \[3, 3\], the mask is 64x64"),
         (dict(depth=-np.ones((SIZE, SIZE))), "smallest depth is -1, expected 0"),
         (dict(depth=np.where(MASK > 0.5, 0.0, 2.0)), "no foreground pixel has a depth"),
-        (dict(depth=MASK, camera=replace(CAMERA, model="orthographic")), "orthographic, expected perspective"),
-        (dict(image=np.ones((3, 3, 3))), r"image has shape \[3, 3, 3\], the mask is 64x64 .*|expected \[64, 64, 3\]"),
-        (dict(image=np.full((SIZE, SIZE, 3), [0.0, 255.0, 0.0])), "image's values span 0 to 255, expected 0 to 1"),
+        (
+            dict(depth=MASK, camera=replace(CAMERA, model="orthographic")),
+            "orthographic, expected perspective",
+        ),
+        (
+            dict(image=np.ones((3, 3, 3))),
+            r"image has shape \[3, 3, 3\], the mask is 64x64 .*|expected \[64, 64, 3\]",
+        ),
+        (
+            dict(image=np.full((SIZE, SIZE, 3), [0.0, 255.0, 0.0])),
+            "image's values span 0 to 255, expected 0 to 1",
+        ),
     ],
 )
 def test_unusable_depth_maps_and_images_are_refused(parts, words):
@@ -121,11 +145,26 @@ def test_what_a_refinement_cannot_use_is_refused():
     points, colours = sheet(3.0)
     view, paper = View(MASK, CAMERA, image=photo()), RefineConfig(preset="paper")
     for scene, colour, config, words in (
-        (TILTED, None, paper, "a depth map, expected mode points with preset best, found points with paper"),
-        (view, colours, paper, "an image, expected mode points with preset best, found points with paper"),
+        (
+            TILTED,
+            None,
+            paper,
+            "a depth map, expected mode points with preset best, found points with paper",
+        ),
+        (
+            view,
+            colours,
+            paper,
+            "an image, expected mode points with preset best, found points with paper",
+        ),
         (view, None, None, "expected a cloud with colours, found none"),
         (view, colours[:2], None, r"colours have shape \[2, 3\], expected \[324, 3\]"),
-        (view, np.linspace(0, 300, 972).reshape(-1, 3), None, "colours span 0 to 300, expected 0 to 1"),
+        (
+            view,
+            np.linspace(0, 300, 972).reshape(-1, 3),
+            None,
+            "colours span 0 to 300, expected 0 to 1",
+        ),
         (view, "red", None, "colours are no array of numbers"),
     ):
         assert_refused(words, refine, points, scene, config=config, colours=colour)

@@ -19,14 +19,18 @@ MISTAKES = ("mask-flipped", "mask-upside-down", "R-transposed")
 
 
 def _options(view: View, **settings) -> list[str]:
-    return [suspect.option for suspect in refine(CHAIR.points, view, config=RefineConfig(**settings)).suspects]
+    return [
+        suspect.option
+        for suspect in refine(CHAIR.points, view, config=RefineConfig(**settings)).suspects
+    ]
 
 
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_mistake_that_silhouettes_only_hint_at_is_named(name):
     view = ASSUMPTIONS[name].of_view(CHAIR.view)
     agreement = Agreement.of(CHAIR.points, [view])
-    assert agreement.suspects == () and agreement.hint.suspect.option == f"--assume {name}"
+    assert agreement.suspects == ()
+    assert agreement.hint.suspect.option == f"--assume {name}"
     assert _options(view) == [f"--assume {name}"]
 
 
@@ -38,7 +42,9 @@ def test_a_hint_that_no_descent_confirms_is_not_said(monkeypatch):
         agreement = replace(Agreement.of(CHAIR.points, [CHAIR.view]), hint=hint)
         monkeypatch.setattr(Agreement, "of", lambda *_, agreement=agreement: agreement)
         result = refine(CHAIR.points, CHAIR.view)
-        assert "check mistake" in result.seconds and result.suspects == () and result.verdict == "improved"
+        assert "check mistake" in result.seconds
+        assert result.suspects == ()
+        assert result.verdict == "improved"
         np.testing.assert_array_equal(result.points, plain.points)
 
 
@@ -61,18 +67,23 @@ def test_without_time_a_hint_is_not_checked(budget):
 
 
 def test_ctrl_c_during_the_check_leaves_the_cloud_as_it_was(monkeypatch):
-    stopped = SimpleNamespace(run=lambda *_, **__: (SimpleNamespace(interrupted=True, out_of_time=False), None))
+    stopped = SimpleNamespace(
+        run=lambda *_, **__: (SimpleNamespace(interrupted=True, out_of_time=False), None)
+    )
     monkeypatch.setattr(mistake_check, "probe", lambda *_: stopped)
     result = refine(CHAIR.points, ASSUMPTIONS["mask-flipped"].of_view(CHAIR.view))
     assert result.stop_reason == "interrupted"
     np.testing.assert_array_equal(result.points, result.initial)
 
 
-def test_a_mistake_that_a_descent_alone_tells_of_is_doubtful_and_keeps_no_point_where_it_is(monkeypatch):
+def test_a_mistake_that_a_descent_alone_tells_of_is_doubtful_and_keeps_no_point_where_it_is(
+    monkeypatch,
+):
     """The start may be a shape that looks like its mirror image from there."""
     monkeypatch.setattr("tso_cli.refinement.verdict._judged", lambda signs: (0.2, "camera"))
     result = refine(CHAIR.points, ASSUMPTIONS["mask-flipped"].of_view(CHAIR.view))
-    assert (result.verdict, result.step_taken) == ("doubtful", 1.0) and "mask is flipped" in result.reason
+    assert (result.verdict, result.step_taken) == ("doubtful", 1.0)
+    assert "mask is flipped" in result.reason
 
 
 def test_an_assumption_under_which_the_views_cannot_be_is_not_confirmed():

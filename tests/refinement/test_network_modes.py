@@ -34,7 +34,9 @@ def test_a_mode_optimises_its_parameters_alone_on_a_copy_of_the_network(mode, ne
     assert result.loss_after < result.loss_before
     assert result.gamma == (0.0 if mode == "encoder" else 1e6)
     moving = NetworkParameters(network, IMAGE, mode, "cpu", 1e-3)._optimiser.parameters
-    encoder, decoder = (sum(p.numel() for p in half.parameters()) for half in (network.encoder, network.decoder))
+    encoder, decoder = (
+        sum(p.numel() for p in half.parameters()) for half in (network.encoder, network.decoder)
+    )
     expected = {"encoder": encoder, "encoder-decoder": encoder + decoder, "latent": 128}[mode]
     assert sum(parameter.numel() for parameter in moving) == expected
     for name, value in network.state_dict().items():
@@ -47,15 +49,21 @@ def test_the_latent_vector_starts_at_the_encoders_and_is_decoded_in_each_step(ne
     (latent,) = parameters._optimiser.parameters
     assert latent.shape == (1, 128)
     with torch.no_grad():
-        np.testing.assert_allclose(parameters.cloud.initial, network(IMAGE[None])[0], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(
+            parameters.cloud.initial, network(IMAGE[None])[0], rtol=0, atol=1e-6
+        )
         latent += 0.1
-        expected = (network.decoder(latent)[0].double().numpy() - parameters.cloud.centre) / parameters.cloud.scale
+        expected = (
+            network.decoder(latent)[0].double().numpy() - parameters.cloud.centre
+        ) / parameters.cloud.scale
     np.testing.assert_allclose(parameters.forward()[0], expected, atol=1e-6)
 
 
 def test_the_latent_mode_runs_the_encoder_once(network, monkeypatch):
     calls, true_forward = [], Encoder.forward
-    monkeypatch.setattr(Encoder, "forward", lambda encoder, images: calls.append(1) or true_forward(encoder, images))
+    monkeypatch.setattr(
+        Encoder, "forward", lambda encoder, images: calls.append(1) or true_forward(encoder, images)
+    )
     _refine(network, "latent", steps=4)
     assert len(calls) == 1
 
@@ -65,7 +73,9 @@ def test_the_gradient_by_the_parameters_is_that_of_finite_differences(mode, netw
     parameters = NetworkParameters(network, IMAGE, mode, "cpu", 1e-3)
     parameters._predict.double()
     parameters._input.data = parameters._input.data.double()
-    view = resample_view(View(MASK, Camera.canonical(64, 64)), 0.4, parameters.cloud.centre, parameters.cloud.scale)
+    view = resample_view(
+        View(MASK, Camera.canonical(64, 64)), 0.4, parameters.cloud.centre, parameters.cloud.scale
+    )
     objective, gradients = SilhouetteObjective([view], [1.0]), []
     parameters._optimiser.apply = gradients.extend
     points, step_down = parameters.forward()
@@ -78,7 +88,9 @@ def test_the_gradient_by_the_parameters_is_that_of_finite_differences(mode, netw
         for step in (1e-6, -2e-6):
             values[place] += step
             losses.append(objective(parameters.forward()[0])[0])
-        assert float(gradient.reshape(-1)[place]) == pytest.approx((losses[0] - losses[1]) / 2e-6, rel=1e-3, abs=1e-6)
+        assert float(gradient.reshape(-1)[place]) == pytest.approx(
+            (losses[0] - losses[1]) / 2e-6, rel=1e-3, abs=1e-6
+        )
         values[place] += 1e-6
 
 

@@ -25,12 +25,17 @@ def test_a_whole_object_is_not_hidden(name):
     assert Agreement.of(scene.points, [scene.view]).named == ()
 
 
-@pytest.mark.parametrize(("name", "degrees"), [("chair", 90.0), ("car", 20.0), ("car", 200.0), ("airplane", 0.0)])
+@pytest.mark.parametrize(
+    ("name", "degrees"), [("chair", 90.0), ("car", 20.0), ("car", 200.0), ("airplane", 0.0)]
+)
 def test_an_object_behind_a_wall_is_said_to_be_hidden_unless_the_wall_is_ignored(name, degrees):
     scene = example(name)
     view, wall = _behind_a_wall(scene.view, degrees, 0.4)
     (suspect,) = Agreement.of(scene.points, [view]).named
-    assert (suspect.option, suspect.what) == ("--ignore FILE", f"something hides a part of the object in {view.name}")
+    assert (suspect.option, suspect.what) == (
+        "--ignore FILE",
+        f"something hides a part of the object in {view.name}",
+    )
     assert 0.0 < suspect.score <= 1.0
     assert any("try --ignore" in warning for warning in refine(scene.points, view).warnings)
     assert Agreement.of(scene.points, [replace(view, known=~wall)]).named == ()
@@ -49,7 +54,9 @@ def test_a_large_picture_is_told_the_same(times):
     scene = example("car")
     K = scene.camera.K * [[times], [times], [1.0]]
     K[:2, 2] += (times - 1.0) / 2.0
-    camera = replace(scene.camera, K=K, width=times * scene.camera.width, height=times * scene.camera.height)
+    camera = replace(
+        scene.camera, K=K, width=times * scene.camera.width, height=times * scene.camera.height
+    )
     whole = View(scene.mask.repeat(times, 0).repeat(times, 1), camera)
     (suspect,) = Agreement.of(scene.points, [_behind_a_wall(whole, 20.0, 0.4)[0]]).named
     assert suspect.option == "--ignore FILE"

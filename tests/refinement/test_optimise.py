@@ -41,7 +41,9 @@ def _square(points: np.ndarray) -> tuple[float, np.ndarray]:
 
 def test_the_best_iterate_is_kept_and_every_step_reported():
     reported, parameters = [], Iterates(1.0, 0.5, 0.1, 0.7)
-    descent = descend(parameters, _square, 3, offset_progress(lambda *step: reported.append(step), 10, 99))
+    descent = descend(
+        parameters, _square, 3, offset_progress(lambda *step: reported.append(step), 10, 99)
+    )
     losses = [_square(points)[0] for points in parameters.points]
     assert (descent.best_step, descent.interrupted, descent.losses) == (2, False, losses)
     assert (descent.first_loss, descent.best_loss) == (losses[0], losses[2])
@@ -77,7 +79,9 @@ def test_best_iterate_its_step_and_its_loss_agree_wherever_an_interrupt_falls():
             return interrupt
 
         parameters = Iterates(1.0, 0.5, 0.7, 0.4)
-        sys.settrace(lambda frame, event, argument: interrupt if frame.f_code is descend.__code__ else None)  # noqa: B023
+        sys.settrace(
+            lambda frame, event, argument: interrupt if frame.f_code is descend.__code__ else None
+        )  # noqa: B023
         try:
             descent = descend(parameters, _square, 3)
         except KeyboardInterrupt:
@@ -98,7 +102,8 @@ def test_an_interrupt_before_the_first_loss_is_raised():
     with pytest.raises(KeyboardInterrupt):
         descend(Iterates(1.0), interrupt, 3)
     descent = descend(Iterates(1.0, 0.5, 0.4), _square, 3, interrupt)
-    assert descent.interrupted and (descent.best_step, len(descent.losses)) == (1, 2)
+    assert descent.interrupted
+    assert (descent.best_step, len(descent.losses)) == (1, 2)
 
 
 def test_an_interrupt_in_machine_code_is_an_interrupt():
@@ -129,7 +134,8 @@ def test_the_loss_of_a_view_without_visible_points_is_infinite(form):
     view = resample_view(View(MASK, Camera.canonical(64, 64)), 0.4, np.zeros(3), 1.0)
     objective, points = SilhouetteObjective([view, view], [1.0, 0.5]), START - 0.5
     value, gradient = in_form(form, objective, points)
-    assert np.isfinite(value) and gradient.any()
+    assert np.isfinite(value)
+    assert gradient.any()
     alone, single = in_form(form, SilhouetteObjective([view], [1.0]), points)
     assert value == pytest.approx(1.5 * alone)
     np.testing.assert_allclose(gradient, 1.5 * single, rtol=1e-9, atol=1e-9)
@@ -137,7 +143,8 @@ def test_the_loss_of_a_view_without_visible_points_is_infinite(form):
     assert np.isfinite(in_form(form, objective, points)[0])
     points[0] += [0.0, 0.0, 9.0]
     value, gradient = in_form(form, objective, points)
-    assert value == np.inf and not gradient.any()
+    assert value == np.inf
+    assert not gradient.any()
 
 
 def test_the_paper_preset_is_adam_on_equation_7():
@@ -151,7 +158,9 @@ def test_the_paper_preset_is_adam_on_equation_7():
     losses = []
     for step in range(26):
         pixels, _ = oracles.project(moved, camera)
-        loss = oracles.bce(pixels, torch.tensor(mask).double(), 0.4) + 1e6 * sum(oracles.chamfer(moved, initial))
+        loss = oracles.bce(pixels, torch.tensor(mask).double(), 0.4) + 1e6 * sum(
+            oracles.chamfer(moved, initial)
+        )
         losses.append(loss.item())
         if step < 25:
             optimiser.zero_grad()

@@ -18,6 +18,11 @@ OLD = {"OPENBLAS_CORETYPE": "Prescott", "NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3 A
 def test_other_processors_round_differently_and_give_the_same_cloud():
     scene = example("car")
     environment = os.environ | OLD | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    run = subprocess.run([sys.executable, "-W", "ignore", "-c", REFINED], env=environment, capture_output=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", REFINED],
+        env=environment,
+        capture_output=True,
+        check=True,
+    )
     elsewhere = np.frombuffer(run.stdout).reshape(-1, 3)
     np.testing.assert_allclose(elsewhere, refine(scene.points, scene.view).points, atol=1e-8)

@@ -24,20 +24,31 @@ def _small_mask(points: np.ndarray, rows: int, columns: int) -> View:
 
 def test_for_a_cloud_that_covers_its_mask_there_is_nothing_to_do():
     # Points at every third of a pixel.
-    pixels = np.stack(np.meshgrid(np.arange(20.0, 43.1, 1 / 3), np.arange(20.0, 43.1, 1 / 3)), -1).reshape(-1, 2)
+    pixels = np.stack(
+        np.meshgrid(np.arange(20.0, 43.1, 1 / 3), np.arange(20.0, 43.1, 1 / 3)), -1
+    ).reshape(-1, 2)
     camera = Camera.canonical(64, 64)
     points = points_at(pixels, camera, np.full(len(pixels), 2.0))
-    result = refine(points, View(block(np.s_[20:44, 20:44]), camera), config=RefineConfig(steps=3, symmetry="none"))
+    result = refine(
+        points,
+        View(block(np.s_[20:44, 20:44]), camera),
+        config=RefineConfig(steps=3, symmetry="none"),
+    )
     assert (result.stop_reason, result.best_step, result.loss_before) == ("nothing_to_do", 0, 0.0)
-    assert result.warnings == ("nothing to do: the cloud already agrees with all that the mask shows; the cloud is as it was",)
+    assert result.warnings == (
+        "nothing to do: the cloud already agrees with all that the mask shows; the cloud is as it was",
+    )
     assert (result.moved_mean, result.moved_max) == (0.0, 0.0)
     np.testing.assert_array_equal(result.points, points)
 
 
 def test_a_tiny_displacement_is_warned_of(chair):
     result = refine(*chair[:3], RefineConfig(learning_rate=1e-6, steps=2, preset="paper"))
-    assert result.stop_reason == "max_steps" and 0.0 < result.moved_max < 1e-3
-    assert result.warnings == ("hardly anything moved: no point by more than 0.1 % of the object's size",)
+    assert result.stop_reason == "max_steps"
+    assert 0.0 < result.moved_max < 1e-3
+    assert result.warnings == (
+        "hardly anything moved: no point by more than 0.1 % of the object's size",
+    )
 
 
 def test_pixels_wider_than_the_spacing_of_the_points_are_warned_of_where_they_are_few(chair):
@@ -52,5 +63,7 @@ def test_pixels_wider_than_the_spacing_of_the_points_are_warned_of_where_they_ar
     # The spacing of a sparser cloud is wider than the pixels.
     assert not warned(points[::20], small)
     # Fewer than 16 pixels are coarse for any cloud.
-    assert refine(points[::60], _small_mask(points, 5, 3), config=RefineConfig(steps=0)).warnings[1:]
+    assert refine(points[::60], _small_mask(points, 5, 3), config=RefineConfig(steps=0)).warnings[
+        1:
+    ]
     assert len(refine(points, view, config=RefineConfig(steps=0)).warnings) == 1

@@ -17,7 +17,9 @@ def _cloud(count: int, seed: int = 0) -> np.ndarray:
 @FORMS
 @pytest.mark.parametrize("weight", [1.0, 100.0])
 @pytest.mark.parametrize("apart", [0.0, 5.0])
-def test_smoothing_solves_the_system_of_the_neighbour_graph_of_one_part_or_several(form, weight, apart):
+def test_smoothing_solves_the_system_of_the_neighbour_graph_of_one_part_or_several(
+    form, weight, apart
+):
     points = _cloud(300) + apart * (np.arange(300) % 3)[:, None]
     pairs = np.linalg.norm(points[:, None] - points, axis=2)
     joined = pairs <= np.sort(pairs, 1)[:, 8:9]  # itself and its 8 nearest
@@ -52,13 +54,19 @@ def test_a_field_descends_in_its_values_at_the_nodes(form, count):
             return np.random.default_rng(3).normal(size=gradient.shape)
 
     def run():
-        field, adam, by_points = SmoothField(points), Spied(0.1), np.random.default_rng(4).normal(size=points.shape)
+        field, adam, by_points = (
+            SmoothField(points),
+            Spied(0.1),
+            np.random.default_rng(4).normal(size=points.shape),
+        )
         parameters = FieldParameters(points, field, 3.0, adam)
         at_start, step_down = parameters.forward()
         np.testing.assert_array_equal(at_start, points)
         step_down(by_points)
         step = np.random.default_rng(3).normal(size=adam.gradient.shape)
-        assert ((parameters.forward()[0] - points) * by_points).sum() == pytest.approx((step * adam.gradient).sum(), rel=1e-9)
+        assert ((parameters.forward()[0] - points) * by_points).sum() == pytest.approx(
+            (step * adam.gradient).sum(), rel=1e-9
+        )
 
     in_form(form, run)
 
@@ -79,7 +87,8 @@ def test_averages_spread_a_peak_to_its_neighbours_and_keep_a_constant(count, for
 def test_points_of_a_large_cloud_follow_their_nodes():
     points = _cloud(5000)
     field = SmoothField(points)
-    assert field.nodes.shape == (FIELD_NODES,) and field.patches.shape == (FIELD_NODES, 12)
+    assert field.nodes.shape == (FIELD_NODES,)
+    assert field.patches.shape == (FIELD_NODES, 12)
     np.testing.assert_array_equal(field.patches[:, 0], np.arange(FIELD_NODES))
     moved = field.spread(field.smoothed(np.eye(FIELD_NODES)[:, :1].repeat(3, 1), 10.0))[:, 0]
     order = np.linalg.norm(points - points[moved.argmax()], axis=1).argsort()
@@ -89,7 +98,8 @@ def test_points_of_a_large_cloud_follow_their_nodes():
 def test_interpolation_weights_sum_to_one_and_fall_to_nothing_at_the_last_node():
     weights = falling_weights(np.array([[0.0, 0.5, 1.0, 2.0], [3.0, 3.0, 3.0, 3.0]]))
     np.testing.assert_allclose(weights.sum(1), 1.0)
-    assert (np.diff(weights[0]) < 0.0).all() and weights[0, -1] < 1e-6
+    assert (np.diff(weights[0]) < 0.0).all()
+    assert weights[0, -1] < 1e-6
     np.testing.assert_allclose(weights[1], 0.25)
 
 

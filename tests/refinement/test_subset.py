@@ -26,7 +26,10 @@ def _denser(points, times=6):
     rng = np.random.default_rng(0)
     squared = np.square(points[:, None] - points).sum(2)
     near = np.argsort(squared, 1)[:, 1:times]
-    between = [points + rng.uniform(0.2, 0.5, (len(points), 1)) * (points[column] - points) for column in near.T]
+    between = [
+        points + rng.uniform(0.2, 0.5, (len(points), 1)) * (points[column] - points)
+        for column in near.T
+    ]
     return np.concatenate([points, *between])
 
 
@@ -49,7 +52,8 @@ def test_the_samples_move_as_told_others_between_them_and_outliers_not_at_all():
     of_all = subset.followed(displacements)
     np.testing.assert_array_equal(subset.at(of_all), displacements)
     assert not of_all[7].any()
-    assert (of_all.min(0) >= displacements.min(0)).all() and (of_all.max(0) <= displacements.max(0)).all()
+    assert (of_all.min(0) >= displacements.min(0)).all()
+    assert (of_all.max(0) <= displacements.max(0)).all()
     np.testing.assert_allclose(subset.followed(np.ones((100, 3)))[kept], 1.0)
 
 
@@ -62,7 +66,9 @@ def test_a_cloud_that_shows_the_mask_already_stays_though_fewer_points_would_lea
 
 def test_with_the_preset_of_the_paper_every_point_moves_by_itself(scene):
     dense = _denser(scene.points)
-    assert refine(dense, scene.view, config=RefineConfig(preset="paper", steps=2)).moving == len(dense)
+    assert refine(dense, scene.view, config=RefineConfig(preset="paper", steps=2)).moving == len(
+        dense
+    )
 
 
 def test_stray_points_of_a_large_cloud_stay(scene):

@@ -1,5 +1,7 @@
 """Mirror planes: search, symmetry check and flipped views."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -45,7 +47,9 @@ def test_the_plane_of_a_large_cloud_is_found_in_any_order_of_its_points(chair):
 @pytest.mark.parametrize("name", ["chair", "car", "airplane"])
 def test_the_plane_does_not_depend_on_how_the_last_bits_are_rounded(name):
     points = example(name).points
-    noise = [np.random.default_rng(seed).normal(scale=1e-13, size=points.shape) for seed in range(3)]
+    noise = [
+        np.random.default_rng(seed).normal(scale=1e-13, size=points.shape) for seed in range(3)
+    ]
     first, *others = (find_mirror_plane(points + bits).reflect(points) for bits in noise)
     others.append(in_form(COMPILED, find_mirror_plane, points).reflect(points))
     for other in others:
@@ -59,7 +63,9 @@ def test_the_planes_of_many_shapes_do_not_depend_on_it_either():
         for _ in range(3):
             points = sample_surface(mesh.vertices, mesh.faces, 600, rng)
             other = find_mirror_plane(points + rng.normal(scale=1e-13, size=points.shape))
-            np.testing.assert_allclose(other.reflect(points), find_mirror_plane(points).reflect(points), atol=1e-6)
+            np.testing.assert_allclose(
+                other.reflect(points), find_mirror_plane(points).reflect(points), atol=1e-6
+            )
 
 
 @pytest.mark.parametrize("count", [1, 3])
@@ -69,7 +75,10 @@ def test_too_few_points_have_no_plane(count):
 
 def _seen(points: np.ndarray) -> list[View]:
     """Masks of a cloud from half right and from half left."""
-    return [seen(points, look_at(azimuth, elevation, 3.0, (64, 64))) for azimuth, elevation in ((35.0, 20.0), (-70.0, 30.0))]
+    return [
+        seen(points, look_at(azimuth, elevation, 3.0, (64, 64)))
+        for azimuth, elevation in ((35.0, 20.0), (-70.0, 30.0))
+    ]
 
 
 def _boxes(*sides: float) -> np.ndarray:
@@ -85,8 +94,13 @@ def _boxes(*sides: float) -> np.ndarray:
 
 
 def test_the_symmetry_check_passes_for_a_symmetric_object():
-    result = refine(_boxes(-0.42, 0.42), _seen(_boxes(-0.42, 0.42) * [1.1, 1.1, 1.0]), config=RefineConfig(steps=12))
-    assert result.symmetry is not None and result.symmetry_outcome == "used"
+    result = refine(
+        _boxes(-0.42, 0.42),
+        _seen(_boxes(-0.42, 0.42) * [1.1, 1.1, 1.0]),
+        config=RefineConfig(steps=12),
+    )
+    assert result.symmetry is not None
+    assert result.symmetry_outcome == "used"
     assert "at most 1.1" in result.symmetry_reason
 
 
@@ -95,7 +109,9 @@ def test_the_symmetry_check_passes_for_a_symmetric_object():
 def test_the_symmetry_check_fails_for_an_object_that_lost_one_side(form, views):
     start, views = _boxes(-0.42, 0.42), _seen(_boxes(-0.42))[:views]
     configs = RefineConfig(steps=12), RefineConfig(steps=12, symmetry="none")
-    result, without = (in_form(form, lambda: refine(start, views, config=config)) for config in configs)  # noqa: B023
+    result, without = (
+        in_form(form, partial(refine, start, views, config=config)) for config in configs
+    )
     assert (result.symmetry, result.symmetry_outcome) == (None, "contradicted")
     assert "over 1.1" in result.symmetry_reason
     np.testing.assert_array_equal(result.points, without.points)
@@ -125,7 +141,9 @@ def test_a_flipped_view_shows_the_mirror_image_of_the_cloud(chair):
     view = plane.view(View(silhouette_of(chair.points, chair.camera), chair.camera))
     mirrored = plane.reflect(chair.points)
     np.testing.assert_allclose(silhouette_of(mirrored, view.camera), view.mask, atol=1e-4)
-    np.testing.assert_allclose(view.camera.project(mirrored)[1], chair.camera.project(chair.points)[1])
+    np.testing.assert_allclose(
+        view.camera.project(mirrored)[1], chair.camera.project(chair.points)[1]
+    )
 
 
 def test_a_given_plane_is_used_and_reported(chair):
@@ -150,7 +168,9 @@ def test_a_plane_beside_the_cloud_is_refused(chair, plane):
 def test_given_and_searched_planes_have_the_same_misfit():
     points = example("airplane").points
     found = find_mirror_plane(points)
-    given, aside = (MirrorPlane(found.normal, found.offset + by).judged(points) for by in (0.0, 0.2))
+    given, aside = (
+        MirrorPlane(found.normal, found.offset + by).judged(points) for by in (0.0, 0.2)
+    )
     assert (given.misfit, given.far) == pytest.approx((found.misfit, found.far))
     assert aside.misfit > 2.0 * found.misfit
 

@@ -21,7 +21,11 @@ def _seen_around(name: str):
     """The initial cloud of an example, its target, and four views of the target around it."""
     points, _, camera, target = example(name)
     camera = camera.resized(64, 64)
-    return points, target, [_seen(target, turned(camera, degrees)) for degrees in (0.0, 70.0, 150.0, 240.0)]
+    return (
+        points,
+        target,
+        [_seen(target, turned(camera, degrees)) for degrees in (0.0, 70.0, 150.0, 240.0)],
+    )
 
 
 def _seen(cloud: np.ndarray, camera: Camera) -> View:
@@ -53,7 +57,9 @@ def test_equal_cameras_share_the_weight_of_one_view():
 def test_opposite_silhouettes_are_redundant_and_opposite_depth_maps_and_images_are_not():
     assert _loss_weights(0.0, 180.0) == pytest.approx([0.5, 0.5], abs=1e-3)
     assert _loss_weights(0.0, 180.0, depth=np.full((64, 64), 1.6)) == pytest.approx([1.0, 1.0])
-    assert _loss_weights(0.0, 180.0, image=np.full((64, 64, 3), 0.5, np.float32)) == pytest.approx([1.0, 1.0])
+    assert _loss_weights(0.0, 180.0, image=np.full((64, 64, 3), 0.5, np.float32)) == pytest.approx(
+        [1.0, 1.0]
+    )
     assert _loss_weights(0.0, 0.0, depth=np.full((64, 64), 1.6)) == pytest.approx([0.5, 0.5])
 
 
@@ -61,7 +67,8 @@ def test_weights_grow_with_the_angle_between_cameras():
     sums = [sum(_loss_weights(0.0, turn)) for turn in (0.0, 10.0, 20.0, 45.0, 90.0)]
     assert sums == sorted(sums)
     assert (sums[0], sums[4]) == pytest.approx((1.0, 2.0))
-    assert sums[1] < 1.1 and sums[3] > 1.85
+    assert sums[1] < 1.1
+    assert sums[3] > 1.85
 
 
 def test_views_of_different_parts_are_not_redundant():
@@ -103,7 +110,8 @@ def _with_a_wrong_one(views: list[View], target: np.ndarray, what: str) -> list[
 def test_a_wrong_view_among_four_is_the_only_outlier(what):
     points, target, views = _seen_around("car")
     weights = _weights(points, _with_a_wrong_one(views, target, what)).inlier
-    assert weights[1] < 0.3 and min(np.delete(weights, 1)) > 0.9
+    assert weights[1] < 0.3
+    assert min(np.delete(weights, 1)) > 0.9
 
 
 @pytest.mark.slow
@@ -119,4 +127,6 @@ def test_an_outlier_spoils_less_than_if_it_were_trusted(monkeypatch):
 
 def test_of_two_views_neither_is_an_outlier():
     points, target, views = _seen_around("chair")
-    assert _weights(points, _with_a_wrong_one(views, target, "a camera turned by 40 degrees")[:2]).inlier == [1.0, 1.0]
+    assert _weights(
+        points, _with_a_wrong_one(views, target, "a camera turned by 40 degrees")[:2]
+    ).inlier == [1.0, 1.0]

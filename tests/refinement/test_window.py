@@ -15,11 +15,15 @@ from tso_cli.refinement.problem import Problem
 from tso_cli.refinement.resampled_view import resample_view
 
 
-@pytest.mark.parametrize(("name", "preset"), [("car", "paper"), pytest.param("airplane", "best", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("name", "preset"), [("car", "paper"), pytest.param("airplane", "best", marks=pytest.mark.slow)]
+)
 def test_an_object_comes_as_near_to_the_truth_in_a_large_photo_as_in_a_small_one(name, preset):
     shown, config = example(name), RefineConfig(preset=preset)
     views = shown.view, in_photo(shown.view, 8, 1792, 1792)
-    errors = np.array([shown.error(refine(shown.points, view, config=config).points) for view in views])
+    errors = np.array(
+        [shown.error(refine(shown.points, view, config=config).points) for view in views]
+    )
     small, large = errors / shown.error(shown.points)
     assert large == pytest.approx(small, abs=0.02)
     assert max(small, large) < 0.97
@@ -73,22 +77,31 @@ def far_off(chair):
 def test_the_window_follows_a_cloud_that_starts_far_from_its_mask(far_off, chair):
     start, photo = far_off
     item = Problem.of(Cloud(start, "points"), (photo,), RefineConfig(symmetry="none").settings())
-    first, last = (each.resampled[0].box for each in (item, item.with_windows_around(chair.target, False)))
+    first, last = (
+        each.resampled[0].box for each in (item, item.with_windows_around(chair.target, False))
+    )
     assert first[2] - first[0] > 1.1 * (last[2] - last[0])
     np.testing.assert_allclose(last, window_of(photo, chair.target))
 
 
 @pytest.mark.slow
-def test_a_refinement_ends_in_the_window_of_its_result_on_the_grid_that_its_mask_bears(far_off, chair):
+def test_a_refinement_ends_in_the_window_of_its_result_on_the_grid_that_its_mask_bears(
+    far_off, chair
+):
     start, photo = far_off
     result = refine(start, photo, config=RefineConfig(symmetry="none", accept_doubtful=True))
     ((box, cells),) = result.view_windows
     assert cells == 128
-    first, last = (np.subtract(*window_of(photo, points)[2::-2]) for points in (start, result.points))
+    first, last = (
+        np.subtract(*window_of(photo, points)[2::-2]) for points in (start, result.points)
+    )
     assert first > last + 10.0
     assert abs(box[2] - box[0] - last) < 0.3 * (first - last)
     small = View(chair.mask[::4, ::4], chair.camera.resized(64, 64))
-    results = [refine(chair.target, small, config=RefineConfig(steps=3, preset=preset)) for preset in PRESETS]
+    results = [
+        refine(chair.target, small, config=RefineConfig(steps=3, preset=preset))
+        for preset in PRESETS
+    ]
     assert [result.view_windows[0][1] for result in results] == [96, 64]
 
 
@@ -99,7 +112,9 @@ def test_stray_foreground_far_from_the_object_is_left_out_with_a_warning():
     mask[-40:-38, 30:32] = 1.0
     strayed = View(mask, photo.camera)
     assert (strayed.box(), strayed.specks, photo.specks) == (photo.box(), 4, 0)
-    result, expected = (refine(car.points[::4], view, config=RefineConfig(steps=2)) for view in (strayed, photo))
+    result, expected = (
+        refine(car.points[::4], view, config=RefineConfig(steps=2)) for view in (strayed, photo)
+    )
     np.testing.assert_array_equal(result.points, expected.points)
     assert result.iou_after == expected.iou_after
     assert result.warnings == ("mask: foreground far from the object is left out (4 px)",)
@@ -120,19 +135,35 @@ def test_the_box_of_an_object_holds_nearly_all_of_it(pixels):
     inside = block(tuple(np.array(pixels).T), (40, 40)) > 0.0
     left, top, right, bottom = object_box(inside)
     assert inside[top:bottom, left:right].sum() >= 0.99 * inside.sum()
-    assert inside[top].any() and inside[bottom - 1].any() and inside[:, left].any() and inside[:, right - 1].any()
+    assert inside[top].any()
+    assert inside[bottom - 1].any()
+    assert inside[:, left].any()
+    assert inside[:, right - 1].any()
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.integers(8, 90), st.integers(8, 90), st.integers(0, 80), st.integers(0, 80), st.integers(1, 60), st.integers(1, 60))
+@given(
+    st.integers(8, 90),
+    st.integers(8, 90),
+    st.integers(0, 80),
+    st.integers(0, 80),
+    st.integers(1, 60),
+    st.integers(1, 60),
+)
 def test_any_mask_lies_in_its_window(height, width, row, column, tall, wide):
-    mask = block(np.s_[min(row, height - 1) : row + tall, min(column, width - 1) : column + wide], (height, width))
+    mask = block(
+        np.s_[min(row, height - 1) : row + tall, min(column, width - 1) : column + wide],
+        (height, width),
+    )
     if mask.all():
         return
     view = View(mask, Camera.canonical(width, height))
     left, top, right, bottom = window_of(view)
     box = view.box()
-    assert left <= box[0] + 1e-9 and top <= box[1] + 1e-9 and right >= box[2] - 1e-9 and bottom >= box[3] - 1e-9
+    assert left <= box[0] + 1e-9
+    assert top <= box[1] + 1e-9
+    assert right >= box[2] - 1e-9
+    assert bottom >= box[3] - 1e-9
     assert right - left == pytest.approx(bottom - top)
     seen = resample_view(view, 0.4, np.zeros(3), 1.0)
     assert seen.target.inside.any()

@@ -23,7 +23,11 @@ WORDS = "--views", 3, "--size", 24, "--samples", 200, "--points", 50
 
 
 def contents(folder):
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+    return {
+        p.relative_to(folder).as_posix(): p.read_bytes()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file()
+    }
 
 
 def hidden(folder):
@@ -44,12 +48,24 @@ def at_tenth_picture(monkeypatch, action):
 
 def test_a_folder_is_rendered_into_the_documented_layout(meshes, tmp_path):
     reported = []
-    summary = render_folder(meshes, tmp_path / "out", FAST, progress=lambda *report: reported.append(report))
-    assert (summary.written, summary.skipped, summary.failed) == (["c", "chair/a", "chair/b"], [], {})
+    summary = render_folder(
+        meshes, tmp_path / "out", FAST, progress=lambda *report: reported.append(report)
+    )
+    assert (summary.written, summary.skipped, summary.failed) == (
+        ["c", "chair/a", "chair/b"],
+        [],
+        {},
+    )
     assert reported == [(1, 3, "c"), (2, 3, "chair/a"), (3, 3, "chair/b")]
     pictures = [(f"{i:03d}.png", f"{i:03d}.mask.png") for i in range(3)]
     names = {path.name for path in (tmp_path / "out/chair/a").iterdir()}
-    assert names == {*sum(pictures, ()), "cameras.json", "render.json", "target.ply", "target_200.ply"}
+    assert names == {
+        *sum(pictures, ()),
+        "cameras.json",
+        "render.json",
+        "target.ply",
+        "target_200.ply",
+    }
     document = json.loads((tmp_path / "out/c/cameras.json").read_text())
     assert [(view["image"], view["mask"]) for view in document["views"]] == pictures
 
@@ -60,7 +76,10 @@ def test_an_object_depends_on_the_seed_and_not_on_the_others(meshes, tmp_path):
     render_folder(meshes, tmp_path / "two", FAST, seed=1)
     render_folder(meshes, tmp_path / "other", FAST, seed=2)
     assert contents(tmp_path / "all/chair") == contents(tmp_path / "two/chair")
-    assert contents(tmp_path / "all/chair")["a/target.ply"] != contents(tmp_path / "other/chair")["a/target.ply"]
+    assert (
+        contents(tmp_path / "all/chair")["a/target.ply"]
+        != contents(tmp_path / "other/chair")["a/target.ply"]
+    )
 
 
 def test_an_interrupted_run_leaves_only_whole_objects_and_resumes(meshes, tmp_path, monkeypatch):
@@ -70,14 +89,16 @@ def test_an_interrupted_run_leaves_only_whole_objects_and_resumes(meshes, tmp_pa
         render_folder(meshes, tmp_path / "out", FAST)
     assert {name.split("/")[0] for name in contents(tmp_path / "out")} == {"c"}
     summary = render_folder(meshes, tmp_path / "out", FAST)
-    assert summary.skipped == ["c"] and summary.written == ["chair/a", "chair/b"]
+    assert summary.skipped == ["c"]
+    assert summary.written == ["chair/a", "chair/b"]
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
 
 
 def test_a_terminated_command_cleans_up_as_after_ctrl_c(tso_render, meshes, tmp_path, monkeypatch):
     at_tenth_picture(monkeypatch, lambda: signal.raise_signal(signal.SIGTERM))
     stopped = tso_render(meshes, tmp_path / "out", *WORDS)
-    assert stopped.code == 130 and stopped.err.splitlines()[-1] == "tso: error: interrupted"
+    assert stopped.code == 130
+    assert stopped.err.splitlines()[-1] == "tso: error: interrupted"
     assert hidden(tmp_path / "out") == []
 
 
@@ -105,14 +126,25 @@ def test_what_a_killed_run_left_is_removed_and_what_it_was_replacing_is_put_back
         (unfinished / "new").mkdir(exist_ok=True)
         (unfinished / f"new/00{number}.png").write_bytes(b"half")
     assert len(render_folder(meshes, out, FAST).skipped) == 3
-    assert contents(out) == before and hidden(out) == []
+    assert contents(out) == before
+    assert hidden(out) == []
 
 
 def test_two_processes_do_not_write_one_folder(meshes, tmp_path):
-    command = [sys.executable, "-m", "tso_cli", "render", str(meshes), "-o", str(tmp_path / "out"), *map(str, WORDS)]
+    command = [
+        sys.executable,
+        "-m",
+        "tso_cli",
+        "render",
+        str(meshes),
+        "-o",
+        str(tmp_path / "out"),
+        *map(str, WORDS),
+    ]
     with writing(tmp_path / "out"):
         second = subprocess.run(command, capture_output=True, text=True)
-    assert second.returncode == 2 and "another process is writing it" in second.stderr
+    assert second.returncode == 2
+    assert "another process is writing it" in second.stderr
     assert list(tmp_path.glob("*out*")) == []
 
 
@@ -120,17 +152,22 @@ def test_a_folder_of_other_settings_is_only_changed_with_overwrite(meshes, tmp_p
     out = tmp_path / "out"
     render_folder(meshes, out, FAST)
     before = contents(out)
-    assert_refused(r"views 3, now it is 2.*--overwrite", render_folder, meshes, out, replace(FAST, views=2))
+    assert_refused(
+        r"views 3, now it is 2.*--overwrite", render_folder, meshes, out, replace(FAST, views=2)
+    )
     assert contents(out) == before
     assert len(render_folder(meshes, out, replace(FAST, views=2), overwrite=True).written) == 3
-    assert set(contents(out)) == {name for name in before if "/002." not in name} and hidden(out) == []
+    assert set(contents(out)) == {name for name in before if "/002." not in name}
+    assert hidden(out) == []
 
 
 def test_a_folder_of_something_else_is_never_replaced(meshes, tmp_path):
     (tmp_path / "out/c").mkdir(parents=True)
     (tmp_path / "out/c/thesis.tex").write_text("years of work")
     for overwrite in (False, True):
-        assert_refused("not an object", render_folder, meshes, tmp_path / "out", FAST, overwrite=overwrite)
+        assert_refused(
+            "not an object", render_folder, meshes, tmp_path / "out", FAST, overwrite=overwrite
+        )
     assert contents(tmp_path / "out") == {"c/thesis.tex": b"years of work"}
 
 
@@ -138,11 +175,14 @@ def test_a_bad_mesh_is_named_and_the_others_are_rendered(tso_render, meshes, tmp
     (meshes / "chair/broken.ply").write_text("ply\n")
     summary = render_folder(meshes, tmp_path / "out", FAST)
     assert len(summary.written) == 3
-    assert list(summary.failed) == ["chair/broken"] and "broken.ply" in summary.failed["chair/broken"]
+    assert list(summary.failed) == ["chair/broken"]
+    assert "broken.ply" in summary.failed["chair/broken"]
     assert not (tmp_path / "out/chair/broken").exists()
     again = tso_render(meshes, tmp_path / "out", *WORDS)
     assert again.code == 2
-    assert all(words in again.err for words in ("1 mesh", "broken.ply", "3 rendered before, skipped"))
+    assert all(
+        words in again.err for words in ("1 mesh", "broken.ply", "3 rendered before, skipped")
+    )
 
 
 def test_a_bad_mesh_alone_or_a_bad_output_is_an_error_and_writes_nothing(meshes, tmp_path):
@@ -167,25 +207,37 @@ def test_names_that_would_collide_are_refused(meshes, tmp_path):
 
 def test_the_output_may_lie_inside_the_source(meshes):
     first, again = (render_folder(meshes, meshes / "out", FAST) for _ in range(2))
-    assert again.skipped == first.written and not again.written
+    assert again.skipped == first.written
+    assert not again.written
 
 
-def test_the_command_prints_one_json_document_writes_a_data_set_and_refuses_an_unreadable_size(tso_render, meshes, tmp_path):
+def test_the_command_prints_one_json_document_writes_a_data_set_and_refuses_an_unreadable_size(
+    tso_render, meshes, tmp_path
+):
     assert "128x96" in tso_render(meshes, tmp_path / "out", "--size", "wide").refusal
     done = tso_render(meshes, tmp_path / "out", *WORDS, "--size", "32x24", "--seed", 5, "--json")
     assert "warning" not in done.err
-    assert (done.document["written"], done.document["settings"]["size"]) == (["c", "chair/a", "chair/b"], [32, 24])
+    assert (done.document["written"], done.document["settings"]["size"]) == (
+        ["c", "chair/a", "chair/b"],
+        [32, 24],
+    )
     data = open_rendered(tmp_path / "out")
     assert [item.target().shape for item in data.objects if item.target] == [(50, 3)] * 3
     assert data.objects[0].views[0].load()[0].shape == (24, 32, 3)
 
 
 def test_the_command_looks_from_the_directions_that_were_asked_for(tso_render, meshes, tmp_path):
-    assert tso_render(meshes, tmp_path / "out", *WORDS, "--azimuth", 80, 100, "--elevation", 10, 20).code == 0
+    assert (
+        tso_render(
+            meshes, tmp_path / "out", *WORDS, "--azimuth", 80, 100, "--elevation", 10, 20
+        ).code
+        == 0
+    )
     files = list((tmp_path / "out").rglob("cameras.json"))
     assert len(files) == 3
     for file in files:
         for view in json.loads(file.read_text())["views"]:
             R, t = np.array(view["R"]), np.array(view["t"])
             x, y, z = -R.T @ t / np.linalg.norm(t)
-            assert 79.9 <= np.degrees(np.arctan2(x, z)) <= 100.1 and 9.9 <= np.degrees(np.arcsin(y)) <= 20.1
+            assert 79.9 <= np.degrees(np.arctan2(x, z)) <= 100.1
+            assert 9.9 <= np.degrees(np.arcsin(y)) <= 20.1

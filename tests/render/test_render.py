@@ -33,8 +33,12 @@ def test_the_camera_in_front_is_the_canonical_one():
         np.testing.assert_allclose(getattr(camera, name), getattr(canonical, name), atol=1e-15)
 
 
-@pytest.mark.parametrize(("azimuth", "elevation"), [(0, 0), (90, 0), (-40, 30), (200, -80), (10, 90)])
-def test_the_camera_stands_where_azimuth_and_elevation_say_and_looks_at_the_origin(azimuth, elevation):
+@pytest.mark.parametrize(
+    ("azimuth", "elevation"), [(0, 0), (90, 0), (-40, 30), (200, -80), (10, 90)]
+)
+def test_the_camera_stands_where_azimuth_and_elevation_say_and_looks_at_the_origin(
+    azimuth, elevation
+):
     camera = render.look_at(azimuth, elevation, 3.0, (40, 30))
     a, e = np.radians([azimuth, elevation])
     position = 3.0 * np.array([np.cos(e) * np.sin(a), np.sin(e), np.cos(e) * np.cos(a)])
@@ -44,7 +48,8 @@ def test_the_camera_stands_where_azimuth_and_elevation_say_and_looks_at_the_orig
     assert depth[0] == pytest.approx(3.0)
     assert np.linalg.det(camera.R) == pytest.approx(1.0)
     if abs(elevation) < 90:
-        assert pixels[1, 0] == pytest.approx(19.5) and pixels[1, 1] < 14.5
+        assert pixels[1, 0] == pytest.approx(19.5)
+        assert pixels[1, 1] < 14.5
 
 
 @pytest.mark.parametrize("size", [(64, 64), (96, 40), (30, 80)])
@@ -64,8 +69,10 @@ def test_cameras_are_drawn_from_the_ranges():
     cameras = sample_cameras(settings, box().vertices, np.random.default_rng(1))
     x, y, z = np.array([camera.position / camera.t[2] for camera in cameras]).T
     azimuth, elevation = np.degrees(np.arctan2(x, z)), np.degrees(np.arcsin(y))
-    assert 30 <= azimuth.min() < 32 and 58 < azimuth.max() <= 60
-    assert -5 <= elevation.min() < -2 and 37 < elevation.max() <= 40
+    assert 30 <= azimuth.min() < 32
+    assert 58 < azimuth.max() <= 60
+    assert -5 <= elevation.min() < -2
+    assert 37 < elevation.max() <= 40
 
 
 @pytest.mark.parametrize(
@@ -89,7 +96,9 @@ def test_impossible_settings_are_refused(change, words):
 def test_the_mask_of_a_cube_from_the_front_is_its_projected_front_face(focal):
     view = render_view(RayScene(box()), render.look_at(0.0, 0.0, 2.0, (64, 48), focal))
     half = focal * 0.5 / 1.5  # the front face, at depth 1.5
-    rows, columns = (np.clip(half + 0.5 - np.abs(np.arange(n) - (n - 1) / 2), 0.0, 1.0) for n in (48, 64))
+    rows, columns = (
+        np.clip(half + 0.5 - np.abs(np.arange(n) - (n - 1) / 2), 0.0, 1.0) for n in (48, 64)
+    )
     np.testing.assert_array_equal(view.mask > 0, np.outer(rows, columns) > 0.5)
     assert set(np.unique(view.mask)) == {0, 255}
 
@@ -99,7 +108,9 @@ def test_the_area_of_a_sphere_is_that_of_its_outline():
 
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.5)
     camera = render.look_at(70.0, 25.0, 2.0, (128, 128), 200.0)
-    view = render_view(RayScene(Mesh(np.array(ball.vertices), np.array(ball.faces, dtype=np.int64))), camera)
+    view = render_view(
+        RayScene(Mesh(np.array(ball.vertices), np.array(ball.faces, dtype=np.int64))), camera
+    )
     radius = 200.0 * 0.5 / np.sqrt(2.0**2 - 0.5**2)  # the tangent cone, cut by the image plane
     assert (view.mask > 0).sum() == pytest.approx(np.pi * radius**2, rel=0.01)
     np.testing.assert_allclose(ndimage.center_of_mass(view.mask), [63.5, 63.5], atol=0.05)
@@ -112,9 +123,17 @@ def test_mask_and_projected_surface_agree_for_any_camera(model):
     points = sample_surface(mesh.vertices, mesh.faces, 4000, rng)
     K = np.array([[75.0, 6.0, 47.3], [0.0, 60.0, 32.1], [0.0, 0.0, 1.0]])
     for _ in range(5):
-        camera = replace(render.look_at(rng.uniform(0, 360), rng.uniform(-40, 60), 2.5, (90, 70)), K=K, model=model)
+        camera = replace(
+            render.look_at(rng.uniform(0, 360), rng.uniform(-40, 60), 2.5, (90, 70)),
+            K=K,
+            model=model,
+        )
         if model == "orthographic":  # the object straddles the camera's plane
-            camera = replace(camera, K=K * [[0.5, 0.5, 1], [0.5, 0.5, 1], [1, 1, 1]], t=np.array([0.1, 0.05, 0.0]))
+            camera = replace(
+                camera,
+                K=K * [[0.5, 0.5, 1], [0.5, 0.5, 1], [1, 1, 1]],
+                t=np.array([0.1, 0.05, 0.0]),
+            )
         mask = render_view(RayScene(mesh), camera).mask
         pixels, _ = camera.project(points)
         assert near(mask, pixels).mean() > 0.99
@@ -124,17 +143,25 @@ def test_mask_and_projected_surface_agree_for_any_camera(model):
 
 def test_nearer_parts_hide_those_behind():
     mesh = joined(box((0.4, 0.4, 0.1), (0, 0, 0.3)), box((1, 1, 0.1), (0, 0, -0.3)))
-    scene = RayScene(replace(mesh, colours=np.repeat(np.uint8([[255, 0, 0], [0, 0, 255]]), 12, axis=0)))
-    front, back = (render_view(scene, render.look_at(azimuth, 0.0, 3.0, (33, 33), 40.0)).image for azimuth in (0.0, 180.0))
-    assert front[16, 16, 0] > 50 and front[16, 16, 2] == 0
-    assert back[16, 16, 2] > 50 and back[16, 16, 0] == 0
+    scene = RayScene(
+        replace(mesh, colours=np.repeat(np.uint8([[255, 0, 0], [0, 0, 255]]), 12, axis=0))
+    )
+    front, back = (
+        render_view(scene, render.look_at(azimuth, 0.0, 3.0, (33, 33), 40.0)).image
+        for azimuth in (0.0, 180.0)
+    )
+    assert front[16, 16, 0] > 50
+    assert front[16, 16, 2] == 0
+    assert back[16, 16, 2] > 50
+    assert back[16, 16, 0] == 0
     assert (front[0, 0] == 255).all()
 
 
 def test_an_object_out_of_sight_gives_an_empty_mask_on_white_and_one_around_the_camera_a_full_mask():
     camera, scene = render.look_at(0.0, 0.0, 2.0, (20, 20), 10.0), RayScene(box())
     view = render_view(scene, replace(camera, t=np.array([50.0, 0.0, 2.0])))
-    assert not view.mask.any() and (view.image == 255).all()
+    assert not view.mask.any()
+    assert (view.image == 255).all()
     assert render_view(scene, replace(camera, t=np.zeros(3))).mask.all()
 
 
@@ -149,14 +176,17 @@ def test_a_large_picture_is_cast_in_pieces_that_fit_together(monkeypatch):
 
     monkeypatch.setattr(rays, "RAYS_AT_ONCE", 10_000)
     pieces = render_view(Counted(stool()), camera)
-    assert len(calls) > 1 and max(calls) <= 10_000
+    assert len(calls) > 1
+    assert max(calls) <= 10_000
     np.testing.assert_array_equal(whole.image, pieces.image)
     np.testing.assert_array_equal(whole.mask, pieces.mask)
 
 
 def test_without_open3d_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(TsoError, match=r"^.*tso-cli\[render\].*libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1\Z"):
+    with pytest.raises(
+        TsoError, match=r"^.*tso-cli\[render\].*libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1\Z"
+    ):
         RayScene(box())
 
 
@@ -170,11 +200,20 @@ def test_a_rendered_mesh_lies_inside_its_pictures_with_its_target():
     kept = rendered.samples[farthest_point_sample(rendered.samples, 50)]
     np.testing.assert_allclose(np.sort(rendered.target, axis=0), np.sort(kept, axis=0), atol=1e-6)
     for view in rendered.views:
-        assert view.mask.any() and not view.mask[[0, -1]].any() and not view.mask[:, [0, -1]].any()
-        assert near(view.mask, view.camera.project(rendered.target.astype(np.float64))[0]).mean() > 0.99
+        assert view.mask.any()
+        assert not view.mask[[0, -1]].any()
+        assert not view.mask[:, [0, -1]].any()
+        assert (
+            near(view.mask, view.camera.project(rendered.target.astype(np.float64))[0]).mean()
+            > 0.99
+        )
 
 
 def test_a_mesh_is_centred_and_scaled_without_its_unused_vertices():
     mesh = box((2.0, 4.0, 1.0), (1e6, -5.0, 3.0))
-    vertices = render.normalise(Mesh(np.vstack([[1e9, 0, 0], mesh.vertices]), mesh.faces + 1)).vertices
-    np.testing.assert_allclose([-vertices.min(axis=0), vertices.max(axis=0)], [[0.25, 0.5, 0.125]] * 2, atol=1e-9)
+    vertices = render.normalise(
+        Mesh(np.vstack([[1e9, 0, 0], mesh.vertices]), mesh.faces + 1)
+    ).vertices
+    np.testing.assert_allclose(
+        [-vertices.min(axis=0), vertices.max(axis=0)], [[0.25, 0.5, 0.125]] * 2, atol=1e-9
+    )

@@ -55,7 +55,9 @@ def edited(path, change):
     text = json.dumps(header).encode()
     text += b" " * (-len(text) % 4)
     total = (20 + len(text) + len(content) - end).to_bytes(4, "little")
-    path.write_bytes(content[:8] + total + len(text).to_bytes(4, "little") + b"JSON" + text + content[end:])
+    path.write_bytes(
+        content[:8] + total + len(text).to_bytes(4, "little") + b"JSON" + text + content[end:]
+    )
     return path
 
 
@@ -63,7 +65,9 @@ def unlit(mesh, size=60):
     """The front of a mesh whose texture fills it: colours without the light, [size, size, 3]."""
     camera = render.look_at(0.0, 0.0, 2.0, (size, size), 1.6 * size)
     white = Mesh(mesh.vertices, mesh.faces, np.full((len(mesh.faces), 3), 255, np.uint8))
-    image, light = (render_view(RayScene(each), camera).image.astype(float) for each in (mesh, white))
+    image, light = (
+        render_view(RayScene(each), camera).image.astype(float) for each in (mesh, white)
+    )
     return image / light[..., :1] * 255.0
 
 
@@ -116,9 +120,13 @@ def test_texture_coordinates_just_below_the_border_stay_in_the_picture():
 
 
 def test_the_base_colour_of_a_glb_multiplies_its_texture_and_kd_of_an_obj_does_not(tmp_path):
-    material = PBRMaterial(baseColorTexture=filled((200, 200, 200)), baseColorFactor=[0.5, 1.0, 0.2, 1.0])
+    material = PBRMaterial(
+        baseColorTexture=filled((200, 200, 200)), baseColorFactor=[0.5, 1.0, 0.2, 1.0]
+    )
     square(material).export(tmp_path / "a.glb")
-    assert read_mesh(tmp_path / "a.glb").textures[0].pixels[0, 0] == pytest.approx([100, 200, 40], abs=1)
+    assert read_mesh(tmp_path / "a.glb").textures[0].pixels[0, 0] == pytest.approx(
+        [100, 200, 40], abs=1
+    )
     # Writers put anything there: trimesh a grey.
     np.testing.assert_array_equal(read_mesh(saved(tmp_path / "a.obj")).textures[0].pixels, CHECKS)
 
@@ -126,7 +134,9 @@ def test_the_base_colour_of_a_glb_multiplies_its_texture_and_kd_of_an_obj_does_n
 def test_each_part_of_a_scene_has_its_texture_wherever_it_stands(tmp_path):
     scene = trimesh.Scene()
     red, green = (PBRMaterial(baseColorTexture=filled(c), name=str(c)) for c in (RED, GREEN))
-    plain = trimesh.Trimesh(square(red).vertices, square(red).faces, process=False, face_colors=[*BLUE, 255])
+    plain = trimesh.Trimesh(
+        square(red).vertices, square(red).faces, process=False, face_colors=[*BLUE, 255]
+    )
 
     def moved(x, scale=1.0):
         matrix = np.diag([scale, 1.0, 1.0, 1.0])
@@ -150,7 +160,9 @@ def test_materials_of_an_obj_have_their_textures_or_their_plain_colour(tmp_path)
     (tmp_path / "maps").mkdir()
     filled(RED).save(tmp_path / "maps" / "red.png")
     materials = "newmtl one\nmap_Kd maps\\red.png\nnewmtl two\nKd 0 1 0\n"
-    mesh = read_mesh(parts(tmp_path, materials, "usemtl two\nf 2/1 3/2 4/3\nusemtl one\nf 1/1 2/2 3/3\n"))
+    mesh = read_mesh(
+        parts(tmp_path, materials, "usemtl two\nf 2/1 3/2 4/3\nusemtl one\nf 1/1 2/2 3/3\n")
+    )
     (texture,) = mesh.textures
     assert texture.pixels[0, 0].tolist() == list(RED)
     assert mesh.vertices[mesh.faces[texture.faces]].max() == 1
@@ -166,10 +178,17 @@ def test_options_of_a_texture_are_ignored(tmp_path):
 def test_grey_palette_and_transparent_textures_are_read_as_colours(tmp_path):
     saved(tmp_path / "a.obj")
     grey = np.array([[0, 90], [180, 255]], np.uint8)
-    arrays = Image.fromarray(grey).convert("P"), grey, np.dstack([grey] * 4), grey.astype(np.uint16) * 257
+    arrays = (
+        Image.fromarray(grey).convert("P"),
+        grey,
+        np.dstack([grey] * 4),
+        grey.astype(np.uint16) * 257,
+    )
     for image in (arrays[0], *map(Image.fromarray, arrays[1:])):
         image.save(tmp_path / "material_0.png")
-        np.testing.assert_array_equal(read_mesh(tmp_path / "a.obj").textures[0].pixels, np.dstack([grey] * 3))
+        np.testing.assert_array_equal(
+            read_mesh(tmp_path / "a.obj").textures[0].pixels, np.dstack([grey] * 3)
+        )
 
 
 def test_a_normalised_or_warped_mesh_keeps_its_texture_and_a_painted_one_does_not(tmp_path):
@@ -177,7 +196,9 @@ def test_a_normalised_or_warped_mesh_keeps_its_texture_and_a_painted_one_does_no
     mesh = Mesh(np.vstack([[9, 9, 9], mesh.vertices]), mesh.faces + 1, mesh.colours, mesh.textures)
     textured, plain = (unlit(render.normalise(each)) for each in (mesh, replace(mesh, textures=())))
     assert np.abs(textured - plain).max() > 50
-    np.testing.assert_array_equal(warp(render.normalise(mesh), np.random.default_rng(0)).textures, mesh.textures)
+    np.testing.assert_array_equal(
+        warp(render.normalise(mesh), np.random.default_rng(0)).textures, mesh.textures
+    )
     assert paint(mesh, np.random.default_rng(0)).textures == ()
 
 
@@ -189,12 +210,17 @@ def warned(path):
     with pytest.warns(UserWarning, match="the material's colour stands in") as caught:
         mesh = read_mesh(path)
     (message,) = [str(warning.message) for warning in caught]
-    assert "\n" not in message and message.startswith(f"{path}: ")
+    assert "\n" not in message
+    assert message.startswith(f"{path}: ")
     return mesh, message
 
 
 PROGRAM = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n(x) run\n"
-URIS = {"glb, missing": "wood.png", "glb, on the web": "http://localhost/wood.png", "glb, inline": "data:;base64,aGVsbG8="}
+URIS = {
+    "glb, missing": "wood.png",
+    "glb, on the web": "http://localhost/wood.png",
+    "glb, inline": "data:;base64,aGVsbG8=",
+}
 # What the warning says.
 BROKEN = {
     "obj, missing": "the texture 'material_0.png' is not in this folder or below",
@@ -233,29 +259,39 @@ def broken(kind, folder):
 
 
 @pytest.mark.parametrize("kind", BROKEN)
-def test_a_texture_that_cannot_be_used_gives_one_warning_and_the_colour_of_the_material(tmp_path, kind, monkeypatch):
+def test_a_texture_that_cannot_be_used_gives_one_warning_and_the_colour_of_the_material(
+    tmp_path, kind, monkeypatch
+):
     def refuse(*_, **__):
         raise AssertionError("a connection was opened")
 
     path, programs = broken(kind, tmp_path), []
-    monkeypatch.setattr(EpsImagePlugin, "Ghostscript", lambda *_, **__: programs.append("a program was run"))
+    monkeypatch.setattr(
+        EpsImagePlugin, "Ghostscript", lambda *_, **__: programs.append("a program was run")
+    )
     monkeypatch.setattr(socket, "socket", refuse)
     monkeypatch.setattr(socket, "create_connection", refuse)
     mesh, message = warned(path)
-    assert BROKEN[kind] in message and programs == []
-    assert mesh.textures == () and mesh.colours is not None
+    assert BROKEN[kind] in message
+    assert programs == []
+    assert mesh.textures == ()
+    assert mesh.colours is not None
     if kind.startswith("obj"):
         assert np.abs(mesh.colours.astype(int) - [90, 60, 30]).max() <= 1
 
 
-def test_a_texture_beside_the_folder_of_the_mesh_is_read_where_the_folder_above_is_rendered(tmp_path):
+def test_a_texture_beside_the_folder_of_the_mesh_is_read_where_the_folder_above_is_rendered(
+    tmp_path,
+):
     """As ShapeNetCore v2 has them: ID/models/model_normalized.obj, ID/images/texture0.png."""
     source, output = tmp_path / "in", tmp_path / "out"
     source.mkdir()
     path = broken("obj, elsewhere", source)
     assert read_mesh(path, within=source).textures
     assert not warned(path)[0].textures
-    assert render_folder(source, output, RenderSettings(views=1, size=(32, 32))).written == ["inner/a"]
+    assert render_folder(source, output, RenderSettings(views=1, size=(32, 32))).written == [
+        "inner/a"
+    ]
     colours = read_image(output / "inner" / "a" / "000.png")[..., :3]
     assert len(np.unique(colours.reshape(-1, 3), axis=0)) > 2
     assert np.ptp(colours.astype(int), axis=2).max() > 50
@@ -292,4 +328,5 @@ def test_a_missing_texture_is_warned_of_once_for_a_mesh_and_its_copies(tmp_path)
     settings = RenderSettings(views=1, size=(16, 16), samples=60, points=20, copies=2)
     with pytest.warns(UserWarning, match="material_0.png") as caught:
         summary = render_folder(tmp_path / "in", tmp_path / "out", settings)
-    assert summary.written == ["a", "a~0001", "a~0002"] and len(caught) == 1
+    assert summary.written == ["a", "a~0001", "a~0002"]
+    assert len(caught) == 1

@@ -42,9 +42,13 @@ def test_a_symmetric_shape_keeps_a_mirror_plane_when_warped():
         return points[np.lexsort(points.round(9).T)]
 
     for seed in range(20):
-        warped = warp(Mesh(cloud, np.zeros((1, 3), dtype=np.int64)), np.random.default_rng(seed)).vertices
+        warped = warp(
+            Mesh(cloud, np.zeros((1, 3), dtype=np.int64)), np.random.default_rng(seed)
+        ).vertices
         mirrored = [sorted_points(warped * mirror) for mirror in ([-1, 1, 1], [1, 1, -1])]
-        assert sum(np.allclose(sorted_points(warped), points, atol=1e-8) for points in mirrored) == 1
+        assert (
+            sum(np.allclose(sorted_points(warped), points, atol=1e-8) for points in mirrored) == 1
+        )
 
 
 def test_faces_that_share_a_vertex_are_connected():
@@ -66,12 +70,28 @@ def test_paint_gives_each_part_one_colour_and_leaves_the_shape():
 def test_copies_are_rendered_beside_the_meshes_of_a_split(tso_render, tmp_path):
     split, out = tmp_path / "split.json", tmp_path / "out"
     words = "--views", 1, "--samples", 256, "--points", 64, "--split", split
-    split.write_text(json.dumps({"train": ["kfurn_chair"], "validation": ["q17_Chair"], "test": []}))
+    split.write_text(
+        json.dumps({"train": ["kfurn_chair"], "validation": ["q17_Chair"], "test": []})
+    )
     assert tso_render(CHAIR.parent, out, *words, "--copies", 2, "--paint").code == 0
-    assert sorted(path.name for path in out.iterdir()) == ["kfurn_chair", "kfurn_chair~0001", "kfurn_chair~0002"]
-    assert len({(out / name / "target.ply").read_bytes() for name in ("kfurn_chair", "kfurn_chair~0001")}) == 2
+    assert sorted(path.name for path in out.iterdir()) == [
+        "kfurn_chair",
+        "kfurn_chair~0001",
+        "kfurn_chair~0002",
+    ]
+    assert (
+        len(
+            {
+                (out / name / "target.ply").read_bytes()
+                for name in ("kfurn_chair", "kfurn_chair~0001")
+            }
+        )
+        == 2
+    )
     # More copies may follow.
-    assert "3 rendered before" in tso_render(CHAIR.parent, out, *words, "--copies", 3, "--paint").err
+    assert (
+        "3 rendered before" in tso_render(CHAIR.parent, out, *words, "--copies", 3, "--paint").err
+    )
 
 
 @pytest.mark.parametrize(
@@ -84,15 +104,31 @@ def test_copies_are_rendered_beside_the_meshes_of_a_split(tso_render, tmp_path):
 )
 def test_a_split_that_cannot_be_rendered_is_refused(tso_render, tmp_path, names, part, message):
     (tmp_path / "split.json").write_text(json.dumps({"train": names}))
-    assert message in tso_render(CHAIR.parent, tmp_path / "out", "--split", tmp_path / "split.json", "--part", part).refusal
+    assert (
+        message
+        in tso_render(
+            CHAIR.parent, tmp_path / "out", "--split", tmp_path / "split.json", "--part", part
+        ).refusal
+    )
 
 
 def test_a_split_includes_the_copies_of_its_objects_and_names_no_missing_ones():
     def item(name):
         return ObjectItem(name, "chair", [], None)
 
-    data = Dataset([item("chair/a"), item(copied("chair/a", 3)), item("chair/b")], "chairs", {"chair/c": "no image"})
+    data = Dataset(
+        [item("chair/a"), item(copied("chair/a", 3)), item("chair/b")],
+        "chairs",
+        {"chair/c": "no image"},
+    )
     assert original(copied("chair/a", 3)) == "chair/a"
-    assert [chosen.name for chosen in data.select(["chair/a", "chair/c"], "split.json").objects] == ["chair/a", "chair/a~0003"]
-    assert_refused(r"split.json: names chair/d, expected objects of chairs", data.select, ["chair/a", "chair/d"], "split.json")
+    assert [
+        chosen.name for chosen in data.select(["chair/a", "chair/c"], "split.json").objects
+    ] == ["chair/a", "chair/a~0003"]
+    assert_refused(
+        r"split.json: names chair/d, expected objects of chairs",
+        data.select,
+        ["chair/a", "chair/d"],
+        "split.json",
+    )
     assert_refused("names no object that can be used", data.select, ["chair/c"], "split.json")

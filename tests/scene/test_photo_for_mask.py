@@ -24,7 +24,8 @@ def test_a_photo_in_place_of_its_mask_is_told_beside_a_right_one_too(name, inver
     camera = EXAMPLES / name / "camera.json"
     with pytest.warns(UserWarning, match=r"image.png: looks like a photo") as told:
         views = [load_views(ViewFiles([file], camera, invert=invert))[0][0] for file in files]
-    assert len(told) == 1 and [view.like_photo for view in views] == [False, True]
+    assert len(told) == 1
+    assert [view.like_photo for view in views] == [False, True]
 
 
 def test_a_large_photo_is_told(tmp_path):
@@ -60,4 +61,5 @@ def test_what_the_ignore_map_leaves_out_may_be_grey():
     mask = np.where(example("chair").mask > 0.5, 1.0, 0.0)
     known = np.ones(mask.shape, bool)
     mask[:, :90], known[:, :90] = 0.4, False
-    assert like_photo(mask) and not like_photo(mask, known)
+    assert like_photo(mask)
+    assert not like_photo(mask, known)

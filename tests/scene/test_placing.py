@@ -19,7 +19,8 @@ def test_a_cloud_placed_in_front_fills_the_box_of_the_mask(cloud, focal):
     view = View(block(np.s_[30:52, 10:32]), Camera(K, np.eye(3), np.zeros(3), 64, 64))
     placed = place_in_front(cloud, view)
     pixels, depth = placed.project(cloud)
-    assert np.ptp(pixels, axis=0).max() + 1.0 == pytest.approx(22.0, abs=1e-3) and depth.min() > 0.0
+    assert np.ptp(pixels, axis=0).max() + 1.0 == pytest.approx(22.0, abs=1e-3)
+    assert depth.min() > 0.0
     np.testing.assert_allclose((pixels.min(0) + pixels.max(0)) / 2, [20.5, 40.5], atol=1e-3)
 
 
@@ -45,7 +46,9 @@ def test_alignment_is_not_misled_by_one_stray_point_as_the_box_is(cloud):
     boxed = place_in_front(stray, view)
     aligned = align_silhouette(stray, replace(view, camera=boxed), steps=100)
     assert boxed.t[2] > 2.2
-    assert (np.abs(aligned.t - CANONICAL.t)[[0, 2]] < 0.2 * np.abs(boxed.t - CANONICAL.t)[[0, 2]]).all()
+    assert (
+        np.abs(aligned.t - CANONICAL.t)[[0, 2]] < 0.2 * np.abs(boxed.t - CANONICAL.t)[[0, 2]]
+    ).all()
 
 
 def test_alignment_never_ends_at_a_worse_place_than_it_began(cloud, monkeypatch):
@@ -59,5 +62,7 @@ def test_alignment_heeds_no_ignored_pixel(cloud):
     view, known = seen(cloud, CANONICAL), block(np.s_[:, :52]) > 0.0
     expected = align_silhouette(cloud, replace(view, known=known)).t
     changed = np.where(known, view.mask, np.float32(1.0))
-    np.testing.assert_array_equal(align_silhouette(cloud, View(changed, CANONICAL, known)).t, expected)
+    np.testing.assert_array_equal(
+        align_silhouette(cloud, View(changed, CANONICAL, known)).t, expected
+    )
     assert not np.allclose(align_silhouette(cloud, View(changed, CANONICAL)).t, expected, atol=0.01)

@@ -21,12 +21,16 @@ def disc(size: int, radius: float) -> torch.Tensor:
 
 def _affinity(points: torch.Tensor, mask: torch.Tensor, form: str) -> torch.Tensor:
     valid = torch.ones(1, len(points), dtype=torch.bool)
-    return affinity(splat(points[None], valid, *mask.shape, SIGMA_SQ), mask[None], points[None], valid, form)[0]
+    return affinity(
+        splat(points[None], valid, *mask.shape, SIGMA_SQ), mask[None], points[None], valid, form
+    )[0]
 
 
 def test_points_outside_the_image_are_not_background():
     points = torch.tensor([[31.0, 31.0], [-20.0, 30.0]], dtype=torch.float64)
-    with_outside, without = (_affinity(some, disc(64, 12.0), "points").item() for some in (points, points[:1]))
+    with_outside, without = (
+        _affinity(some, disc(64, 12.0), "points").item() for some in (points, points[:1])
+    )
     assert with_outside == pytest.approx(without)
 
 
@@ -39,7 +43,9 @@ def test_the_printed_affinity_of_a_batch_is_that_of_each_image():
     sums = splat(points, valid, 18, 20, SIGMA_SQ)
     values = affinity(sums, masks, points, valid, "paper")
     for i in range(3):
-        assert values[i].item() == pytest.approx(oracles.affinity_paper(torch.tanh(sums[i]), masks[i]).item(), rel=1e-9)
+        assert values[i].item() == pytest.approx(
+            oracles.affinity_paper(torch.tanh(sums[i]), masks[i]).item(), rel=1e-9
+        )
     assert values[3].item() == pytest.approx(0.0, abs=1e-9)
 
 
@@ -58,22 +64,31 @@ def test_a_stray_point_is_attracted_by_the_mask_and_a_covered_mask_costs_nothing
     mask = disc(32, 6.0)
     covering = np.argwhere(mask.numpy())[:, ::-1].astype(float)
     value, gradient = by_autograd(lambda p: _affinity(p, mask, "points"), covering)
-    assert value == 0.0 and not gradient.any()
+    assert value == 0.0
+    assert not gradient.any()
     stray = np.concatenate([covering, [[3.0, 16.0]]])
     _, gradient = by_autograd(lambda p: _affinity(p, mask, "points"), stray)
-    assert gradient[-1, 0] < 0.0 and not gradient[:-1].any()
+    assert gradient[-1, 0] < 0.0
+    assert not gradient[:-1].any()
 
 
 @pytest.mark.parametrize("form", ["paper", "points"])
 def test_the_gradient_of_the_affinity_loss_is_that_of_finite_differences(form):
-    points = torch.tensor([[5.2, 5.1], [9.3, 2.2], [1.1, 8.7]], dtype=torch.float64, requires_grad=True)
+    points = torch.tensor(
+        [[5.2, 5.1], [9.3, 2.2], [1.1, 8.7]], dtype=torch.float64, requires_grad=True
+    )
     mask = disc(12, 3.0)
-    assert torch.autograd.gradcheck(lambda p: _affinity(p, mask, form), (points,), eps=1e-6, atol=1e-3, rtol=1e-4)
+    assert torch.autograd.gradcheck(
+        lambda p: _affinity(p, mask, form), (points,), eps=1e-6, atol=1e-3, rtol=1e-4
+    )
 
 
 def test_chamfer_is_that_of_all_pairs_and_its_gradient_that_of_finite_differences():
     generator = torch.Generator().manual_seed(5)
-    a, b = (torch.rand(2, n, 3, generator=generator, dtype=torch.float64, requires_grad=True) for n in (30, 20))
+    a, b = (
+        torch.rand(2, n, 3, generator=generator, dtype=torch.float64, requires_grad=True)
+        for n in (30, 20)
+    )
     expected = [torch.stack(oracles.chamfer(*pair)) for pair in zip(a, b, strict=True)]
     torch.testing.assert_close(torch.stack(chamfer(a, b), 1), torch.stack(expected))
     assert torch.autograd.gradcheck(lambda x, y: sum(chamfer(x, y)), (a, b), eps=1e-7, atol=1e-6)

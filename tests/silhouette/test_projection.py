@@ -14,11 +14,16 @@ from tso_cli.silhouette.projection import CameraBatch, project, silhouette_sums
 @pytest.fixture(params=["plain", "compiled"])
 def form(request, monkeypatch):
     """In plain torch, and as compiled loops."""
-    monkeypatch.setattr(tensors, "POINTS_WORTH_COMPILING", 0 if request.param == "compiled" else 1 << 60)
+    monkeypatch.setattr(
+        tensors, "POINTS_WORTH_COMPILING", 0 if request.param == "compiled" else 1 << 60
+    )
 
 
 def batch_of(*cameras: Camera) -> CameraBatch:
-    K, R, t = (torch.tensor(np.stack([getattr(camera, name) for camera in cameras])) for name in ("K", "R", "t"))
+    K, R, t = (
+        torch.tensor(np.stack([getattr(camera, name) for camera in cameras]))
+        for name in ("K", "R", "t")
+    )
     return CameraBatch(K, R, t, cameras[0].width, cameras[0].height)
 
 
@@ -33,10 +38,14 @@ def test_pixels_and_valid_points_are_those_of_numpy():
 
 @pytest.mark.usefixtures("form")
 def test_the_gradient_from_pixels_to_points_is_that_of_finite_differences():
-    points = torch.tensor(np.random.default_rng(2).uniform(-0.4, 0.4, (2, 6, 3)), requires_grad=True)
+    points = torch.tensor(
+        np.random.default_rng(2).uniform(-0.4, 0.4, (2, 6, 3)), requires_grad=True
+    )
     first, second = camera_of(), Camera.canonical(WIDTH, HEIGHT)
     batch = batch_of(first, Camera(first.K, second.R, second.t, WIDTH, HEIGHT))
-    weight = torch.randn(2, 2, HEIGHT, WIDTH, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    weight = torch.randn(
+        2, 2, HEIGHT, WIDTH, generator=torch.Generator().manual_seed(3), dtype=torch.float64
+    )
 
     def weighted(p):
         return torch.tanh(silhouette_sums(project(p, batch), batch, 0.8)).mul(weight).sum((2, 3))
@@ -47,16 +56,23 @@ def test_the_gradient_from_pixels_to_points_is_that_of_finite_differences():
 @pytest.mark.usefixtures("form")
 def test_points_at_or_behind_the_camera_are_marked_and_get_no_gradient():
     # The canonical camera stands at z = 2 and looks toward -z.
-    points = torch.tensor([[[0.0, 0.0, 0.0], [0.1, 0.1, 2.0], [0.1, 0.0, 5.0]]], dtype=torch.float64, requires_grad=True)
+    points = torch.tensor(
+        [[[0.0, 0.0, 0.0], [0.1, 0.1, 2.0], [0.1, 0.0, 5.0]]],
+        dtype=torch.float64,
+        requires_grad=True,
+    )
     batch = batch_of(Camera.canonical(64, 64))
     projected = project(points, batch)
     assert projected.valid.tolist() == [[[True, False, False]]]
     silhouette_sums(projected, batch, 0.4).square().sum().backward()
-    assert torch.isfinite(points.grad).all() and not points.grad[0, 1:].any()
+    assert torch.isfinite(points.grad).all()
+    assert not points.grad[0, 1:].any()
 
 
 def test_a_camera_that_moves_gets_its_gradient_too():
     points = torch.tensor(np.random.default_rng(4).uniform(-0.4, 0.4, (1, 5, 3)))
     batch = batch_of(camera_of())
     moving = [batch.K.requires_grad_(), batch.R.requires_grad_(), batch.t.requires_grad_()]
-    assert torch.autograd.gradcheck(lambda K, R, t: project(points, CameraBatch(K, R, t, 40, 30)).points_px, moving)
+    assert torch.autograd.gradcheck(
+        lambda K, R, t: project(points, CameraBatch(K, R, t, 40, 30)).points_px, moving
+    )

@@ -20,12 +20,19 @@ MASKS = ("--supervision", "masks", "--views", 2)
 
 
 def test_trains_on_a_folder_and_reports_it(tso_train, folder, tmp_path):
-    document = tso_train(folder, *MASKS, "--steps", 4, "--log-file", tmp_path / "log.jsonl", "--json").document
-    assert (document["steps"], document["stop_reason"], document["supervision"]) == (4, "max_steps", "masks")
+    document = tso_train(
+        folder, *MASKS, "--steps", 4, "--log-file", tmp_path / "log.jsonl", "--json"
+    ).document
+    assert (document["steps"], document["stop_reason"], document["supervision"]) == (
+        4,
+        "max_steps",
+        "masks",
+    )
     assert document["chamfer_training"]["chamfer"] > 0
     assert load_network(tmp_path / "base.safetensors")[1].settings["lambda"] == 1.0
     lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
-    assert lines[0]["settings"]["views"] == 2 and len(lines) == 5
+    assert lines[0]["settings"]["views"] == 2
+    assert len(lines) == 5
     assert list(lines[4]) == ["step", "loss", "bce", "affinity", "lambda"]
     names = sorted(path.name for path in tmp_path.iterdir())
     assert names == ["base.safetensors", "base.training.safetensors", "boxes", "log.jsonl"]
@@ -33,11 +40,21 @@ def test_trains_on_a_folder_and_reports_it(tso_train, folder, tmp_path):
 
 def test_joint_training_takes_each_data_set_by_its_own_split(tso_train, folder, tmp_path):
     for number in (0, 1):
-        (tmp_path / f"{number}.json").write_text(json.dumps({"train": [f"box{number}"], "validation": [], "test": []}))
-    splits = ("--split", tmp_path / "0.json", "--mask-data", folder, "--mask-split", tmp_path / "1.json")
+        (tmp_path / f"{number}.json").write_text(
+            json.dumps({"train": [f"box{number}"], "validation": [], "test": []})
+        )
+    splits = (
+        "--split",
+        tmp_path / "0.json",
+        "--mask-data",
+        folder,
+        "--mask-split",
+        tmp_path / "1.json",
+    )
     joint = ("--supervision", "joint", *splits)
     document = tso_train(folder, *joint, "--json").document
-    assert document["training_set"] == "boxes: 1 objects" and document["supervision"] == "joint"
+    assert document["training_set"] == "boxes: 1 objects"
+    assert document["supervision"] == "joint"
     assert load_network(tmp_path / "base.safetensors")[1].settings["views"] == 1
 
 
@@ -45,11 +62,21 @@ def test_objects_without_a_3d_file_train_masks_only_and_are_not_evaluated(tso_tr
     write_r2n2(tmp_path / "ShapeNetRendering", ("abc", "def"))
     write_clouds(tmp_path, "abc")
     document = tso_train(tmp_path, *MASKS, "--json").document
-    assert (document["objects"], document["chamfer_training"]["shapes"], document["left_out"]) == (2, 1, {})
-    assert document["not_judged"][f"{CHAIR}/def"].endswith("does not exist, expected the shape of this object")
+    assert (document["objects"], document["chamfer_training"]["shapes"], document["left_out"]) == (
+        2,
+        1,
+        {},
+    )
+    assert document["not_judged"][f"{CHAIR}/def"].endswith(
+        "does not exist, expected the shape of this object"
+    )
     points = tso_train(tmp_path, "--overwrite", "--json")
     document = points.document
-    assert (document["objects"], document["not_judged"], list(document["left_out"])) == (1, {}, [f"{CHAIR}/def"])
+    assert (document["objects"], document["not_judged"], list(document["left_out"])) == (
+        1,
+        {},
+        [f"{CHAIR}/def"],
+    )
     for said in (points.err, tso_train(tmp_path, "--overwrite", "--strict").refusal):
         assert "pcl_1024_fps_trimesh.npy: does not exist" in said
 
@@ -67,7 +94,9 @@ def test_a_damaged_3d_file_does_not_stop_training_by_masks(tso_train, tmp_path):
 
 
 def test_data_without_any_points_are_trained_on_by_masks_alone(tso_train, tmp_path, monkeypatch):
-    bare = TrainingData([replace(item, target=None) for item in make_objects(2)], "boxes without points")
+    bare = TrainingData(
+        [replace(item, target=None) for item in make_objects(2)], "boxes without points"
+    )
     monkeypatch.setattr("tso_cli.commands.training_data.load", lambda wanted, quiet: bare)
     assert "box0: has no points to learn from" in tso_train(tmp_path).refusal
     assert not (tmp_path / "base.safetensors").exists()
@@ -84,17 +113,27 @@ def test_a_split_may_name_absent_objects_of_categories_that_are_not_trained_on(t
     document = tso_train(*common, "--category", "box", "--json").document
     assert document["training_set"] == "data: 1 objects"
     assert list(document["left_out"]) == ["box/box1"]
-    for category, message in (("crate", "split.json: names crate/absent, expected"), ("tin", "has no category 'tin'")):
+    for category, message in (
+        ("crate", "split.json: names crate/absent, expected"),
+        ("tin", "has no category 'tin'"),
+    ):
         assert message in tso_train(*common, "--category", category, "--overwrite").refusal
     split.write_text(json.dumps({"test": ["box/box0"]}))
-    assert "split.json: has no list 'train', expected one beside 'test'" in tso_train(*common, "--overwrite").err
+    assert (
+        "split.json: has no list 'train', expected one beside 'test'"
+        in tso_train(*common, "--overwrite").err
+    )
 
 
 def test_distances_are_reported_with_their_scale(tso_train, folder, tmp_path):
     root = tmp_path / "r2n2"
     write_r2n2(root / "ShapeNetRendering")
     write_clouds(root, "abc")
-    cases = (folder, 0, "unit diagonal"), (root, 0.9, "longest side 1"), (root, 0, "units of the data set")
+    cases = (
+        (folder, 0, "unit diagonal"),
+        (root, 0.9, "longest side 1"),
+        (root, 0, "units of the data set"),
+    )
     for data, share, scale in cases:
         done = tso_train(data, "--crop-share", share, "--overwrite")
         assert f"mean over points, {scale}; N 32" in done.out
@@ -110,7 +149,8 @@ def test_a_resumed_run_keeps_its_saturation_window(tso_train, folder, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("step", "presses", "message"), [(2, 1, "interrupted after 2 of 4 steps"), (3, 2, "error: interrupted")]
+    ("step", "presses", "message"),
+    [(2, 1, "interrupted after 2 of 4 steps"), (3, 2, "error: interrupted")],
 )
 def test_ctrl_c_exits_with_130_and_the_last_checkpoint_is_resumed_bit_for_bit(
     tso_train, folder, tmp_path, monkeypatch, step, presses, message
@@ -128,10 +168,13 @@ def test_ctrl_c_exits_with_130_and_the_last_checkpoint_is_resumed_bit_for_bit(
     with monkeypatch.context() as patch:
         patch.setattr(options.ProgressBar, "__call__", press)
         interrupted = tso_train(folder, "--steps", 4, "--checkpoint-every", 2)
-    assert interrupted.code == 130 and message in interrupted.err
-    assert load_network(output)[1].steps == 2 and signal.getsignal(signal.SIGINT) is before
+    assert interrupted.code == 130
+    assert message in interrupted.err
+    assert load_network(output)[1].steps == 2
+    assert signal.getsignal(signal.SIGINT) is before
     resumed = tso_train(folder, "--steps", 4, "--resume")
-    assert resumed.code == 0 and "resuming after 2 steps" in resumed.err
+    assert resumed.code == 0
+    assert "resuming after 2 steps" in resumed.err
     assert output.read_bytes() == straight.read_bytes()
 
 
@@ -151,11 +194,16 @@ def test_ctrl_c_exits_with_130_and_the_last_checkpoint_is_resumed_bit_for_bit(
         (["boxes", "--views", 2], "--views is for --supervision masks, found points"),
         (["boxes", "--mask-split", "boxes"], "--mask-split is for --supervision joint"),
         (["boxes", "--lambda", 2], "--lambda is for --supervision masks or joint"),
-        (["boxes", *MASKS, "--category-sigma-sq", "crate=1"], "sigma^2 is given for 'crate', expected one of"),
+        (
+            ["boxes", *MASKS, "--category-sigma-sq", "crate=1"],
+            "sigma^2 is given for 'crate', expected one of",
+        ),
         (["boxes", "--log-file", "base.safetensors"], "expected a file of its own"),
     ],
 )
-def test_refuses_in_one_line_and_writes_nothing(tso_train, folder, tmp_path, monkeypatch, arguments, message):
+def test_refuses_in_one_line_and_writes_nothing(
+    tso_train, folder, tmp_path, monkeypatch, arguments, message
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there.safetensors").write_bytes(b"mine")
     before = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
@@ -168,4 +216,5 @@ def test_threads_that_prepare_batches_ahead_change_no_weight(tso_train, folder, 
     for name, workers in zip(names, (1, 3), strict=True):
         assert tso_train(folder, "--workers", workers, "-o", name).code == 0
     one, three = map(load_file, names)
-    assert one.keys() == three.keys() and all(torch.equal(one[key], three[key]) for key in one)
+    assert one.keys() == three.keys()
+    assert all(torch.equal(one[key], three[key]) for key in one)

@@ -7,7 +7,13 @@ import torch
 from tso_cli.geometry.camera import Camera
 from tso_cli.train.batches import Draw, Drawing, assemble, draw_batch
 from tso_cli.train.data import TrainingData
-from tso_cli.train.losses import DROP, AffinitySchedule, mask_loss, mask_loss_by_category, point_loss
+from tso_cli.train.losses import (
+    DROP,
+    AffinitySchedule,
+    mask_loss,
+    mask_loss_by_category,
+    point_loss,
+)
 
 from ..training import make_objects
 
@@ -28,7 +34,9 @@ def test_true_points_have_a_far_lower_mask_loss_than_displaced_ones(data):
 
 
 @pytest.mark.parametrize("weight", [0.0, 1.0])
-def test_the_affinity_loss_moves_a_point_beyond_the_edge_of_the_crop_back_and_bce_does_not(data, weight):
+def test_the_affinity_loss_moves_a_point_beyond_the_edge_of_the_crop_back_and_bce_does_not(
+    data, weight
+):
     batch = draw_batch(data, Drawing(0, 1, "view", 1), 0)
     points = torch.from_numpy(np.stack(batch.targets))
     points[0, 0] = torch.tensor([0.9, 0.0, 0.0])
@@ -44,11 +52,18 @@ def test_the_affinity_loss_moves_a_point_beyond_the_edge_of_the_crop_back_and_bc
 
 def test_each_category_is_compared_with_its_own_kernel():
     data = TrainingData([*make_objects(2), *make_objects(1, category="crate")], "boxes and a crate")
-    batch = assemble(data, [Draw(0, 0, (1, 2)), Draw(1, 0, (1, 2)), Draw(2, 1, (0, 3))], "canonical")
+    batch = assemble(
+        data, [Draw(0, 0, (1, 2)), Draw(1, 0, (1, 2)), Draw(2, 1, (0, 3))], "canonical"
+    )
     points = torch.from_numpy(np.stack(batch.targets))[:, ::4]
     kernels = enumerate((0.4, 0.4, 1.5))
-    alone = [mask_loss(points[i : i + 1], batch.select(np.array([i])), kernel, 0.5, "points")[0] for i, kernel in kernels]
-    together, bce, outliers = mask_loss_by_category(points, batch, 0.4, {"crate": 1.5}, 0.5, "points")
+    alone = [
+        mask_loss(points[i : i + 1], batch.select(np.array([i])), kernel, 0.5, "points")[0]
+        for i, kernel in kernels
+    ]
+    together, bce, outliers = mask_loss_by_category(
+        points, batch, 0.4, {"crate": 1.5}, 0.5, "points"
+    )
     torch.testing.assert_close(together, torch.stack(alone).mean())
     assert float(together) == pytest.approx(bce + 0.5 * outliers, rel=1e-5)
     same, *_ = mask_loss_by_category(points, batch, 0.4, {}, 0.5, "points")

@@ -12,13 +12,35 @@ from . import options
 
 @click.command("curves")
 @click.argument("logs", nargs=-1, required=True, type=options.FilePath())
-@click.option("-o", "--output", type=options.FilePath(), default="curves.png", show_default=True, help="Picture to write.")
-@click.option("--checkpoint", type=options.FilePath(), help="Network to draw samples of, into NAME.samples.png beside it.")
+@click.option(
+    "-o",
+    "--output",
+    type=options.FilePath(),
+    default="curves.png",
+    show_default=True,
+    help="Picture to write.",
+)
+@click.option(
+    "--checkpoint",
+    type=options.FilePath(),
+    help="Network to draw samples of, into NAME.samples.png beside it.",
+)
 @click.option("--data", type=options.FilePath(), help="Data set of the samples.")
-@click.option("--split", "split_file", type=options.FilePath(), help='Take samples only from its list "test".')
-@click.option("--samples", "count", type=click.IntRange(min=1, max=50), default=6, show_default=True, help="How many.")
+@click.option(
+    "--split", "split_file", type=options.FilePath(), help='Take samples only from its list "test".'
+)
+@click.option(
+    "--samples",
+    "count",
+    type=click.IntRange(min=1, max=50),
+    default=6,
+    show_default=True,
+    help="How many.",
+)
 @options.overwrite
-def command(logs: tuple[Path, ...], output: Path, overwrite: bool, count: int, **chosen: Path | None) -> None:
+def command(
+    logs: tuple[Path, ...], output: Path, overwrite: bool, count: int, **chosen: Path | None
+) -> None:
     """Draw the losses in LOGS, which `tso train --log-file` wrote: raw values under their running mean.
 
     With --checkpoint and --data also samples of a network: input, prediction and target from two sides.
@@ -26,11 +48,20 @@ def command(logs: tuple[Path, ...], output: Path, overwrite: bool, count: int, *
     from ..io.checkpoints import load_network
     from ..io.logs import read_log
     from ..io.shipped import named_checkpoint
-    from ..plots.curves import draw_curves, draw_samples, labels, lambda_drop, running_mean, sample_predictions
+    from ..plots.curves import (
+        draw_curves,
+        draw_samples,
+        labels,
+        lambda_drop,
+        running_mean,
+        sample_predictions,
+    )
 
     checkpoint, data, split_file = (chosen[name] for name in ("checkpoint", "data", "split_file"))
     if (checkpoint is None) != (data is None):
-        raise InputError("samples need a network and pictures, expected --checkpoint and --data together")
+        raise InputError(
+            "samples need a network and pictures, expected --checkpoint and --data together"
+        )
     if split_file is not None and data is None:
         raise InputError("--split without --data, expected a data set to choose from")
     pictures = output.with_name(f"{output.stem}.samples.png")
@@ -42,7 +73,13 @@ def command(logs: tuple[Path, ...], output: Path, overwrite: bool, count: int, *
         from .training_data import DataSelection, load
 
         network, config = load_network(named_checkpoint(checkpoint))
-        selection = DataSelection(data, split_file, crop_share=config.crop_share, background=config.background, part="test")
+        selection = DataSelection(
+            data,
+            split_file,
+            crop_share=config.crop_share,
+            background=config.background,
+            part="test",
+        )
         training = load(selection)
         samples, scale = sample_predictions(network, training, config.frame, count), training.scale
     draw_curves(output, histories, overwrite)
@@ -50,7 +87,9 @@ def command(logs: tuple[Path, ...], output: Path, overwrite: bool, count: int, *
         losses, drop = log.columns["loss"], lambda_drop(log)
         dropped = "" if drop is None else f", lambda dropped before step {drop}"
         last = running_mean(losses, max(1, len(losses) // 50))[-1]
-        click.echo(f"{name}: {len(losses)} steps, {log.settings['supervision']}, loss {losses[0]:.4g} to {last:.4g}{dropped}")
+        click.echo(
+            f"{name}: {len(losses)} steps, {log.settings['supervision']}, loss {losses[0]:.4g} to {last:.4g}{dropped}"
+        )
     if samples:
         draw_samples(pictures, samples, scale, overwrite)
         click.echo(f"{pictures}: {len(samples)} samples of {checkpoint}, {scale}")

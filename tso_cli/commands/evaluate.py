@@ -24,20 +24,60 @@ FAR = 0.25
 @click.argument("target", type=PATH)
 @click.option("--chamfer", is_flag=True, help="Chamfer distance (the default).")
 @click.option("--f-score", is_flag=True, help="F-score at a distance.")
-@click.option("--threshold", type=float, help="Distance of the F-score.  [default: 1 % of the target's longest side]")
+@click.option(
+    "--threshold",
+    type=float,
+    help="Distance of the F-score.  [default: 1 % of the target's longest side]",
+)
 @click.option("--emd", is_flag=True, help="Earth mover's distance; clouds of equal size.")
 @click.option("--iou", is_flag=True, help="IoU of silhouette and mask; needs --mask.")
-@click.option("--protocol", type=click.Choice(PROTOCOLS), default="plain", help="plain: clouds as they are; capnet: see above.")
 @click.option(
-    "--points", type=int, metavar="N", help="Farthest-point sample N points of every cloud first.  [default: all; capnet 1024]"
+    "--protocol",
+    type=click.Choice(PROTOCOLS),
+    default="plain",
+    help="plain: clouds as they are; capnet: see above.",
 )
-@click.option("--samples", type=int, default=16384, help="Points sampled from the surface of a mesh or voxel grid.")
-@click.option("--vertices", "as_vertices", is_flag=True, help="Take the vertices of meshes, not their surface.")
+@click.option(
+    "--points",
+    type=int,
+    metavar="N",
+    help="Farthest-point sample N points of every cloud first.  [default: all; capnet 1024]",
+)
+@click.option(
+    "--samples",
+    type=int,
+    default=16384,
+    help="Points sampled from the surface of a mesh or voxel grid.",
+)
+@click.option(
+    "--vertices",
+    "as_vertices",
+    is_flag=True,
+    help="Take the vertices of meshes, not their surface.",
+)
 @click.option("--mask", type=PATH, help="Mask of the object, or a folder of NAME.png.")
-@click.option("--camera", type=PATH, help="Camera file, for one mask or for all, or a folder of NAME.camera.json.")
-@click.option("--sigma-sq", type=float, help="IoU of the paper's silhouette, Gaussians of this variance, px^2.")
-@click.option("--suffix", default="", show_default=False, help="In folders: predictions are called NAME + this, as .refined.")
-@click.option("--fail-above", type=float, metavar="X", help="Exit with 3 if the mean Chamfer x1000 is above X.")
+@click.option(
+    "--camera",
+    type=PATH,
+    help="Camera file, for one mask or for all, or a folder of NAME.camera.json.",
+)
+@click.option(
+    "--sigma-sq",
+    type=float,
+    help="IoU of the paper's silhouette, Gaussians of this variance, px^2.",
+)
+@click.option(
+    "--suffix",
+    default="",
+    show_default=False,
+    help="In folders: predictions are called NAME + this, as .refined.",
+)
+@click.option(
+    "--fail-above",
+    type=float,
+    metavar="X",
+    help="Exit with 3 if the mean Chamfer x1000 is above X.",
+)
 @options.seed
 @options.as_json
 def command(fail_above: float | None, as_json: bool, **chosen: Any) -> None:
@@ -54,10 +94,14 @@ def command(fail_above: float | None, as_json: bool, **chosen: Any) -> None:
     metrics = tuple(name for name in METRICS if chosen[name]) or ("chamfer",)
     config = options.pick(EvalConfig, chosen | {"metrics": metrics})
     if fail_above is not None and ("chamfer" not in metrics or not fail_above >= 0.0):
-        raise InputError(f"--fail-above {fail_above:g} bounds the Chamfer distance, expected a number >= 0 and --chamfer")
+        raise InputError(
+            f"--fail-above {fail_above:g} bounds the Chamfer distance, expected a number >= 0 and --chamfer"
+        )
     masked = chosen["mask"] is not None or chosen["camera"] is not None
     if "iou" in metrics and not masked:
-        raise InputError("--iou needs --mask (with --camera, or a camera file beside it), or a --camera file that names masks")
+        raise InputError(
+            "--iou needs --mask (with --camera, or a camera file beside it), or a --camera file that names masks"
+        )
     for used, serving, metric in (
         (masked, "--mask and --camera serve --iou", "iou"),
         (config.sigma_sq is not None, "--sigma-sq serves --iou", "iou"),
@@ -65,7 +109,9 @@ def command(fail_above: float | None, as_json: bool, **chosen: Any) -> None:
     ):
         if used and metric not in metrics:
             raise InputError(f"{serving}, which was not asked for")
-    pairs = find_pairs(*(chosen[name] for name in ("prediction", "target", "mask", "camera", "suffix")))
+    pairs = find_pairs(
+        *(chosen[name] for name in ("prediction", "target", "mask", "camera", "suffix"))
+    )
     result = evaluate(pairs, config, options.ProgressBar("evaluating") if len(pairs) > 1 else None)
     _log_remarks(result["pairs"], config)
     if as_json:
@@ -73,13 +119,17 @@ def command(fail_above: float | None, as_json: bool, **chosen: Any) -> None:
     else:
         click.echo(_table(result, config))
     if fail_above is not None and not 1000.0 * result["mean"]["chamfer"] <= fail_above:
-        raise GateError(f"mean Chamfer x1000 is {1000.0 * result['mean']['chamfer']:.4g}, above {fail_above:g} (--fail-above)")
+        raise GateError(
+            f"mean Chamfer x1000 is {1000.0 * result['mean']['chamfer']:.4g}, above {fail_above:g} (--fail-above)"
+        )
 
 
 def _log_remarks(records: list[dict[str, Any]], config: EvalConfig) -> None:
     """Log what may surprise a reader of the numbers: sampled surfaces, and frames or sizes that differ."""
     samples = f"{config.samples:,} points of the surface"
-    meshes = "their vertices" if config.as_vertices else f"{samples} (--vertices takes the vertices)"
+    meshes = (
+        "their vertices" if config.as_vertices else f"{samples} (--vertices takes the vertices)"
+    )
     for side in ("prediction", "target"):
         kinds = Counter(record[f"{side}_kind"] for record in records)
         for kind, noun, how in (("mesh", "meshes", meshes), ("voxels", "voxel grids", samples)):
@@ -102,7 +152,9 @@ def _log_remarks(records: list[dict[str, Any]], config: EvalConfig) -> None:
     sides = [record["target_longest_side"] for record in records]
     if min(sides) > 0.0 and not all(0.98 < side < 1.02 for side in sides):
         span = f"{min(sides):.4g}" if len(sides) == 1 else f"{min(sides):.4g} to {max(sides):.4g}"
-        options.log(f"the longest side of the target is {span}; published figures are for 1 (--protocol capnet rescales)")
+        options.log(
+            f"the longest side of the target is {span}; published figures are for 1 (--protocol capnet rescales)"
+        )
 
 
 def _table(result: dict[str, Any], config: EvalConfig) -> str:
@@ -113,14 +165,20 @@ def _table(result: dict[str, Any], config: EvalConfig) -> str:
     def cells(values: dict[str, float]) -> list[float]:
         return [(1000.0 if field in squared else 1.0) * values[field] for field in fields]
 
-    titles = [field.replace("f_score", "F-score").replace("emd", "EMD").replace("iou", "IoU") for field in fields]
+    titles = [
+        field.replace("f_score", "F-score").replace("emd", "EMD").replace("iou", "IoU")
+        for field in fields
+    ]
     rows: list[list[Any]] = [
-        [record["name"], record["prediction_points"], record["target_points"], *cells(record)] for record in result["pairs"]
+        [record["name"], record["prediction_points"], record["target_points"], *cells(record)]
+        for record in result["pairs"]
     ]
     several = len(rows) > 1
     if several:
         rows.append([f"mean of {len(rows)}", None, None, *cells(result["mean"])])
-    table = text_table(["name", "N prediction", "N target", *titles], rows, rule_before_last=several)
+    table = text_table(
+        ["name", "N prediction", "N target", *titles], rows, rule_before_last=several
+    )
     return "\n".join([table, *_conventions(result, config, "emd" in squared)])
 
 
@@ -128,11 +186,18 @@ def _conventions(result: dict[str, Any], config: EvalConfig, squared_emd: bool) 
     """Lines that state the convention of every number."""
     convention = result["convention"]
     sampled = {"voxels"} if config.as_vertices else {"mesh", "voxels"}
-    labels = {"chamfer": "Chamfer x1000", "f_score": "F-score", "emd": f"EMD{' x1000' if squared_emd else ''}", "iou": "IoU"}
+    labels = {
+        "chamfer": "Chamfer x1000",
+        "f_score": "F-score",
+        "emd": f"EMD{' x1000' if squared_emd else ''}",
+        "iou": "IoU",
+    }
     lines = [f"{labels[name]}: {convention[name]}" for name in METRICS if name in config.metrics]
     if "iou" in config.metrics:
         lines[-1] += "; clouds in their own frame"
-    if any({record["prediction_kind"], record["target_kind"]} <= sampled for record in result["pairs"]):
+    if any(
+        {record["prediction_kind"], record["target_kind"]} <= sampled for record in result["pairs"]
+    ):
         lines.append(
             "surfaces: prediction and target draw their own points, so that equal shapes are not at 0 but at two samples"
         )

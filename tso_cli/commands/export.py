@@ -19,7 +19,13 @@ from . import options
 
 @click.command("export")
 @click.argument("checkpoint", type=options.FilePath())
-@click.option("-o", "--output", type=options.FilePath(), required=True, help="The copy to write, .safetensors.")
+@click.option(
+    "-o",
+    "--output",
+    type=options.FilePath(),
+    required=True,
+    help="The copy to write, .safetensors.",
+)
 @options.overwrite
 @options.as_json
 def command(checkpoint: Path, output: Path, overwrite: bool, as_json: bool) -> None:
@@ -41,10 +47,14 @@ def command(checkpoint: Path, output: Path, overwrite: bool, as_json: bool) -> N
     if as_json:
         convention = "largest distance that a predicted point moves, shapes of longest side about 1"
         sizes = {"output": output, "bytes_before": before, "bytes_after": after}
-        options.echo_json(sizes | {"largest_change": moved, "convention": convention, "version": __version__})
+        options.echo_json(
+            sizes | {"largest_change": moved, "convention": convention, "version": __version__}
+        )
         return
     click.echo(f"{output}: {before / 1e6:.1f} MB -> {after / 1e6:.1f} MB")
-    click.echo(f"  moved  {moved:.2g} at most, of a shape's longest side (predicted points of {', '.join(CATEGORIES)})")
+    click.echo(
+        f"  moved  {moved:.2g} at most, of a shape's longest side (predicted points of {', '.join(CATEGORIES)})"
+    )
 
 
 def _largest_change(folder: Path, *checkpoints: Path) -> float:

@@ -58,10 +58,14 @@ class LazyGroup(click.Group):
     sections : heading -> name of a command -> (its module, its line of help).
     """
 
-    def __init__(self, *args: Any, sections: dict[str, dict[str, tuple[str, str]]], **kwargs: Any) -> None:
+    def __init__(
+        self, *args: Any, sections: dict[str, dict[str, tuple[str, str]]], **kwargs: Any
+    ) -> None:
         super().__init__(*args, **kwargs)
         self.sections = sections
-        self._modules = {name: module for section in sections.values() for name, (module, _) in section.items()}
+        self._modules = {
+            name: module for section in sections.values() for name, (module, _) in section.items()
+        }
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self._modules)
@@ -85,7 +89,9 @@ class Command(click.Command):
     brief : names of the options that --help shows; --help-all shows every one. Without any, --help does.
     """
 
-    def __init__(self, *args: Any, headings: Mapping[str, str], brief: Sequence[str] = (), **kwargs: Any) -> None:
+    def __init__(
+        self, *args: Any, headings: Mapping[str, str], brief: Sequence[str] = (), **kwargs: Any
+    ) -> None:
         super().__init__(*args, **kwargs)
         self.context_settings["show_default"] = True
         self.headings, self.brief = headings, brief
@@ -124,7 +130,11 @@ def _show_all(ctx: click.Context, parameter: click.Parameter, value: bool) -> No
 
 overwrite = click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
 seed = click.option(
-    "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Seed of everything random."
+    "--seed",
+    type=click.IntRange(0, 2**63 - 1),
+    default=0,
+    show_default=True,
+    help="Seed of everything random.",
 )
 as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
 device = click.option(
@@ -137,7 +147,8 @@ device = click.option(
 
 def pick(kind: type[T], chosen: Mapping[str, Any]) -> T:
     """The dataclass ``kind`` from the options that it has fields for."""
-    return kind(**{field.name: chosen[field.name] for field in fields(kind) if field.name in chosen})  # type: ignore[arg-type]
+    names = {field.name for field in fields(kind)}  # type: ignore[arg-type]
+    return kind(**{name: value for name, value in chosen.items() if name in names})
 
 
 def require_output(path: Path, suffix: str, overwrite: bool) -> None:

@@ -31,7 +31,18 @@ HEADINGS = {
 
 
 # What --help shows; --help-all shows every option.
-BRIEF = ("mode", "preset", "budget", "camera", "output", "overwrite", "overlay", "check", "strict", "as_json")
+BRIEF = (
+    "mode",
+    "preset",
+    "budget",
+    "camera",
+    "output",
+    "overwrite",
+    "overlay",
+    "check",
+    "strict",
+    "as_json",
+)
 
 
 @click.command("refine", cls=options.Command, headings=HEADINGS, brief=BRIEF)
@@ -79,14 +90,22 @@ BRIEF = ("mode", "preset", "budget", "camera", "output", "overwrite", "overlay",
     type=float,
     help="[default: 4e-2 points, 3e-5 encoder, 6e-5 encoder-decoder, 1e-3 latent; paper 5e-4, 1e-6, 5e-6, 1e-3]",
 )
-@click.option("--gamma", type=float, help="Weight of the Chamfer distance to the start.  [default: 0; paper 1e6, encoder 0]")
+@click.option(
+    "--gamma",
+    type=float,
+    help="Weight of the Chamfer distance to the start.  [default: 0; paper 1e6, encoder 0]",
+)
 @click.option(
     "--sigma-sq",
     type=float,
     help="Variance of the projector's Gaussian, squared 64ths of the object's window; for --preset paper and "
     "--refine-camera.  [default: 0.4]",
 )
-@click.option("--checkpoint", type=PATH, help="File of tso train, or `default`, the shipped network.  [default: default]")
+@click.option(
+    "--checkpoint",
+    type=PATH,
+    help="File of tso train, or `default`, the shipped network.  [default: default]",
+)
 @click.option(
     "--frame",
     type=click.Choice(["view", "world"]),
@@ -104,7 +123,11 @@ BRIEF = ("mode", "preset", "budget", "camera", "output", "overwrite", "overlay",
     help="Camera file, for several masks with a view of each; or `fit`: estimated from one mask and the cloud.  "
     "[default: MASKSTEM.camera.json, else camera.json or cameras.json beside the mask, else canonical]",
 )
-@click.option("--refine-camera", is_flag=True, help="First correct the cameras, close to the given ones; points mode.")
+@click.option(
+    "--refine-camera",
+    is_flag=True,
+    help="First correct the cameras, close to the given ones; points mode.",
+)
 @click.option("--write-camera", type=PATH, help="Write the fitted or refined cameras, .json.")
 @click.option(
     "--assume",
@@ -114,26 +137,67 @@ BRIEF = ("mode", "preset", "budget", "camera", "output", "overwrite", "overlay",
     "warnings name the likely one, an unknown NAME lists all; NAME@MASK for one mask of several.",
 )
 @click.option("--invert-mask", is_flag=True, help="The object is dark in the mask.")
-@click.option("--ignore", type=PATH, multiple=True, help="Image whose bright pixels are unknown: left out of the loss.")
-@click.option("--depth", type=PATH, multiple=True, help="Depth map along the camera's z, 16-bit PNG or .npy; 0, NaN: unknown.")
+@click.option(
+    "--ignore",
+    type=PATH,
+    multiple=True,
+    help="Image whose bright pixels are unknown: left out of the loss.",
+)
+@click.option(
+    "--depth",
+    type=PATH,
+    multiple=True,
+    help="Depth map along the camera's z, 16-bit PNG or .npy; 0, NaN: unknown.",
+)
 @click.option(
     "--depth-scale",
     type=click.FloatRange(min=0.0, min_open=True),
     help="Size of one step of the depth map in units of the camera; 0.001 for millimetres and metres.  [default: 1]",
 )
-@click.option("--image", type=PATH, multiple=True, help="Photo of the mask, for a photometric loss on a cloud with colours.")
-@click.option("-o", "--output", type=PATH, help="Refined cloud, .ply.  [default: SOURCESTEM.refined.ply here]")
+@click.option(
+    "--image",
+    type=PATH,
+    multiple=True,
+    help="Photo of the mask, for a photometric loss on a cloud with colours.",
+)
+@click.option(
+    "-o", "--output", type=PATH, help="Refined cloud, .ply.  [default: SOURCESTEM.refined.ply here]"
+)
 @options.overwrite
-@click.option("--accept-doubtful", is_flag=True, help="Take the whole step also where it is doubtful, not a part or nothing.")
-@click.option("--strict", is_flag=True, help="Write nothing where the result is doubtful, or not judged; exit code 3.")
-@click.option("--overlay", type=PATH, help="Picture of mask, silhouette and cloud before and after, .png.")
-@click.option("--check", is_flag=True, help="Only print the camera, the scale and the overlap with the mask.")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors and the document of --json.")
-@click.option("-v", "--verbose", is_flag=True, help="Also print all measures and settings, for each view.")
+@click.option(
+    "--accept-doubtful",
+    is_flag=True,
+    help="Take the whole step also where it is doubtful, not a part or nothing.",
+)
+@click.option(
+    "--strict",
+    is_flag=True,
+    help="Write nothing where the result is doubtful, or not judged; exit code 3.",
+)
+@click.option(
+    "--overlay", type=PATH, help="Picture of mask, silhouette and cloud before and after, .png."
+)
+@click.option(
+    "--check", is_flag=True, help="Only print the camera, the scale and the overlap with the mask."
+)
+@click.option(
+    "-q", "--quiet", is_flag=True, help="Print nothing but errors and the document of --json."
+)
+@click.option(
+    "-v", "--verbose", is_flag=True, help="Also print all measures and settings, for each view."
+)
 @options.as_json
 @options.device
 @click.pass_context
-def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose: bool, as_json: bool, **chosen: Any) -> None:
+def command(
+    ctx: click.Context,
+    check: bool,
+    strict: bool,
+    quiet: bool,
+    verbose: bool,
+    as_json: bool,
+    **chosen: Any,
+) -> None:
     """Make a point cloud agree with masks and write the refined cloud.
 
     \b
@@ -159,7 +223,11 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
         from .refine_files import RefineInputs, RefineOutputs
     inputs = options.pick(RefineInputs, chosen)
     refine_camera, write_camera = chosen["refine_camera"], chosen["write_camera"]
-    for name, used in (("--camera fit", inputs.fit), ("--refine-camera", refine_camera), ("--write-camera", write_camera)):
+    for name, used in (
+        ("--camera fit", inputs.fit),
+        ("--refine-camera", refine_camera),
+        ("--write-camera", write_camera),
+    ):
         if used and inputs.mode != "points":
             raise InputError(
                 f"{name} is for --mode points, found --mode {inputs.mode}, which places its cloud before the camera itself"
@@ -178,11 +246,16 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
     if chosen["sigma_sq"] is None:
         chosen["sigma_sq"] = scene.sigma_sq
     elif inputs.preset == "best" and not refine_camera:
-        warnings.warn("--sigma-sq is of the paper's projection, which the preset best does not use", stacklevel=1)
+        warnings.warn(
+            "--sigma-sq is of the paper's projection, which the preset best does not use",
+            stacklevel=1,
+        )
     config = options.pick(RefineConfig, chosen)
     if strict and not config.settings().staged:
         found = f"--mode {config.mode} --preset {config.preset}"
-        raise InputError(f"--strict is for results that are judged, of --mode points --preset best, found {found}")
+        raise InputError(
+            f"--strict is for results that are judged, of --mode points --preset best, found {found}"
+        )
     if check:
         doubt = check_scene(scene, config, as_json, quiet, warned)
         if doubt and strict:
@@ -224,15 +297,24 @@ def command(ctx: click.Context, check: bool, strict: bool, quiet: bool, verbose:
     if not refused:
         outputs.write(result, scene, inputs.masks)
     finished = time.perf_counter()
-    seconds = {"read": read, **result.seconds, "write": finished - writing, "total": finished - started}
+    seconds = {
+        "read": read,
+        **result.seconds,
+        "write": finished - writing,
+        "total": finished - started,
+    }
     for text in result.warnings:
         warnings.warn(text, stacklevel=1)
-    report = RefineReport(result, scene, inputs, outputs, refine_camera, config.parsed_budget, seconds)
+    report = RefineReport(
+        result, scene, inputs, outputs, refine_camera, config.parsed_budget, seconds
+    )
     if as_json:
         options.echo_json(report.document(warned, written=not refused))
     if refused:
         verdict = "doubtful" if result.verdict else "not judged"
-        raise GateError(f"{inputs.source}: the result is {verdict}: {result.reason}; with --strict nothing is written")
+        raise GateError(
+            f"{inputs.source}: the result is {verdict}: {result.reason}; with --strict nothing is written"
+        )
     if not as_json and not quiet:
         report.print_summary()
         if verbose:

@@ -31,7 +31,9 @@ from ..version import __version__
 from . import options
 
 
-def check_scene(scene: Scene, config: RefineConfig, as_json: bool, quiet: bool, warned: list[str]) -> str:
+def check_scene(
+    scene: Scene, config: RefineConfig, as_json: bool, quiet: bool, warned: list[str]
+) -> str:
     """Print cameras, scale and overlap; InputError where cloud and mask do not overlap. Returns what looks wrong, or "".
 
     ``warned`` collects the warnings so far and those to come.
@@ -79,11 +81,19 @@ def _checked(cloud: Cloud, views: tuple[View, ...], config: RefineConfig) -> Agr
 def camera_document(camera: Camera, source: str) -> dict[str, Any]:
     """A camera for JSON, and where it is from."""
     shape = {"model": camera.model, "width": camera.width, "height": camera.height}
-    return {"source": source, **shape, **{name: getattr(camera, name).tolist() for name in ("K", "R", "t")}}
+    return {
+        "source": source,
+        **shape,
+        **{name: getattr(camera, name).tolist() for name in ("K", "R", "t")},
+    }
 
 
 def verdict_document(
-    confidence: float | None, verdict: str | None, reason: str, warned: list[str], suspects: Sequence[Suspect]
+    confidence: float | None,
+    verdict: str | None,
+    reason: str,
+    warned: list[str],
+    suspects: Sequence[Suspect],
 ) -> dict[str, Any]:
     """What a user of many objects looks at first."""
     return {
@@ -95,11 +105,17 @@ def verdict_document(
     }
 
 
-def _document(scene: Scene, placements: list[Placement], overlaps: list[bool], judged: dict[str, Any]) -> dict[str, Any]:
+def _document(
+    scene: Scene, placements: list[Placement], overlaps: list[bool], judged: dict[str, Any]
+) -> dict[str, Any]:
     views = []
-    for view, source, placement, overlap in zip(scene.views, scene.camera_sources, placements, overlaps, strict=True):
+    for view, source, placement, overlap in zip(
+        scene.views, scene.camera_sources, placements, overlaps, strict=True
+    ):
         camera = camera_document(view.camera, source)
-        views.append({"mask": view.name, "camera": camera, "placement": vars(placement), "meets": overlap})
+        views.append(
+            {"mask": view.name, "camera": camera, "placement": vars(placement), "meets": overlap}
+        )
     return {
         "camera": views[0]["camera"],
         "frame": scene.frame,
@@ -121,14 +137,18 @@ def _outliers(scene: Scene) -> int:
 def _print(scene: Scene, placements: list[Placement], overlaps: list[bool]) -> None:
     size = scene.moving.max(0) - scene.moving.min(0)
     if scene.start and scene.start.surface:
-        click.echo(f"mesh        {len(scene.points):,} vertices; points sampled on its faces stand for it as a cloud")
+        click.echo(
+            f"mesh        {len(scene.points):,} vertices; points sampled on its faces stand for it as a cloud"
+        )
     for number, (view, placement) in enumerate(zip(scene.views, placements, strict=True)):
         if len(placements) > 1:
             click.echo(f"view        {number + 1} of {len(placements)}, {view.name}")
         _print_view(view.camera, scene.camera_sources[number], size, placement, overlaps[number])
 
 
-def _print_view(camera: Camera, source: str, size: Array, placement: Placement, overlap: bool) -> None:
+def _print_view(
+    camera: Camera, source: str, size: Array, placement: Placement, overlap: bool
+) -> None:
     K = camera.K
     share = 100.0 / placement.points
     depth = "all points lie behind the camera"

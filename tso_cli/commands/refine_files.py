@@ -52,11 +52,17 @@ class RefineInputs:
                     )
         for name, files in (("--depth", self.depth), ("--image", self.image)):
             if files and (self.mode, self.preset) != ("points", "best"):
-                raise InputError(f"{name} is for --mode points --preset best, found --mode {self.mode} --preset {self.preset}")
+                raise InputError(
+                    f"{name} is for --mode points --preset best, found --mode {self.mode} --preset {self.preset}"
+                )
         if self.depth_scale is not None and not self.depth:
-            raise InputError(f"--depth-scale {self.depth_scale:g} says nothing without a depth map, expected --depth FILE")
+            raise InputError(
+                f"--depth-scale {self.depth_scale:g} says nothing without a depth map, expected --depth FILE"
+            )
         if self.depth and self.fit:
-            raise InputError("--depth needs a camera whose distance is known, found --camera fit; expected a camera file")
+            raise InputError(
+                "--depth needs a camera whose distance is known, found --camera fit; expected a camera file"
+            )
         self.network = None
         if self.mode != "points":
             shipped = self.checkpoint in (None, Path(DEFAULT))
@@ -64,10 +70,14 @@ class RefineInputs:
             self.checkpoint = named_checkpoint(self.checkpoint or Path(DEFAULT))
         if not self.masks:
             if self.camera is None or self.fit:
-                raise InputError("no MASK was given, expected one or more, or --camera FILE whose views name their masks")
+                raise InputError(
+                    "no MASK was given, expected one or more, or --camera FILE whose views name their masks"
+                )
             self.masks = tuple(named_masks(self.camera))
         if self.assume and self.mode != "points":
-            raise InputError(f"--assume is for --mode points, found --mode {self.mode}, which places its cloud itself")
+            raise InputError(
+                f"--assume is for --mode points, found --mode {self.mode}, which places its cloud itself"
+            )
 
     def _check_points_mode(self) -> None:
         if self.checkpoint is not None:
@@ -80,9 +90,13 @@ class RefineInputs:
                 "tso refine --mode encoder IMAGE MASK --checkpoint FILE"
             )
         if self.frame is not None:
-            raise InputError("--frame is for the encoder modes; points mode keeps the frame of its cloud")
+            raise InputError(
+                "--frame is for the encoder modes; points mode keeps the frame of its cloud"
+            )
         if self.place is not None:
-            raise InputError("--place is for the encoder modes; points mode takes its cloud to be where the camera file has it")
+            raise InputError(
+                "--place is for the encoder modes; points mode takes its cloud to be where the camera file has it"
+            )
 
     @property
     def fit(self) -> bool:
@@ -100,7 +114,15 @@ class RefineInputs:
         camera = None if self.fit else self.camera
         if self.checkpoint is None:
             views = ViewFiles(
-                *(self.masks, camera, self.invert_mask, self.ignore, self.depth, self.depth_scale or 1.0, self.image),
+                *(
+                    self.masks,
+                    camera,
+                    self.invert_mask,
+                    self.ignore,
+                    self.depth,
+                    self.depth_scale or 1.0,
+                    self.image,
+                ),
                 assumptions_of(self.assume),
             )
             return load_points_scene(self.source, views, self.fit)
@@ -108,7 +130,14 @@ class RefineInputs:
 
         ignore, world = self.ignore[0] if self.ignore else None, self.frame == "world"
         return load_network_scene(
-            self.source, self.masks[0], self.checkpoint, camera, self.invert_mask, ignore, world, self.place or "silhouette"
+            self.source,
+            self.masks[0],
+            self.checkpoint,
+            camera,
+            self.invert_mask,
+            ignore,
+            world,
+            self.place or "silhouette",
         )
 
 
@@ -127,7 +156,9 @@ class RefineOutputs:
         if self.overlay is not None:
             require_output(self.overlay, ".png", self.overwrite)
             if self.overlay.resolve() in [path.resolve() for path in inputs]:
-                raise InputError(f"{self.overlay}: is an input, expected another name for --overlay")
+                raise InputError(
+                    f"{self.overlay}: is an input, expected another name for --overlay"
+                )
         if self.write_camera is not None:
             require_output(self.write_camera, ".json", self.overwrite)
             others = [*inputs, self.output, *([self.overlay] if self.overlay else [])]
@@ -142,10 +173,22 @@ class RefineOutputs:
             if self.overlay is not None:
                 from ..plots.overlay import draw_overlay
 
-                draw_overlay(stack.enter_context(atomic_output(self.overlay, self.overwrite)), result, scene.views)
+                draw_overlay(
+                    stack.enter_context(atomic_output(self.overlay, self.overwrite)),
+                    result,
+                    scene.views,
+                )
             if self.write_camera is not None:
-                records = [CameraRecord(camera, mask) for camera, mask in zip(result.cameras, masks, strict=True)]
+                records = [
+                    CameraRecord(camera, mask)
+                    for camera, mask in zip(result.cameras, masks, strict=True)
+                ]
                 temporary = stack.enter_context(atomic_output(self.write_camera, self.overwrite))
                 temporary.write_text(camera_text(self.write_camera, records), encoding="utf-8")
             self.check([])  # before the first of them takes its name
-            write_cloud(self.output, scene.to_output(result.points), like=scene.cloud, overwrite=self.overwrite)
+            write_cloud(
+                self.output,
+                scene.to_output(result.points),
+                like=scene.cloud,
+                overwrite=self.overwrite,
+            )

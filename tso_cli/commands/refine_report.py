@@ -14,7 +14,13 @@ from ..geometry.camera import Camera
 from ..geometry.rotations import angle_between
 from ..geometry.view import View
 from ..refinement.camera_correction import MISFIT_LEFT
-from ..refinement.result import DOUBTFUL_INLIER_WEIGHT, SMALL_DISPLACEMENT, RefineResult, refused, why_unmoved
+from ..refinement.result import (
+    DOUBTFUL_INLIER_WEIGHT,
+    SMALL_DISPLACEMENT,
+    RefineResult,
+    refused,
+    why_unmoved,
+)
 from ..refinement.verdict import shown
 from ..scene.load import Scene
 from ..version import __version__
@@ -25,7 +31,16 @@ from .refine_files import RefineInputs, RefineOutputs
 FROM_RESULT = (
     *("mode", "preset", "moving", "steps", "best_step", "stop_reason"),
     *("loss_before", "loss_after", "losses"),
-    *("iou_before", "iou_after", "moved_mean", "moved_max", "chamfer_to_initial", "learning_rate", "gamma", "sigma_sq"),
+    *(
+        "iou_before",
+        "iou_after",
+        "moved_mean",
+        "moved_max",
+        "chamfer_to_initial",
+        "learning_rate",
+        "gamma",
+        "sigma_sq",
+    ),
     *("symmetry", "symmetry_outcome", "symmetry_reason", "device"),
 )
 
@@ -52,9 +67,17 @@ class RefineReport:
         for i, view in enumerate(scene.views):
             before, after = result.view_ious[i]
             box, cells = result.view_windows[i]
-            camera = {"mask": view.name, "camera": camera_document(view.camera, scene.camera_sources[i])}
+            camera = {
+                "mask": view.name,
+                "camera": camera_document(view.camera, scene.camera_sources[i]),
+            }
             weights = {"trust": result.inlier_weights[i], "weight": result.view_weights[i]}
-            views.append(camera | {"iou_before": before, "iou_after": after} | weights | {"window": box, "cells": cells})
+            views.append(
+                camera
+                | {"iou_before": before, "iou_after": after}
+                | weights
+                | {"window": box, "cells": cells}
+            )
         document = {
             **{name: getattr(result, name) for name in FROM_RESULT},
             "checkpoint": self.inputs.checkpoint,
@@ -66,9 +89,14 @@ class RefineReport:
             "frame": scene.frame,
             "points": len(result.points),
             "outliers": int(result.outliers.sum()),
-            **verdict_document(result.confidence, result.verdict, result.reason, warnings, result.suspects),
+            **verdict_document(
+                result.confidence, result.verdict, result.reason, warnings, result.suspects
+            ),
             "step_taken": result.step_taken,
-            "budget": {"given": self.budget, "decisions": [decision.document() for decision in result.budget]},
+            "budget": {
+                "given": self.budget,
+                "decisions": [decision.document() for decision in result.budget],
+            },
             "convention": {
                 "moved": "way of a point from its start, as a share of the object's size, the longest side of the start's box",
                 "chamfer_to_initial": "squared distances, mean over points, both directions summed, longest side 1",
@@ -83,7 +111,8 @@ class RefineReport:
                 "saving": "share that was spared: of the masks' pixels, the finest grid's cells, the points, the steps of "
                 "--budget full, the work that a mirror plane takes",
                 "weight": "of a view in the loss: its trust, divided among the views that show the same",
-                "loss": result.objective + "; the mask's part is a sum over views, each times its weight",
+                "loss": result.objective
+                + "; the mask's part is a sum over views, each times its weight",
                 "symmetry": "a, b, c, d of the mirror plane ax + by + cz = d in the frame of the input, null for none",
                 "sigma_sq": "squared 64ths of the window (encoder modes: mask and IoU are those of the 64x64 crop)",
                 "window": "edges of the part of the mask that is looked at, px: left, top, right, bottom; "
@@ -115,20 +144,39 @@ class RefineReport:
     def print_summary(self) -> None:
         """What was written, the agreement with the masks, how far the points moved, and what was assumed."""
         result, count = self.result, len(self.scene.views)
-        follow = f"vertices, which follow {result.moving:,} points of the faces" if result.surface else "points"
+        follow = (
+            f"vertices, which follow {result.moving:,} points of the faces"
+            if result.surface
+            else "points"
+        )
         if not result.surface and result.moving < len(result.points) - int(result.outliers.sum()):
             follow = f"points, which follow {result.moving:,} of them"
         masks = f"masks, mean of {count}" if count > 1 else "mask"
         # Of a start that is left as it is, the confidence says nothing of the mistake that is suspected.
         told = result.verdict != "doubtful" or result.best_step or refused(result)
-        sure = f", confidence {shown(result.confidence)}" if told and result.confidence is not None else ""
+        sure = (
+            f", confidence {shown(result.confidence)}"
+            if told and result.confidence is not None
+            else ""
+        )
         verdict = f"{result.verdict}{sure}" if result.verdict else "not judged; IoU proves nothing"
-        used = [self.inputs.network, self._cameras(), self._symmetry(), self._discounted(), f"{self.seconds['total']:.1f} s"]
+        used = [
+            self.inputs.network,
+            self._cameras(),
+            self._symmetry(),
+            self._discounted(),
+            f"{self.seconds['total']:.1f} s",
+        ]
         click.echo(f"{self.outputs.output}: {len(result.points):,} {follow}")
-        click.echo(f"  IoU    {result.iou_before:.3f} -> {result.iou_after:.3f} with the {masks} ({verdict})")
+        click.echo(
+            f"  IoU    {result.iou_before:.3f} -> {result.iou_after:.3f} with the {masks} ({verdict})"
+        )
         click.echo(f"  moved  {self._moved()}")
         click.echo(f"  used   {'; '.join(part for part in used if part)}")
-        for path, content in ((self.outputs.overlay, "picture"), (self.outputs.write_camera, "camera")):
+        for path, content in (
+            (self.outputs.overlay, "picture"),
+            (self.outputs.write_camera, "camera"),
+        ):
             if path is not None:
                 click.echo(f"{path}: {content}")
 
@@ -136,7 +184,9 @@ class RefineReport:
         if why := why_unmoved(self.result):
             return f"nothing: {why}"
         mean, largest = (
-            f"{100.0 * share:.1f} %" if share >= SMALL_DISPLACEMENT else f"under {100.0 * SMALL_DISPLACEMENT:g} %"
+            f"{100.0 * share:.1f} %"
+            if share >= SMALL_DISPLACEMENT
+            else f"under {100.0 * SMALL_DISPLACEMENT:g} %"
             for share in (self.result.moved_mean, self.result.moved_max)
         )
         return f"{mean} of the object's size on average, {largest} at most"
@@ -179,23 +229,31 @@ class RefineReport:
         if result.averaged and result.best_step:
             best = f"the mean over the stages, the last one's {best}"
         click.echo(f"  steps  {result.steps}, {best}; ended: {result.stop_reason}")
-        click.echo(f"  loss   {result.loss_before:.1f} -> {result.loss_after:.1f}   ({result.objective})")
+        click.echo(
+            f"  loss   {result.loss_before:.1f} -> {result.loss_after:.1f}   ({result.objective})"
+        )
         click.echo(
             f"  Chamfer to the start x1000 {result.chamfer_to_initial * 1e3:.3f}   (squared, mean over points, both "
             "directions, longest side 1)"
         )
         click.echo(f"  IoU is {IOU_MEANS}")
-        rows = zip(self.scene.views, result.view_ious, result.inlier_weights, result.view_weights, strict=True)
+        rows = zip(
+            self.scene.views,
+            result.view_ious,
+            result.inlier_weights,
+            result.view_weights,
+            strict=True,
+        )
         for view, (before, after), inlier, weight in rows:
             click.echo(
                 f"  view   {before:.3f} -> {after:.3f}   inlier weight {inlier:.2f}, loss weight {weight:.2f}, {view.name}"
             )
-        for view, camera, degrees, shift in self.corrections if self.refine_camera and result.steps else ():
+        for view, camera, degrees, shift in (
+            self.corrections if self.refine_camera and result.steps else ()
+        ):
             text = f"turned {degrees:.2f} degrees, shifted {100.0 * shift:.2f} % of its distance   ({view.name})"
             if camera is view.camera:
-                text = (
-                    f"kept   (no small correction reduces the misfit to under {MISFIT_LEFT:g} of the initial one; {view.name})"
-                )
+                text = f"kept   (no small correction reduces the misfit to under {MISFIT_LEFT:g} of the initial one; {view.name})"
             click.echo(f"  camera {text}")
         click.echo(f"  mirror {self._mirror()}")
         for decision in result.budget[:-1]:
@@ -210,5 +268,9 @@ class RefineReport:
         if self.result.symmetry is None:
             return f"no plane: {self.result.symmetry_reason}"
         *normal, offset = self.result.symmetry
-        terms = [f"{number:+.3f} {axis}" for number, axis in zip(normal, "xyz", strict=True) if abs(number) >= 5e-4]
+        terms = [
+            f"{number:+.3f} {axis}"
+            for number, axis in zip(normal, "xyz", strict=True)
+            if abs(number) >= 5e-4
+        ]
         return f"plane {' '.join(terms).lstrip('+')} = {offset:.4g}: {self.result.symmetry_reason}"

@@ -24,7 +24,9 @@ DEFAULTS = {"steps": 20_000, "learning_rate": 5e-5, "averaging": 0.0}
 EXAMPLE_DEFAULTS = {"steps": 600, "learning_rate": 3e-4, "averaging": 0.99}
 # Options that serve only some supervisions.
 SERVES = {
-    **dict.fromkeys(("affinity_weight", "affinity", "saturation_steps", "category_sigma_sq"), ("masks", "joint")),
+    **dict.fromkeys(
+        ("affinity_weight", "affinity", "saturation_steps", "category_sigma_sq"), ("masks", "joint")
+    ),
     "mask_split": ("joint",),
     "views": ("masks",),
 }
@@ -45,12 +47,16 @@ class CategoryValue(click.ParamType):
 
     name = "category=value"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, float]:
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, float]:
         category, _, number = str(value).partition("=")
         try:
             return category, float(number)
         except ValueError:
-            self.fail(f"{value!r} is no category and number, expected such as airplane=0.1", param, ctx)
+            self.fail(
+                f"{value!r} is no category and number, expected such as airplane=0.1", param, ctx
+            )
 
 
 @dataclass
@@ -73,7 +79,9 @@ class TrainOutputs:
         if self.log_file is not None:
             check_output(self.log_file, replace_files)
             if self.log_file.resolve() in (self.output.resolve(), state.resolve()):
-                raise InputError(f"--log-file {self.log_file}: is the checkpoint or its state, expected a file of its own")
+                raise InputError(
+                    f"--log-file {self.log_file}: is the checkpoint or its state, expected a file of its own"
+                )
 
     def save(self, state: TrainingState, config: NetworkConfig) -> None:
         """Write checkpoint, state and log; the first time InputError where a file has appeared since `check`."""
@@ -88,17 +96,30 @@ class TrainOutputs:
 
 @click.command("train", cls=options.Command, headings=HEADINGS)
 @click.argument("data", required=False, type=PATH)
-@click.option("--split", "split_file", type=PATH, help='Train only on the objects in its list "train".')
-@click.option("--category", "categories", multiple=True, help="Train only on this category; may be repeated.")
+@click.option(
+    "--split", "split_file", type=PATH, help='Train only on the objects in its list "train".'
+)
+@click.option(
+    "--category", "categories", multiple=True, help="Train only on this category; may be repeated."
+)
 @click.option("--strict", is_flag=True, help="Stop at unusable data instead of skipping them.")
-@click.option("--balance", is_flag=True, help="Draw every category equally often, however many objects it has.")
+@click.option(
+    "--balance",
+    is_flag=True,
+    help="Draw every category equally often, however many objects it has.",
+)
 @click.option(
     "--crop-share",
     type=float,
     default=0.9,
     help="Side of the object relative to the input's; clouds have longest side 1. 0: pictures and clouds keep their sizes.",
 )
-@click.option("--background", type=click.Choice(["black", "white", "keep"]), default="black", help="Background of the input.")
+@click.option(
+    "--background",
+    type=click.Choice(["black", "white", "keep"]),
+    default="black",
+    help="Background of the input.",
+)
 @click.option(
     "--backgrounds",
     "behind",
@@ -112,23 +133,54 @@ class TrainOutputs:
     default="points",
     help="Loss: Chamfer distance to the true points, masks through the projector, or both (with --mask-data).",
 )
-@click.option("--views", type=int, default=4, help="Supervising masks of each object in a step, for --supervision masks.")
-@click.option("--mask-data", type=PATH, help="Images with one mask each, for --supervision joint.")
-@click.option("--mask-split", type=PATH, help='Of --mask-data take only the list "train" of this split.')
 @click.option(
-    "--lambda", "affinity_weight", type=float, default=1.0, help="Weight of the affinity loss; x0.02 after saturation."
+    "--views",
+    type=int,
+    default=4,
+    help="Supervising masks of each object in a step, for --supervision masks.",
 )
-@click.option("--affinity", type=click.Choice(["points", "paper"]), default="points", help="Form of the affinity loss.")
+@click.option("--mask-data", type=PATH, help="Images with one mask each, for --supervision joint.")
+@click.option(
+    "--mask-split", type=PATH, help='Of --mask-data take only the list "train" of this split.'
+)
+@click.option(
+    "--lambda",
+    "affinity_weight",
+    type=float,
+    default=1.0,
+    help="Weight of the affinity loss; x0.02 after saturation.",
+)
+@click.option(
+    "--affinity",
+    type=click.Choice(["points", "paper"]),
+    default="points",
+    help="Form of the affinity loss.",
+)
 @click.option(
     "--saturation-steps",
     type=int,
     help="Lambda drops once the mean loss over so many steps is not 1 % below that of as many before.  [default: a sixth of "
     "--steps, 10 to 500]",
 )
-@click.option("--sigma-sq", type=float, default=0.4, help="Variance of the projector's Gaussian, px^2 of the 64x64 mask.")
-@click.option("--category-sigma-sq", multiple=True, type=CategoryValue(), help="The same for one category; repeatable.")
+@click.option(
+    "--sigma-sq",
+    type=float,
+    default=0.4,
+    help="Variance of the projector's Gaussian, px^2 of the 64x64 mask.",
+)
+@click.option(
+    "--category-sigma-sq",
+    multiple=True,
+    type=CategoryValue(),
+    help="The same for one category; repeatable.",
+)
 @click.option("--points", type=int, default=1024, help="Points of the predicted cloud.")
-@click.option("--frame", type=click.Choice(["view", "canonical"]), default="view", help="Axes: the camera's or the object's.")
+@click.option(
+    "--frame",
+    type=click.Choice(["view", "canonical"]),
+    default="view",
+    help="Axes: the camera's or the object's.",
+)
 @click.option(
     "--init",
     "initial",
@@ -143,10 +195,22 @@ class TrainOutputs:
     type=float,
     help="Save the moving average of the weights, of this decay; 0: the last weights.  [default: 0; 0.99 without DATA]",
 )
-@click.option("--precision", type=click.Choice(["float32", "bfloat16"]), default="float32", help="bfloat16: mixed precision.")
-@click.option("-o", "--output", type=PATH, default=Path("base.safetensors"), help="Checkpoint to write.")
+@click.option(
+    "--precision",
+    type=click.Choice(["float32", "bfloat16"]),
+    default="float32",
+    help="bfloat16: mixed precision.",
+)
+@click.option(
+    "-o", "--output", type=PATH, default=Path("base.safetensors"), help="Checkpoint to write."
+)
 @options.overwrite
-@click.option("--checkpoint-every", type=click.IntRange(min=0), default=500, help="Save after so many steps; 0: at the end.")
+@click.option(
+    "--checkpoint-every",
+    type=click.IntRange(min=0),
+    default=500,
+    help="Save after so many steps; 0: at the end.",
+)
 @click.option("--resume", is_flag=True, help="Go on from the state beside the checkpoint.")
 @click.option("--log-file", type=PATH, help="Settings and losses of every step, .jsonl.")
 @options.as_json
@@ -186,27 +250,44 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
         selection = options.pick(DataSelection, {**chosen, "points": config.supervision != "masks"})
         sets = [load(selection, quiet=quiet)]
         if chosen["mask_data"] is not None:
-            masked = {"data": chosen["mask_data"], "split_file": chosen["mask_split"], "categories": ()}
+            masked = {
+                "data": chosen["mask_data"],
+                "split_file": chosen["mask_split"],
+                "categories": (),
+            }
             sets.append(load(replace(selection, **masked, behind=None, points=False), quiet=quiet))
         data, masked_data = sets[0], sets[1] if len(sets) > 1 else None
         state = _initial_state(data, config, outputs, chosen["initial"], quiet)
         prepared, first_step = time.perf_counter(), state.step
-        bar, saves = options.ProgressBar("train"), {"save": outputs.save, "save_every": chosen["checkpoint_every"]}
+        bar, saves = (
+            options.ProgressBar("train"),
+            {"save": outputs.save, "save_every": chosen["checkpoint_every"]},
+        )
         with options.naming(outputs.output):
-            result = train(data, config, state, masked=masked_data, processes=processes, progress=bar, **saves)
+            result = train(
+                data, config, state, masked=masked_data, processes=processes, progress=bar, **saves
+            )
     if not processes.first:
         return
     trained = time.perf_counter()
     document = training_document(result, config, outputs.output, data, on_examples)
-    document["seconds"] = {"prepare": prepared - started, "train": trained - prepared, "judge": time.perf_counter() - trained}
+    document["seconds"] = {
+        "prepare": prepared - started,
+        "train": trained - prepared,
+        "judge": time.perf_counter() - trained,
+    }
     document["images_per_second"] = {
         "training": (result.steps - first_step) * config.batch_size / (trained - prepared),
         **images_per_second(state, config, data, masked_data),
     }
     left_out = unusable(sets)
-    document["left_out"] = {item: why for each in sets for item, why in each.skipped.items()} | left_out
+    document["left_out"] = {
+        item: why for each in sets for item, why in each.skipped.items()
+    } | left_out
     if left_out:
-        options.log(f"tso: {len(left_out)} pictures could not be used and were left out (--strict stops at the first)")
+        options.log(
+            f"tso: {len(left_out)} pictures could not be used and were left out (--strict stops at the first)"
+        )
     if as_json:
         options.echo_json(document)
     else:
@@ -228,11 +309,17 @@ def _check_supervision(ctx: click.Context, supervision: str, mask_data: Path | N
         name = option.name or ""
         used = ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
         if used and supervision not in SERVES.get(name, (supervision,)):
-            raise InputError(f"{option.opts[0]} is for --supervision {' or '.join(SERVES[name])}, found {supervision}")
+            raise InputError(
+                f"{option.opts[0]} is for --supervision {' or '.join(SERVES[name])}, found {supervision}"
+            )
 
 
 def _initial_state(
-    data: TrainingData, config: TrainConfig, outputs: TrainOutputs, initial: Path | None, quiet: bool
+    data: TrainingData,
+    config: TrainConfig,
+    outputs: TrainOutputs,
+    initial: Path | None,
+    quiet: bool,
 ) -> TrainingState:
     """The state beside the checkpoint to resume from, or a new one."""
     from .. import device as devices
@@ -244,7 +331,9 @@ def _initial_state(
     if not outputs.resume:
         return start(data, config, load_network(named_checkpoint(initial))[0] if initial else None)
     if initial is not None:
-        raise InputError("--init with --resume: the state to resume has weights of its own, expected one of the two")
+        raise InputError(
+            "--init with --resume: the state to resume has weights of its own, expected one of the two"
+        )
     about = network_config(data, config, 0)
     state = load_training(outputs.output, about, data.fingerprint(), devices.resolve(config.device))
     if not quiet:

@@ -13,17 +13,35 @@ from ..train.sources import shipped_examples
 from ..train.state import state_path
 from ..version import __version__
 
-FROM_CONFIG = ("supervision", "frame", "points", "sigma_sq", "learning_rate", "batch_size", "device", "seed")
+FROM_CONFIG = (
+    "supervision",
+    "frame",
+    "points",
+    "sigma_sq",
+    "learning_rate",
+    "batch_size",
+    "device",
+    "seed",
+)
 
 
 def training_document(
-    result: TrainResult, config: TrainConfig, output: Path, training: TrainingData, on_examples: bool
+    result: TrainResult,
+    config: TrainConfig,
+    output: Path,
+    training: TrainingData,
+    on_examples: bool,
 ) -> dict[str, Any]:
     """Evaluate the network, if ``on_examples`` on the shipped pictures too; the JSON document without times and failures."""
 
     def measure(data: TrainingData) -> dict[str, float | int]:
         forward, backward, shapes = evaluate(result.network, data, config.frame)
-        return {"forward": forward, "backward": backward, "chamfer": forward + backward, "shapes": shapes}
+        return {
+            "forward": forward,
+            "backward": backward,
+            "chamfer": forward + backward,
+            "shapes": shapes,
+        }
 
     document = {
         "output": output,
@@ -39,7 +57,9 @@ def training_document(
         document["chamfer_training"] = chamfer
     document["objects"], document["not_judged"] = len(training.objects), dict(training.not_judged)
     if on_examples:
-        document["chamfer_unseen_examples"] = measure(shipped_examples(training.crop_share, training.background))
+        document["chamfer_unseen_examples"] = measure(
+            shipped_examples(training.crop_share, training.background)
+        )
     return document | {
         "convention": f"squared distances, mean over points, {training.scale}; forward is target -> prediction",
         "scale": training.scale,
@@ -57,10 +77,17 @@ def unusable(sets: list[TrainingData]) -> dict[str, str]:
 def print_summary(document: dict[str, Any]) -> None:
     """For people."""
     seconds, speed = document["seconds"], document["images_per_second"]
-    click.echo(f"{document['output']}: {document['steps']} steps in {seconds['train']:.0f} s, {document['training_set']}")
-    for key, label in (("chamfer_training", "training shapes"), ("chamfer_unseen_examples", "unseen examples")):
+    click.echo(
+        f"{document['output']}: {document['steps']} steps in {seconds['train']:.0f} s, {document['training_set']}"
+    )
+    for key, label in (
+        ("chamfer_training", "training shapes"),
+        ("chamfer_unseen_examples", "unseen examples"),
+    ):
         if key in document:
-            forward, backward, chamfer = (1000.0 * document[key][name] for name in ("forward", "backward", "chamfer"))
+            forward, backward, chamfer = (
+                1000.0 * document[key][name] for name in ("forward", "backward", "chamfer")
+            )
             click.echo(
                 f"Chamfer x1000, {document[key]['shapes']} {label}: {chamfer:.2f} "
                 f"(forward {forward:.2f}, backward {backward:.2f})"

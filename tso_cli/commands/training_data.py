@@ -48,19 +48,27 @@ def load(selection: DataSelection, quiet: bool = False) -> TrainingData:
     """Open the data set, or render the shipped meshes; name skipped items on stderr."""
     if selection.data is None:
         if selection.split_file is not None or selection.categories or selection.behind is not None:
-            raise InputError("--split, --category or --backgrounds without DATA, expected a data set")
+            raise InputError(
+                "--split, --category or --backgrounds without DATA, expected a data set"
+            )
         meshes = example_meshes()
         description = f"{len(meshes)} shipped example meshes"
         if not quiet:
             log(f"tso: no DATA: rendering the {description}")
         bar = None if quiet else ProgressBar("render")
-        return from_meshes(meshes, description, selection.crop_share, selection.background, progress=bar)
+        return from_meshes(
+            meshes, description, selection.crop_share, selection.background, progress=bar
+        )
     dataset = _select(selection, selection.data)
     if dataset.skipped and not quiet:
         for item, reason in list(dataset.skipped.items())[:NAMED]:
             log(f"tso: {reason if item in reason else f'{item}: {reason}'}; left out")
-        log(f"tso: {len(dataset.skipped)} items left out in all (--strict stops at the first, --json names all)")
-    backgrounds = None if selection.behind is None else Backgrounds(selection.behind, selection.strict)
+        log(
+            f"tso: {len(dataset.skipped)} items left out in all (--strict stops at the first, --json names all)"
+        )
+    backgrounds = (
+        None if selection.behind is None else Backgrounds(selection.behind, selection.strict)
+    )
     description = f"{dataset.description}: {len(dataset.objects)} objects"
     pictures = (selection.crop_share, selection.background, selection.strict, backgrounds)
     return TrainingData(dataset.objects, description, *pictures, dataset.skipped, dataset.scale)
@@ -72,8 +80,12 @@ def _select(selection: DataSelection, folder: Path) -> Dataset:
     if categories:
         known = sorted({item.category for item in dataset.objects})
         if unknown := [name for name in categories if name not in known]:
-            raise InputError(f"{folder}: has no category {unknown[0]!r}, expected one of {', '.join(known)}")
-        dataset = replace(dataset, objects=[item for item in dataset.objects if item.category in categories])
+            raise InputError(
+                f"{folder}: has no category {unknown[0]!r}, expected one of {', '.join(known)}"
+            )
+        dataset = replace(
+            dataset, objects=[item for item in dataset.objects if item.category in categories]
+        )
     if selection.split_file is not None:
         names = read_part(selection.split_file, selection.part)
         # The split may name objects of categories that were not loaded.

@@ -69,11 +69,17 @@ class Skipped:
         self.reasons[item] = why
 
 
-def finished(objects: list[ObjectItem], description: str, skipped: Skipped, expected: str) -> Dataset:
+def finished(
+    objects: list[ObjectItem], description: str, skipped: Skipped, expected: str
+) -> Dataset:
     """The data set; InputError saying what was ``expected`` if it has no object."""
     if not objects:
         first = next(iter(skipped.reasons.values()), None)
-        what = f"no object can be used, the first: {first}" if first else f"holds no object, expected {expected}"
+        what = (
+            f"no object can be used, the first: {first}"
+            if first
+            else f"holds no object, expected {expected}"
+        )
         raise InputError(f"{description}: {what}")
     return Dataset(sorted(objects, key=lambda item: item.name), description, skipped.reasons)
 
@@ -82,10 +88,16 @@ def listed(folder: Path) -> tuple[list[str], set[str]]:
     """Names of the folders, sorted, and of the files in ``folder``; hidden ones are left out. InputError if unreadable."""
     try:
         with os.scandir(folder) as entries:
-            kinds = {entry.name: entry.is_dir() for entry in entries if not entry.name.startswith(".")}
+            kinds = {
+                entry.name: entry.is_dir() for entry in entries if not entry.name.startswith(".")
+            }
     except (OSError, ValueError) as error:
-        raise InputError(f"{folder}: cannot be listed ({reason(error)}), expected a folder") from None
-    return sorted(name for name in kinds if kinds[name]), {name for name in kinds if not kinds[name]}
+        raise InputError(
+            f"{folder}: cannot be listed ({reason(error)}), expected a folder"
+        ) from None
+    return sorted(name for name in kinds if kinds[name]), {
+        name for name in kinds if not kinds[name]
+    }
 
 
 class Picture(NamedTuple):
@@ -113,7 +125,9 @@ class ModelLayout:
     not_a_category: str = ""  # a folder beside the categories
 
 
-def open_models(name: str, folder: Path, layout: ModelLayout, targets: Targets | None, strict: bool) -> Dataset:
+def open_models(
+    name: str, folder: Path, layout: ModelLayout, targets: Targets | None, strict: bool
+) -> Dataset:
     """The data set ``name`` of the models in ``folder``; what cannot be used is skipped, or an error with ``strict``.
 
     All pictures of a category have the size of its first that can be read: no other is opened here. A model without its 3D
@@ -128,16 +142,27 @@ def open_models(name: str, folder: Path, layout: ModelLayout, targets: Targets |
                 usable[model] = _usable(model, folder / model / layout.inside, layout, skipped)
             except InputError as error:
                 skipped.add(model, str(error))
-        size = _first_size(folder / model / layout.inside / picture.measured for model in usable for picture in usable[model])
+        size = _first_size(
+            folder / model / layout.inside / picture.measured
+            for model in usable
+            for picture in usable[model]
+        )
         for model, pictures in usable.items():
             if size is None:
                 skipped.add(model, f"{folder / model}: no picture of the category can be read")
                 continue
             # The same few names in every folder: one string each.
-            files, rows = [sys.intern(picture.file) for picture in pictures], np.concatenate([p.row for p in pictures])
-            build = partial(_view, layout.view, str(folder / model / layout.inside), files, rows, size)
+            files, rows = (
+                [sys.intern(picture.file) for picture in pictures],
+                np.concatenate([p.row for p in pictures]),
+            )
+            build = partial(
+                _view, layout.view, str(folder / model / layout.inside), files, rows, size
+            )
             views = LazyViews(len(files), build)
-            objects.append(ObjectItem(model, SYNSETS.get(category, category), views, *_target(model, targets)))
+            objects.append(
+                ObjectItem(model, SYNSETS.get(category, category), views, *_target(model, targets))
+            )
     return finished(objects, f"{name} ({layout.title})", skipped, layout.expected)
 
 
@@ -153,7 +178,9 @@ def _usable(model: str, folder: Path, layout: ModelLayout, skipped: Skipped) -> 
     return usable
 
 
-def _view(view: View, folder: str, files: list[str], rows: Array, size: tuple[int, int], index: int) -> ViewItem:
+def _view(
+    view: View, folder: str, files: list[str], rows: Array, size: tuple[int, int], index: int
+) -> ViewItem:
     return view(Path(folder), files[index], rows[index].tolist(), size)
 
 
@@ -181,7 +208,9 @@ def read_table(path: Path, least: int, most: int, what: str) -> Array:
     for number, line in enumerate(text.rstrip().splitlines(), 1):
         words = line.split()[:most]
         if len(words) < least:
-            raise InputError(f"{path}: line {number} has {len(words)} numbers, expected {least} or more: {what}")
+            raise InputError(
+                f"{path}: line {number} has {len(words)} numbers, expected {least} or more: {what}"
+            )
         row = [math.nan] * most
         for column, word in enumerate(words):
             try:
@@ -207,10 +236,14 @@ def require_size(path: Path, pixels: NDArray[np.generic], camera: Camera, expect
     """Raise InputError unless ``pixels`` [H, W, ...], read from ``path``, are of the camera's size; ``expected`` says why."""
     height, width = pixels.shape[:2]
     if (width, height) != (camera.width, camera.height):
-        raise InputError(f"{path}: is {width}x{height}, expected {camera.width}x{camera.height} {expected}")
+        raise InputError(
+            f"{path}: is {width}x{height}, expected {camera.width}x{camera.height} {expected}"
+        )
 
 
-def load_pair(image_path: Path, mask_path: Path, camera: Camera, expected: str) -> tuple[Pixels, Floats]:
+def load_pair(
+    image_path: Path, mask_path: Path, camera: Camera, expected: str
+) -> tuple[Pixels, Floats]:
     """Image [H, W, 3] and mask [H, W] of two files; InputError unless both are of the camera's size."""
     image, mask = read_image(image_path)[..., :3], read_mask(mask_path)
     require_size(image_path, image, camera, expected)

@@ -65,9 +65,13 @@ class Dataset:
         missing = sorted(listed - {original(item.name) for item in chosen} - set(self.skipped))
         if missing:
             more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-            raise InputError(f"{source}: names {missing[0]}{more}, expected objects of {self.description}")
+            raise InputError(
+                f"{source}: names {missing[0]}{more}, expected objects of {self.description}"
+            )
         if not chosen:
-            raise InputError(f"{source}: names no object that can be used, expected some of {self.description}")
+            raise InputError(
+                f"{source}: names no object that can be used, expected some of {self.description}"
+            )
         return replace(self, objects=chosen)
 
     def with_points(self, strict: bool = False) -> Dataset:

@@ -45,7 +45,9 @@ def open_dataset(folder: Path, strict: bool = False, own_scale: bool = False) ->
     if R2N2 in folders or (not layouts and _is_r2n2(folder, folders)):
         layouts[R2N2] = open_r2n2
     if len(layouts) > 1:
-        raise InputError(f"{folder}: holds {' and '.join(list(layouts)[:2])}, expected one data set")
+        raise InputError(
+            f"{folder}: holds {' and '.join(list(layouts)[:2])}, expected one data set"
+        )
     layout, opener = next(iter(layouts.items()), ("", open_rendered))
     if not layout and not holds_object(folder):
         raise InputError(f"{folder}: has no layout known here, expected {LAYOUTS}")

@@ -77,18 +77,33 @@ def open_pix3d(root: Path, strict: bool = False) -> Dataset:
     objects = []
     for name, photos in entries.items():
         views = common.LazyViews(len(photos), partial(_view, str(root), photos))
-        objects.append(ObjectItem(name, photos[0].category, views, partial(_target, str(root / photos[0].model))))
-    return common.finished(objects, f"{root.resolve().name} (Pix3D)", skipped, "entries with img, mask and model")
+        objects.append(
+            ObjectItem(
+                name, photos[0].category, views, partial(_target, str(root / photos[0].model))
+            )
+        )
+    return common.finished(
+        objects, f"{root.resolve().name} (Pix3D)", skipped, "entries with img, mask and model"
+    )
 
 
 def _entry(values: Any, where: str) -> _Entry:
     if not isinstance(values, dict):
-        raise InputError(f"{where}: is a {type(values).__name__}, expected an object with img, mask, model and so on")
-    image, mask, model, category = (_text(values, key, where) for key in ("img", "mask", "model", "category"))
+        raise InputError(
+            f"{where}: is a {type(values).__name__}, expected an object with img, mask, model and so on"
+        )
+    image, mask, model, category = (
+        _text(values, key, where) for key in ("img", "mask", "model", "category")
+    )
     width, height = (int(side) for side in _numbers(values, "img_size", (2,), where, whole=True))
     focal = float(_numbers(values, "focal_length", (), where)) / SENSOR_MM * width
-    K = np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
-    rotation, translation = _numbers(values, "rot_mat", (3, 3), where), _numbers(values, "trans_mat", (3,), where)
+    K = np.array(
+        [[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]]
+    )
+    rotation, translation = (
+        _numbers(values, "rot_mat", (3, 3), where),
+        _numbers(values, "trans_mat", (3,), where),
+    )
     with prefixed(f"{where}: "):
         camera = Camera(K, _IMAGE_AXES @ rotation, _IMAGE_AXES @ translation, width, height)
     return _Entry(image, mask, model, category, camera)
@@ -101,7 +116,9 @@ def _text(values: dict[str, Any], key: str, where: str) -> str:
     return text
 
 
-def _numbers(values: dict[str, Any], key: str, shape: tuple[int, ...], where: str, whole: bool = False) -> Array:
+def _numbers(
+    values: dict[str, Any], key: str, shape: tuple[int, ...], where: str, whole: bool = False
+) -> Array:
     try:
         array = np.array(values[key], dtype=np.float64)
     except (KeyError, TypeError, ValueError, OverflowError):
@@ -151,7 +168,9 @@ def _view(root: str, photos: list[_Entry], index: int) -> ViewItem:
         camera = entry.camera.for_normalised(*_normalisation(str(model)))
     except InputError as error:
         return ViewItem(str(image), entry.camera, partial(_fail, str(error)))
-    return ViewItem(str(image), camera, partial(common.load_pair, image, mask, camera, f"as {TABLE} says"))
+    return ViewItem(
+        str(image), camera, partial(common.load_pair, image, mask, camera, f"as {TABLE} says")
+    )
 
 
 def _fail(message: str) -> tuple[Pixels, Floats]:

@@ -50,7 +50,9 @@ def open_r2n2(root: Path, strict: bool = False) -> Dataset:
     return common.open_models(place.name, root, _LAYOUT, targets, strict)
 
 
-def r2n2_camera(azimuth: float, elevation: float, ratio: float, size: tuple[int, int], rotation: float = 0.0) -> Camera:
+def r2n2_camera(
+    azimuth: float, elevation: float, ratio: float, size: tuple[int, int], rotation: float = 0.0
+) -> Camera:
     """The camera of a view: from the axes of ShapeNet's models (y up) to pixels of an image of ``size`` (width, height).
 
     The other values are as in the table: degrees, and the distance ratio.
@@ -59,10 +61,16 @@ def r2n2_camera(azimuth: float, elevation: float, ratio: float, size: tuple[int,
     right = np.array([np.sin(az), 0.0, -np.cos(az)])
     down = np.array([np.sin(el) * np.cos(az), -np.cos(el), np.sin(el) * np.sin(az)])
     forward = -np.array([np.cos(el) * np.cos(az), np.sin(el), np.cos(el) * np.sin(az)])
-    turned = [np.cos(roll) * right + np.sin(roll) * down, np.cos(roll) * down - np.sin(roll) * right, forward]
+    turned = [
+        np.cos(roll) * right + np.sin(roll) * down,
+        np.cos(roll) * down - np.sin(roll) * right,
+        forward,
+    ]
     width, height = size
     focal = LENS_MM / SENSOR_MM * max(size)
-    K = np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
+    K = np.array(
+        [[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]]
+    )
     return Camera(K, np.array(turned), np.array([0.0, 0.0, FARTHEST * ratio]), width, height)
 
 
@@ -76,18 +84,27 @@ def _pictures(folder: Path) -> list[common.Picture]:
         raise InputError(f"{folder}: does not exist, expected the pictures of this object")
     files = common.listed(folder)[1]
     if LIST in files:
-        text = read_bytes(folder / LIST, "the names of the pictures", limit=1 << 24).decode("utf-8", "replace")
+        text = read_bytes(folder / LIST, "the names of the pictures", limit=1 << 24).decode(
+            "utf-8", "replace"
+        )
         numbered = list(enumerate(line.strip() for line in text.split("\n") if line.strip()))
     else:
-        numbered = sorted((int(match[1]), match[0]) for match in map(_PICTURE.fullmatch, files) if match)
+        numbered = sorted(
+            (int(match[1]), match[0]) for match in map(_PICTURE.fullmatch, files) if match
+        )
     if not numbered:
         raise InputError(f"{folder}: holds no picture, expected 00.png and so on")
-    rows = common.read_table(folder / TABLE, 4, 4, "azimuth, elevation, rotation and distance ratio")
+    rows = common.read_table(
+        folder / TABLE, 4, 4, "azimuth, elevation, rotation and distance ratio"
+    )
     pictures = []
     for line, file in numbered:
         problem = ""
         if file not in files:
-            file, problem = shown(file), f"{folder / LIST}: names {shown(file)}, expected a picture in this folder"
+            file, problem = (
+                shown(file),
+                f"{folder / LIST}: names {shown(file)}, expected a picture in this folder",
+            )
         elif line >= len(rows):
             problem = f"{folder / TABLE}: has {len(rows)} rows, expected one for {file}"
         elif rows[line, 3] <= 0.0:
@@ -107,7 +124,9 @@ def _load(picture: Path, camera: Camera) -> tuple[Pixels, Floats]:
     common.require_size(picture, pixels, camera, "as the first picture of its category")
     if pixels.shape[2] != 4:
         raise InputError(f"{picture}: has no alpha channel, expected the mask there")
-    return np.ascontiguousarray(pixels[..., :3]), pixels[..., 3].astype(np.float32) / np.float32(255.0)
+    return np.ascontiguousarray(pixels[..., :3]), pixels[..., 3].astype(np.float32) / np.float32(
+        255.0
+    )
 
 
 _EXPECTED = f"SYNSET/MODEL/{PICTURES} with 00.png and {TABLE}"

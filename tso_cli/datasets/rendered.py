@@ -46,13 +46,19 @@ def open_rendered(root: Path, strict: bool = False) -> Dataset:
     for name, path, complete in sorted(_walk(root)):
         try:
             if not complete:
-                raise InputError(f"{path / TARGET}: does not exist, expected the points of this object")
+                raise InputError(
+                    f"{path / TARGET}: does not exist, expected the points of this object"
+                )
             category = name.split("/")[0] if "/" in name else ""
             views = common.LazyViews(len(_records(path)), partial(_view, str(path)))
-            objects.append(ObjectItem(name, category, views, partial(common.cloud_target, str(path / TARGET))))
+            objects.append(
+                ObjectItem(name, category, views, partial(common.cloud_target, str(path / TARGET)))
+            )
         except InputError as error:
             skipped.add(name, str(error))
-    return common.finished(objects, root.resolve().name, skipped, f"NAME/{CAMERAS} and so on as tso render writes them")
+    return common.finished(
+        objects, root.resolve().name, skipped, f"NAME/{CAMERAS} and so on as tso render writes them"
+    )
 
 
 def holds_object(folder: Path) -> bool:
@@ -69,7 +75,9 @@ def stored_record(folder: Path) -> dict[str, Any] | None:
     except (OSError, ValueError):
         record = None
     if not isinstance(record, dict):
-        raise InputError(f"{folder}: exists and is not an object that tso render wrote, expected another output folder")
+        raise InputError(
+            f"{folder}: exists and is not an object that tso render wrote, expected another output folder"
+        )
     return record
 
 
@@ -117,7 +125,9 @@ class ObjectWriter:
                 write_image(paths[1], mask)
                 records.append(CameraRecord(camera, mask=paths[1], image=paths[0]))
             write_cameras(new / CAMERAS, records)
-            write_cloud(new / f"target_{len(samples)}.ply", samples.astype(np.float64), dtype="float32")
+            write_cloud(
+                new / f"target_{len(samples)}.ply", samples.astype(np.float64), dtype="float32"
+            )
             write_cloud(new / TARGET, target.astype(np.float64), dtype="float32")
             write_file(new / RECORD, (json.dumps(record, indent=2) + "\n").encode())
             if folder.exists():
@@ -154,7 +164,9 @@ def _read_records(path: Path, changed: int) -> list[CameraRecord]:
     for number, record in enumerate(records):
         if record.image is None or record.mask is None:
             missing = "image" if record.image is None else "mask"
-            raise InputError(f"{path}: views[{number}] names no {missing}, expected one for training")
+            raise InputError(
+                f"{path}: views[{number}] names no {missing}, expected one for training"
+            )
     return records
 
 
@@ -162,7 +174,9 @@ def _view(folder: str, index: int) -> ViewItem:
     record = _records(Path(folder))[index]
     assert record.image is not None
     assert record.mask is not None
-    load = partial(common.load_pair, record.image, record.mask, record.camera, f"as its camera in {CAMERAS}")
+    load = partial(
+        common.load_pair, record.image, record.mask, record.camera, f"as its camera in {CAMERAS}"
+    )
     return ViewItem(str(record.mask), record.camera, load)
 
 

@@ -40,7 +40,9 @@ def normalised(dataset: Dataset) -> Dataset:
 def of_unit_diagonal(dataset: Dataset) -> Dataset:
     """The objects scaled as ShapeNet's models are; those of longest side 1 as they come."""
     boxes = _Boxes(dataset.objects, diagonal=True)
-    return replace(dataset, objects=[boxes.normalised(item) for item in dataset.objects], scale=DIAGONAL)
+    return replace(
+        dataset, objects=[boxes.normalised(item) for item in dataset.objects], scale=DIAGONAL
+    )
 
 
 class _Boxes:
@@ -68,7 +70,9 @@ class _Boxes:
             centre, size = self._measured(item, points)
             return ((points - centre) / size).astype(np.float32)
 
-        return replace(item, views=LazyViews(len(item.views), view), target=None if read is None else target)
+        return replace(
+            item, views=LazyViews(len(item.views), view), target=None if read is None else target
+        )
 
     def _of(self, item: ObjectItem) -> tuple[Array, float]:
         if item.name not in self._known:
@@ -90,12 +94,19 @@ class _Boxes:
     def _median(self, category: str) -> tuple[Array, float]:
         with self._lock:
             if category not in self._medians:
-                members = self._members[category] or [item for items in self._members.values() for item in items]
+                members = self._members[category] or [
+                    item for items in self._members.values() for item in items
+                ]
                 boxes = []
                 for item in members[:: max(1, -(-len(members) // TYPICAL))]:
                     assert item.target is not None
                     with suppress(InputError):
                         boxes.append(self._measured(item, item.target()))
-                centre = np.median([centre for centre, _ in boxes], axis=0) if boxes else np.zeros(3)
-                self._medians[category] = centre, float(np.median([size for _, size in boxes])) if boxes else 1.0
+                centre = (
+                    np.median([centre for centre, _ in boxes], axis=0) if boxes else np.zeros(3)
+                )
+                self._medians[category] = (
+                    centre,
+                    float(np.median([size for _, size in boxes])) if boxes else 1.0,
+                )
             return self._medians[category]

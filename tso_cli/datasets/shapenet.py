@@ -45,14 +45,22 @@ def open_shapenet(root: Path, strict: bool = False) -> Dataset:
     if not (root / RENDERED).is_dir() and root.resolve().name == RENDERED:
         root = root.resolve().parent
     models = root / RENDERED
-    return common.open_models(root.resolve().name, models, _LAYOUT, common.clouds_beside(models), strict)
+    return common.open_models(
+        root.resolve().name, models, _LAYOUT, common.clouds_beside(models), strict
+    )
 
 
-def shapenet_camera(azimuth: float, elevation: float, size: tuple[int, int], distance: float = CANONICAL_DISTANCE) -> Camera:
+def shapenet_camera(
+    azimuth: float, elevation: float, size: tuple[int, int], distance: float = CANONICAL_DISTANCE
+) -> Camera:
     """The camera of a view: from the axes (a, b, c) of the clouds to pixels of an image of ``size`` (width, height)."""
     az, el = np.radians(azimuth), np.radians(elevation)
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(az), -np.sin(az)], [0.0, np.sin(az), np.cos(az)]])
-    about_y = np.array([[np.cos(el), 0.0, np.sin(el)], [0.0, 1.0, 0.0], [-np.sin(el), 0.0, np.cos(el)]])
+    about_x = np.array(
+        [[1.0, 0.0, 0.0], [0.0, np.cos(az), -np.sin(az)], [0.0, np.sin(az), np.cos(az)]]
+    )
+    about_y = np.array(
+        [[np.cos(el), 0.0, np.sin(el)], [0.0, 1.0, 0.0], [-np.sin(el), 0.0, np.cos(el)]]
+    )
     rotation = _IMAGE_AXES @ about_y @ about_x @ _CLOUD_AXES
     K = Camera.canonical(*size).K
     return Camera(K, rotation, np.array([0.0, 0.0, distance]), *size)
@@ -73,7 +81,9 @@ def _pictures(folder: Path) -> list[common.Picture]:
         elif depth not in files:
             problem = f"{folder / depth}: does not exist, expected the depth of {file}"
         elif rows[number, 2] != 0.0 and not np.isnan(rows[number, 2]):
-            problem = f"{table}: line {number + 1} has a tilt of {rows[number, 2]:g} degrees, expected 0"
+            problem = (
+                f"{table}: line {number + 1} has a tilt of {rows[number, 2]:g} degrees, expected 0"
+            )
         elif rows[number, 3] <= 0.0:
             problem = f"{table}: line {number + 1} has a distance of {rows[number, 3]:g}, expected more than 0"
         pictures.append(common.Picture(file, rows[number : number + 1], problem, depth))
@@ -82,8 +92,14 @@ def _pictures(folder: Path) -> list[common.Picture]:
 
 def _view(folder: Path, file: str, row: list[float], size: tuple[int, int]) -> ViewItem:
     azimuth, elevation, _, distance = row
-    camera = shapenet_camera(azimuth, elevation, size, CANONICAL_DISTANCE if np.isnan(distance) else distance)
-    return ViewItem(str(folder / file), camera, partial(_load, folder / file, folder / file.replace("render", "depth"), camera))
+    camera = shapenet_camera(
+        azimuth, elevation, size, CANONICAL_DISTANCE if np.isnan(distance) else distance
+    )
+    return ViewItem(
+        str(folder / file),
+        camera,
+        partial(_load, folder / file, folder / file.replace("render", "depth"), camera),
+    )
 
 
 def _load(picture: Path, depth: Path, camera: Camera) -> tuple[Pixels, Floats]:
@@ -95,4 +111,6 @@ def _load(picture: Path, depth: Path, camera: Camera) -> tuple[Pixels, Floats]:
 
 
 _EXPECTED = f"{RENDERED}/SYNSET/MODEL with render_0.png, depth_0.png, view.txt"
-_LAYOUT = common.ModelLayout("ShapeNet of the CAPNet authors", _EXPECTED, _pictures, _view, not_a_category=SPLITS)
+_LAYOUT = common.ModelLayout(
+    "ShapeNet of the CAPNet authors", _EXPECTED, _pictures, _view, not_a_category=SPLITS
+)

@@ -35,7 +35,9 @@ def read_split(path: Path) -> dict[str, list[str]]:
     for part, names in split.items():
         for name in names:
             if name in seen:
-                raise InputError(f"{path}: names {shown(name)} for {seen[name]} and for {part}, expected one of them")
+                raise InputError(
+                    f"{path}: names {shown(name)} for {seen[name]} and for {part}, expected one of them"
+                )
             seen[name] = part
     return split
 
@@ -44,7 +46,9 @@ def read_part(path: Path, part: str) -> list[str]:
     """Names of the objects of one ``part``; InputError if the split has no such list."""
     split = read_split(path)
     if part not in split:
-        raise InputError(f"{path}: has no list {part!r}, expected one beside {', '.join(map(repr, split))}")
+        raise InputError(
+            f"{path}: has no list {part!r}, expected one beside {', '.join(map(repr, split))}"
+        )
     return split[part]
 
 
@@ -63,12 +67,16 @@ def _from_json(path: Path) -> dict[str, list[str]]:
 
 def _from_folder(folder: Path) -> dict[str, list[str]]:
     # The authors keep the lists inside the folder of the pictures.
-    folder = next((place for place in (folder / SPLITS, folder / RENDERED / SPLITS) if place.is_dir()), folder)
+    folder = next(
+        (place for place in (folder / SPLITS, folder / RENDERED / SPLITS) if place.is_dir()), folder
+    )
     matches = filter(None, map(_FILE.fullmatch, sorted(common.listed(folder)[1])))
     # Where a list is there in both forms, text comes last and counts.
     lists = {(match["category"], match["part"]): folder / match[0] for match in matches}
     if not lists:
-        raise InputError(f"{folder}: holds no list, expected SYNSET_train_list.txt or .npy and so on")
+        raise InputError(
+            f"{folder}: holds no list, expected SYNSET_train_list.txt or .npy and so on"
+        )
     split: dict[str, list[str]] = {}
     for (category, part), path in lists.items():
         names = _array(path) if path.suffix == ".npy" else _lines(path)
@@ -81,7 +89,9 @@ def _lines(path: Path) -> list[str]:
     try:
         text = read_bytes(path, "a list of models, one a line", limit=_LIMIT).decode("utf-8")
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not text ({reason(error)}), expected a list of models, one a line") from None
+        raise InputError(
+            f"{path}: is not text ({reason(error)}), expected a list of models, one a line"
+        ) from None
     return [line.strip() for line in text.splitlines() if line.strip()]
 
 
@@ -94,7 +104,9 @@ def _array(path: Path) -> list[str]:
             "expected texts: numpy.save(path, array.astype(str)), or a .txt with a name a line"
         )
     if dtype.kind not in "US" or len(shape) != 1:
-        raise InputError(f"{path}: holds {shown(str(dtype))} {list(shape)}, expected an array of texts [N]")
+        raise InputError(
+            f"{path}: holds {shown(str(dtype))} {list(shape)}, expected an array of texts [N]"
+        )
     array = read_array(data, path, "US", "texts")
     try:
         names = array.astype(str) if dtype.kind == "U" else np.char.decode(array, "utf-8")

@@ -60,13 +60,17 @@ class EvalConfig:
         if self.points is not None and self.points < 2:
             raise InputError(f"--points is {self.points}, expected at least 2")
         if self.samples < max(2, self.points or 2):
-            raise InputError(f"--samples is {self.samples}, expected at least {max(2, self.points or 2)} (as many as --points)")
+            raise InputError(
+                f"--samples is {self.samples}, expected at least {max(2, self.points or 2)} (as many as --points)"
+            )
         for name, value in (("--threshold", self.threshold), ("--sigma-sq", self.sigma_sq)):
             if value is not None and not 0.0 < value < np.inf:
                 raise InputError(f"{name} is {value:g}, expected a number > 0")
 
 
-def evaluate(pairs: Sequence[Pair], config: EvalConfig, progress: Progress | None = None) -> dict[str, Any]:
+def evaluate(
+    pairs: Sequence[Pair], config: EvalConfig, progress: Progress | None = None
+) -> dict[str, Any]:
     """Measure every pair; ``progress`` is called with (done, total) after each.
 
     Returns JSON-able {"pairs": [{"name", ...}], "mean": {...}, "convention": {...}}; distances are raw, in units of the files
@@ -90,13 +94,23 @@ def _measure(pair: Pair, config: EvalConfig) -> dict[str, Any]:
     with prefixed(f"{pair.prediction} against {pair.target}: "):
         compared = prediction, target
         if capnet:
-            compared = normalise_longest_side(prediction, "prediction"), normalise_longest_side(target, "target")
+            compared = (
+                normalise_longest_side(prediction, "prediction"),
+                normalise_longest_side(target, "target"),
+            )
         if "chamfer" in config.metrics:
             distance = chamfer(*compared)
-            record.update(forward=distance.forward, backward=distance.backward, chamfer=distance.chamfer)
+            record.update(
+                forward=distance.forward, backward=distance.backward, chamfer=distance.chamfer
+            )
         if "f_score" in config.metrics:
             score = f_score(*compared, config.threshold)
-            record.update(precision=score.precision, recall=score.recall, f_score=score.f_score, threshold=score.threshold)
+            record.update(
+                precision=score.precision,
+                recall=score.recall,
+                f_score=score.f_score,
+                threshold=score.threshold,
+            )
         if "emd" in config.metrics:
             record["emd"] = emd(*compared, squared=capnet)
     if "iou" in config.metrics:
@@ -119,7 +133,9 @@ def _read(path: Path, config: EvalConfig, seed: int | list[int]) -> Array:
         return points
     count = config.points or CAPNET_POINTS
     if len(points) < count:
-        raise InputError(f"{path}: holds {len(points):,} points, expected at least the {count:,} of --points")
+        raise InputError(
+            f"{path}: holds {len(points):,} points, expected at least the {count:,} of --points"
+        )
     return points[farthest_point_sample(points, count)]
 
 
@@ -142,7 +158,11 @@ def _convention(config: EvalConfig) -> dict[str, Any]:
     capnet = config.protocol == "capnet"
     count = config.points or (CAPNET_POINTS if capnet else None)
     at_most = " at most" if config.points is None else ""
-    threshold = f"{config.threshold:g}" if config.threshold else f"{F_SCORE_SHARE:.0%} of the target's longest side"
+    threshold = (
+        f"{config.threshold:g}"
+        if config.threshold
+        else f"{F_SCORE_SHARE:.0%} of the target's longest side"
+    )
     metrics = {
         "chamfer": "squared distances, mean over points; forward target -> prediction, backward prediction -> target, "
         "chamfer their sum",
@@ -155,7 +175,9 @@ def _convention(config: EvalConfig) -> dict[str, Any]:
     return {
         **{name: text for name, text in metrics.items() if name in config.metrics},
         "protocol": config.protocol,
-        "normalisation": "each cloud, once thinned, centred on its bounding box, longest side 1" if capnet else "none",
+        "normalisation": "each cloud, once thinned, centred on its bounding box, longest side 1"
+        if capnet
+        else "none",
         "points": count,
         "thinning": f"{count} points{at_most} (farthest-point)" if count else "all points",
         "samples": config.samples,

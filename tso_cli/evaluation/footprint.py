@@ -80,8 +80,14 @@ def in_window(points: Array, view: View, box: Box) -> Seen:
     first, last = np.maximum(first, -0.5), np.minimum(last, size - 0.5)
     counts = np.maximum(np.rint((last - first) / step), 1.0)
     last = first + step * counts
-    (left, top), (right, bottom), (width, height) = first.tolist(), last.tolist(), counts.astype(int).tolist()
-    silhouette = footprint(points, camera.cropped((left, top, right, bottom), fine * width, fine * height))
+    (left, top), (right, bottom), (width, height) = (
+        first.tolist(),
+        last.tolist(),
+        counts.astype(int).tolist(),
+    )
+    silhouette = footprint(
+        points, camera.cropped((left, top, right, bottom), fine * width, fine * height)
+    )
     if fine > 1:
         silhouette = silhouette.reshape(height, fine, width, fine).mean((1, 3)) > 0.5
     columns, rows = (
@@ -162,7 +168,9 @@ def footprint(points: Array, camera: Camera) -> Bools:
     edge = np.nonzero((beyond > 0.0) & (beyond < 1.5))
     for down, right in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         adjacent = point[edge[0] + down, edge[1] + right]
-        beyond[edge] = np.minimum(beyond[edge], np.hypot(x[adjacent] - edge[1], y[adjacent] - edge[0]) - radius[adjacent])
+        beyond[edge] = np.minimum(
+            beyond[edge], np.hypot(x[adjacent] - edge[1], y[adjacent] - edge[0]) - radius[adjacent]
+        )
     outside = _nearest(beyond > 0.0, border)
     # The nearest outside cell lies ``beyond`` the edge of the discs.
     rows, columns = np.divmod(outside, number.shape[1])
@@ -170,7 +178,9 @@ def footprint(points: Array, camera: Camera) -> Bools:
     inside = (beyond <= 0.0) & ((outside < 0) | (depth_inside > (radius - rim)[point]))
 
     (left, top), (right, bottom) = np.clip([low, high], 0, size)
-    silhouette[top:bottom, left:right] = inside[top - low[1] : bottom - low[1], left - low[0] : right - low[0]]
+    silhouette[top:bottom, left:right] = inside[
+        top - low[1] : bottom - low[1], left - low[0] : right - low[0]
+    ]
     return silhouette
 
 

@@ -60,7 +60,10 @@ def nearest_squared(queries: Array, data: Array) -> Array:
 def chamfer(prediction: ArrayLike, target: ArrayLike) -> Chamfer:
     """Chamfer distance of ``prediction`` [N, 3] and ``target`` [M, 3]; InputError for one that is empty or not finite."""
     prediction, target = as_points(prediction, "prediction"), as_points(target, "target")
-    forward, backward = nearest_squared(target, prediction).mean(), nearest_squared(prediction, target).mean()
+    forward, backward = (
+        nearest_squared(target, prediction).mean(),
+        nearest_squared(prediction, target).mean(),
+    )
     return Chamfer(float(forward), float(backward))
 
 
@@ -105,7 +108,9 @@ def iou(silhouette: ArrayLike, mask: ArrayLike, known: NDArray[np.bool_] | None 
     1 where both are empty; NaN where no pixel is known.
     """
     foreground, expected = np.asarray(silhouette) > 0.5, np.asarray(mask) > 0.5
-    counted = np.ones(expected.shape, dtype=bool) if known is None else np.asarray(known, dtype=bool)
+    counted = (
+        np.ones(expected.shape, dtype=bool) if known is None else np.asarray(known, dtype=bool)
+    )
     if not counted.any():
         return float("nan")
     union = int(((foreground | expected) & counted).sum())

@@ -17,7 +17,19 @@ from ..io.shapes import SUFFIXES
 
 # In a folder a .txt is more often a note than a cloud.
 FOLDER_SUFFIXES = tuple(suffix for suffix in SUFFIXES if suffix != ".txt")
-MASKS = (".png", ".mask.png", "/mask.png", ".npy", ".bmp", ".tif", ".tiff", ".webp", ".gif", ".jpg", ".jpeg")
+MASKS = (
+    ".png",
+    ".mask.png",
+    "/mask.png",
+    ".npy",
+    ".bmp",
+    ".tif",
+    ".tiff",
+    ".webp",
+    ".gif",
+    ".jpg",
+    ".jpeg",
+)
 CAMERAS = (".camera.json", ".json", "/camera.json", "/cameras.json")
 
 
@@ -44,14 +56,20 @@ class Pair:
         assert self.camera is not None
         for number, record in enumerate(read_cameras(self.camera)):
             if record.mask is None:
-                raise InputError(f"{self.camera}: view {number} names no mask, expected one or --mask")
+                raise InputError(
+                    f"{self.camera}: view {number} names no mask, expected one or --mask"
+                )
             mask = read_mask(record.mask)
             check_size(self.camera, record.camera, mask.shape[1], mask.shape[0], record.mask)
             yield record.mask, mask, record.camera
 
 
 def find_pairs(
-    prediction: Path, target: Path, mask: Path | None = None, camera: Path | None = None, suffix: str = ""
+    prediction: Path,
+    target: Path,
+    mask: Path | None = None,
+    camera: Path | None = None,
+    suffix: str = "",
 ) -> list[Pair]:
     """Two files, or the files of two folders matched by name: the path in the folder without its suffix.
 
@@ -65,7 +83,9 @@ def find_pairs(
             raise InputError(f"{path}: no such file or folder")
     if prediction.is_dir() != target.is_dir():
         folder, file = (prediction, target) if prediction.is_dir() else (target, prediction)
-        raise InputError(f"{folder} is a folder and {file} a file, expected two files or two folders")
+        raise InputError(
+            f"{folder} is a folder and {file} a file, expected two files or two folders"
+        )
     if prediction.is_dir():
         predictions, targets = _by_name(prediction, suffix), _by_name(target)
         _require_same_names(prediction, predictions, target, targets, suffix)
@@ -74,7 +94,13 @@ def find_pairs(
     else:
         predictions, targets = {prediction.stem: prediction}, {prediction.stem: target}
     return [
-        Pair(name, path, targets[name], _companion(mask, name, MASKS, "mask"), _companion(camera, name, CAMERAS, "camera"))
+        Pair(
+            name,
+            path,
+            targets[name],
+            _companion(mask, name, MASKS, "mask"),
+            _companion(camera, name, CAMERAS, "camera"),
+        )
         for name, path in sorted(predictions.items())
     ]
 
@@ -85,20 +111,33 @@ def _by_name(folder: Path, suffix: str = "") -> dict[str, Path]:
         relative = path.relative_to(folder)
         name = relative.with_suffix("").as_posix()
         hidden = any(part.startswith(".") for part in relative.parts)
-        if hidden or path.suffix.lower() not in FOLDER_SUFFIXES or not name.endswith(suffix) or not path.is_file():
+        if (
+            hidden
+            or path.suffix.lower() not in FOLDER_SUFFIXES
+            or not name.endswith(suffix)
+            or not path.is_file()
+        ):
             continue
         name = name.removesuffix(suffix)
         if name in paths:
-            raise InputError(f"{path} and {paths[name]} have the same name, expected one file for {name!r}")
+            raise InputError(
+                f"{path} and {paths[name]} have the same name, expected one file for {name!r}"
+            )
         paths[name] = path
     if not paths:
         ending = f"ending in {suffix} " if suffix else ""
-        raise InputError(f"{folder}: no file {ending}to judge in this folder or below, expected {', '.join(FOLDER_SUFFIXES)}")
+        raise InputError(
+            f"{folder}: no file {ending}to judge in this folder or below, expected {', '.join(FOLDER_SUFFIXES)}"
+        )
     return paths
 
 
 def _require_same_names(
-    prediction: Path, predictions: dict[str, Path], target: Path, targets: dict[str, Path], suffix: str
+    prediction: Path,
+    predictions: dict[str, Path],
+    target: Path,
+    targets: dict[str, Path],
+    suffix: str,
 ) -> None:
     parts = []
     for folder, other, unmatched in (
@@ -106,7 +145,9 @@ def _require_same_names(
         (target, prediction, targets.keys() - predictions.keys()),
     ):
         if names := sorted(unmatched):
-            listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+            listed = ", ".join(names[:3]) + (
+                f" and {len(names) - 3} more" if len(names) > 3 else ""
+            )
             parts.append(f"{folder} has {listed}, which {other} has not")
     if parts:
         refined = not suffix and any(name.endswith(".refined") for name in predictions)
@@ -122,4 +163,6 @@ def _companion(path: Path | None, name: str, endings: Sequence[str], what: str) 
         file = Path(f"{path / name}{ending}")
         if file.is_file():
             return file
-    raise InputError(f"{path}: no {what} for {name!r}, expected {name}{endings[0]} or {name}{endings[1]}")
+    raise InputError(
+        f"{path}: no {what} for {name!r}, expected {name}{endings[0]} or {name}{endings[1]}"
+    )

@@ -44,19 +44,32 @@ class Camera:
             object.__setattr__(self, name, value)
         for name in ("width", "height"):
             size = getattr(self, name)
-            if isinstance(size, bool) or not isinstance(size, (int, float, np.integer)) or not size >= 1 or size % 1:
-                raise InputError(f"{name} is {size!r}, expected a whole number of pixels, 1 or more")
+            if (
+                isinstance(size, bool)
+                or not isinstance(size, (int, float, np.integer))
+                or not size >= 1
+                or size % 1
+            ):
+                raise InputError(
+                    f"{name} is {size!r}, expected a whole number of pixels, 1 or more"
+                )
             object.__setattr__(self, name, int(size))
         if self.model not in MODELS:
             raise InputError(f"model is {self.model!r}, expected one of {', '.join(MODELS)}")
         if (np.abs(self.K[2] - [0.0, 0.0, 1.0]) > [1e-8, 1e-8, 1e-5]).any() or self.K[1, 0] != 0.0:
-            raise InputError(f"K is {self.K.tolist()}, expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]]")
+            raise InputError(
+                f"K is {self.K.tolist()}, expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]]"
+            )
         if min(self.K[0, 0], self.K[1, 1]) <= 0.0:
-            raise InputError(f"K is singular or mirrored: fx = {self.K[0, 0]:g}, fy = {self.K[1, 1]:g}, expected both > 0")
+            raise InputError(
+                f"K is singular or mirrored: fx = {self.K[0, 0]:g}, fy = {self.K[1, 1]:g}, expected both > 0"
+            )
         with np.errstate(over="ignore", invalid="ignore"):
             error, handedness = np.abs(self.R @ self.R.T - np.eye(3)).max(), np.linalg.det(self.R)
         if not (error <= 1e-3 and handedness > 0.0):
-            raise InputError(f"R is not a rotation: |R R^T - I| = {error:.2g}, det R = {handedness:.3g}, expected 0 and 1")
+            raise InputError(
+                f"R is not a rotation: |R R^T - I| = {error:.2g}, det R = {handedness:.3g}, expected 0 and 1"
+            )
 
     @classmethod
     def canonical(cls, width: int, height: int) -> Camera:
@@ -66,7 +79,9 @@ class Camera:
         120 px for each 64 px of the longer side.
         """
         focal = CANONICAL_FOCAL_AT_64 * max(width, height) / 64.0
-        K = np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
+        K = np.array(
+            [[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]]
+        )
         return cls(K, CANONICAL_ROTATION, np.array([0.0, 0.0, CANONICAL_DISTANCE]), width, height)
 
     @property
@@ -82,7 +97,9 @@ class Camera:
         """The camera of the region ``box`` resized: left, top, right, bottom, where the whole image is -0.5 to width - 0.5."""
         left, top, right, bottom = box
         sx, sy = width / (right - left), height / (bottom - top)
-        change = np.array([[sx, 0.0, -left * sx - 0.5], [0.0, sy, -top * sy - 0.5], [0.0, 0.0, 1.0]])
+        change = np.array(
+            [[sx, 0.0, -left * sx - 0.5], [0.0, sy, -top * sy - 0.5], [0.0, 0.0, 1.0]]
+        )
         return replace(self, K=change @ self.K, width=width, height=height)
 
     def for_normalised(self, centre: Array, scale: float) -> Camera:

@@ -81,7 +81,9 @@ def farthest_point_sample(points: ArrayLike, count: int) -> NDArray[np.int64]:
 
 
 def spread_subset(
-    points: ArrayLike, count: int, sample: Callable[[Array, int], NDArray[np.int64]] = farthest_point_sample
+    points: ArrayLike,
+    count: int,
+    sample: Callable[[Array, int], NDArray[np.int64]] = farthest_point_sample,
 ) -> NDArray[np.int64]:
     """Indices of at most ``count`` evenly spread points [N, 3]; of a large cloud, chosen among some of them.
 
@@ -117,10 +119,14 @@ def bounding_box_normalisation(points: ArrayLike, name: str = "cloud") -> tuple[
     with np.errstate(over="ignore"):
         scale = float((high - low).max())
     if scale == 0.0:
-        problem = "holds a single point" if len(array) == 1 else f"all {len(array)} points are equal"
+        problem = (
+            "holds a single point" if len(array) == 1 else f"all {len(array)} points are equal"
+        )
         raise InputError(f"{name}: {problem}, expected a cloud of some extent")
     if not np.isfinite(scale):
-        raise InputError(f"{name}: coordinates reach {np.abs(array).max():.3g}, too large to measure")
+        raise InputError(
+            f"{name}: coordinates reach {np.abs(array).max():.3g}, too large to measure"
+        )
     return low / 2.0 + high / 2.0, scale
 
 
@@ -130,7 +136,9 @@ def normalise_longest_side(points: ArrayLike, name: str = "cloud") -> Array:
     return (as_points(points, name) - centre) / scale
 
 
-def sample_surface(vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.random.Generator) -> Array:
+def sample_surface(
+    vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.random.Generator
+) -> Array:
     """Points [count, 3] drawn uniformly by area from the triangles ``faces`` [F, 3]; InputError where they have no area."""
     corners = as_points(vertices, "mesh")
     triangles = as_triangles(faces, len(corners), "mesh")
@@ -144,14 +152,20 @@ def as_triangles(faces: ArrayLike, count: int, name: str) -> NDArray[np.int64]:
     try:
         triangles = np.asarray(faces)
     except ValueError:
-        raise InputError(f"{name}: the faces are no array of whole numbers, expected triangles [F, 3]") from None
+        raise InputError(
+            f"{name}: the faces are no array of whole numbers, expected triangles [F, 3]"
+        ) from None
     if triangles.ndim != 2 or triangles.shape[1] != 3:
-        raise InputError(f"{name}: faces have shape {list(triangles.shape)}, expected triangles [F, 3]")
+        raise InputError(
+            f"{name}: faces have shape {list(triangles.shape)}, expected triangles [F, 3]"
+        )
     if triangles.dtype.kind not in "iu":
         raise InputError(f"{name}: the faces are {triangles.dtype}, expected whole numbers")
     outside = (triangles < 0) | (triangles >= count)
     if outside.any():
-        raise InputError(f"{name}: a face names vertex {triangles[outside][0]}, outside 0 to {count - 1}")
+        raise InputError(
+            f"{name}: a face names vertex {triangles[outside][0]}, outside 0 to {count - 1}"
+        )
     return triangles.astype(np.int64)
 
 

@@ -71,7 +71,10 @@ def area_resize(
 
     def overlaps(least: float) -> tuple[Array, Array, Array]:
         """Of rows [height, H] and columns [width, W], and the weights in each cell [height, width]."""
-        by_row, by_column = _overlaps(top, bottom, height, rows, least), _overlaps(left, right, width, columns, least)
+        by_row, by_column = (
+            _overlaps(top, bottom, height, rows, least),
+            _overlaps(left, right, width, columns, least),
+        )
         if weight is None:
             return by_row, by_column, np.outer(by_row.sum(1), by_column.sum(1))
         return by_row, by_column, by_row @ weight @ by_column.T

@@ -22,7 +22,9 @@ def cross_product_matrix(vectors: Array) -> Array:
     """[..., 3, 3], which times w is ``vectors`` x w."""
     x, y, z = np.moveaxis(vectors, -1, 0)
     zero = np.zeros_like(x)
-    return np.stack([np.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))], -2)
+    return np.stack(
+        [np.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))], -2
+    )
 
 
 def spread(directions: int, turns: int) -> Array:

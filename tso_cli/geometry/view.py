@@ -43,7 +43,9 @@ class View:
         if mask.ndim != 2:
             raise InputError(f"{self.name}: mask has shape {list(mask.shape)}, expected [H, W]")
         if not np.isfinite(mask).all() or mask.min() < 0.0 or mask.max() > 1.0:
-            raise InputError(f"{self.name}: mask values span {mask.min():g} to {mask.max():g}, expected 0 to 1")
+            raise InputError(
+                f"{self.name}: mask values span {mask.min():g} to {mask.max():g}, expected 0 to 1"
+            )
         object.__setattr__(self, "mask", mask)
         height, width = mask.shape
         if (width, height) != (self.camera.width, self.camera.height):
@@ -59,27 +61,41 @@ class View:
         if self.known is not None:
             known = np.asarray(self.known, dtype=bool)
             if known.shape != mask.shape:
-                raise InputError(f"{self.name}: the ignore map is {known.shape[1]}x{known.shape[0]}, the mask {width}x{height}")
+                raise InputError(
+                    f"{self.name}: the ignore map is {known.shape[1]}x{known.shape[0]}, the mask {width}x{height}"
+                )
             object.__setattr__(self, "known", known)
             counted = mask[known]
         inside = int((counted > 0.5).sum())
         if inside == 0:
             ignored = ", but for those that the ignore map leaves out" if (mask > 0.5).any() else ""
             most = f"the largest value is {counted.max(initial=0.0):.3g} of 1"
-            raise InputError(f"{self.name}: no pixel is foreground{ignored}: {most}, expected some over 0.5")
+            raise InputError(
+                f"{self.name}: no pixel is foreground{ignored}: {most}, expected some over 0.5"
+            )
         if inside == counted.size:
-            left, advice = ("", " (try --invert-mask?)") if inside == mask.size else (" that the ignore map leaves", "")
-            raise InputError(f"{self.name}: every pixel{left} is foreground, expected some background{advice}")
+            left, advice = (
+                ("", " (try --invert-mask?)")
+                if inside == mask.size
+                else (" that the ignore map leaves", "")
+            )
+            raise InputError(
+                f"{self.name}: every pixel{left} is foreground, expected some background{advice}"
+            )
 
     def _checked_depth(self, depth: NDArray[np.float64]) -> NDArray[np.float64]:
         """A copy of the depth map, NaN where nothing is known."""
         depth = np.array(depth, dtype=np.float64)
         self._require_shape("depth map", depth, list(self.mask.shape))
         if self.camera.model != "perspective":
-            raise InputError(f"{self.name}: its camera is {self.camera.model}, expected perspective for a depth map")
+            raise InputError(
+                f"{self.name}: its camera is {self.camera.model}, expected perspective for a depth map"
+            )
         depth[~np.isfinite(depth) | (depth == 0.0)] = np.nan
         if np.nanmin(depth, initial=np.inf) < 0.0:
-            raise InputError(f"{self.name}: the smallest depth is {np.nanmin(depth):g}, expected 0 (unknown) or more")
+            raise InputError(
+                f"{self.name}: the smallest depth is {np.nanmin(depth):g}, expected 0 (unknown) or more"
+            )
         known = np.isfinite(depth) & (self.mask > 0.5)
         if not (known if self.known is None else known & self.known).any():
             raise InputError(f"{self.name}: no foreground pixel has a depth, expected some > 0")
@@ -90,13 +106,17 @@ class View:
         self._require_shape("image", image, [*self.mask.shape, 3])
         # NaN is not between 0 and 1 either.
         if not (image.min() >= 0.0 and image.max() <= 1.0):
-            raise InputError(f"{self.name}: the image's values span {image.min():g} to {image.max():g}, expected 0 to 1")
+            raise InputError(
+                f"{self.name}: the image's values span {image.min():g} to {image.max():g}, expected 0 to 1"
+            )
         return image
 
     def _require_shape(self, what: str, array: NDArray[np.generic], shape: list[int]) -> None:
         if list(array.shape) != shape:
             size = f"{self.camera.width}x{self.camera.height}"
-            raise InputError(f"{self.name}: the {what} has shape {list(array.shape)}, the mask is {size}, expected {shape}")
+            raise InputError(
+                f"{self.name}: the {what} has shape {list(array.shape)}, the mask is {size}, expected {shape}"
+            )
 
     @cached_property
     def inside(self) -> NDArray[np.bool_]:
@@ -124,7 +144,9 @@ class View:
         smaller = min(np.count_nonzero(inside), np.count_nonzero(known & ~inside))
         grey = (some > 0.1) & (some < 0.9) & known
         # Thin parts, of which every pixel is at the outline, have light or dark neighbours.
-        grey = grey[1:-1, 1:-1] & grey[2:, 1:-1] & grey[:-2, 1:-1] & grey[1:-1, 2:] & grey[1:-1, :-2]
+        grey = (
+            grey[1:-1, 1:-1] & grey[2:, 1:-1] & grey[:-2, 1:-1] & grey[1:-1, 2:] & grey[1:-1, :-2]
+        )
         return bool(smaller >= GREY_FEWEST and np.count_nonzero(grey) > GREY_SHARE * smaller)
 
     def box(self) -> tuple[float, float, float, float]:
@@ -147,17 +169,26 @@ def object_box(inside: NDArray[np.bool_]) -> tuple[int, int, int, int]:
     """
     counts = inside.sum(0), inside.sum(1)
     limit = SPECK * int(counts[0].sum())
-    low, high = np.array([np.flatnonzero(count)[[0, -1]] for count in counts]).T + np.array([[0], [1]])
+    low, high = np.array([np.flatnonzero(count)[[0, -1]] for count in counts]).T + np.array(
+        [[0], [1]]
+    )
     # A box that leaves out at most the limit at each of its sides: often it shows that no speck is far off.
     bulk_low = np.array([np.searchsorted(np.cumsum(count), limit, "right") for count in counts])
-    bulk_high = np.array([len(count) - np.searchsorted(np.cumsum(count[::-1]), limit, "right") for count in counts])
+    bulk_high = np.array(
+        [len(count) - np.searchsorted(np.cumsum(count[::-1]), limit, "right") for count in counts]
+    )
     beside = BESIDE * (bulk_high - bulk_low).max()
     if (low < bulk_low - beside).any() or (high > bulk_high + beside).any():
         from scipy.ndimage import find_objects, label
 
         parts, _ = label(inside, np.ones((3, 3)))
         sizes = np.bincount(parts.ravel())[1:]
-        boxes = np.array([[across.start, down.start, across.stop, down.stop] for down, across in find_objects(parts)])
+        boxes = np.array(
+            [
+                [across.start, down.start, across.stop, down.stop]
+                for down, across in find_objects(parts)
+            ]
+        )
         large = sizes > limit
         if large.any():
             first, last = boxes[large, :2].min(0), boxes[large, 2:].max(0)

@@ -59,27 +59,43 @@ def find_camera(mask_path: Path) -> Path | None:
 def read_cameras(path: str | Path) -> list[CameraRecord]:
     """Read all views of a camera file, at least one; InputError names file and key."""
     path = Path(path)
-    document = read_json(path, "a camera file (JSON)", "a camera file", _FILE_LIMIT, lambda pairs: _unique(pairs, path))
+    document = read_json(
+        path,
+        "a camera file (JSON)",
+        "a camera file",
+        _FILE_LIMIT,
+        lambda pairs: _unique(pairs, path),
+    )
     if not isinstance(document, dict):
-        raise InputError(f"{path}: holds {_kind(document)}, expected an object with width, height, K, R, t or views")
+        raise InputError(
+            f"{path}: holds {_kind(document)}, expected an object with width, height, K, R, t or views"
+        )
     views, ignored = {"": document}, set()
     if "views" in document:
         if not isinstance(document["views"], list) or not document["views"]:
-            raise InputError(f"{path}: views is {_kind(document['views'])}, expected a list of at least one camera")
+            raise InputError(
+                f"{path}: views is {_kind(document['views'])}, expected a list of at least one camera"
+            )
         ignored |= _unknown_keys(path, "", document, ("views",))
         views = {f"views[{i}].": view for i, view in enumerate(document["views"])}
     records = []
     for where, view in views.items():
         if not isinstance(view, dict):
-            raise InputError(f"{path}: {where[:-1]} is {_kind(view)}, expected an object with width, height, K, R, t")
+            raise InputError(
+                f"{path}: {where[:-1]} is {_kind(view)}, expected an object with width, height, K, R, t"
+            )
         ignored |= _unknown_keys(path, where, view, _REQUIRED + _OPTIONAL)
         records.append(_record(path, where, view))
     if ignored:
-        warnings.warn(f"{path}: unknown keys are ignored: {shown(', '.join(sorted(ignored)))}", stacklevel=2)
+        warnings.warn(
+            f"{path}: unknown keys are ignored: {shown(', '.join(sorted(ignored)))}", stacklevel=2
+        )
     return records
 
 
-def read_camera(path: str | Path, width: int, height: int, mask: str | Path | None = None) -> Camera:
+def read_camera(
+    path: str | Path, width: int, height: int, mask: str | Path | None = None
+) -> Camera:
     """Read the camera of a mask of ``width`` x ``height`` pixels; of several views the one that names the file ``mask``.
 
     Raises InputError as `read_cameras`, or if the size differs, or not just one of several views names ``mask``.
@@ -87,13 +103,21 @@ def read_camera(path: str | Path, width: int, height: int, mask: str | Path | No
     path = Path(path)
     records = read_cameras(path)
     if len(records) > 1:
-        naming = [r for r in records if r.mask is not None and mask is not None and same_file(r.mask, mask)]
+        naming = [
+            r
+            for r in records
+            if r.mask is not None and mask is not None and same_file(r.mask, mask)
+        ]
         if len(naming) != 1:
             named = f"the mask {mask}" if mask is not None else "a mask"
-            raise InputError(f"{path}: {len(naming)} of its {len(records)} views name {named}, expected one")
+            raise InputError(
+                f"{path}: {len(naming)} of its {len(records)} views name {named}, expected one"
+            )
         records = naming
     elif mask is not None and records[0].mask is not None and not same_file(records[0].mask, mask):
-        warnings.warn(f"{path}: its one view names the mask {records[0].mask}, used for {mask}", stacklevel=2)
+        warnings.warn(
+            f"{path}: its one view names the mask {records[0].mask}, used for {mask}", stacklevel=2
+        )
     check_size(path, records[0].camera, width, height, mask)
     return records[0].camera
 
@@ -103,7 +127,9 @@ def same_file(a: str | Path, b: str | Path) -> bool:
     return os.path.realpath(a) == os.path.realpath(b)
 
 
-def check_size(path: str | Path, camera: Camera, width: int, height: int, mask: str | Path | None = None) -> None:
+def check_size(
+    path: str | Path, camera: Camera, width: int, height: int, mask: str | Path | None = None
+) -> None:
     """Raise InputError unless ``camera``, read from ``path``, is for images of ``width`` x ``height``."""
     if (camera.width, camera.height) != (width, height):
         named = f"the mask {mask}" if mask is not None else "the mask"
@@ -117,7 +143,9 @@ def named_masks(path: Path) -> list[Path]:
     masks = [record.mask for record in read_cameras(path)]
     if None in masks:
         where = f"views[{masks.index(None)}] of {len(masks)}"
-        raise InputError(f"{path}: {where} names no mask, expected a mask in each view, or MASK arguments")
+        raise InputError(
+            f"{path}: {where} names no mask, expected a mask in each view, or MASK arguments"
+        )
     return [mask for mask in masks if mask is not None]
 
 
@@ -129,8 +157,13 @@ def pair_with_masks(path: Path, masks: Sequence[Path]) -> list[Camera]:
     records = read_cameras(path)
     naming: list[list[int]] = []  # views, of each mask
     for alike in (same_file, lambda a, b: a.name == b.name):
-        naming = [[i for i, r in enumerate(records) if r.mask is not None and alike(r.mask, mask)] for mask in masks]
-        if all(len(views) == 1 for views in naming) and len({views[0] for views in naming}) == len(masks):
+        naming = [
+            [i for i, r in enumerate(records) if r.mask is not None and alike(r.mask, mask)]
+            for mask in masks
+        ]
+        if all(len(views) == 1 for views in naming) and len({views[0] for views in naming}) == len(
+            masks
+        ):
             return [records[views[0]].camera for views in naming]
     if len(records) != len(masks):
         raise InputError(
@@ -143,7 +176,9 @@ def pair_with_masks(path: Path, masks: Sequence[Path]) -> list[Camera]:
                 f"{path}: the mask {mask} is named by views[{views[0]}] and given at place {i}, expected the same order"
             )
         if not views and record.mask is not None:
-            warnings.warn(f"{path}: views[{i}] names the mask {record.mask}, used for {mask}", stacklevel=2)
+            warnings.warn(
+                f"{path}: views[{i}] names the mask {record.mask}, used for {mask}", stacklevel=2
+            )
     return [record.camera for record in records]
 
 
@@ -158,7 +193,11 @@ def camera_text(path: Path, records: Sequence[CameraRecord]) -> str:
     if len(records) == 1 and records[0].mask is None and records[0].image is None:
         text = _lines(views[0], "")
     else:
-        text = '{\n  "views": [\n    ' + ",\n    ".join(_lines(view, "    ") for view in views) + "\n  ]\n}"
+        text = (
+            '{\n  "views": [\n    '
+            + ",\n    ".join(_lines(view, "    ") for view in views)
+            + "\n  ]\n}"
+        )
     return text + "\n"
 
 
@@ -172,7 +211,11 @@ def _as_json(record: CameraRecord, path: Path) -> dict[str, Any]:
     folder, camera = os.path.realpath(path.parent), record.camera
     files = {"mask": record.mask, "image": record.image}
     return {
-        **{key: Path(os.path.relpath(os.path.realpath(file), folder)).as_posix() for key, file in files.items() if file},
+        **{
+            key: Path(os.path.relpath(os.path.realpath(file), folder)).as_posix()
+            for key, file in files.items()
+            if file
+        },
         **{"width": camera.width, "height": camera.height, "model": camera.model},
         **{"K": camera.K.tolist(), "R": camera.R.tolist(), "t": camera.t.tolist()},
     }
@@ -183,7 +226,9 @@ def _unique(pairs: list[tuple[str, Any]], path: Path) -> dict[str, Any]:
     if len(values) < len(pairs):
         keys = [key for key, _ in pairs]
         twice = next(key for i, key in enumerate(keys) if key in keys[:i])
-        raise InputError(f"{path}: the key {shown(twice)} appears twice in one object, expected once")
+        raise InputError(
+            f"{path}: the key {shown(twice)} appears twice in one object, expected once"
+        )
     return values
 
 
@@ -199,9 +244,13 @@ def _unknown_keys(path: Path, where: str, view: dict[str, Any], known: Sequence[
     for key in unknown:
         meant = _MEANT.get(key.casefold())
         if meant == key:
-            raise InputError(f"{path}: the key {where}{key} is out of place, expected views or a single camera")
+            raise InputError(
+                f"{path}: the key {where}{key} is out of place, expected views or a single camera"
+            )
         if meant is not None:
-            raise InputError(f"{path}: the key {where}{shown(key)} is not one of camera files, expected {meant}")
+            raise InputError(
+                f"{path}: the key {where}{shown(key)} is not one of camera files, expected {meant}"
+            )
     return set(unknown)
 
 
@@ -210,12 +259,19 @@ def _record(path: Path, where: str, view: dict[str, Any]) -> CameraRecord:
         if key not in view:
             raise InputError(f"{path}: {where}{key} is missing, expected width, height, K, R and t")
     width, height = view["width"], view["height"]
-    if _number(path, where + "width", width) * _number(path, where + "height", height) > PIXEL_LIMIT:
-        raise InputError(f"{path}: {where}width x height is {width}x{height}, expected at most {PIXEL_LIMIT:,} pixels")
+    if (
+        _number(path, where + "width", width) * _number(path, where + "height", height)
+        > PIXEL_LIMIT
+    ):
+        raise InputError(
+            f"{path}: {where}width x height is {width}x{height}, expected at most {PIXEL_LIMIT:,} pixels"
+        )
     K, R = (_numbers(path, where + key, view[key], "3x3") for key in ("K", "R"))
     t = _numbers(path, where + "t", view["t"], "[3]")
     with prefixed(f"{path}: {where}"), np.errstate(all="ignore"):
-        camera = Camera(np.array(K), np.array(R), np.array(t), width, height, view.get("model", "perspective"))
+        camera = Camera(
+            np.array(K), np.array(R), np.array(t), width, height, view.get("model", "perspective")
+        )
     return CameraRecord(camera, _file(path, where, view, "mask"), _file(path, where, view, "image"))
 
 

@@ -31,28 +31,46 @@ MOST_POINTS = 1_000_000
 
 
 def save_network(
-    path: Path, network: BaseNetwork, config: NetworkConfig, overwrite: bool = False, dtype: torch.dtype | None = None
+    path: Path,
+    network: BaseNetwork,
+    config: NetworkConfig,
+    overwrite: bool = False,
+    dtype: torch.dtype | None = None,
 ) -> None:
     """Write one safetensors file, weights as ``dtype`` (None: as they are); InputError where one is too large for it."""
     tensors = network.state_dict()
     if dtype is not None:
         tensors = {name: tensor.to(dtype) for name, tensor in tensors.items()}
-        too_large = next((name for name, tensor in tensors.items() if not tensor.isfinite().all()), None)
+        too_large = next(
+            (name for name, tensor in tensors.items() if not tensor.isfinite().all()), None
+        )
         if too_large:
-            raise InputError(f"{path}: tensor {too_large} holds a number too large for {dtype}, nothing was written")
+            raise InputError(
+                f"{path}: tensor {too_large} holds a number too large for {dtype}, nothing was written"
+            )
     save_tensors(path, tensors, config, {}, overwrite)
 
 
 def save_tensors(
-    path: Path, tensors: dict[str, Tensor], config: NetworkConfig, state: dict[str, Any], overwrite: bool = False
+    path: Path,
+    tensors: dict[str, Tensor],
+    config: NetworkConfig,
+    state: dict[str, Any],
+    overwrite: bool = False,
 ) -> None:
     """Write network tensors, ``training.*`` tensors and the JSON-able training ``state`` to one file."""
     from safetensors.torch import save
 
-    about = {"format": FORMAT, "config": dataclasses.asdict(config), **({"training": state} if state else {})}
+    about = {
+        "format": FORMAT,
+        "config": dataclasses.asdict(config),
+        **({"training": state} if state else {}),
+    }
     metadata = {METADATA_KEY: json.dumps(about, sort_keys=True, allow_nan=False)}
     # Not save_file: it would make the file readable for its owner alone.
-    data = save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, metadata)
+    data = save(
+        {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, metadata
+    )
     write_file(path, data, overwrite)
 
 
@@ -67,7 +85,9 @@ def load_network(path: Path) -> tuple[BaseNetwork, NetworkConfig]:
         network = BaseNetwork(Encoder(), Decoder(config.points))
     expected = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
     tensors = _read_tensors(path, expected, lambda name: not name.startswith(STATE_PREFIX))
-    network.load_state_dict({name: tensors[name].to(torch.float32) for name in expected}, assign=True)
+    network.load_state_dict(
+        {name: tensors[name].to(torch.float32) for name in expected}, assign=True
+    )
     for parameter in network.parameters():
         parameter.requires_grad_(True)
     return network.eval(), config
@@ -91,11 +111,15 @@ def read_metadata(path: Path) -> tuple[NetworkConfig, dict[str, Any]]:
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(f"{path}: {_damage(error)}, expected a whole safetensors file") from None
     if METADATA_KEY not in metadata:
-        raise InputError(f"{path}: a safetensors file without {METADATA_KEY!r} in its metadata, expected one of tso train")
+        raise InputError(
+            f"{path}: a safetensors file without {METADATA_KEY!r} in its metadata, expected one of tso train"
+        )
     try:
         about = json.loads(metadata[METADATA_KEY])
     except (ValueError, RecursionError):
-        raise InputError(f"{path}: the metadata is {shown(metadata[METADATA_KEY])}, expected JSON") from None
+        raise InputError(
+            f"{path}: the metadata is {shown(metadata[METADATA_KEY])}, expected JSON"
+        ) from None
     version = about.get("format") if isinstance(about, dict) else about
     if version != FORMAT:
         raise InputError(
@@ -103,9 +127,13 @@ def read_metadata(path: Path) -> tuple[NetworkConfig, dict[str, Any]]:
         )
     for key in ("config", "training"):
         if not isinstance(about.get(key, {}), dict):
-            raise InputError(f"{path}: {key!r} in the metadata is {shown(about[key])}, expected a JSON object")
+            raise InputError(
+                f"{path}: {key!r} in the metadata is {shown(about[key])}, expected a JSON object"
+            )
     if "config" not in about:
-        raise InputError(f"{path}: the metadata has no 'config', expected the network's configuration")
+        raise InputError(
+            f"{path}: the metadata has no 'config', expected the network's configuration"
+        )
     return _config(path, about["config"]), about.get("training", {})
 
 
@@ -115,10 +143,19 @@ def _refuse_other_files(path: Path) -> None:
     # The header's length comes first and may begin like a pickle; the brace behind it tells the two apart.
     if start[8:9] == b"{":
         return
-    if start[:4] == b"PK\x03\x04" or start[:2] in (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"):
-        raise InputError(f"{path}: is a pickled PyTorch file; loading it could run code; expected safetensors")
+    if start[:4] == b"PK\x03\x04" or start[:2] in (
+        b"\x80\x02",
+        b"\x80\x03",
+        b"\x80\x04",
+        b"\x80\x05",
+    ):
+        raise InputError(
+            f"{path}: is a pickled PyTorch file; loading it could run code; expected safetensors"
+        )
     size = path.stat().st_size
-    raise InputError(f"{path}: is no safetensors file ({size:,} bytes, starts with {start[:8]!r}), expected {expected}")
+    raise InputError(
+        f"{path}: is no safetensors file ({size:,} bytes, starts with {start[:8]!r}), expected {expected}"
+    )
 
 
 def _damage(error: Exception) -> str:
@@ -141,7 +178,9 @@ def _config(path: Path, values: dict[str, Any]) -> NetworkConfig:
         return isinstance(value, int) and number(value, low, high)
 
     def number(value: object, low: float, high: float) -> bool:
-        return isinstance(value, (int, float)) and not isinstance(value, bool) and low <= value <= high
+        return (
+            isinstance(value, (int, float)) and not isinstance(value, bool) and low <= value <= high
+        )
 
     checks: dict[str, tuple[Callable[[Any], bool], str]] = {
         "points": (lambda value: whole(value, 1, MOST_POINTS), f"1 to {MOST_POINTS:,}"),
@@ -159,11 +198,15 @@ def _config(path: Path, values: dict[str, Any]) -> NetworkConfig:
     }
     for name, (fits, expected) in checks.items():
         if not fits(values[name]):
-            raise InputError(f"{path}: {name} in the configuration is {shown(values[name])}, expected {expected}")
+            raise InputError(
+                f"{path}: {name} in the configuration is {shown(values[name])}, expected {expected}"
+            )
     return NetworkConfig(**values)
 
 
-def _read_tensors(path: Path, expected: dict[str, tuple[int, ...]], belongs: Callable[[str], bool]) -> dict[str, Tensor]:
+def _read_tensors(
+    path: Path, expected: dict[str, tuple[int, ...]], belongs: Callable[[str], bool]
+) -> dict[str, Tensor]:
     """The tensors of ``path`` whose names belong, after a check of names, shapes, types and values."""
     import torch
     from safetensors import SafetensorError, safe_open
@@ -171,26 +214,43 @@ def _read_tensors(path: Path, expected: dict[str, tuple[int, ...]], belongs: Cal
     tensors = {}
     try:
         with safe_open(path, framework="pt") as file:
-            shapes = {name: file.get_slice(name).get_shape() for name in file.keys() if belongs(name)}  # noqa: SIM118
+            names = [name for name in file.keys() if belongs(name)]  # noqa: SIM118
+            shapes = {name: file.get_slice(name).get_shape() for name in names}
             for name, shape in expected.items():
                 if name not in shapes:
-                    raise InputError(f"{path}: tensor {name} is missing, expected shape {list(shape)}")
+                    raise InputError(
+                        f"{path}: tensor {name} is missing, expected shape {list(shape)}"
+                    )
                 if tuple(shapes[name]) != shape:
                     problem = f"has shape {list(shapes[name])}, expected {list(shape)} (a network of another size?)"
                     raise InputError(f"{path}: tensor {name} {problem}")
             unknown = sorted(set(shapes) - set(expected))
             if unknown:
-                raise InputError(f"{path}: unknown tensor {shown(unknown[0])} of shape {list(shapes[unknown[0]])}")
+                raise InputError(
+                    f"{path}: unknown tensor {shown(unknown[0])} of shape {list(shapes[unknown[0]])}"
+                )
             for name in expected:
                 # A copy: the tensor is a view of the file, which may change while it is in use, and is not aligned as torch's
                 # own are, which would change the last bits of results.
                 tensors[name] = file.get_tensor(name).clone()
-    except (SafetensorError, OSError, ValueError, TypeError, KeyError, RuntimeError, AttributeError) as error:
+    except (
+        SafetensorError,
+        OSError,
+        ValueError,
+        TypeError,
+        KeyError,
+        RuntimeError,
+        AttributeError,
+    ) as error:
         raise InputError(f"{path}: {_damage(error)}, expected a whole safetensors file") from None
     for name, tensor in tensors.items():
         if not tensor.is_floating_point():
-            raise InputError(f"{path}: tensor {name} holds {tensor.dtype}, expected floating-point numbers")
+            raise InputError(
+                f"{path}: tensor {name} holds {tensor.dtype}, expected floating-point numbers"
+            )
         bad = int((~torch.isfinite(tensor.float())).sum())
         if bad:
-            raise InputError(f"{path}: tensor {name} holds {bad} numbers that are not finite (NaN or infinite)")
+            raise InputError(
+                f"{path}: tensor {name} holds {bad} numbers that are not finite (NaN or infinite)"
+            )
     return tensors

@@ -30,13 +30,17 @@ class PointCloud:
     points: Points  # [N, 3], in the file's order and units
     path: Path
     precision: str = "float64"  # or "float32", the type to write coordinates with
-    ply: PlyFile | None = field(default=None, repr=False)  # to write it again with other coordinates
+    ply: PlyFile | None = field(
+        default=None, repr=False
+    )  # to write it again with other coordinates
 
     def colours(self) -> Points:
         """Red, green and blue [N, 3] of the points, in [0, 1]; InputError where the file has none or no such numbers."""
         colours = self.ply.read_colours() if self.ply else None
         if colours is None:
-            raise InputError(f"{self.path}: its points have no colours, expected red, green and blue of a PLY file")
+            raise InputError(
+                f"{self.path}: its points have no colours, expected red, green and blue of a PLY file"
+            )
         return colours
 
     def faces(self) -> NDArray[np.int64] | None:
@@ -55,12 +59,16 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES and not path.is_dir():
         expected = f"expected {', '.join(SUFFIXES)}"
-        raise InputError(f"{path}: the suffix {suffix!a} is not that of a point cloud, or of a mesh in PLY, {expected}")
+        raise InputError(
+            f"{path}: the suffix {suffix!a} is not that of a point cloud, or of a mesh in PLY, {expected}"
+        )
     data = read_bytes(path, "a point cloud")
     try:
         if suffix == ".ply":
             ply = PlyFile(data, path, BYTES_A_POINT)
-            cloud = PointCloud(ply.read(), path, "float32" if set(ply.kinds) == {"f4"} else "float64", ply)
+            cloud = PointCloud(
+                ply.read(), path, "float32" if set(ply.kinds) == {"f4"} else "float64", ply
+            )
         elif suffix == ".npy":
             cloud = _from_array(data, path)
         else:
@@ -89,14 +97,18 @@ def write_cloud(
     """
     path = Path(path)
     if path.suffix.lower() != ".ply":
-        raise InputError(f"{path}: the suffix is {path.suffix!a}, expected .ply for a point cloud to write")
+        raise InputError(
+            f"{path}: the suffix is {path.suffix!a}, expected .ply for a point cloud to write"
+        )
     check_output(path, overwrite)
     points = np.asarray(points, dtype=np.float64)
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
         raise TsoError(f"{path}: point {finite.argmin()} is not finite, nothing was written")
     if like is not None and len(points) != len(like.points):
-        raise InputError(f"{path}: {len(points)} points to write, expected {len(like.points)} as in {like.path}")
+        raise InputError(
+            f"{path}: {len(points)} points to write, expected {len(like.points)} as in {like.path}"
+        )
     with np.errstate(over="ignore", invalid="ignore"):
         rounding = np.abs(points.astype(np.float32) - points).max(initial=0.0)
     extent = longest_side(points) if len(points) else 0.0
@@ -112,7 +124,10 @@ def write_cloud(
                 )
         data = like.ply.with_points(points)
         if (oriented := like.ply.oriented) and data is not like.ply.data:
-            warnings.warn(f"{path}: the {oriented} are those of {like.path}, before the points moved", stacklevel=2)
+            warnings.warn(
+                f"{path}: the {oriented} are those of {like.path}, before the points moved",
+                stacklevel=2,
+            )
     else:
         precise = "float32" if rounding <= 1e-6 * extent else "float64"
         data = new_ply(points, dtype or (like.precision if like is not None else precise))
@@ -123,7 +138,9 @@ def write_cloud(
 def _from_array(data: bytes, path: Path) -> PointCloud:
     array = read_array(data, path)
     if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "fiu":
-        raise InputError(f"{path}: holds {array.dtype} {list(array.shape)}, expected numbers [N, 3]")
+        raise InputError(
+            f"{path}: holds {array.dtype} {list(array.shape)}, expected numbers [N, 3]"
+        )
     require_memory(path, BYTES_A_POINT * len(array))
     precision = "float32" if array.dtype.kind == "f" and array.dtype.itemsize <= 4 else "float64"
     with np.errstate(all="ignore"):
@@ -142,7 +159,9 @@ def _from_text(data: bytes, path: Path) -> PointCloud:
         )
     points = table.values(table.first[:, None] + np.arange(3))
     if table.counts.max(initial=3) > 3:
-        warnings.warn(f"{path}: only the first three of its columns are used, as x y z", stacklevel=3)
+        warnings.warn(
+            f"{path}: only the first three of its columns are used, as x y z", stacklevel=3
+        )
     return PointCloud(points, path)
 
 
@@ -161,4 +180,6 @@ def _check(points: Points, path: Path, extended: bool) -> None:
     if largest > _LARGEST:
         raise InputError(f"{path}: a coordinate of {largest:g}, expected at most {_LARGEST:g}")
     if extended and longest_side(points) <= 1.0 / _LARGEST:
-        raise InputError(f"{path}: all {count} points are the same {points[0].tolist()}, expected different ones")
+        raise InputError(
+            f"{path}: all {count} points are the same {points[0].tolist()}, expected different ones"
+        )

@@ -52,7 +52,9 @@ def read_depth(path: Path, scale: float = 1.0) -> NDArray[np.float64]:
     0, NaN and infinity are unknown: NaN. Raises InputError if the file is not such a map, or a depth is negative.
     """
     with np.errstate(invalid="ignore"):  # signalling NaN
-        depth = _read_values(path, "a depth map", "a depth map [H, W]", "fiu", _depth_values).astype(np.float64)
+        depth = _read_values(
+            path, "a depth map", "a depth map [H, W]", "fiu", _depth_values
+        ).astype(np.float64)
     depth[~np.isfinite(depth) | (depth == 0.0)] = np.nan
     least = np.nanmin(depth, initial=np.inf)
     if least < 0.0:
@@ -61,8 +63,12 @@ def read_depth(path: Path, scale: float = 1.0) -> NDArray[np.float64]:
         raise InputError(f"{path}: holds no depth > 0, expected some (0 means unknown)")
     largest = float(np.nanmax(depth)) * scale
     if not 1.0 / LARGEST_DEPTH <= largest <= LARGEST_DEPTH:
-        expected = f"at least {1.0 / LARGEST_DEPTH:g}" if largest < 1.0 else f"at most {LARGEST_DEPTH:g}"
-        raise InputError(f"{path}: its largest depth, times {scale:g}, is {largest:g}, expected {expected}")
+        expected = (
+            f"at least {1.0 / LARGEST_DEPTH:g}" if largest < 1.0 else f"at most {LARGEST_DEPTH:g}"
+        )
+        raise InputError(
+            f"{path}: its largest depth, times {scale:g}, is {largest:g}, expected {expected}"
+        )
     return depth * scale
 
 
@@ -102,7 +108,9 @@ def write_image(path: Path, array: NDArray[np.uint8], overwrite: bool = False) -
 
 def _check_size(width: int, height: int, path: Path) -> None:
     if width * height > PIXEL_LIMIT:
-        raise InputError(f"{path}: is {width}x{height}, {width * height:,} pixels, expected at most {PIXEL_LIMIT:,}")
+        raise InputError(
+            f"{path}: is {width}x{height}, {width * height:,} pixels, expected at most {PIXEL_LIMIT:,}"
+        )
     require_memory(path, BYTES_A_PIXEL * width * height)
 
 
@@ -144,9 +152,13 @@ def _decode(data: bytes, path: Path, what: str, convert: Convert) -> NDArray[Any
     except InputError:
         raise
     except Image.UnidentifiedImageError:
-        raise InputError(f"{path}: is not a readable image, expected {what} ({', '.join(FORMATS)})") from None
+        raise InputError(
+            f"{path}: is not a readable image, expected {what} ({', '.join(FORMATS)})"
+        ) from None
     except Image.DecompressionBombError as error:
-        raise InputError(f"{path}: {reason(error)}; expected at most {PIXEL_LIMIT:,} pixels") from None
+        raise InputError(
+            f"{path}: {reason(error)}; expected at most {PIXEL_LIMIT:,} pixels"
+        ) from None
     # Decoders fail on damaged files in many ways (struct.error, SyntaxError, KeyError, ...): all mean the same here.
     except Exception as error:
         raise InputError(f"{path}: is not readable as {what} ({reason(error)})") from None
@@ -161,8 +173,12 @@ def _mask_values(image: Image.Image, path: Path) -> NDArray[Any]:
     """[H, W]: bool, uint8, uint16 or float."""
     from PIL import ImageChops
 
-    if image.mode in _WITH_ALPHA or ("transparency" in image.info and image.mode in ("P", "L", "RGB")):
-        alpha = np.asarray((image if image.mode in ("RGBA", "LA") else image.convert("RGBA")).getchannel("A"))
+    if image.mode in _WITH_ALPHA or (
+        "transparency" in image.info and image.mode in ("P", "L", "RGB")
+    ):
+        alpha = np.asarray(
+            (image if image.mode in ("RGBA", "LA") else image.convert("RGBA")).getchannel("A")
+        )
         # A few pixels that an editor left transparent, or a picture that is translucent all over, are no mask.
         if np.count_nonzero(alpha < 128) >= LEAST_TRANSPARENT * alpha.size:
             return alpha
@@ -175,14 +191,18 @@ def _mask_values(image: Image.Image, path: Path) -> NDArray[Any]:
     if image.mode == "I":
         values = np.asarray(image)
         if values.min() < 0 or values.max() > 65535:
-            raise InputError(f"{path}: its values span {values.min()} to {values.max()}, expected 0 to 65535")
+            raise InputError(
+                f"{path}: its values span {values.min()} to {values.max()}, expected 0 to 65535"
+            )
         return values.astype(np.uint16)
     return np.asarray(functools.reduce(ImageChops.lighter, image.convert("RGB").split()))
 
 
 def _depth_values(image: Image.Image, path: Path) -> NDArray[Any]:
     if image.mode not in ("L", "I", "F") and not image.mode.startswith("I;16"):
-        raise InputError(f"{path}: is a picture of mode {image.mode}, expected a depth map of one grey channel, 16 bits")
+        raise InputError(
+            f"{path}: is a picture of mode {image.mode}, expected a depth map of one grey channel, 16 bits"
+        )
     return np.asarray(image)
 
 
@@ -213,7 +233,10 @@ def _to_unit(array: NDArray[Any], path: Path) -> NDArray[np.float32]:
         raise InputError(f"{path}: its smallest value is {array.min()}, expected 0 or more")
     largest = int(array.max())
     if largest == 1:
-        warnings.warn(f"{path}: its largest value is 1, read as labels 0 (outside) and 1 (inside)", stacklevel=3)
+        warnings.warn(
+            f"{path}: its largest value is 1, read as labels 0 (outside) and 1 (inside)",
+            stacklevel=3,
+        )
         return array.astype(np.float32)
     full = 255 if array.dtype.itemsize == 1 else 65535
     if array.dtype.itemsize > 2 and largest <= 255:

@@ -39,7 +39,9 @@ def read_log(path: Path) -> TrainingLog:
         try:
             row = json.loads(line)
         except (ValueError, RecursionError):
-            raise InputError(f"{path}: line {number} is {shown(line)}, expected {EXPECTED}") from None
+            raise InputError(
+                f"{path}: line {number} is {shown(line)}, expected {EXPECTED}"
+            ) from None
         if not isinstance(row, dict):
             raise InputError(f"{path}: line {number} is {shown(row)}, expected a JSON object")
         rows.append(row)
@@ -49,11 +51,17 @@ def read_log(path: Path) -> TrainingLog:
     if not steps:
         raise InputError(f"{path}: has settings but no step, expected at least one")
     names = list(steps[0])
-    if names[:2] != ["step", "loss"] or len(names) > 9 or not all(name.isidentifier() and len(name) < 20 for name in names):
+    if (
+        names[:2] != ["step", "loss"]
+        or len(names) > 9
+        or not all(name.isidentifier() and len(name) < 20 for name in names)
+    ):
         raise InputError(f"{path}: line 2 has {shown(names)}, expected step, loss and so on")
     for number, row in enumerate(steps, 2):
         if list(row) != names or not all(_is_number(value) for value in row.values()):
-            raise InputError(f"{path}: line {number} is {shown(row)}, expected numbers for {', '.join(names)}")
+            raise InputError(
+                f"{path}: line {number} is {shown(row)}, expected numbers for {', '.join(names)}"
+            )
     columns = {name: np.array([row[name] for row in steps], dtype=np.float64) for name in names}
     return TrainingLog(path, settings, columns)
 

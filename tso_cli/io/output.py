@@ -23,7 +23,9 @@ def check_output(path: Path, overwrite: bool) -> None:
         if path.is_dir():
             raise InputError(f"{path}: is a folder, expected the name of a file to write")
         if not folder.exists():
-            raise InputError(f"{path}: the folder {folder} does not exist, expected one to write to")
+            raise InputError(
+                f"{path}: the folder {folder} does not exist, expected one to write to"
+            )
         if not folder.is_dir():
             raise InputError(f"{path}: {folder} is not a folder, expected one to write to")
         if path.exists() and not path.is_file():
@@ -100,7 +102,11 @@ def _sweep(target: Path) -> None:
     name = re.compile(rf"\.{re.escape(target.stem[:40])}\.[0-9a-f]{{12}}{re.escape(target.suffix)}")
     with suppress(OSError), os.scandir(target.parent) as entries:
         for entry in entries:
-            if name.fullmatch(entry.name) and entry.is_file(follow_symlinks=False) and (held := lock(Path(entry))) is not None:
+            if (
+                name.fullmatch(entry.name)
+                and entry.is_file(follow_symlinks=False)
+                and (held := lock(Path(entry))) is not None
+            ):
                 os.unlink(entry)
                 os.close(held)
 
@@ -126,7 +132,9 @@ def sole_writer(path: Path) -> Iterator[None]:
     except BlockingIOError:
         assert held is not None
         os.close(held)
-        raise InputError(f"{path}: another process is writing it, expected another name, or to wait for it") from None
+        raise InputError(
+            f"{path}: another process is writing it, expected another name, or to wait for it"
+        ) from None
     except (ImportError, OSError, ValueError):
         pass
     try:

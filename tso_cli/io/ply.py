@@ -39,7 +39,9 @@ class PlyFile:
             if self.header.order
             else TextBody(data, path, self.header.size, self.header.lines)
         )
-        self._rows = {name: self._body.take_rows(element) for name, element in self.header.elements.items()}
+        self._rows = {
+            name: self._body.take_rows(element) for name, element in self.header.elements.items()
+        }
         self._body.check_end()
         self._places = self._places_of(self.vertex, AXES)
 
@@ -54,7 +56,9 @@ class PlyFile:
                 names = shown(", ".join(vertex.properties) or "none")
                 raise InputError(f"{self.path}: its vertices have no {axis} (properties: {names})")
             if vertex.properties[axis].length_kind:
-                raise InputError(f"{self.path}: {axis} of its vertices is a list, expected one number")
+                raise InputError(
+                    f"{self.path}: {axis} of its vertices is a list, expected one number"
+                )
         return vertex
 
     def _places_of(self, element: Element, names: tuple[str, ...]) -> Integers:
@@ -65,7 +69,9 @@ class PlyFile:
     @property
     def oriented(self) -> str:
         """What no longer fits once the vertices move: normals, and of Gaussian splats rotations and scales; "" without any."""
-        return ", ".join(name for name, of_it in ORIENTED.items() if not of_it.isdisjoint(self.vertex.properties))
+        return ", ".join(
+            name for name, of_it in ORIENTED.items() if not of_it.isdisjoint(self.vertex.properties)
+        )
 
     def read(self) -> Points:
         """The coordinates [N, 3] of the vertices, in the file's order."""
@@ -73,20 +79,30 @@ class PlyFile:
 
     def read_colours(self) -> Points | None:
         """Red, green and blue [N, 3] in [0, 1], None where the file has none; InputError where floats lie outside."""
-        kinds = [p.kind for name in COLOURS if (p := self.vertex.properties.get(name)) and not p.length_kind]
+        kinds = [
+            p.kind
+            for name in COLOURS
+            if (p := self.vertex.properties.get(name)) and not p.length_kind
+        ]
         if len(kinds) < 3:
             return None
         full = [1.0 if kind[0] == "f" else float(np.iinfo(kind).max) for kind in kinds]
         colours = self._body.columns(self._places_of(self.vertex, COLOURS), kinds) / full
         if not (colours.min() >= 0.0 and colours.max() <= 1.0):
             span = f"{colours.min():g} to {colours.max():g}"
-            raise InputError(f"{self.path}: its colours span {span} of their type's range, expected 0 to 1")
+            raise InputError(
+                f"{self.path}: its colours span {span} of their type's range, expected 0 to 1"
+            )
         return colours
 
     def read_faces(self) -> Integers | None:
         """Triangles [F, 3], polygons as fans; None where the file has no faces, InputError for a vertex that is not there."""
         element = self.header.elements.get("face")
-        lists = [p for p in element.properties.values() if p.name in CORNERS and p.length_kind] if element else []
+        lists = (
+            [p for p in element.properties.values() if p.name in CORNERS and p.length_kind]
+            if element
+            else []
+        )
         if element is None or not element.count or not lists:
             return None
         corners = lists[0]
@@ -95,12 +111,18 @@ class PlyFile:
         lengths = self._body.values(starts[:, 0], corners.length_kind)
         fans = [np.empty((0, 3), dtype=np.int64)]
         for length in np.unique(lengths[lengths >= 3]).astype(int).tolist():
-            steps = self._body.width(corners.length_kind) + self._body.width(corners.kind) * np.arange(length)
+            steps = self._body.width(corners.length_kind) + self._body.width(
+                corners.kind
+            ) * np.arange(length)
             polygons = self._body.values(starts[lengths == length] + steps, corners.kind)
-            wrong = ~((polygons >= 0) & (polygons < self.vertex.count) & (polygons == np.floor(polygons)))
+            wrong = ~(
+                (polygons >= 0) & (polygons < self.vertex.count) & (polygons == np.floor(polygons))
+            )
             if wrong.any():
                 last = self.vertex.count - 1
-                raise InputError(f"{self.path}: a face names vertex {polygons[wrong][0]:g}, expected 0 to {last}")
+                raise InputError(
+                    f"{self.path}: a face names vertex {polygons[wrong][0]:g}, expected 0 to {last}"
+                )
             triangles = [polygons[:, [0, k, k + 1]] for k in range(1, length - 1)]
             fans.append(np.stack(triangles, axis=1).reshape(-1, 3).astype(np.int64))
         return np.concatenate(fans)
@@ -115,7 +137,11 @@ class PlyFile:
         if np.array_equal(old, points):
             return self.data
         head = self.data[: self.header.size]
-        integers = [self.vertex.properties[axis] for axis, kind in zip(AXES, self.kinds, strict=True) if kind[0] != "f"]
+        integers = [
+            self.vertex.properties[axis]
+            for axis, kind in zip(AXES, self.kinds, strict=True)
+            if kind[0] != "f"
+        ]
         for begin, end in sorted((p.type_span for p in integers), reverse=True):
             head = head[:begin] + b"double" + head[end:]
         return head + self._body.moved(self._places, self.kinds, old, points)
@@ -131,4 +157,7 @@ def new_ply(points: Points, dtype: str, faces: NDArray[np.integer] | None = None
         polygons = np.empty(len(faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
         polygons["count"], polygons["corners"] = 3, faces
         body += polygons.tobytes()
-    return "\n".join(["ply", "format binary_little_endian 1.0", *lines, "end_header", ""]).encode() + body
+    return (
+        "\n".join(["ply", "format binary_little_endian 1.0", *lines, "end_header", ""]).encode()
+        + body
+    )

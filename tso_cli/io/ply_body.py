@@ -25,12 +25,18 @@ def layout(
         if p.name in names:
             places[p.name] = at
         size = body.width(p.kind)
-        at = at + (body.width(p.length_kind) + size * body.lengths(rows, at, p.length_kind) if p.length_kind else size)
+        at = at + (
+            body.width(p.length_kind) + size * body.lengths(rows, at, p.length_kind)
+            if p.length_kind
+            else size
+        )
     return places, at
 
 
 def _short(path: Path, element: Element, rows: int) -> InputError:
-    return InputError(f"{path}: ends after {rows} of {element.count} rows of element {shown(element.name)}")
+    return InputError(
+        f"{path}: ends after {rows} of {element.count} rows of element {shown(element.name)}"
+    )
 
 
 class BinaryBody:
@@ -48,7 +54,11 @@ class BinaryBody:
 
     def columns(self, places: Integers, kinds: list[str]) -> Points:
         with np.errstate(invalid="ignore"):  # signalling NaN
-            return np.stack([self.values(places[:, k], kind) for k, kind in enumerate(kinds)], axis=1, dtype=np.float64)
+            return np.stack(
+                [self.values(places[:, k], kind) for k, kind in enumerate(kinds)],
+                axis=1,
+                dtype=np.float64,
+            )
 
     def lengths(self, rows: Integers, places: Integers, kind: str) -> Integers:
         return self.values(places.clip(0, len(self.data) - self.width(kind)), kind).astype(np.int64)
@@ -85,7 +95,9 @@ class BinaryBody:
                 count = int.from_bytes(self.data[start:at], order, signed=p.length_kind[0] == "i")
                 if count < 0:
                     where = f"row {row} of element {shown(element.name)}"
-                    raise InputError(f"{self.path}: {where} has a list of {count} values, expected 0 or more")
+                    raise InputError(
+                        f"{self.path}: {where} has a list of {count} values, expected 0 or more"
+                    )
             at += count * self.width(p.kind)
         if at > len(self.data):
             raise _short(self.path, element, row)
@@ -94,7 +106,9 @@ class BinaryBody:
     def check_end(self) -> None:
         rest = self.data[self._at :]
         if rest.strip():
-            raise InputError(f"{self.path}: {len(rest):,} bytes follow the data that the header accounts for, expected none")
+            raise InputError(
+                f"{self.path}: {len(rest):,} bytes follow the data that the header accounts for, expected none"
+            )
 
     def moved(self, places: Integers, kinds: list[str], old: Points, points: Points) -> bytes:
         out = bytearray(self.data)
@@ -129,10 +143,14 @@ class TextBody:
         lines = np.searchsorted(self._table.first, rows)
         # Past the end of a short line any word will do: the line is refused for its number of words.
         lengths = self.values(np.minimum(places, len(self._table.starts) - 1), kind)
-        bad = ~((lengths >= 0) & (lengths <= self._table.counts[lines]) & (lengths == np.floor(lengths)))
+        bad = ~(
+            (lengths >= 0) & (lengths <= self._table.counts[lines]) & (lengths == np.floor(lengths))
+        )
         if bad.any():
             line, length = self._table.numbers[lines][bad.argmax()], lengths[bad.argmax()]
-            raise InputError(f"{self.path}: line {line} has a list of {length:g} values, more than the line holds")
+            raise InputError(
+                f"{self.path}: line {line} has a list of {length:g} values, more than the line holds"
+            )
         return lengths.astype(np.int64)
 
     def take_rows(self, element: Element) -> Integers:
@@ -154,7 +172,9 @@ class TextBody:
     def check_end(self) -> None:
         lines = len(self._table.first)
         if self._used < lines:
-            raise InputError(f"{self.path}: has {lines} lines of data, the header accounts for {self._used}, expected the same")
+            raise InputError(
+                f"{self.path}: has {lines} lines of data, the header accounts for {self._used}, expected the same"
+            )
 
     def moved(self, places: Integers, kinds: list[str], old: Points, points: Points) -> bytes:
         starts, ends, words = [], [], []
@@ -164,19 +184,32 @@ class TextBody:
             with np.errstate(over="ignore"):
                 single = was.astype(np.float32)
             if kind == "f4" and np.array_equal(single.astype("S32").astype(np.float64), was):
-                new, was = new.astype(np.float32), single  # the text has no more digits than its type
+                new, was = (
+                    new.astype(np.float32),
+                    single,
+                )  # the text has no more digits than its type
             changed = new != was
             starts.append(self._table.starts[places[changed, k]])
             ends.append(self._table.ends[places[changed, k]])
             words.append(new[changed].astype("S32"))
-        return _spliced(self._table.data, self._start, np.concatenate(starts), np.concatenate(ends), np.concatenate(words))
+        return _spliced(
+            self._table.data,
+            self._start,
+            np.concatenate(starts),
+            np.concatenate(ends),
+            np.concatenate(words),
+        )
 
 
-def _spliced(data: bytes | bytearray, at: int, starts: Integers, ends: Integers, words: NDArray[Any]) -> bytes:
+def _spliced(
+    data: bytes | bytearray, at: int, starts: Integers, ends: Integers, words: NDArray[Any]
+) -> bytes:
     """``data[at:]`` with the bytes from ``starts`` to ``ends`` [W] replaced by ``words`` [W]."""
     out = bytearray()
     for part in np.array_split(np.argsort(starts), 1 + len(starts) // _CHUNK):
-        for start, end, word in zip(starts[part].tolist(), ends[part].tolist(), words[part].tolist(), strict=True):
+        for start, end, word in zip(
+            starts[part].tolist(), ends[part].tolist(), words[part].tolist(), strict=True
+        ):
             out += data[at:start]
             out += word
             at = end

@@ -9,7 +9,9 @@ from pathlib import Path
 from ..errors import InputError
 from .reading import shown
 
-HEADER_LIMIT = 1 << 20  # bytes; a real header has a few hundred, one with a long list of comments some thousand
+HEADER_LIMIT = (
+    1 << 20
+)  # bytes; a real header has a few hundred, one with a long list of comments some thousand
 COUNT_LIMIT = 1 << 60
 FORMS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 KINDS = {
@@ -50,12 +52,16 @@ def parse_header(data: bytes, path: Path) -> Header:
     """Read the header at the start of ``data``; InputError where it is none or contradicts itself."""
     first = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
     if first is None:
-        raise InputError(f"{path}: is not a PLY file (starts with {shown(data[:12])}), expected a first line 'ply'")
+        raise InputError(
+            f"{path}: is not a PLY file (starts with {shown(data[:12])}), expected a first line 'ply'"
+        )
     # Where lines end in a bare \r, a \n after the header already belongs to a binary body.
     ending = rb"\r" if first[1] == b"\r" else rb"(?:\r\n|\n|\r)"
     end = re.compile(rb"[\r\n]end_header[ \t]*" + ending).search(data, 0, HEADER_LIMIT)
     if end is None:
-        raise InputError(f"{path}: the PLY header has no end_header line within its first {HEADER_LIMIT:,} bytes")
+        raise InputError(
+            f"{path}: the PLY header has no end_header line within its first {HEADER_LIMIT:,} bytes"
+        )
     elements: dict[str, Element] = {}
     properties: dict[str, Property] | None = None
     order: str | None = None
@@ -72,7 +78,11 @@ def parse_header(data: bytes, path: Path) -> Header:
                 raise InputError(f"{line}: a second format, expected one")
             order = FORMS[words[1]]
         elif words[0] == "element":
-            if len(words) != 3 or not re.fullmatch(r"[0-9]{1,20}", words[2]) or int(words[2]) > COUNT_LIMIT:
+            if (
+                len(words) != 3
+                or not re.fullmatch(r"[0-9]{1,20}", words[2])
+                or int(words[2]) > COUNT_LIMIT
+            ):
                 raise InputError(f"{line}: expected a name and a count")
             if words[1] in elements:
                 raise InputError(f"{line}: a second element of that name, expected one")
@@ -95,9 +105,13 @@ def parse_header(data: bytes, path: Path) -> Header:
 def _property(words: list[str], match: re.Match[bytes], line: str) -> Property:
     if len(words) == 5 and words[1] == "list" and words[2] in KINDS and words[3] in KINDS:
         if KINDS[words[2]].startswith("f"):
-            raise InputError(f"{line}: the length of a list is a {words[2]}, expected an integer type")
+            raise InputError(
+                f"{line}: the length of a list is a {words[2]}, expected an integer type"
+            )
         return Property(words[4], KINDS[words[3]], KINDS[words[2]], (0, 0))
     if len(words) == 3 and words[1] in KINDS:
         start = match.start() + match[0].index(words[1].encode())
         return Property(words[2], KINDS[words[1]], None, (start, start + len(words[1])))
-    raise InputError(f"{line}: expected 'property TYPE NAME' or 'property list TYPE TYPE NAME' with types of PLY 1.0")
+    raise InputError(
+        f"{line}: expected 'property TYPE NAME' or 'property list TYPE TYPE NAME' with types of PLY 1.0"
+    )

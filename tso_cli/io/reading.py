@@ -21,7 +21,10 @@ from .output import reason
 Integers = NDArray[np.int64]
 _LONGEST = 100  # characters of a number
 _BLANK = np.isin(np.arange(256), list(b"\t\n\v\f\r "))
-_READERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+_READERS = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
 
 
 def read_bytes(path: Path, expected: str, limit: int | None = None, most: int = -1) -> bytes:
@@ -38,7 +41,9 @@ def read_bytes(path: Path, expected: str, limit: int | None = None, most: int = 
         if about.st_size == 0:
             raise InputError(f"{path}: is empty, expected {expected}")
         if limit is not None and about.st_size > limit:
-            raise InputError(f"{path}: holds {about.st_size:,} bytes, expected {expected} of at most {limit:,}")
+            raise InputError(
+                f"{path}: holds {about.st_size:,} bytes, expected {expected} of at most {limit:,}"
+            )
         if most < 0:
             require_memory(path, 2 * about.st_size)
         with path.open("rb") as stream:
@@ -62,7 +67,9 @@ def free_memory() -> float:
     """Bytes of memory that are free on this machine and, in a container, left to it; infinite where nothing tells."""
     free = math.inf
     with suppress(OSError, ValueError, IndexError):
-        free = 1024.0 * int(Path("/proc/meminfo").read_text().partition("MemAvailable:")[2].split()[0])
+        free = 1024.0 * int(
+            Path("/proc/meminfo").read_text().partition("MemAvailable:")[2].split()[0]
+        )
         group = Path("/sys/fs/cgroup")
         left = int((group / "memory.max").read_text()) - int((group / "memory.current").read_text())
         free = min(free, left)
@@ -70,7 +77,11 @@ def free_memory() -> float:
 
 
 def read_json(
-    path: Path, expected: str, form: str, limit: int | None = None, build: Callable[[list[tuple[str, Any]]], Any] = dict
+    path: Path,
+    expected: str,
+    form: str,
+    limit: int | None = None,
+    build: Callable[[list[tuple[str, Any]]], Any] = dict,
 ) -> Any:
     """The JSON document in ``path``, its objects made by ``build``; InputError as `read_bytes`, or if it is not JSON."""
     try:
@@ -90,7 +101,9 @@ def shown(value: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def read_array(data: bytes, path: Path, kinds: str = "biufc", expected: str = "numbers") -> NDArray[Any]:
+def read_array(
+    data: bytes, path: Path, kinds: str = "biufc", expected: str = "numbers"
+) -> NDArray[Any]:
     """The read-only array in the bytes of a .npy file, its type one of numpy's ``kinds``, which messages call ``expected``.
 
     Raises InputError if it is no such file, or is shorter or longer than its header says.
@@ -100,7 +113,9 @@ def read_array(data: bytes, path: Path, kinds: str = "biufc", expected: str = "n
         raise InputError(f"{path}: holds values of type {shown(str(dtype))}, expected {expected}")
     size = math.prod(shape) * dtype.itemsize
     if any(not isinstance(n, int) or n < 0 for n in shape) or size != len(data) - begin:
-        raise InputError(f"{path}: has {len(data) - begin:,} bytes of values, expected {shown(shape)} of {dtype}")
+        raise InputError(
+            f"{path}: has {len(data) - begin:,} bytes of values, expected {shown(shape)} of {dtype}"
+        )
     try:
         array = np.frombuffer(data, dtype=dtype, count=math.prod(shape), offset=begin)
         return array.reshape(shape, order="F" if fortran else "C")
@@ -145,12 +160,18 @@ class TextTable:
     def drop_comments(self) -> None:
         """Forget the lines that start with #."""
         keep = np.frombuffer(self.data, np.uint8)[self.starts[self.first]] != ord("#")
-        self.first, self.counts, self.numbers = self.first[keep], self.counts[keep], self.numbers[keep]
+        self.first, self.counts, self.numbers = (
+            self.first[keep],
+            self.counts[keep],
+            self.numbers[keep],
+        )
 
     def values(self, words: Integers) -> NDArray[np.float64]:
         """The numbers [...] that the words with these indices [...] spell; InputError where one is not a number."""
         values = np.empty(words.size)
-        spans = zip(self.starts[words].ravel().tolist(), self.ends[words].ravel().tolist(), strict=True)
+        spans = zip(
+            self.starts[words].ravel().tolist(), self.ends[words].ravel().tolist(), strict=True
+        )
         for k, (start, end) in enumerate(spans):
             word = self.data[start:end]
             try:
@@ -159,5 +180,7 @@ class TextTable:
             except ValueError:
                 line = self.numbers[np.searchsorted(self.first, words.flat[k], side="right") - 1]
                 text = shown(word.decode("ascii", "backslashreplace"))
-                raise InputError(f"{self.path}: line {line} has {text}, expected a number") from None
+                raise InputError(
+                    f"{self.path}: line {line} has {text}, expected a number"
+                ) from None
         return values.reshape(words.shape)

@@ -35,14 +35,18 @@ SUFFIXES = (*CLOUD_SUFFIXES, *MESH_SUFFIXES, ".binvox")
 MAX_VOXELS = 512**3
 BYTES_A_VOXEL = 16
 _FACES = re.compile(rb"[\r\n]element[ \t]+face[ \t]+0*[1-9]")
-_THREE_SIDES = re.compile(rb"\A\x93NUMPY[^\n]{0,200}'shape': *\([0-9]+, *[0-9]+, *[0-9]+,?\)", re.DOTALL)
+_THREE_SIDES = re.compile(
+    rb"\A\x93NUMPY[^\n]{0,200}'shape': *\([0-9]+, *[0-9]+, *[0-9]+,?\)", re.DOTALL
+)
 
 
 def shape_kind(path: Path) -> str:
     """What the file at ``path`` will be read as: "cloud" (also if it cannot be read), "mesh" or "voxels"."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES and not path.is_dir():
-        raise InputError(f"{path}: ends in {suffix or 'nothing'!r}, expected a cloud, mesh or grid: {', '.join(SUFFIXES)}")
+        raise InputError(
+            f"{path}: ends in {suffix or 'nothing'!r}, expected a cloud, mesh or grid: {', '.join(SUFFIXES)}"
+        )
     if suffix in MESH_SUFFIXES:
         return "mesh"
     try:
@@ -54,7 +58,9 @@ def shape_kind(path: Path) -> str:
     return "voxels" if suffix == ".binvox" or _THREE_SIDES.search(head) else "cloud"
 
 
-def read_shape(path: Path, samples: int = 16384, seed: int | Sequence[int] = 0, as_vertices: bool = False) -> Array:
+def read_shape(
+    path: Path, samples: int = 16384, seed: int | Sequence[int] = 0, as_vertices: bool = False
+) -> Array:
     """The points [N, 3] by which the shape in a file is judged; InputError if it describes no points and no surface.
 
     ``samples`` points are drawn from a surface; a cloud keeps its points, and with ``as_vertices`` a mesh its vertices.
@@ -80,7 +86,9 @@ def grid_surface(path: Path) -> tuple[Array, NDArray[np.int64]]:
     occupied = grid > 0.5
     if not occupied.any():
         sides = " x ".join(map(str, grid.shape))
-        raise InputError(f"{path}: no voxel of the {sides} grid is occupied (> 0.5), expected a shape")
+        raise InputError(
+            f"{path}: no voxel of the {sides} grid is occupied (> 0.5), expected a shape"
+        )
     from skimage.measure import marching_cubes
 
     # Large grids are mostly empty: cut out the shape, and pad it by a voxel on every side, so that its surface is closed.
@@ -91,7 +99,9 @@ def grid_surface(path: Path) -> tuple[Array, NDArray[np.int64]]:
     vertices, faces, _, _ = marching_cubes(padded, 0.5)
     # Voxel i spans i to i + 1 steps from the corner of the grid, its value stands at the middle.
     centres = np.asarray(vertices, dtype=np.float64) - 1.0 + corner + 0.5
-    middle = np.array(grid.shape) / 2.0 if placed else (centres.min(axis=0) + centres.max(axis=0)) / 2.0
+    middle = (
+        np.array(grid.shape) / 2.0 if placed else (centres.min(axis=0) + centres.max(axis=0)) / 2.0
+    )
     return side / max(grid.shape) * (centres - middle), np.asarray(faces, dtype=np.int64)
 
 
@@ -101,13 +111,17 @@ def _read_binvox(path: Path) -> tuple[NDArray[np.bool_], float]:
     content = read_bytes(path, "a .binvox grid", limit=2 * MAX_VOXELS + 4096)
     header = re.compile(rb"#binvox 1\s(.*?)\ndata\r?\n", re.DOTALL).match(content, 0, 4096)
     if header is None:
-        raise InputError(f"{path}: starts with {shown(content[:12])}, expected a .binvox header (#binvox 1 ... data)")
+        raise InputError(
+            f"{path}: starts with {shown(content[:12])}, expected a .binvox header (#binvox 1 ... data)"
+        )
     fields = {line.split()[0]: line.split()[1:] for line in header[1].splitlines() if line.strip()}
     depth, height, width = (int(side) for side in _numbers(path, fields, b"dim", 3))
     scale = _numbers(path, fields, b"scale", 1)[0] if b"scale" in fields else 1.0
     total = depth * height * width
     if min(depth, height, width) < 1 or total > MAX_VOXELS:
-        raise InputError(f"{path}: dim is {shown(f'{depth} {height} {width}')}, expected 1 to {MAX_VOXELS:,} voxels")
+        raise InputError(
+            f"{path}: dim is {shown(f'{depth} {height} {width}')}, expected 1 to {MAX_VOXELS:,} voxels"
+        )
     require_memory(path, BYTES_A_VOXEL * total)
     if not 1e-30 < scale < 1e30:
         raise InputError(f"{path}: scale is {scale:g}, expected a size > 0")
@@ -118,7 +132,9 @@ def _read_binvox(path: Path) -> tuple[NDArray[np.bool_], float]:
     if (values > 1).any():
         raise InputError(f"{path}: a run has the value {int(values.max())}, expected 0 or 1")
     if int(counts.sum()) != total:
-        raise InputError(f"{path}: the runs hold {int(counts.sum()):,} voxels, dim promises {total:,}")
+        raise InputError(
+            f"{path}: the runs hold {int(counts.sum()):,} voxels, dim promises {total:,}"
+        )
     # The file runs fastest along y, then z, then x.
     grid = np.repeat(values.astype(bool), counts).reshape(depth, height, width).transpose(0, 2, 1)
     return grid, scale
@@ -127,9 +143,13 @@ def _read_binvox(path: Path) -> tuple[NDArray[np.bool_], float]:
 def _read_npy_grid(path: Path) -> NDArray[Any]:
     grid = read_array(read_bytes(path, "a voxel grid", limit=8 * MAX_VOXELS + 65536), path)
     if grid.ndim != 3 or grid.dtype.kind not in "biuf":
-        raise InputError(f"{path}: holds {grid.dtype} {list(grid.shape)}, expected a grid of numbers [X, Y, Z]")
+        raise InputError(
+            f"{path}: holds {grid.dtype} {list(grid.shape)}, expected a grid of numbers [X, Y, Z]"
+        )
     if not 1 <= grid.size <= MAX_VOXELS:
-        raise InputError(f"{path}: the grid is {' x '.join(map(str, grid.shape))}, expected 1 to {MAX_VOXELS:,} voxels")
+        raise InputError(
+            f"{path}: the grid is {' x '.join(map(str, grid.shape))}, expected 1 to {MAX_VOXELS:,} voxels"
+        )
     if not np.isfinite(grid).all():
         raise InputError(f"{path}: a voxel is NaN or infinite, expected occupancy from 0 to 1")
     return grid
@@ -143,5 +163,7 @@ def _numbers(path: Path, fields: dict[bytes, list[bytes]], key: bytes, count: in
             raise ValueError
     except (KeyError, ValueError):
         what = shown(b" ".join(fields[key]).decode("latin-1")) if key in fields else "missing"
-        raise InputError(f"{path}: {key.decode()} is {what}, expected {count} finite number{'s' * (count > 1)}") from None
+        raise InputError(
+            f"{path}: {key.decode()} is {what}, expected {count} finite number{'s' * (count > 1)}"
+        ) from None
     return values

@@ -50,7 +50,9 @@ class Pictures:
     missing : what there is to say of pictures that cannot be used, each once.
     """
 
-    def __init__(self, path: Path, content: bytes, decode: bool, within: Path | None = None) -> None:
+    def __init__(
+        self, path: Path, content: bytes, decode: bool, within: Path | None = None
+    ) -> None:
         self.missing: list[str] = []
         self.resolver: Any = _Folder(path, within, self._miss)
         self._decode = decode
@@ -118,7 +120,9 @@ class _Folder:
         picture = not name.strip().lower().endswith((".mtl", ".bin"))
         slashed = name.strip().replace("\\", "/")
         if slashed.startswith("-"):
-            slashed = slashed.split()[-1]  # behind the options of map_Kd, such as a scale, which are ignored
+            slashed = slashed.split()[
+                -1
+            ]  # behind the options of map_Kd, such as a scale, which are ignored
         for candidate in (slashed, slashed.rpartition("/")[2]):
             place = (self._folder / candidate).resolve()
             if place.is_relative_to(self._within) and place.is_file():
@@ -127,7 +131,9 @@ class _Folder:
                     self._miss(name, "cannot be decoded")
                 return content
         if not slashed.lower().endswith(".bin"):
-            self._miss(name, "is not in this folder or below", "texture" if picture else "material file")
+            self._miss(
+                name, "is not in this folder or below", "texture" if picture else "material file"
+            )
         raise FileNotFoundError(name)
 
     __getitem__ = get

@@ -55,7 +55,10 @@ def _pays(seconds: float) -> bool:
         return False
     if seconds >= LOADING + COMPILING or _on_disk():
         return True
-    warnings.warn("no compiled loops on disk, numpy does this work; `tso compile` makes them once", stacklevel=2)
+    warnings.warn(
+        "no compiled loops on disk, numpy does this work; `tso compile` makes them once",
+        stacklevel=2,
+    )
     return False
 
 
@@ -64,11 +67,29 @@ def _on_disk() -> bool:
     from .losses_numba import _cross_entropy, _pixels_to_points
     from .mask_chamfer_numba import _mask_chamfer
     from .nearest_numba import _compare_all
-    from .points_numba import chamfer, farthest_points, gather, nearest_few, nearest_in_grid, sort_into_grid, spread
+    from .points_numba import (
+        chamfer,
+        farthest_points,
+        gather,
+        nearest_few,
+        nearest_in_grid,
+        sort_into_grid,
+        spread,
+    )
     from .splat_numba import _add, _gather
 
-    of_points = chamfer, farthest_points, gather, nearest_few, nearest_in_grid, sort_into_grid, spread
-    return on_disk(_mask_chamfer, _compare_all, *of_points, _add, _gather, _cross_entropy, _pixels_to_points)
+    of_points = (
+        chamfer,
+        farthest_points,
+        gather,
+        nearest_few,
+        nearest_in_grid,
+        sort_into_grid,
+        spread,
+    )
+    return on_disk(
+        _mask_chamfer, _compare_all, *of_points, _add, _gather, _cross_entropy, _pixels_to_points
+    )
 
 
 @functools.cache
@@ -79,6 +100,9 @@ def importable(name: str) -> bool:
     except ImportError as error:
         # a numpy newer than numba knows, for one
         reason = (str(error).splitlines() or ["no reason given"])[0]
-        warnings.warn(f"compiled loops are not used, which is slower: {name} cannot be imported ({reason})", stacklevel=2)
+        warnings.warn(
+            f"compiled loops are not used, which is slower: {name} cannot be imported ({reason})",
+            stacklevel=2,
+        )
         return False
     return True

@@ -28,7 +28,11 @@ WORTH_A_THREAD = 1 << 18
 # Ranges per thread, so that threads with little to do take over from others.
 RANGES_PER_THREAD = 4
 
-SETTINGS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz"}}
+SETTINGS: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+    "fastmath": {"contract", "reassoc", "nsz"},
+}
 INSIDE: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
@@ -64,7 +68,10 @@ def on_disk(*functions: Any) -> bool:
     """Whether the machine code of all these `compiled` functions is on disk, newer than the sources."""
     try:
         changed = max(source.stat().st_mtime for source in Path(__file__).parent.glob("*.py"))
-        caches = (Path(function.stats.cache_path).glob(f"*.{function.__name__}-*.nbi") for function in functions)
+        caches = (
+            Path(function.stats.cache_path).glob(f"*.{function.__name__}-*.nbi")
+            for function in functions
+        )
         return all(any(index.stat().st_mtime >= changed for index in cache) for cache in caches)
     except (AttributeError, OSError, TypeError, ValueError):
         # no folder can be written, or numba was told to compile nothing
@@ -95,7 +102,9 @@ class _Cache(FunctionCache):
         super().__init__(function)
         locator = self._impl.locator
         sweep(self.cache_path)
-        self._cache_file = _CheckedFile(self.cache_path, self._impl.filename_base, locator.get_source_stamp())
+        self._cache_file = _CheckedFile(
+            self.cache_path, self._impl.filename_base, locator.get_source_stamp()
+        )
 
     @contextlib.contextmanager
     def _guard_against_spurious_io_errors(self) -> Iterator[None]:
@@ -152,7 +161,9 @@ def part(function: Callable[..., Any]) -> Any:
     return njit(**SETTINGS, **INSIDE)(function)
 
 
-def share(count: int, steps: int, threads: int, function: Callable[..., None], *arguments: Any) -> None:
+def share(
+    count: int, steps: int, threads: int, function: Callable[..., None], *arguments: Any
+) -> None:
     """Call the compiled ``function(first, last, *arguments)`` on ranges that cover 0 to ``count``, on at most ``threads``.
 
     It must write the same values however 0 to ``count`` is cut into ranges. ``steps`` is the work in all, roughly, in basic

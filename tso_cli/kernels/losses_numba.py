@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .jit import compiled, part, share
-from .nearest_numba import cell_edge, nearest_in_cells, nearest_in_column, nearest_marked, sort_into_cells
+from .nearest_numba import (
+    cell_edge,
+    nearest_in_cells,
+    nearest_in_column,
+    nearest_marked,
+    sort_into_cells,
+)
 from .simd import LOWEST, exp, log
 
 LOG_TWO = math.log(2.0)
@@ -34,7 +40,9 @@ def cross_entropy(
     gradient, waiting = sums.copy(), np.empty(sums.shape, bool)
     loss = np.empty((images, height))
     rows = (array.reshape(-1, width) for array in (foreground, background, gradient, waiting))
-    share(images * height, 8 * sums.size, threads, _cross_entropy, *rows, uncovered, loss.reshape(-1))
+    share(
+        images * height, 8 * sums.size, threads, _cross_entropy, *rows, uncovered, loss.reshape(-1)
+    )
     # Added one row after another: the same on any number of threads.
     return loss.cumsum(1)[:, -1], gradient, waiting
 
@@ -49,11 +57,26 @@ def pixels_to_points(
     total, gradient = np.empty(len(points_px)), np.zeros_like(points_px)
     edge = cell_edge(pixels.shape[1], pixels.shape[2], points_px.shape[1])
     steps = 4 * pixels.size + 8 * valid.size
-    share(len(pixels), steps, threads, _pixels_to_points, pixels, weight, points_px, valid, factor, edge, total, gradient)
+    share(
+        len(pixels),
+        steps,
+        threads,
+        _pixels_to_points,
+        pixels,
+        weight,
+        points_px,
+        valid,
+        factor,
+        edge,
+        total,
+        gradient,
+    )
     return total, gradient
 
 
-def points_to_mask(points_px: Array, valid: Marks, inside: Marks, threads: int = 1) -> tuple[Array, Array]:
+def points_to_mask(
+    points_px: Array, valid: Marks, inside: Marks, threads: int = 1
+) -> tuple[Array, Array]:
     """Sum [M] over points on background of the squared distance to the nearest pixel ``inside`` [M, H, W]; derivative."""
     total, gradient = np.empty(len(points_px)), np.zeros_like(points_px)
     steps = 8 * inside.size + 32 * valid.size
@@ -82,7 +105,11 @@ def _entropy_of_row(sums, foreground, background, uncovered, waiting):  # type: 
         more = log(one + power)
         # -log tanh s, and -log(1 - tanh s)
         missed = more - log(complement)
-        stray = twice + more - log_two if s > small else s * (one + s * (half - s * s * kind(1.0 / 12.0)))
+        stray = (
+            twice + more - log_two
+            if s > small
+            else s * (one + s * (half - s * s * kind(1.0 / 12.0)))
+        )
         loss += (cover * missed if covered else zero) + free * stray
         toward = four * power / (complement * (one + power)) if covered else zero
         sums[j] = free * two / (one + power) - cover * toward if covered else free
@@ -93,7 +120,9 @@ def _entropy_of_row(sums, foreground, background, uncovered, waiting):  # type: 
 @compiled
 def _cross_entropy(first, last, foreground, background, gradient, waiting, uncovered, loss):  # type: ignore[no-untyped-def]
     for row in range(first, last):
-        loss[row] = _entropy_of_row(gradient[row], foreground[row], background[row], uncovered, waiting[row])
+        loss[row] = _entropy_of_row(
+            gradient[row], foreground[row], background[row], uncovered, waiting[row]
+        )
 
 
 @compiled

@@ -43,7 +43,9 @@ def mask_chamfer(
         resolvability = np.ones(len(points))
     height, width = view.inside.shape
     edge = cell_edge(height, width, len(points))
-    any_observed: bool = _mask_chamfer(points, *view, robust_scale, resolvability, edge, weight, costs, gradient)
+    any_observed: bool = _mask_chamfer(
+        points, *view, robust_scale, resolvability, edge, weight, costs, gradient
+    )
     return any_observed
 
 
@@ -66,7 +68,12 @@ def _mask_chamfer(  # type: ignore[no-untyped-def]
         plane[n, 0], plane[n, 1], plane[n, 2] = x * inverse, y * inverse, inverse
         pixels[n, 0] = K[0, 0] * plane[n, 0] + K[0, 1] * plane[n, 1] + K[0, 2]
         pixels[n, 1] = K[1, 1] * plane[n, 1] + K[1, 2]
-        in_image = pixels[n, 0] >= left and pixels[n, 0] <= right and pixels[n, 1] >= top and pixels[n, 1] <= bottom
+        in_image = (
+            pixels[n, 0] >= left
+            and pixels[n, 0] <= right
+            and pixels[n, 1] >= top
+            and pixels[n, 1] <= bottom
+        )
         observed[n] = valid[n] and (in_image or not truncated)
         any_observed |= observed[n]
     if not any_observed:
@@ -80,7 +87,13 @@ def _mask_chamfer(  # type: ignore[no-untyped-def]
     for n in range(count):
         x, y = pixels[n, 0], pixels[n, 1]
         # Far outside, the numbers would not fit.
-        if valid[n] and x > -reach - 1 and x < width + reach and y > -reach - 1 and y < height + reach:
+        if (
+            valid[n]
+            and x > -reach - 1
+            and x < width + reach
+            and y > -reach - 1
+            and y < height + reach
+        ):
             row, column = int(np.rint(y)), int(np.rint(x))
             for i in range(row - reach, row + reach + 1):
                 for j in range(column - reach, column + reach + 1):
@@ -113,7 +126,10 @@ def _mask_chamfer(  # type: ignore[no-untyped-def]
         # What lies outside the image is unknown, not background.
         if observed[n] and share > 0.0 and x >= left and x <= right and y >= top and y <= bottom:
             # Beside the mask's part of the image it is background like that part's rim.
-            i, j = int(np.rint(min(max(y, 0.0), height - 1.0))), int(np.rint(min(max(x, 0.0), width - 1.0)))
+            i, j = (
+                int(np.rint(min(max(y, 0.0), height - 1.0))),
+                int(np.rint(min(max(x, 0.0), width - 1.0))),
+            )
             if outside[i, j]:
                 row, column = nearest_marked(i, j, nearest_row)
                 by_x, by_y = x - column, y - row
@@ -127,5 +143,7 @@ def _mask_chamfer(  # type: ignore[no-untyped-def]
             by_x, by_y = K[0, 0] * u * plane[n, 2], (K[0, 1] * u + K[1, 1] * v) * plane[n, 2]
             by_z = 0.0 if near == -np.inf else -(by_x * plane[n, 0] + by_y * plane[n, 1])
             for axis in range(3):
-                gradient[n, axis] += weight * (R[0, axis] * by_x + R[1, axis] * by_y + R[2, axis] * by_z)
+                gradient[n, axis] += weight * (
+                    R[0, axis] * by_x + R[1, axis] * by_y + R[2, axis] * by_z
+                )
     return True

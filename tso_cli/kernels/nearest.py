@@ -11,7 +11,9 @@ from .tensors import called, triton_runs, use_numba
 PAIRS_PER_CHUNK = 1 << 24
 
 
-def nearest_in_rows(queries: Tensor, data: Tensor, valid: Tensor | None = None, active: Tensor | None = None) -> Tensor:
+def nearest_in_rows(
+    queries: Tensor, data: Tensor, valid: Tensor | None = None, active: Tensor | None = None
+) -> Tensor:
     """Nearest neighbours in B clouds at once by all pairs, on any device.
 
     Of ``data`` [B, N, D], D = 2 or 3, the ``valid`` [B, N] points exist; of ``queries`` [B, Q, D] only those that are
@@ -28,10 +30,14 @@ def nearest_in_rows(queries: Tensor, data: Tensor, valid: Tensor | None = None, 
         return on_gpu(queries, data, valid, active)
     index = torch.full(queries.shape[:2], -1, dtype=torch.int64, device=queries.device)
     places = torch.nonzero(torch.ones_like(index) if active is None else active)
-    for part in places.split(max(1, PAIRS_PER_CHUNK // max(1, data.shape[1]))) if data.shape[1] else ():
+    for part in (
+        places.split(max(1, PAIRS_PER_CHUNK // max(1, data.shape[1]))) if data.shape[1] else ()
+    ):
         row, place = part.unbind(1)
         # Coordinates are subtracted: cdist's product of matrices would lose digits.
-        differences = [queries[row, place, d, None] - data[row, :, d] for d in range(queries.shape[2])]
+        differences = [
+            queries[row, place, d, None] - data[row, :, d] for d in range(queries.shape[2])
+        ]
         squared = torch.stack(differences).square_().sum(0)
         finite = squared < torch.inf if valid is None else (squared < torch.inf) & valid[row]
         least, neighbour = torch.where(finite, squared, torch.inf).min(1)
@@ -48,7 +54,9 @@ def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     if use_numba(a if a.shape[1] <= b.shape[1] else b):
         from . import nearest_numba
 
-        return called(nearest_numba.nearest_in_rows, a, b), called(nearest_numba.nearest_in_rows, b, a)
+        return called(nearest_numba.nearest_in_rows, a, b), called(
+            nearest_numba.nearest_in_rows, b, a
+        )
     # NaN has no neighbours, but its rows must hold indices: what these lead to is NaN either way.
     return nearest_in_rows(a, b).clamp_min_(0), nearest_in_rows(b, a).clamp_min_(0)
 
@@ -59,8 +67,14 @@ def nearest_points(pixels: Tensor, points_px: Tensor, valid: Tensor) -> Tensor:
     For ``pixels`` [M, H, W], ``points_px`` [M, N, 2] and ``valid`` [M, N] an index [M, H, W] into the image's points, -1 at
     other pixels and in images without a valid point.
     """
-    rows, columns = (torch.arange(size, dtype=points_px.dtype, device=pixels.device) for size in pixels.shape[1:])
-    centres = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), -1).view(1, -1, 2).expand(len(pixels), -1, -1)
+    rows, columns = (
+        torch.arange(size, dtype=points_px.dtype, device=pixels.device) for size in pixels.shape[1:]
+    )
+    centres = (
+        torch.stack(torch.meshgrid(columns, rows, indexing="xy"), -1)
+        .view(1, -1, 2)
+        .expand(len(pixels), -1, -1)
+    )
     return nearest_in_rows(centres, points_px, valid, pixels.flatten(1)).view(pixels.shape)
 
 
@@ -70,14 +84,22 @@ def nearest_marked(marked: Tensor) -> tuple[Tensor, Tensor]:
     The nearest marked row in every column, then the nearest column in every row: O(W) per pixel, exact, on any device.
     """
     images, height, width = marked.shape
-    row, column = torch.arange(height, device=marked.device).unsqueeze(1), torch.arange(width, device=marked.device)
+    row, column = (
+        torch.arange(height, device=marked.device).unsqueeze(1),
+        torch.arange(width, device=marked.device),
+    )
     # further away than anything in the image
     beyond = height + width
     above = torch.where(marked, row, -beyond).cummax(1).values
     below = torch.where(marked, row, height + beyond).flip(1).cummin(1).values.flip(1)
     near = torch.where(row - above <= below - row, above, below)
-    vertical, horizontal = (near - row).square().flatten(0, 1), (column.unsqueeze(1) - column).square()
+    vertical, horizontal = (
+        (near - row).square().flatten(0, 1),
+        (column.unsqueeze(1) - column).square(),
+    )
     lines = vertical.split(max(1, PAIRS_PER_CHUNK // width**2))
-    columns = torch.cat([(line.unsqueeze(1) + horizontal).argmin(2) for line in lines]).view(marked.shape)
+    columns = torch.cat([(line.unsqueeze(1) + horizontal).argmin(2) for line in lines]).view(
+        marked.shape
+    )
     exists = marked.flatten(1).any(1).view(-1, 1, 1)
     return torch.where(exists, near.gather(2, columns), -1), torch.where(exists, columns, -1)

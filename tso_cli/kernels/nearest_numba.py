@@ -26,7 +26,9 @@ def cell_edge(height: int, width: int, count: int) -> float:
 def nearest_in_rows(queries: Array, data: Array, threads: int = 1) -> NDArray[np.int64]:
     """[B, Q] which of the points [B, N, 3] is nearest to each query [B, Q, 3], by all pairs."""
     index = np.empty(queries.shape[:2], np.int64)
-    share(len(queries), index.size * data.shape[1] // 8, threads, _compare_all, queries, data, index)
+    share(
+        len(queries), index.size * data.shape[1] // 8, threads, _compare_all, queries, data, index
+    )
     return index
 
 
@@ -49,7 +51,11 @@ def sort_into_cells(points, valid, height, width, edge):  # type: ignore[no-unty
     rows, columns = int(math.ceil(height / edge)), int(math.ceil(width / edge))
     # While points are sorted in, the start of cell c stands at c + 1.
     begin = np.zeros(rows * columns + 2, np.int64)
-    xs, ys, order = np.empty(count, np.float64), np.empty(count, np.float64), np.empty(count, np.int64)
+    xs, ys, order = (
+        np.empty(count, np.float64),
+        np.empty(count, np.float64),
+        np.empty(count, np.int64),
+    )
     cells = np.empty(count, np.int64)
     for n in range(count):
         x, y = points[n, 0], points[n, 1]
@@ -138,7 +144,11 @@ def nearest_marked(i, j, nearest_row):  # type: ignore[no-untyped-def]
 @compiled
 def _compare_all(first, last, queries, data, out):  # type: ignore[no-untyped-def]
     """Fill ``out`` [B, Q] with the index into ``data`` [B, N, 3] of the point nearest to each query."""
-    xs, ys, zs = (np.empty(BLOCK, data.dtype), np.empty(BLOCK, data.dtype), np.empty(BLOCK, data.dtype))
+    xs, ys, zs = (
+        np.empty(BLOCK, data.dtype),
+        np.empty(BLOCK, data.dtype),
+        np.empty(BLOCK, data.dtype),
+    )
     least, chosen = np.empty(BLOCK, data.dtype), np.empty(BLOCK, np.int32)
     for cloud in range(first, last):
         for start in range(0, queries.shape[1], BLOCK):
@@ -147,7 +157,12 @@ def _compare_all(first, last, queries, data, out):  # type: ignore[no-untyped-de
                 xs[k], ys[k], zs[k] = queries[cloud, start + k]
                 least[k], chosen[k] = np.inf, 0
             for n in range(data.shape[1]):
-                x, y, z, number = data[cloud, n, 0], data[cloud, n, 1], data[cloud, n, 2], np.int32(n)
+                x, y, z, number = (
+                    data[cloud, n, 0],
+                    data[cloud, n, 1],
+                    data[cloud, n, 2],
+                    np.int32(n),
+                )
                 for k in range(size):
                     squared = (xs[k] - x) ** 2 + (ys[k] - y) ** 2 + (zs[k] - z) ** 2
                     nearer = squared < least[k]

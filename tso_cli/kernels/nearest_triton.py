@@ -15,7 +15,9 @@ QUERIES = 32
 DATA = 64
 
 
-def nearest_in_rows(queries: Tensor, data: Tensor, valid: Tensor | None = None, active: Tensor | None = None) -> Tensor:
+def nearest_in_rows(
+    queries: Tensor, data: Tensor, valid: Tensor | None = None, active: Tensor | None = None
+) -> Tensor:
     """As `tso_cli.kernels.nearest.nearest_in_rows`, for float32 on a GPU; among points equally near the first."""
     rows, count, dimensions = queries.shape
     index = torch.empty(rows, count, dtype=torch.int64, device=queries.device)
@@ -61,7 +63,9 @@ def _nearest(  # type: ignore[no-untyped-def]
         number = start + lane
         loaded = number < data_count
         if SOME_VALID:
-            loaded = loaded & (tl.load(valid + row * data_count + number, mask=loaded, other=0) != 0)
+            loaded = loaded & (
+                tl.load(valid + row * data_count + number, mask=loaded, other=0) != 0
+            )
         point = data + (row * data_count + number) * DIMENSIONS
         # Points that are not loaded are infinitely far; NaN passes no comparison.
         by_x = x - tl.load(point, mask=loaded, other=float("inf"))[None, :]
@@ -76,4 +80,6 @@ def _nearest(  # type: ignore[no-untyped-def]
     closest = tl.min(nearest, 1)
     first = tl.min(tl.where(nearest == closest[:, None], when + lane[None, :], 2147483647), 1)
     found = searches & (closest < float("inf"))
-    tl.store(index + row * query_count + place, tl.where(found, first, -1).to(tl.int64), mask=exists)
+    tl.store(
+        index + row * query_count + place, tl.where(found, first, -1).to(tl.int64), mask=exists
+    )

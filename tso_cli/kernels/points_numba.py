@@ -38,7 +38,9 @@ def nearest_few(queries, data, chosen):  # type: ignore[no-untyped-def]
         x, y, z = queries[q]
         # In a loop of its own, so that it becomes SIMD code.
         for n in range(len(data)):
-            squared[n] = (xs[n] - x) * (xs[n] - x) + (ys[n] - y) * (ys[n] - y) + (zs[n] - z) * (zs[n] - z)
+            squared[n] = (
+                (xs[n] - x) * (xs[n] - x) + (ys[n] - y) * (ys[n] - y) + (zs[n] - z) * (zs[n] - z)
+            )
         for n in range(len(data)):
             if squared[n] < best[count - 1]:
                 place = count - 1
@@ -67,7 +69,9 @@ def sort_into_grid(points, low, per_unit, sides):  # type: ignore[no-untyped-def
     for n in range(len(points)):
         cells[n] = -1
         if np.isfinite(points[n, 0] + points[n, 1] + points[n, 2]):
-            row = _cell(points[n, 2], low[2], per_unit, sides[2]) * sides[1] + _cell(points[n, 1], low[1], per_unit, sides[1])
+            row = _cell(points[n, 2], low[2], per_unit, sides[2]) * sides[1] + _cell(
+                points[n, 1], low[1], per_unit, sides[1]
+            )
             cells[n] = row * width + _cell(points[n, 0], low[0], per_unit, width)
             begin[cells[n] + 2] += 1
     for cell in range(len(begin) - 2):
@@ -94,18 +98,33 @@ def nearest_in_grid(queries, data, grid, low, per_unit, sides, chosen):  # type:
     for q in range(len(queries)):
         x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
         nearest = chosen[q]
-        best = (data[nearest, 0] - x) ** 2 + (data[nearest, 1] - y) ** 2 + (data[nearest, 2] - z) ** 2
+        best = (
+            (data[nearest, 0] - x) ** 2 + (data[nearest, 1] - y) ** 2 + (data[nearest, 2] - z) ** 2
+        )
         if not best < np.inf:
             continue
         radius = np.sqrt(best) * (1.0 + 1e-9)
-        left, right = _cell(x - radius, low[0], per_unit, width), _cell(x + radius, low[0], per_unit, width)
-        bottom, top = _cell(y - radius, low[1], per_unit, sides[1]), _cell(y + radius, low[1], per_unit, sides[1])
-        front, back = _cell(z - radius, low[2], per_unit, sides[2]), _cell(z + radius, low[2], per_unit, sides[2])
+        left, right = (
+            _cell(x - radius, low[0], per_unit, width),
+            _cell(x + radius, low[0], per_unit, width),
+        )
+        bottom, top = (
+            _cell(y - radius, low[1], per_unit, sides[1]),
+            _cell(y + radius, low[1], per_unit, sides[1]),
+        )
+        front, back = (
+            _cell(z - radius, low[2], per_unit, sides[2]),
+            _cell(z + radius, low[2], per_unit, sides[2]),
+        )
         for k in range(front, back + 1):
             for j in range(bottom, top + 1):
                 row = (k * sides[1] + j) * width
                 for place in range(begin[row + left], begin[row + right + 1]):
-                    dx, dy, dz = coordinates[place, 0] - x, coordinates[place, 1] - y, coordinates[place, 2] - z
+                    dx, dy, dz = (
+                        coordinates[place, 0] - x,
+                        coordinates[place, 1] - y,
+                        coordinates[place, 2] - z,
+                    )
                     squared = dx * dx + dy * dy + dz * dz
                     if squared < best:
                         best, nearest = squared, order[place]

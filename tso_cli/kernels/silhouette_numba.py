@@ -19,13 +19,17 @@ def silhouette_bce(
     sigma_sq: float,
 ) -> tuple[float, NDArray[np.float64]]:
     """Value and gradient [N, 2], in float32, whose exponentials are SIMD code."""
-    points, covering, freeing = (array.astype(np.float32, order="C")[None] for array in (points_px, foreground, background))
+    points, covering, freeing = (
+        array.astype(np.float32, order="C")[None] for array in (points_px, foreground, background)
+    )
     radius = window_radius(sigma_sq)
     height, width = foreground.shape
     sums = splat_sums(points, valid[None], height, width, sigma_sq, radius)
     value, by_sums, waiting = cross_entropy(sums, covering, freeing, NEGLIGIBLE)
     gradient = splat_gradient(by_sums, points, valid[None], sigma_sq, radius)
     if waiting.any():
-        by_nearest, gradient_by_nearest = pixels_to_points(waiting, covering, points, valid[None], 0.5 / sigma_sq)
+        by_nearest, gradient_by_nearest = pixels_to_points(
+            waiting, covering, points, valid[None], 0.5 / sigma_sq
+        )
         value, gradient = value + by_nearest, gradient + gradient_by_nearest
     return float(value[0]), gradient[0].astype(np.float64)

@@ -59,13 +59,17 @@ def project_rows(context, source, at, stride, rows, down, left, start, across, r
         for total in (by_down, by_left):
             builder.store(vectors.zeros, total)
         with cgutils.for_range(builder, arguments[3]) as loop:
-            row = vectors.load(at_place(0, builder.add(arguments[1], builder.mul(loop.index, arguments[2]))))
+            row = vectors.load(
+                at_place(0, builder.add(arguments[1], builder.mul(loop.index, arguments[2])))
+            )
             place = builder.add(arguments[6], loop.index)
             for argument, total in ((4, by_down), (5, by_left)):
                 weight = vectors.spread(builder.load(at_place(argument, place, one=True)))
                 builder.store(vectors.multiply_add(weight, row, builder.load(total)), total)
         sums = [
-            vectors.add_up(builder.fmul(builder.load(total), vectors.load(at_place(argument, arguments[9]))))
+            vectors.add_up(
+                builder.fmul(builder.load(total), vectors.load(at_place(argument, arguments[9])))
+            )
             for argument, total in ((8, by_down), (7, by_left))
         ]
         return context.make_tuple(builder, signature.return_type, sums)
@@ -90,7 +94,9 @@ class _Vectors:
 
     def place(self, argument: int, index: Any, one: bool = False) -> Any:
         """Pointer to the numbers, or to one number, of an array argument from ``index`` on."""
-        data = make_array(self._kinds[argument])(self._context, self._builder, self._arguments[argument]).data
+        data = make_array(self._kinds[argument])(
+            self._context, self._builder, self._arguments[argument]
+        ).data
         pointer = self._builder.gep(data, [index])
         return pointer if one else self._builder.bitcast(pointer, self._vector.as_pointer())
 
@@ -109,22 +115,26 @@ class _Vectors:
 
     def add_up(self, vector: Any) -> Any:
         kind = ir.FunctionType(self._number, [self._number, self._vector])
-        function = cgutils.get_or_insert_function(self._builder.module, kind, f"llvm.vector.reduce.fadd.{self._suffix}")
-        return self._builder.call(function, [ir.Constant(self._number, 0.0), vector], fastmath=["reassoc"])
+        function = cgutils.get_or_insert_function(
+            self._builder.module, kind, f"llvm.vector.reduce.fadd.{self._suffix}"
+        )
+        return self._builder.call(
+            function, [ir.Constant(self._number, 0.0), vector], fastmath=["reassoc"]
+        )
 
 
 @intrinsic
 def _as_float(context, bits):  # type: ignore[no-untyped-def]
-    return types.float32(types.int32), lambda context, builder, signature, arguments: builder.bitcast(
-        arguments[0], ir.FloatType()
-    )
+    return types.float32(
+        types.int32
+    ), lambda context, builder, signature, arguments: builder.bitcast(arguments[0], ir.FloatType())
 
 
 @intrinsic
 def _as_bits(context, number):  # type: ignore[no-untyped-def]
-    return types.int32(types.float32), lambda context, builder, signature, arguments: builder.bitcast(
-        arguments[0], ir.IntType(32)
-    )
+    return types.int32(
+        types.float32
+    ), lambda context, builder, signature, arguments: builder.bitcast(arguments[0], ir.IntType(32))
 
 
 def exp(x: float) -> float:
@@ -161,7 +171,9 @@ def _exp32(x):  # type: ignore[no-untyped-def]
     part = power - f32(whole)
     series = f32(0.0013333558146428443) + part * f32(0.00015403530393381608)
     series = f32(0.05550410866482158) + part * (f32(0.009618129107628477) + part * series)
-    series = f32(1.0) + part * (f32(0.6931471805599453) + part * (f32(0.2402265069591007) + part * series))
+    series = f32(1.0) + part * (
+        f32(0.6931471805599453) + part * (f32(0.2402265069591007) + part * series)
+    )
     return series * _as_float(types.int32((whole + types.int32(127)) << types.int32(23)))
 
 
@@ -172,5 +184,7 @@ def _log32(x):  # type: ignore[no-untyped-def]
     part = _as_float(types.int32(bits - types.int32(whole << types.int32(23))))
     z = (part - f32(1.0)) / (part + f32(1.0))
     squared = z * z
-    series = f32(1.0 / 3.0) + squared * (f32(1.0 / 5.0) + squared * (f32(1.0 / 7.0) + squared * f32(1.0 / 9.0)))
+    series = f32(1.0 / 3.0) + squared * (
+        f32(1.0 / 5.0) + squared * (f32(1.0 / 7.0) + squared * f32(1.0 / 9.0))
+    )
     return f32(whole) * f32(0.6931471805599453) + f32(2.0) * z * (f32(1.0) + squared * series)

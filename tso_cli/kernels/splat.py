@@ -12,7 +12,9 @@ from .tensors import called, triton_runs, use_numba
 from .window import window_radius
 
 
-def splat(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float, kernel: str = "auto") -> Tensor:
+def splat(
+    points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float, kernel: str = "auto"
+) -> Tensor:
     """Sum of one un-normalised Gaussian per point at every pixel centre: the argument of the tanh in Eq. 2.
 
     Parameters
@@ -27,7 +29,9 @@ def splat(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: f
     [M, height, width] sums, >= 0.
     """
     if kernel == "auto":
-        kernel = "triton" if triton_runs(points_px) else "compiled" if use_numba(points_px) else "exact"
+        kernel = (
+            "triton" if triton_runs(points_px) else "compiled" if use_numba(points_px) else "exact"
+        )
     if kernel == "exact":
         return _exact(points_px, valid, height, width, sigma_sq)
     return _Windowed.apply(points_px, valid, height, width, float(sigma_sq), kernel)
@@ -54,16 +58,34 @@ class _Windowed(torch.autograd.Function):
     """The sum of each point's window; backward reads the same window again, so nothing of its size k x k is stored."""
 
     @staticmethod
-    def forward(ctx: Any, points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float, kernel: str) -> Tensor:
+    def forward(
+        ctx: Any,
+        points_px: Tensor,
+        valid: Tensor,
+        height: int,
+        width: int,
+        sigma_sq: float,
+        kernel: str,
+    ) -> Tensor:
         ctx.save_for_backward(points_px, valid)
         ctx.sigma_sq, ctx.kernel = sigma_sq, kernel
-        return _run(kernel, "sums", points_px, valid, height, width, sigma_sq, window_radius(sigma_sq))
+        return _run(
+            kernel, "sums", points_px, valid, height, width, sigma_sq, window_radius(sigma_sq)
+        )
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor | None, ...]:
         points_px, valid = ctx.saved_tensors
-        grad = _run(ctx.kernel, "gradient", grad_outputs[0], points_px, valid, ctx.sigma_sq, window_radius(ctx.sigma_sq))
+        grad = _run(
+            ctx.kernel,
+            "gradient",
+            grad_outputs[0],
+            points_px,
+            valid,
+            ctx.sigma_sq,
+            window_radius(ctx.sigma_sq),
+        )
         return grad, None, None, None, None, None
 
 

@@ -24,7 +24,15 @@ Array = NDArray[np.floating[Any]]
 Marks = NDArray[np.bool_]
 
 
-def sums(points_px: Array, valid: Marks, height: int, width: int, sigma_sq: float, radius: int, threads: int = 1) -> Array:
+def sums(
+    points_px: Array,
+    valid: Marks,
+    height: int,
+    width: int,
+    sigma_sq: float,
+    radius: int,
+    threads: int = 1,
+) -> Array:
     """The windowed sums [M, H, W] of the Gaussians of points [M, N, 2], float32 or float64.
 
     Each pixel adds its points in the cloud's order, so that bands of rows can be filled in parallel.
@@ -32,11 +40,23 @@ def sums(points_px: Array, valid: Marks, height: int, width: int, sigma_sq: floa
     images, count = valid.shape
     out = np.empty((images, height, width), points_px.dtype)
     bands, steps = _bands(images, height, radius, threads), _steps(images, count, radius)
-    share(images * bands, steps, threads, _add, points_px, valid, _window(sigma_sq, radius, out.dtype), bands, out)
+    share(
+        images * bands,
+        steps,
+        threads,
+        _add,
+        points_px,
+        valid,
+        _window(sigma_sq, radius, out.dtype),
+        bands,
+        out,
+    )
     return out
 
 
-def gradient(by_sums: Array, points_px: Array, valid: Marks, sigma_sq: float, radius: int, threads: int = 1) -> Array:
+def gradient(
+    by_sums: Array, points_px: Array, valid: Marks, sigma_sq: float, radius: int, threads: int = 1
+) -> Array:
     """Derivative [M, N, 2] by ``points_px``, from that by the sums [M, H, W]."""
     images, count = valid.shape
     out = np.zeros((images, count, 2), points_px.dtype)
@@ -44,7 +64,17 @@ def gradient(by_sums: Array, points_px: Array, valid: Marks, sigma_sq: float, ra
     height, width = by_sums.shape[1:]
     padded = np.zeros((images, height, width + 2 * radius + len(window.steps)), points_px.dtype)
     padded[:, :, 2 * radius : 2 * radius + width] = by_sums
-    share(images * count, _steps(images, count, radius), threads, _gather, points_px, valid, window, padded, out)
+    share(
+        images * count,
+        _steps(images, count, radius),
+        threads,
+        _gather,
+        points_px,
+        valid,
+        window,
+        padded,
+        out,
+    )
     return out
 
 
@@ -80,14 +110,24 @@ def _steps(images: int, count: int, radius: int) -> int:
 def _touches(x, y, top, bottom, width, radius):  # type: ignore[no-untyped-def]
     """Whether the window around (x, y) touches these rows; False for NaN."""
     column, row = np.rint(x), np.rint(y)
-    return column >= -radius and column < width + radius and row >= top - radius and row < bottom + radius
+    return (
+        column >= -radius
+        and column < width + radius
+        and row >= top - radius
+        and row < bottom + radius
+    )
 
 
 @part
 def _weigh(points, chosen, count, window, along_x, along_y):  # type: ignore[no-untyped-def]
     """The separable weights of the first ``count`` points that are ``chosen``, a row each."""
     kind, steps = points.dtype.type, window.steps
-    by, least, negligible, zero = kind(window.factor), kind(LOWEST), kind(NEGLIGIBLE_EXPONENT), kind(0.0)
+    by, least, negligible, zero = (
+        kind(window.factor),
+        kind(LOWEST),
+        kind(NEGLIGIBLE_EXPONENT),
+        kind(0.0),
+    )
     for i in range(count):
         x, y = points[chosen[i], 0], points[chosen[i], 1]
         dx, dy = x - np.rint(x), y - np.rint(y)
@@ -147,7 +187,12 @@ def _gather(first, last, points, valid, window, padded, out):  # type: ignore[no
     chosen = np.empty(BLOCK, np.int64)
     along_x, along_y = np.empty((BLOCK, span), points.dtype), np.empty((BLOCK, span), points.dtype)
     slope_x, slope_y = np.empty((BLOCK, span), points.dtype), np.empty((BLOCK, span), points.dtype)
-    right, across, down, left = along_x.reshape(-1), slope_x.reshape(-1), along_y.reshape(-1), slope_y.reshape(-1)
+    right, across, down, left = (
+        along_x.reshape(-1),
+        slope_x.reshape(-1),
+        along_y.reshape(-1),
+        slope_y.reshape(-1),
+    )
     for image in range(first // count, -(-last // count)):
         cloud, flat = points[image], padded[image].reshape(-1)
         start, stop = max(first - image * count, 0), min(last - image * count, count)
@@ -173,7 +218,18 @@ def _gather(first, last, points, valid, window, padded, out):  # type: ignore[no
                 by_x = by_y = 0.0
                 for k in range(0, span, LANES):
                     place = top * stride + column + radius + k
-                    x, y = project_rows(flat, place, stride, bottom - top, down, left, weight, right, across, i * span + k)
+                    x, y = project_rows(
+                        flat,
+                        place,
+                        stride,
+                        bottom - top,
+                        down,
+                        left,
+                        weight,
+                        right,
+                        across,
+                        i * span + k,
+                    )
                     by_x += x
                     by_y += y
                 out[image, chosen[i], 0] += 2.0 * factor * by_x

@@ -5,6 +5,8 @@ Experimental. Importing this imports triton, which builds of torch for GPUs brin
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 import triton
 import triton.language as tl
@@ -16,7 +18,9 @@ WIDEST = 128
 TILE = 512
 
 
-def sums(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float, radius: int) -> Tensor:
+def sums(
+    points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float, radius: int
+) -> Tensor:
     """As `tso_cli.kernels.splat.splat`, for float32 on a GPU; the order of atomic additions, and so the last bits, vary."""
     images, count = valid.shape
     out = torch.zeros(images, height, width, dtype=points_px.dtype, device=points_px.device)
@@ -24,14 +28,24 @@ def sums(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: fl
     return out
 
 
-def gradient(grad_sums: Tensor, points_px: Tensor, valid: Tensor, sigma_sq: float, radius: int) -> Tensor:
+def gradient(
+    grad_sums: Tensor, points_px: Tensor, valid: Tensor, sigma_sq: float, radius: int
+) -> Tensor:
     """Derivative [M, N, 2] by ``points_px``, from that by the sums [M, H, W]."""
     out = torch.empty_like(points_px, memory_format=torch.contiguous_format)
     _launch(_gather, points_px, valid, grad_sums.contiguous(), sigma_sq, radius, out)
     return out
 
 
-def _launch(kernel, points_px: Tensor, valid: Tensor, image: Tensor, sigma_sq: float, radius: int, *out: Tensor) -> None:  # type: ignore[no-untyped-def]
+def _launch(
+    kernel: Any,
+    points_px: Tensor,
+    valid: Tensor,
+    image: Tensor,
+    sigma_sq: float,
+    radius: int,
+    *out: Tensor,
+) -> None:
     if not valid.numel():
         return
     taps = min(triton.next_power_of_2(2 * radius + 1), WIDEST)
@@ -62,7 +76,13 @@ def _placed(points, valid, total, per_image, height, width, radius, POINTS: tl.c
     x = tl.load(points + 2 * number, mask=there, other=0.0)
     y = tl.load(points + 2 * number + 1, mask=there, other=0.0)
     # NaN passes no comparison.
-    reached = there & (x >= -radius - 0.5) & (x < width + radius - 0.5) & (y >= -radius - 0.5) & (y < height + radius - 0.5)
+    reached = (
+        there
+        & (x >= -radius - 0.5)
+        & (x < width + radius - 0.5)
+        & (y >= -radius - 0.5)
+        & (y < height + radius - 0.5)
+    )
     column, offset_x = _axis(x, reached)
     row, offset_y = _axis(y, reached)
     start = (number // per_image) * height * width
@@ -71,9 +91,21 @@ def _placed(points, valid, total, per_image, height, width, radius, POINTS: tl.c
 
 @triton.jit
 def _add(  # type: ignore[no-untyped-def]
-    points, valid, out, total, per_image, height, width, inverse, radius, POINTS: tl.constexpr, TAPS: tl.constexpr
+    points,
+    valid,
+    out,
+    total,
+    per_image,
+    height,
+    width,
+    inverse,
+    radius,
+    POINTS: tl.constexpr,
+    TAPS: tl.constexpr,
 ):
-    _, reached, start, column, row, offset_x, offset_y = _placed(points, valid, total, per_image, height, width, radius, POINTS)
+    _, reached, start, column, row, offset_x, offset_y = _placed(
+        points, valid, total, per_image, height, width, radius, POINTS
+    )
     for strip in range(0, 2 * radius + 1, TAPS):
         step = strip + tl.arange(0, TAPS) - radius
         to_x = offset_x[:, None] - step[None, :]
@@ -85,12 +117,25 @@ def _add(  # type: ignore[no-untyped-def]
             j = row + (up - radius)
             place = out + (start + j * width)[:, None] + k
             weight = tl.exp(-0.5 * inverse * to_y * to_y)[:, None] * along_x
-            tl.atomic_add(place, weight, mask=inside & ((j >= 0) & (j < height))[:, None], sem="relaxed")
+            tl.atomic_add(
+                place, weight, mask=inside & ((j >= 0) & (j < height))[:, None], sem="relaxed"
+            )
 
 
 @triton.jit
 def _gather(  # type: ignore[no-untyped-def]
-    points, valid, image, out, total, per_image, height, width, inverse, radius, POINTS: tl.constexpr, TAPS: tl.constexpr
+    points,
+    valid,
+    image,
+    out,
+    total,
+    per_image,
+    height,
+    width,
+    inverse,
+    radius,
+    POINTS: tl.constexpr,
+    TAPS: tl.constexpr,
 ):
     number, reached, start, column, row, offset_x, offset_y = _placed(
         points, valid, total, per_image, height, width, radius, POINTS

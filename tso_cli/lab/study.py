@@ -46,10 +46,21 @@ class Option:
         return self.name or self.flag.removeprefix("--").replace("-", "_")
 
 
-MESHES = Option("--meshes", "Folder with CATEGORY/NAME for every name of the split.", Path, required=True)
-SPLIT = Option("--split", "JSON file, or a folder of lists.  [default: that of the shipped network]", Path)
+MESHES = Option(
+    "--meshes", "Folder with CATEGORY/NAME for every name of the split.", Path, required=True
+)
+SPLIT = Option(
+    "--split", "JSON file, or a folder of lists.  [default: that of the shipped network]", Path
+)
 CHECKPOINT = Option("--checkpoint", "View-aligned network.", Path, Path("default"))
-CATEGORY = Option("--category", "May be repeated.  [default: 3, or all of --split]", str, (), multiple=True, name="categories")
+CATEGORY = Option(
+    "--category",
+    "May be repeated.  [default: 3, or all of --split]",
+    str,
+    (),
+    multiple=True,
+    name="categories",
+)
 LIMIT = Option("--limit", "At most so many shapes of each category.", int, least=1)
 VIEWS = Option("--views", "Random views of each shape.", int, 2, least=1)
 SEED = Option("--seed", "Seed of everything random.", int, 0, least=0, most=2**63 - 1)
@@ -74,12 +85,20 @@ class Table:
 
     def text(self) -> str:
         """For a terminal."""
-        return "\n".join(filter(None, (self.title, text_table(self.header, self.rows, self.decimals), self.note)))
+        return "\n".join(
+            filter(None, (self.title, text_table(self.header, self.rows, self.decimals), self.note))
+        )
 
     def markdown(self) -> str:
         """For a page."""
-        shown = [text_table([name], [[row[i]] for row in self.rows], self.decimals) for i, name in enumerate(self.header)]
-        lines = [list(map(str.strip, line)) for line in zip(*(column.split("\n") for column in shown), strict=True)]
+        shown = [
+            text_table([name], [[row[i]] for row in self.rows], self.decimals)
+            for i, name in enumerate(self.header)
+        ]
+        lines = [
+            list(map(str.strip, line))
+            for line in zip(*(column.split("\n") for column in shown), strict=True)
+        ]
         lines[1] = ["---"] * len(self.header)
         table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
         return "\n\n".join(filter(None, (self.title and f"### {self.title}", table, self.note)))
@@ -176,16 +195,29 @@ class Study:
         if progress.earlier is None:
             return self._record(plan, cases, time.monotonic() - began)
         with undamaged(progress.source):
-            record = self._record(plan, cases, progress.earlier.get("seconds", 0.0) + time.monotonic() - began)
+            record = self._record(
+                plan, cases, progress.earlier.get("seconds", 0.0) + time.monotonic() - began
+            )
             for table in self.tables(record) if record["complete"] else ():
                 table.text()
         return record
 
     def _record(self, plan: Plan, cases: Cases, seconds: float) -> Record:
         complete = all(_judged(shared, cases) for shared, _ in plan.jobs)
-        head = {"study": self.name, "version": __version__, "convention": self.convention, "complete": complete}
+        head = {
+            "study": self.name,
+            "version": __version__,
+            "convention": self.convention,
+            "complete": complete,
+        }
         conclusions = self.conclude(cases) if complete else {}
-        return {**head, "seconds": seconds, "settings": plan.settings, **conclusions, "cases": cases}
+        return {
+            **head,
+            "seconds": seconds,
+            "settings": plan.settings,
+            **conclusions,
+            "cases": cases,
+        }
 
     def _earlier_cases(self, progress: Progress, settings: Record) -> Cases:
         if progress.earlier is None:
@@ -197,7 +229,9 @@ class Study:
         # As a record has them: tuples are lists there.
         for key, value in json.loads(json.dumps(settings)).items():
             if before.get(key) != value:
-                raise InputError(f"{text} has {key} {before.get(key)!r}, now it is {value!r}; expected the same")
+                raise InputError(
+                    f"{text} has {key} {before.get(key)!r}, now it is {value!r}; expected the same"
+                )
         return cases
 
 
@@ -218,7 +252,11 @@ def claim_line(claim: Record) -> str:
 def answer(study: Study, record: Record) -> str:
     """Tables, convention and claims of a record, for a terminal."""
     claims = "\n".join(map(claim_line, record.get("claims", [])))
-    return "\n\n".join(filter(None, (*(table.text() for table in study.tables(record)), _convention(record), claims)))
+    return "\n\n".join(
+        filter(
+            None, (*(table.text() for table in study.tables(record)), _convention(record), claims)
+        )
+    )
 
 
 def page(study: Study, record: Record, file_name: str, more_charts: Sequence[str] = ()) -> str:

@@ -42,7 +42,9 @@ class ChamferToStart:
         if far.any():
             to_moved[far] = nearest(initial[far], points)
         ahead, back = points - initial[to_start], points[to_moved] - initial
-        gradient = ahead + np.stack([np.bincount(to_moved, column, len(points)) for column in back.T], 1)
+        gradient = ahead + np.stack(
+            [np.bincount(to_moved, column, len(points)) for column in back.T], 1
+        )
         value = (np.square(ahead).sum() + np.square(back).sum()) / len(points)
         return float(value), (2.0 / len(points)) * gradient
 
@@ -67,7 +69,9 @@ class _Grid:
 
         points, gradient = np.ascontiguousarray(points), np.empty_like(points)
         nearest_in_grid(points, self._start, self._sorted, *self._cells, self._to_start)
-        nearest_in_grid(self._start, points, sort_into_grid(points, *self._cells), *self._cells, self._to_moved)
+        nearest_in_grid(
+            self._start, points, sort_into_grid(points, *self._cells), *self._cells, self._to_moved
+        )
         value: float = chamfer(self._start, points, self._to_start, self._to_moved, gradient)
         return value, gradient
 

@@ -60,7 +60,9 @@ class DepthTarget:
         return len(self.surface) * self.pixel_area
 
 
-def depth_loss(points: Array, projected: Projected, target: DepthTarget, robust_scale: float) -> tuple[float, Array]:
+def depth_loss(
+    points: Array, projected: Projected, target: DepthTarget, robust_scale: float
+) -> tuple[float, Array]:
     """Attract points to surfaces that none has reached, and push back points in front of a surface.
 
     A pixel whose surface is further than 0.7 px from the nearest point, in space, attracts that point; a point that lies more
@@ -84,7 +86,9 @@ def depth_loss(points: Array, projected: Projected, target: DepthTarget, robust_
         cost, slope = robust(squared, robust_scale)
         unreached = squared > TOLERANCE**2
         value += float(cost[unreached].sum()) * target.pixel_area
-        by_offset = np.where(unreached, 2.0 * target.pixel_area * slope * np.square(target.per_unit), 0.0)
+        by_offset = np.where(
+            unreached, 2.0 * target.pixel_area * slope * np.square(target.per_unit), 0.0
+        )
         for axis in range(3):
             gradient[:, axis] += np.bincount(owner, by_offset * offsets[:, axis], len(points))
 

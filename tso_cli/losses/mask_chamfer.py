@@ -55,7 +55,9 @@ class MaskTarget:
     ) -> MaskTarget:
         """``mask`` [H, W] in [0, 1]; ``known`` [H, W], unknown under 0.5; ``bounds`` None for a whole image."""
         height, width = mask.shape
-        return cls(*sides(mask, known), bounds or (-0.5, -0.5, width - 0.5, height - 0.5), grain, truncated)
+        return cls(
+            *sides(mask, known), bounds or (-0.5, -0.5, width - 0.5, height - 0.5), grain, truncated
+        )
 
     @property
     def scale(self) -> float:
@@ -147,17 +149,23 @@ def mask_chamfer(
     cost, slope = robust(np.square(offsets).sum(1) * area, robust_scale)
     costs += np.bincount(owner, cost * area, len(costs))
     for axis in (0, 1):
-        gradient[:, axis] += np.bincount(owner, 2.0 * area * area * slope * offsets[:, axis], len(costs))
+        gradient[:, axis] += np.bincount(
+            owner, 2.0 * area * area * slope * offsets[:, axis], len(costs)
+        )
 
     stray, offsets = _stray(points_px, observed, target)
-    weight = REFERENCE_POINTS / len(points_px) * (1.0 if resolvability is None else resolvability[stray])
+    weight = (
+        REFERENCE_POINTS / len(points_px) * (1.0 if resolvability is None else resolvability[stray])
+    )
     cost, slope = robust(np.square(offsets).sum(1) * area, robust_scale)
     costs[stray] += weight * cost
     gradient[stray] += (2.0 * area * weight * slope)[:, None] * offsets
     return costs, gradient
 
 
-def _uncovered(points_px: Array, valid: Marks, observed: Marks, target: MaskTarget) -> tuple[NDArray[np.int64], Array]:
+def _uncovered(
+    points_px: Array, valid: Marks, observed: Marks, target: MaskTarget
+) -> tuple[NDArray[np.int64], Array]:
     """For each uncovered foreground pixel the point nearest to it [P], and that point minus the pixel [P, 2].
 
     Pixels whose nearest point is not observed are left out.
@@ -175,7 +183,9 @@ def _uncovered(points_px: Array, valid: Marks, observed: Marks, target: MaskTarg
     return owner[kept], offsets[kept]
 
 
-def _nearest_to_uncovered(reach: int, points_px: Array, target: MaskTarget, within: float) -> tuple[NDArray[np.int64], Array]:
+def _nearest_to_uncovered(
+    reach: int, points_px: Array, target: MaskTarget, within: float
+) -> tuple[NDArray[np.int64], Array]:
     """The foreground pixels [P, 2] with no point ``within`` so many px, and of each the nearest point's index [P].
 
     The index is -1 where no point is within ``reach`` + 0.5 px. Most pixels have one: trying the few pixels around each point
@@ -185,11 +195,15 @@ def _nearest_to_uncovered(reach: int, points_px: Array, target: MaskTarget, with
     margin = 2 * reach + 1
     padded = width + 2 * margin
     x, y = np.ascontiguousarray(points_px.T)
-    (inside,) = np.nonzero((x > -reach - 1.0) & (x < width + reach) & (y > -reach - 1.0) & (y < height + reach))
+    (inside,) = np.nonzero(
+        (x > -reach - 1.0) & (x < width + reach) & (y > -reach - 1.0) & (y < height + reach)
+    )
     x, y = x[inside], y[inside]
     column, row = np.rint(x), np.rint(y)
     steps = np.arange(-reach, reach + 1)
-    squared_rows, squared_columns = (np.square(nearest - at + steps[:, None]) for nearest, at in ((row, y), (column, x)))
+    squared_rows, squared_columns = (
+        np.square(nearest - at + steps[:, None]) for nearest, at in ((row, y), (column, x))
+    )
     pixel = ((row + margin) * padded + column + margin).astype(np.int64) + steps[:, None]
     # One row of places around the points at a time: arrays that stay in the cache.
     pairs = [
@@ -216,7 +230,9 @@ def _nearest_to_uncovered(reach: int, points_px: Array, target: MaskTarget, with
     return owner[flat], np.stack([columns[uncovered], rows[uncovered]], 1).astype(float)
 
 
-def _stray(points_px: Array, observed: Marks, target: MaskTarget) -> tuple[NDArray[np.int64], Array]:
+def _stray(
+    points_px: Array, observed: Marks, target: MaskTarget
+) -> tuple[NDArray[np.int64], Array]:
     """The points that fall on background [P], and each minus the foreground pixel nearest to its own pixel [P, 2]."""
     height, width = target.inside.shape
     judged = observed & target.in_image(points_px)

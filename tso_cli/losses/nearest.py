@@ -53,13 +53,17 @@ def nearest_few(queries: Array, data: Array, count: int) -> Indices:
 def _by_tree(queries: Array, data: Array, count: int) -> Indices:
     from scipy.spatial import cKDTree
 
-    indices: Indices = cKDTree(data, balanced_tree=False, compact_nodes=False).query(queries, count)[1]
+    indices: Indices = cKDTree(data, balanced_tree=False, compact_nodes=False).query(
+        queries, count
+    )[1]
     return indices
 
 
 def spread_subset(points: Array, count: int) -> Indices:
     """As `tso_cli.geometry.points.spread_subset`."""
-    return plain.spread_subset(points, count, _farthest_points if use_compiled() else plain.farthest_point_sample)
+    return plain.spread_subset(
+        points, count, _farthest_points if use_compiled() else plain.farthest_point_sample
+    )
 
 
 def _farthest_points(points: Array, count: int) -> Indices:

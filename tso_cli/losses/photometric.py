@@ -66,7 +66,10 @@ class PhotometricTerm:
         projected, visible = _visible(points, photo)
         place, _ = pixels_under(projected.points_px, visible, height, width)
         drawn = np.bincount(place, visible, height * width).astype(float).reshape(height, width)
-        total = [np.bincount(place, colours[:, k] * visible, height * width).reshape(height, width) for k in range(3)]
+        total = [
+            np.bincount(place, colours[:, k] * visible, height * width).reshape(height, width)
+            for k in range(3)
+        ]
         picture = _detail(np.stack(total, -1) / np.maximum(drawn, 1.0)[..., None], drawn, sigma)
         of_cloud = _sampled(picture, projected.points_px)[0]
         of_photo = _sampled(detail, projected.points_px)[0] * visible[:, None]
@@ -76,7 +79,9 @@ class PhotometricTerm:
         exposure = np.clip(np.where(squared > 0.0, ratio, 1.0), 1.0 / EXPOSURE, EXPOSURE)
         expected = of_cloud * exposure
         squares = np.square(of_photo).sum() * (np.square(expected) * visible[:, None]).sum()
-        agreement = max(float((of_photo * expected).sum()), 0.0) / max(float(np.sqrt(squares)), TINY)
+        agreement = max(float((of_photo * expected).sum()), 0.0) / max(
+            float(np.sqrt(squares)), TINY
+        )
         return cls(photo, detail, expected, exposure, agreement)
 
     def __call__(self, points: Array) -> tuple[float, Array]:
@@ -114,7 +119,10 @@ def _sampled(image: Array, points_px: Array) -> tuple[Array, Array, Array]:
     high = np.minimum(low + 1, last.astype(np.int64))
     right, down = (place - low)[:, :1], (place - low)[:, 1:]
     (x0, y0), (x1, y1) = low.T, high.T
-    top, bottom = image[y0, x0] * (1.0 - right) + image[y0, x1] * right, image[y1, x0] * (1.0 - right) + image[y1, x1] * right
+    top, bottom = (
+        image[y0, x0] * (1.0 - right) + image[y0, x1] * right,
+        image[y1, x0] * (1.0 - right) + image[y1, x1] * right,
+    )
     by_x = (image[y0, x1] - image[y0, x0]) * (1.0 - down) + (image[y1, x1] - image[y1, x0]) * down
     return top * (1.0 - down) + bottom * down, by_x * within[:, :1], (bottom - top) * within[:, 1:]
 

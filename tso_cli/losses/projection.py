@@ -55,7 +55,9 @@ def project(points: Array, camera: Camera) -> Projected:
         plane = np.where(valid[:, None], plane, 0.0) * inverse_depth[:, None]
     else:
         valid, inverse_depth = np.ones(len(depth), bool), np.ones_like(depth)
-    return Projected(plane @ camera.K[:2, :2].T + camera.K[:2, 2], valid, camera, plane, inverse_depth)
+    return Projected(
+        plane @ camera.K[:2, :2].T + camera.K[:2, 2], valid, camera, plane, inverse_depth
+    )
 
 
 def pixels_under(

@@ -28,7 +28,9 @@ def default_sigma_sq(width: int, height: int) -> float:
     return 0.4 * (max(width, height) / 64.0) ** 2
 
 
-def silhouette_sums(points_px: Array, valid: NDArray[np.bool_], height: int, width: int, sigma_sq: float) -> Array:
+def silhouette_sums(
+    points_px: Array, valid: NDArray[np.bool_], height: int, width: int, sigma_sq: float
+) -> Array:
     """The sums [H, W] of Gaussians whose tanh is the silhouette (Eq. 2)."""
     along_x, along_y = _weights(points_px[valid], height, width, sigma_sq)
     sums: Array = along_y.T @ along_x
@@ -39,12 +41,18 @@ def _weights(points_px: Array, height: int, width: int, sigma_sq: float) -> tupl
     """The Gaussians' factors [N, W] along x and [N, H] along y: the sum over points of their product is a matrix product."""
     steps = (np.arange(width) - points_px[:, :1], np.arange(height) - points_px[:, 1:])
     # Below this the value is denormal, and a product of denormals is ten times slower; the true value is under 1e-300.
-    along_x, along_y = (np.exp(np.maximum(np.square(step) * (-0.5 / sigma_sq), -700.0)) for step in steps)
+    along_x, along_y = (
+        np.exp(np.maximum(np.square(step) * (-0.5 / sigma_sq), -700.0)) for step in steps
+    )
     return along_x, along_y
 
 
 def silhouette_bce(
-    points_px: Array, valid: NDArray[np.bool_], foreground: Array, background: Array, sigma_sq: float
+    points_px: Array,
+    valid: NDArray[np.bool_],
+    foreground: Array,
+    background: Array,
+    sigma_sq: float,
 ) -> tuple[float, Array]:
     """Binary cross-entropy between mask and silhouette (Eq. 4), computed from the sum s and not from tanh(s).
 
@@ -100,7 +108,9 @@ def silhouette_bce(
     return share * value, share * gradient
 
 
-def silhouette_of(points: Array, camera: Camera, sigma_sq: float | None = None) -> NDArray[np.float32]:
+def silhouette_of(
+    points: Array, camera: Camera, sigma_sq: float | None = None
+) -> NDArray[np.float32]:
     """The silhouette [H, W] in [0, 1] of a cloud [N, 3] in world units as the paper's projector draws it (Eq. 2).
 
     Where the Gaussian spans many pixels, the sums are computed on a coarser grid (variance 6.4 cells^2) and interpolated:
@@ -118,7 +128,9 @@ def silhouette_of(points: Array, camera: Camera, sigma_sq: float | None = None) 
     sums = np.zeros((coarse.height, coarse.width))
     for start in range(0, len(cloud), POINTS_AT_ONCE):
         part = slice(start, start + POINTS_AT_ONCE)
-        sums += silhouette_sums(projected.points_px[part], projected.valid[part], *sums.shape, sigma_sq)
+        sums += silhouette_sums(
+            projected.points_px[part], projected.valid[part], *sums.shape, sigma_sq
+        )
     if sums.shape != (height, width):
         whole = (-0.5, -0.5, coarse.width - 0.5, coarse.height - 0.5)
         sums = area_resize(sums, whole, width, height, interpolate=True)[0]
@@ -130,5 +142,9 @@ def _coarsened(camera: Camera, sigma_sq: float) -> tuple[Camera, float]:
     if sigma_sq <= SMOOTH_SIGMA_SQ:
         return camera, sigma_sq
     shrink = math.sqrt(SMOOTH_SIGMA_SQ / sigma_sq)
-    coarse = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
-    return coarse, sigma_sq * (max(coarse.width, coarse.height) / max(camera.width, camera.height)) ** 2
+    coarse = camera.resized(
+        max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink))
+    )
+    return coarse, sigma_sq * (
+        max(coarse.width, coarse.height) / max(camera.width, camera.height)
+    ) ** 2

@@ -52,14 +52,20 @@ def whole_box(camera: Camera, name: str = "mask") -> Box:
     """
     depth = float(camera.t[2]) if camera.model == "perspective" else 1.0
     if depth <= 0.0:
-        raise InputError(f"{name}: the camera has the object at depth {camera.t[2]:g}, expected it in front (> 0)")
+        raise InputError(
+            f"{name}: the camera has the object at depth {camera.t[2]:g}, expected it in front (> 0)"
+        )
     u, v = (camera.K[:2, :2] @ camera.t[:2] / depth + camera.K[:2, 2]).tolist()
     half = 0.5 * WHOLE * float(camera.K[0, 0]) / depth
     return u - half, v - half, u + half, v + half
 
 
 def network_input(
-    image: NDArray[np.uint8], view: View, size: int = 64, crop_share: float = 0.9, background: str = "black"
+    image: NDArray[np.uint8],
+    view: View,
+    size: int = 64,
+    crop_share: float = 0.9,
+    background: str = "black",
 ) -> NetworkInput:
     """Crop, composite and resample a photo to the network's input, by exact area averaging.
 
@@ -83,7 +89,10 @@ def network_input(
 
     # Only the part of a large photo that the crop covers is composited.
     left, top = max(0, int(np.floor(box[0] + 0.5))), max(0, int(np.floor(box[1] + 0.5)))
-    part = (slice(top, max(top, int(np.ceil(box[3] + 0.5)))), slice(left, max(left, int(np.ceil(box[2] + 0.5)))))
+    part = (
+        slice(top, max(top, int(np.ceil(box[3] + 0.5)))),
+        slice(left, max(left, int(np.ceil(box[2] + 0.5)))),
+    )
     shifted = (box[0] - left, box[1] - top, box[2] - left, box[3] - top)
     pixels, alpha = np.split(image[part].astype(np.float32) / np.float32(255.0), [3], axis=2)
     mask = view.mask[part]
@@ -94,7 +103,9 @@ def network_input(
         pixels = pixels * alpha
     values, coverage = area_resize(pixels, shifted, size, size)
     values = values * coverage[:, :, None] + fill * (1.0 - coverage[:, :, None])
-    cropped, known_share = area_resize(mask, shifted, size, size, None if view.known is None else view.known[part])
+    cropped, known_share = area_resize(
+        mask, shifted, size, size, None if view.known is None else view.known[part]
+    )
     known = known_share >= 0.5
     if not crop_share and not (cropped[known] > 0.5).any():
         raise InputError(

@@ -71,7 +71,11 @@ class Decoder(nn.Module):
         super().__init__()
         self.points = points
         self.layers = nn.Sequential(
-            nn.Linear(LATENT, 256), nn.ReLU(), nn.Linear(256, 256), nn.ReLU(), nn.Linear(256, points * 3)
+            nn.Linear(LATENT, 256),
+            nn.ReLU(),
+            nn.Linear(256, 256),
+            nn.ReLU(),
+            nn.Linear(256, points * 3),
         )
 
     def forward(self, latent: Tensor) -> Tensor:
@@ -107,7 +111,9 @@ def build_network(points: int = 1024, seed: int = 0) -> BaseNetwork:
         for module in network.modules():
             if isinstance(module, (nn.Conv2d, nn.Linear)):
                 gain = 1.0 if module in before_no_relu else math.sqrt(2.0)
-                module.weight.normal_(0.0, gain / math.sqrt(module.weight[0].numel()), generator=generator)
+                module.weight.normal_(
+                    0.0, gain / math.sqrt(module.weight[0].numel()), generator=generator
+                )
                 if module.bias is not None:
                     module.bias.zero_()
     return network

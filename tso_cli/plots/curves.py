@@ -34,7 +34,9 @@ class Sample:
     chamfer: float | None  # between the two
 
 
-def sample_predictions(network: BaseNetwork, data: TrainingData, frame: str, count: int = 6) -> list[Sample]:
+def sample_predictions(
+    network: BaseNetwork, data: TrainingData, frame: str, count: int = 6
+) -> list[Sample]:
     """Predictions from the first view of ``count`` objects, spread evenly over the data; fewer where there are fewer."""
     import torch
 
@@ -43,13 +45,23 @@ def sample_predictions(network: BaseNetwork, data: TrainingData, frame: str, cou
 
     samples = []
     device = next(network.parameters()).device
-    for index in np.linspace(0, len(data.objects) - 1, min(count, len(data.objects))).round().astype(int).tolist():
+    for index in (
+        np.linspace(0, len(data.objects) - 1, min(count, len(data.objects)))
+        .round()
+        .astype(int)
+        .tolist()
+    ):
         has_target = data.readable(index)
         if data.usable(index, 0, has_target)[0] != index:
             continue  # no picture of it can be read
         batch = assemble(data, [Draw(index, 0)], frame, targets=has_target)
         with torch.no_grad():
-            points = network(torch.as_tensor(batch.images, device=device))[0].cpu().numpy().astype(np.float64)
+            points = (
+                network(torch.as_tensor(batch.images, device=device))[0]
+                .cpu()
+                .numpy()
+                .astype(np.float64)
+            )
         target = batch.targets[0].astype(np.float64) if batch.targets else None
         distance = None if target is None else chamfer(points, target).chamfer
         samples.append(Sample(data.objects[index].name, batch.images[0], points, target, distance))
@@ -77,7 +89,11 @@ def draw_curves(path: Path, logs: Sequence[TrainingLog], overwrite: bool = False
 
     A dotted line marks the drop of lambda. Raises InputError if ``path`` cannot be written.
     """
-    terms = list(dict.fromkeys(name for log in logs for name in log.columns if name not in ("step", "lambda")))
+    terms = list(
+        dict.fromkeys(
+            name for log in logs for name in log.columns if name not in ("step", "lambda")
+        )
+    )
     with page(path, overwrite, (1.2 + 4.0 * len(terms), 4.2)) as figure:
         axes = dict(zip(terms, figure.subplots(1, len(terms), squeeze=False)[0], strict=True))
         handles: dict[str, Any] = {}
@@ -93,7 +109,9 @@ def draw_curves(path: Path, logs: Sequence[TrainingLog], overwrite: bool = False
                 axes[name].plot(steps, values[::stride], color=colour, alpha=0.2, linewidth=0.6)
                 (handles[label],) = axes[name].plot(steps, means, color=colour, linewidth=1.6)
                 if drop is not None:
-                    handles["lambda drops"] = axes[name].axvline(drop, color=INK, linestyle=":", linewidth=1.0)
+                    handles["lambda drops"] = axes[name].axvline(
+                        drop, color=INK, linestyle=":", linewidth=1.0
+                    )
         for name, axis in axes.items():
             axis.set_title(name)
             axis.set_xlabel("step")
@@ -101,10 +119,18 @@ def draw_curves(path: Path, logs: Sequence[TrainingLog], overwrite: bool = False
             if any((log.columns[name] > 0.0).any() for log in logs if name in log.columns):
                 axis.set_yscale("log")
         columns = min(4, len(handles))
-        figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=columns, frameon=False)
+        figure.legend(
+            list(handles.values()),
+            list(handles),
+            loc="outside lower center",
+            ncols=columns,
+            frameon=False,
+        )
 
 
-def draw_samples(path: Path, samples: Sequence[Sample], scale: str, overwrite: bool = False) -> None:
+def draw_samples(
+    path: Path, samples: Sequence[Sample], scale: str, overwrite: bool = False
+) -> None:
     """Draw a row for each sample: the picture, and prediction and target from the front and from the right.
 
     ``scale`` of the clouds in words. Raises InputError if ``path`` cannot be written.
@@ -113,7 +139,13 @@ def draw_samples(path: Path, samples: Sequence[Sample], scale: str, overwrite: b
         axes = figure.subplots(len(samples), 5, squeeze=False)
         for row, sample in zip(axes, samples, strict=True):
             _draw_sample(row, sample)
-        titles = ("input", "prediction, front", "target, front", "prediction, from the right", "target, from the right")
+        titles = (
+            "input",
+            "prediction, front",
+            "target, front",
+            "prediction, from the right",
+            "target, from the right",
+        )
         for axis, title in zip(axes[-1], titles, strict=True):
             axis.set_xlabel(title)
         for axis in axes.flat:
@@ -128,18 +160,27 @@ def _draw_sample(row: Sequence[Any], sample: Sample) -> None:
     row[0].set_ylabel(name if len(name) <= 24 else f"{name[:23]}…", fontsize=8)
     if sample.chamfer is not None:
         row[1].set_title(f"Chamfer x1000: {1e3 * sample.chamfer:.2f}", fontsize=9)
-    half = 1.05 * max(float(np.abs(cloud).max()) for cloud in (sample.points, sample.target) if cloud is not None)
+    half = 1.05 * max(
+        float(np.abs(cloud).max()) for cloud in (sample.points, sample.target) if cloud is not None
+    )
     for number, cloud in enumerate((sample.points, sample.target, sample.points, sample.target), 1):
         row[number].set(aspect="equal", xlim=(-half, half), ylim=(-half, half))
         if cloud is not None:
             # From the right, the viewer's side (z) is to the left.
-            across, depth = (cloud[:, 0], cloud[:, 2]) if number <= 2 else (-cloud[:, 2], cloud[:, 0])
+            across, depth = (
+                (cloud[:, 0], cloud[:, 2]) if number <= 2 else (-cloud[:, 2], cloud[:, 0])
+            )
             order = np.argsort(depth)
-            row[number].scatter(across[order], cloud[order, 1], c=depth[order], s=3, cmap="viridis", linewidths=0)
+            row[number].scatter(
+                across[order], cloud[order, 1], c=depth[order], s=3, cmap="viridis", linewidths=0
+            )
 
 
 def labels(logs: Sequence[TrainingLog]) -> list[str]:
     """The name of each log's file, with its folder where names coincide."""
     stems = [log.path.stem for log in logs]
-    folders = [f"{log.path.resolve().parent.name}/" if stems.count(log.path.stem) > 1 else "" for log in logs]
+    folders = [
+        f"{log.path.resolve().parent.name}/" if stems.count(log.path.stem) > 1 else ""
+        for log in logs
+    ]
     return [folder + stem for folder, stem in zip(folders, stems, strict=True)]

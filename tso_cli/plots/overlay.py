@@ -34,7 +34,9 @@ LEGEND_ENTRIES = (
     (UNKNOWN, "unknown"),
 )
 # From near to far: yellow, green, blue, violet, each darker than the one before.
-NEAR_TO_FAR = np.array([(253, 231, 37), (94, 201, 98), (33, 145, 140), (59, 82, 139), (68, 1, 84)], np.float64)
+NEAR_TO_FAR = np.array(
+    [(253, 231, 37), (94, 201, 98), (33, 145, 140), (59, 82, 139), (68, 1, 84)], np.float64
+)
 
 # Pixels: the side of a panel, the space around it, the height of its title, and that of the legend.
 PANEL, GAP, TITLE, LEGEND = 340, 24, 32, 44
@@ -67,9 +69,15 @@ def draw_overlay(path: Path, result: RefineResult, views: Sequence[View]) -> Non
     if len(views) == 1:
         rows = _before_and_after(result, views[0])
     else:
-        chosen = np.linspace(0, len(views) - 1, min(len(views), MOST_ROWS)).round().astype(int).tolist()
+        chosen = (
+            np.linspace(0, len(views) - 1, min(len(views), MOST_ROWS)).round().astype(int).tolist()
+        )
         rows = [_row_of_view(result, views, number) for number in chosen]
-        shown = f"{len(views)} views" if len(chosen) == len(views) else f"{len(chosen)} of {len(views)} views, evenly chosen"
+        shown = (
+            f"{len(views)} views"
+            if len(chosen) == len(views)
+            else f"{len(chosen)} of {len(views)} views, evenly chosen"
+        )
         heading = f"{shown}: mask against silhouette before and after, and the refined cloud from each camera"
     entries = LEGEND_ENTRIES[:3] if all(view.known is None for view in views) else LEGEND_ENTRIES
     _draw(rows, heading, entries).save(path, format="PNG", compress_level=COMPRESSION)
@@ -77,7 +85,11 @@ def draw_overlay(path: Path, result: RefineResult, views: Sequence[View]) -> Non
 
 def _before_and_after(result: RefineResult, view: View) -> list[Row]:
     stages = zip(
-        ("before", "after"), _silhouettes(result, view, 0), _from_camera(result, view), result.view_ious[0], strict=True
+        ("before", "after"),
+        _silhouettes(result, view, 0),
+        _from_camera(result, view),
+        result.view_ious[0],
+        strict=True,
     )
     # OpenCV axes: x right, y down, z away. Seen from the right of the camera, z points to the right.
     return [
@@ -91,7 +103,11 @@ def _before_and_after(result: RefineResult, view: View) -> list[Row]:
 
 
 def _row_of_view(result: RefineResult, views: Sequence[View], number: int) -> Row:
-    view, (before, after), weight = views[number], result.view_ious[number], result.view_weights[number]
+    view, (before, after), weight = (
+        views[number],
+        result.view_ious[number],
+        result.view_weights[number],
+    )
     silhouette_before, silhouette_after = _silhouettes(result, view, number)
     return [
         (f"view {number + 1} before: IoU {before:.3f}", silhouette_before),
@@ -117,13 +133,17 @@ def _silhouettes(result: RefineResult, view: View, number: int) -> list[Image.Im
     return [_fitted(compare(in_window(points, seen, box))) for points, seen in stages]
 
 
-def _draw(rows: list[Row], heading: str | None, entries: Sequence[tuple[Colour, str]]) -> Image.Image:
+def _draw(
+    rows: list[Row], heading: str | None, entries: Sequence[tuple[Colour, str]]
+) -> Image.Image:
     """Rows of three titled panels between heading and legend."""
     from PIL import Image, ImageDraw, ImageFont
 
     font = ImageFont.load_default(16)
     over = TITLE if heading else 0
-    picture = Image.new("RGB", (3 * (PANEL + GAP) + GAP, over + len(rows) * (PANEL + TITLE) + LEGEND), "white")
+    picture = Image.new(
+        "RGB", (3 * (PANEL + GAP) + GAP, over + len(rows) * (PANEL + TITLE) + LEGEND), "white"
+    )
     draw = ImageDraw.Draw(picture)
     if heading:
         draw.text((picture.width / 2, over - 8), heading, "black", font, anchor="ms")
@@ -132,11 +152,15 @@ def _draw(rows: list[Row], heading: str | None, entries: Sequence[tuple[Colour, 
             left = GAP + j * (PANEL + GAP) + (PANEL - panel.width) // 2
             top = over + TITLE + i * (PANEL + TITLE) + (PANEL - panel.height) // 2
             picture.paste(panel, (left, top))
-            draw.rectangle((left - 1, top - 1, left + panel.width, top + panel.height), outline="black")
+            draw.rectangle(
+                (left - 1, top - 1, left + panel.width, top + panel.height), outline="black"
+            )
             draw.text((left + panel.width / 2, top - 8), title, "black", font, anchor="ms")
     left, middle_y = GAP, picture.height - LEGEND // 2
     for colour, label in entries:
-        draw.rectangle((left, middle_y - 6, left + 30, middle_y + 6), tuple(round(255 * c) for c in colour))
+        draw.rectangle(
+            (left, middle_y - 6, left + 30, middle_y + 6), tuple(round(255 * c) for c in colour)
+        )
         draw.text((left + 40, middle_y), label, "black", font, anchor="lm")
         left += 40 + round(font.getlength(label)) + GAP
     return picture
@@ -149,10 +173,14 @@ def _fitted(colours: NDArray[np.float64]) -> Image.Image:
     image = Image.fromarray(np.rint(colours * 255.0).astype(np.uint8))
     scale = PANEL / max(image.size)
     width, height = (max(1, round(side * scale)) for side in image.size)
-    return image.resize((width, height), Image.Resampling.NEAREST if scale >= 1.0 else Image.Resampling.BOX)
+    return image.resize(
+        (width, height), Image.Resampling.NEAREST if scale >= 1.0 else Image.Resampling.BOX
+    )
 
 
-def _dots(across: NDArray[np.float64], down: NDArray[np.float64], depth: NDArray[np.float64]) -> Image.Image:
+def _dots(
+    across: NDArray[np.float64], down: NDArray[np.float64], depth: NDArray[np.float64]
+) -> Image.Image:
     """A panel of points with coordinates in [-1, 1] to the right and down; nearer ones hide farther ones."""
     from PIL import Image
 
@@ -165,7 +193,9 @@ def _dots(across: NDArray[np.float64], down: NDArray[np.float64], depth: NDArray
     shade = np.rint(np.interp(depth, (depth.min(), depth.max()), (0.0, 254.0))).astype(np.uint8)
     canvas = np.full(side * side, 255, np.uint8)
     # Of several assignments to one pixel the last holds.
-    canvas[((pixel[1] * side + pixel[0])[order, None] + disc).ravel()] = shade[order].repeat(len(disc))
+    canvas[((pixel[1] * side + pixel[0])[order, None] + disc).ravel()] = shade[order].repeat(
+        len(disc)
+    )
     stops, shades = np.arange(len(NEAR_TO_FAR)), np.linspace(0.0, len(NEAR_TO_FAR) - 1.0, 255)
     palette = np.stack([np.interp(shades, stops, channel) for channel in NEAR_TO_FAR.T], 1)
     colours = np.vstack([np.rint(palette), [255, 255, 255]]).astype(np.uint8)

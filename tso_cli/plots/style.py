@@ -15,7 +15,9 @@ COLOURS = (BETTER, WORSE, "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 
 
 @contextmanager
-def page(path: Path, overwrite: bool, size: tuple[float, float], dpi: int = 110, frames: bool = False) -> Iterator[Any]:
+def page(
+    path: Path, overwrite: bool, size: tuple[float, float], dpi: int = 110, frames: bool = False
+) -> Iterator[Any]:
     """A figure of ``size`` inches, written to ``path`` in 256 colours after the block; InputError if it cannot be written.
 
     Without ``frames`` charts get no top and right spines, and images none.

@@ -9,7 +9,12 @@ from numbers import Real
 Cell = str | float | int | None
 
 
-def text_table(header: Sequence[str], rows: Sequence[Sequence[Cell]], decimals: int = 3, rule_before_last: bool = False) -> str:
+def text_table(
+    header: Sequence[str],
+    rows: Sequence[Sequence[Cell]],
+    decimals: int = 3,
+    rule_before_last: bool = False,
+) -> str:
     """Columns two spaces apart, text to the left, numbers to the right; without a final newline.
 
     Floats show ``decimals`` decimals (small ones 3 digits), None and NaN a dash. ``rule_before_last`` sets off the last row.
@@ -17,7 +22,8 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[Cell]], decimals: 
     texts = [[_text(cell, decimals) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(header, *texts, strict=True)]
     right = [
-        any(isinstance(row[i], Real) for row in rows) and not any(isinstance(row[i], str) for row in rows)
+        any(isinstance(row[i], Real) for row in rows)
+        and not any(isinstance(row[i], str) for row in rows)
         for i in range(len(header))
     ]
     rule = ["-" * width for width in widths]
@@ -27,7 +33,9 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[Cell]], decimals: 
 
     def aligned(line: Sequence[str]) -> str:
         cells = zip(line, widths, right, strict=True)
-        return "  ".join(cell.rjust(width) if number else cell.ljust(width) for cell, width, number in cells).rstrip()
+        return "  ".join(
+            cell.rjust(width) if number else cell.ljust(width) for cell, width, number in cells
+        ).rstrip()
 
     return "\n".join(map(aligned, lines))
 

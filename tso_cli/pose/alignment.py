@@ -37,7 +37,12 @@ class Poses:
     @classmethod
     def joined(cls, parts: Sequence[Poses]) -> Poses:
         """The poses of several batches in one."""
-        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
+        return cls(
+            *(
+                np.concatenate([getattr(part, field.name) for part in parts])
+                for field in fields(cls)
+            )
+        )
 
     def resized(self, factor: float) -> Poses:
         """The same poses for an image with ``factor`` times as many pixels along a side (pixel centres at integers)."""
@@ -74,7 +79,12 @@ def project(points: Array, poses: Poses, principal: Array) -> tuple[Array, Array
 
 
 def improve(
-    points: Array, poses: Poses, target: Target, steps: int, prior: tuple[float | Array, float], robust: float
+    points: Array,
+    poses: Poses,
+    target: Target,
+    steps: int,
+    prior: tuple[float | Array, float],
+    robust: float,
 ) -> Poses:
     """Gauss-Newton steps: each mask pixel attracts the nearest projected point, each stray point the nearest mask pixel.
 
@@ -141,7 +151,9 @@ def _jacobian(offset: Array, rotated: Array, inverse: Array, poses: Poses) -> Ar
     return J
 
 
-def _step(poses: Poses, normal: Array, gradient: Array, prior: tuple[float | Array, float], size: int) -> Poses:
+def _step(
+    poses: Poses, normal: Array, gradient: Array, prior: tuple[float | Array, float], size: int
+) -> Poses:
     """One damped step of each pose."""
     focal, deviation = prior
     # One standard deviation weighs as much as residuals of a fiftieth of the image.

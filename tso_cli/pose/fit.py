@@ -68,9 +68,14 @@ class FittedCamera:
     def describe(self) -> str:
         """One line for the log."""
         toward = np.clip(-self.camera.R[2], -1.0, 1.0)
-        azimuth, elevation = math.degrees(math.atan2(toward[0], toward[2])) % 360.0, math.degrees(math.asin(toward[1]))
+        azimuth, elevation = (
+            math.degrees(math.atan2(toward[0], toward[2])) % 360.0,
+            math.degrees(math.asin(toward[1])),
+        )
         focal, (low, high) = self.camera.K[0, 0], self.focal_range
-        words = f"fitted, IoU {self.iou:.2f}, azimuth {azimuth:.0f}, elevation {elevation:.0f} (y up); "
+        words = (
+            f"fitted, IoU {self.iou:.2f}, azimuth {azimuth:.0f}, elevation {elevation:.0f} (y up); "
+        )
         if self.alternatives:
             words += f"next best {self.alternatives[0].iou:.2f} at {self.alternatives[0].degrees:.0f} degrees"
         else:
@@ -94,7 +99,11 @@ class FittedCamera:
 
 
 def fit_camera(
-    points: ArrayLike, mask: ArrayLike, known: NDArray[np.bool_] | None = None, focal: float | None = None, name: str = "mask"
+    points: ArrayLike,
+    mask: ArrayLike,
+    known: NDArray[np.bool_] | None = None,
+    focal: float | None = None,
+    name: str = "mask",
 ) -> FittedCamera:
     """Find the camera that projects ``points`` [N, 3] onto the mask [H, W] in [0, 1]. Deterministic.
 
@@ -106,7 +115,9 @@ def fit_camera(
     """
     array = as_points(points)
     if len(array) < FEWEST_POINTS:
-        raise InputError(f"the cloud holds {len(array)} points, expected at least {FEWEST_POINTS} to fit a camera to a mask")
+        raise InputError(
+            f"the cloud holds {len(array)} points, expected at least {FEWEST_POINTS} to fit a camera to a mask"
+        )
     centre, unit = bounding_box_normalisation(array)
     local = _spread_points((array - centre) / unit)
     image = np.asarray(mask, dtype=np.float32)
@@ -122,7 +133,9 @@ def fit_camera(
     fine_points, coarse_points = local[:FINE_POINTS], local[:COARSE_POINTS]
     poses, score = starts(fine_points, coarse, coarse_focal)
     poses = poses[distinct(poses, score, COARSE_ANGLE, COARSE_POSES)]
-    poses = improve(coarse_points, poses, coarse, COARSE_STEPS, (coarse_focal, FOCAL_DEVIATION), 6.0)
+    poses = improve(
+        coarse_points, poses, coarse, COARSE_STEPS, (coarse_focal, FOCAL_DEVIATION), 6.0
+    )
     score = closed_iou(fine_points, poses, coarse, _spacing(fine_points))
     poses = poses[distinct(poses, score, FINE_ANGLE, FINE_POSES)].resized(zoom)
     poses = improve(fine_points, poses, fine, FINE_STEPS, (fine_focal, FOCAL_DEVIATION), 4.0)
@@ -171,7 +184,9 @@ class _Crop:
         box = (self.left, self.top, self.left + self.side, self.top + self.side)
         mask, known = area_resize(view.mask, box, size, size, weights=view.known)
         middle = view.camera.K[:2, 2]
-        return Target(mask, known, (middle - [self.left, self.top]) * (size / self.side) - 0.5, view.truncated)
+        return Target(
+            mask, known, (middle - [self.left, self.top]) * (size / self.side) - 0.5, view.truncated
+        )
 
     def camera(self, poses: Poses, view: View, centre: Array, unit: float) -> Camera:
         """The one pose, of the fine target, as a camera of the image for the cloud in its own units."""

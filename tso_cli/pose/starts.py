@@ -28,7 +28,12 @@ def starts(points: Array, target: Target, focal: float) -> tuple[Poses, Array]:
     middle, size = (low + high) / 2.0, float(np.sqrt(np.prod(high - low)))
     batches, scores = [], []
     for R in (rotations[i : i + AT_ONCE] for i in range(0, len(rotations), AT_ONCE)):
-        poses = Poses(R, np.tile(middle, (len(R), 1)), np.full(len(R), min(size, focal)), np.full(len(R), focal))
+        poses = Poses(
+            R,
+            np.tile(middle, (len(R), 1)),
+            np.full(len(R), min(size, focal)),
+            np.full(len(R), focal),
+        )
         # The box is only about proportional to the scale, because of perspective; two iterations are enough.
         for _ in range(2):
             px, _, _ = project(points, poses, target.principal)
@@ -51,7 +56,11 @@ def coarse_iou(points: Array, poses: Poses, target: Target) -> Array:
     cell = np.clip(np.rint(px), -BORDER, size - 1 + BORDER).astype(np.int64) + BORDER
     wide = size + 2 * BORDER
     flat = (np.arange(len(poses))[:, None] * wide + cell[..., 1]) * wide + cell[..., 0]
-    hits = np.bincount(flat.ravel(), minlength=len(poses) * wide * wide).reshape(-1, wide, wide).astype(np.float32)
+    hits = (
+        np.bincount(flat.ravel(), minlength=len(poses) * wide * wide)
+        .reshape(-1, wide, wide)
+        .astype(np.float32)
+    )
     inner = slice(BORDER, -BORDER)
     silhouette = _dilated(hits)[:, inner, inner]
     mask = _dilated(np.pad(target.mask, BORDER)[None].astype(np.float32))[:, inner, inner]
@@ -80,16 +89,24 @@ def closed_iou(points: Array, poses: Poses, target: Target, radius: float) -> Ar
     from scipy.ndimage import distance_transform_edt
 
     size = target.mask.shape[0]
-    grid = np.indices((size, size))[::-1].reshape(2, -1).T.astype(np.float32)  # [S S, 2] column, row
+    grid = (
+        np.indices((size, size))[::-1].reshape(2, -1).T.astype(np.float32)
+    )  # [S S, 2] column, row
     to_mask = distance_transform_edt(~target.foreground())
     scores = np.empty(len(poses))
-    for i, (px, scale) in enumerate(zip(project(points, poses, target.principal)[0], poses.scale, strict=True)):
+    for i, (px, scale) in enumerate(
+        zip(project(points, poses, target.principal)[0], poses.scale, strict=True)
+    ):
         px = px.astype(np.float32)
         squared = (grid @ (-2.0 * px.T) + np.square(px).sum(1)).min(1) + np.square(grid).sum(1)
         to_point = np.sqrt(np.maximum(squared, 0.0)).reshape(size, size)
         # Soft coverage of a pixel at the border of a dilated shape.
-        cloud, mask = (np.clip(radius * scale + 0.5 - distance, 0.0, 1.0) for distance in (to_point, to_mask))
-        scores[i] = (np.minimum(cloud, mask) * target.known).sum() / (np.maximum(cloud, mask) * target.known).sum()
+        cloud, mask = (
+            np.clip(radius * scale + 0.5 - distance, 0.0, 1.0) for distance in (to_point, to_mask)
+        )
+        scores[i] = (np.minimum(cloud, mask) * target.known).sum() / (
+            np.maximum(cloud, mask) * target.known
+        ).sum()
     return scores
 
 

@@ -13,7 +13,12 @@ if TYPE_CHECKING:
     from .presets import PRESETS as PRESETS
     from .result import RefineResult as RefineResult
 
-_MODULES = {"refine": "api", "refine_batch": "api", "RefineConfig": "config", "RefineResult": "result"}
+_MODULES = {
+    "refine": "api",
+    "refine_batch": "api",
+    "RefineConfig": "config",
+    "RefineResult": "result",
+}
 _MODULES |= {"MODES": "presets", "PRESETS": "presets"}
 __all__ = ["MODES", "PRESETS", "RefineConfig", "RefineResult", "refine", "refine_batch"]
 

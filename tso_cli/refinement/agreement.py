@@ -69,7 +69,9 @@ class Agreement:
         outlines = [Outline(view) for view in views]
         others = _others(outlines[0].given)
         as_given = np.array([outline.iou(points, outline.given) for outline in outlines])
-        ious = np.array([[outline.iou(points, other.assumptions) for outline in outlines] for other in others])
+        ious = np.array(
+            [[outline.iou(points, other.assumptions) for outline in outlines] for other in others]
+        )
         handicaps = np.array([other.handicap for other in others])
         scores = ious.mean(1) - handicaps
         tells = np.array([len(outline.cells[False].inside) >= FEWEST_CELLS for outline in outlines])
@@ -89,12 +91,17 @@ class Agreement:
                 suspects = _suspects(others, told, as_given[tells].mean())
         of_views: tuple[Suspect, ...] = ()
         if not suspects:
-            of_views = tuple(Suspect(f"{view.name} is the box of the object", "a mask of its outline", 0.0) for view in boxes)
+            of_views = tuple(
+                Suspect(f"{view.name} is the box of the object", "a mask of its outline", 0.0)
+                for view in boxes
+            )
             of_views += pairs or _of_views(outlines, others, ious, as_given, tells)
             of_views += _hidden(points, [view for view in views if view not in boxes])
         # Pairs are one suspect, of several views.
         suspected = len(of_views) + max(0, mispaired - 1)
-        outvoted = bool(of_views) and len(views) >= FEWEST_TO_JUDGE and suspected <= OUTVOTED * len(views)
+        outvoted = (
+            bool(of_views) and len(views) >= FEWEST_TO_JUDGE and suspected <= OUTVOTED * len(views)
+        )
         hinted = not suspects and not all_boxes and tells.all() and not outlines[0].given
         hint = _hint(others, scores, as_given.mean()) if hinted else None
         return cls(
@@ -120,9 +127,16 @@ class Agreement:
     def suspicion(self) -> str | None:
         """The suspects in words, None without any."""
         if not self._of_input:
-            return "; ".join(f"{NAMED} {suspect.what}: try {suspect.option}" for suspect in self.of_views) or None
+            return (
+                "; ".join(
+                    f"{NAMED} {suspect.what}: try {suspect.option}" for suspect in self.of_views
+                )
+                or None
+            )
         first, *others = self._of_input
-        return f"{NAMED} {first.what}: try {first.option}" + "".join(f", or {suspect.option}" for suspect in others)
+        return f"{NAMED} {first.what}: try {first.option}" + "".join(
+            f", or {suspect.option}" for suspect in others
+        )
 
 
 class Hint(NamedTuple):
@@ -149,7 +163,13 @@ class _Other(NamedTuple):
 def _others(given: tuple[Assumption, ...]) -> list[_Other]:
     """The given assumptions without one of them, and with one that is not given."""
     less = [
-        _Other(f"{one.option} is wrong", f"without {one.option}", tuple(o for o in given if o is not one), one, True)
+        _Other(
+            f"{one.option} is wrong",
+            f"without {one.option}",
+            tuple(o for o in given if o is not one),
+            one,
+            True,
+        )
         for one in given
     ]
     # The same assumption may be given by another option.
@@ -182,7 +202,11 @@ def _hint(others: list[_Other], scores: Array, as_given: float) -> Hint | None:
 
 
 def _of_views(
-    outlines: Sequence[Outline], others: list[_Other], ious: Array, as_given: Array, tells: NDArray[np.bool_]
+    outlines: Sequence[Outline],
+    others: list[_Other],
+    ious: Array,
+    as_given: Array,
+    tells: NDArray[np.bool_],
 ) -> tuple[Suspect, ...]:
     """Where one view that ``tells`` enough [V] disagrees and the others agree: what would mend it, and not them."""
     suspects = []
@@ -194,7 +218,9 @@ def _of_views(
         # Of two views either may be the wrong one, if the cloud is seen in both.
         known = rest.sum() > 1 or as_given[i] == 0.0
         scores = [
-            0.0 if _of_all(other, known) or ious[k, rest].mean() >= as_given[rest].mean() + SIMILAR else ious[k, i]
+            0.0
+            if _of_all(other, known) or ious[k, rest].mean() >= as_given[rest].mean() + SIMILAR
+            else ious[k, i]
             for k, other in enumerate(others)
         ]
         best = int(np.argmax(scores))
@@ -221,7 +247,11 @@ def _hidden(points: Array, views: Sequence[View]) -> tuple[Suspect, ...]:
     for view in views:
         score = occluded(on_known(view.camera.project(points)[0], view), view)
         if score is not None:
-            suspects.append(Suspect(f"something hides a part of the object in {view.name}", "--ignore FILE", score))
+            suspects.append(
+                Suspect(
+                    f"something hides a part of the object in {view.name}", "--ignore FILE", score
+                )
+            )
     return tuple(suspects)
 
 

@@ -77,9 +77,14 @@ def refine(
         else:
             from .network_parameters import NetworkParameters
 
-            parameters = NetworkParameters(network, image, settings.mode, settings.device, settings.learning_rate)
+            parameters = NetworkParameters(
+                network, image, settings.mode, settings.device, settings.learning_rate
+            )
             cloud = parameters.cloud
-    with planned(*_work(settings, len(views), len(cloud.given)), settings.seconds), blas.one_thread():
+    with (
+        planned(*_work(settings, len(views), len(cloud.given)), settings.seconds),
+        blas.one_thread(),
+    ):
         with stopwatch.phase("prepare"):
             problem = Problem.of(cloud, views, settings)
         return run(problem, settings, stopwatch, parameters, progress)
@@ -98,7 +103,10 @@ def _work(settings: Settings, views: int, points: int) -> tuple[int, int]:
 
 
 def refine_batch(
-    scenes: Sequence[tuple[Any, Any]], config: RefineConfig | None = None, *, progress: Progress | None = None
+    scenes: Sequence[tuple[Any, Any]],
+    config: RefineConfig | None = None,
+    *,
+    progress: Progress | None = None,
 ) -> list[RefineResult | TsoError]:
     """Move many clouds, each until its projection agrees with its own masks: the results of `refine`, of all at once.
 
@@ -124,7 +132,10 @@ def refine_batch(
     if not isinstance(scenes, Iterable):
         raise InputError(f"scenes is {scenes!r}, expected a sequence of (points, views)")
     # A tensor on a GPU cannot be read in a forked process.
-    scenes = [(as_numpy(scene[0]), *scene[1:]) if isinstance(scene, tuple) and scene else scene for scene in scenes]
+    scenes = [
+        (as_numpy(scene[0]), *scene[1:]) if isinstance(scene, tuple) and scene else scene
+        for scene in scenes
+    ]
     if config.mode != "points":
         raise InputError(f"mode is {config.mode!r}, expected points for a batch")
     # Modules for processes take a twentieth of a small refinement to import.
@@ -217,16 +228,25 @@ def _as_views(masks: Any, cameras: Camera | Sequence[Camera] | None = None) -> t
     try:
         arrays = [_as_array(mask) for mask in masks]
     except (TypeError, ValueError):
-        raise InputError("masks are no arrays of numbers, expected one [H, W] or a sequence of them") from None
+        raise InputError(
+            "masks are no arrays of numbers, expected one [H, W] or a sequence of them"
+        ) from None
     if any(mask.ndim != 2 for mask in arrays):
-        raise InputError(f"a mask has shape {[list(m.shape) for m in arrays if m.ndim != 2][0]}, expected [H, W]")
+        raise InputError(
+            f"a mask has shape {[list(m.shape) for m in arrays if m.ndim != 2][0]}, expected [H, W]"
+        )
     if cameras is None:
         cameras = [Camera.canonical(mask.shape[-1], mask.shape[0]) for mask in arrays]
     elif isinstance(cameras, Camera):
         cameras = [cameras]
     if len(arrays) == 0 or len(arrays) != len(cameras):
-        raise InputError(f"found {len(arrays)} masks and {len(cameras)} cameras, expected one camera for each mask")
-    return tuple(View(mask, camera, name=f"mask {i}") for i, (mask, camera) in enumerate(zip(arrays, cameras, strict=True)))
+        raise InputError(
+            f"found {len(arrays)} masks and {len(cameras)} cameras, expected one camera for each mask"
+        )
+    return tuple(
+        View(mask, camera, name=f"mask {i}")
+        for i, (mask, camera) in enumerate(zip(arrays, cameras, strict=True))
+    )
 
 
 def _as_array(mask: Any) -> NDArray[np.float32]:
@@ -237,6 +257,8 @@ def _points_and_views(scene: Any, number: int) -> tuple[Any, Any]:
     try:
         points, views = scene
     except (TypeError, ValueError):
-        shown = f"{type(scene).__name__} of {len(scene)}" if hasattr(scene, "__len__") else repr(scene)
+        shown = (
+            f"{type(scene).__name__} of {len(scene)}" if hasattr(scene, "__len__") else repr(scene)
+        )
         raise InputError(f"scene {number} is {shown}, expected (points, views)") from None
     return points, views

@@ -38,7 +38,10 @@ class Assumption:
     @cached_property
     def matrix(self) -> Array:
         """[3, 3], from points of the cloud to points of the scene; orthogonal."""
-        rows = [np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0) for axis in self.axes.split()]
+        rows = [
+            np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0)
+            for axis in self.axes.split()
+        ]
         return np.stack(rows)
 
     def of_view(self, view: View) -> View:
@@ -81,7 +84,9 @@ def _unit(factor: float) -> Callable[[Camera], Camera]:
 
 def _of_image(factor: float) -> Callable[[Camera], Camera]:
     """K is of the image enlarged by 1 / ``factor``; centres of pixels are at integers."""
-    change = np.array([[factor, 0.0, (factor - 1.0) / 2.0], [0.0, factor, (factor - 1.0) / 2.0], [0.0, 0.0, 1.0]])
+    change = np.array(
+        [[factor, 0.0, (factor - 1.0) / 2.0], [0.0, factor, (factor - 1.0) / 2.0], [0.0, 0.0, 1.0]]
+    )
     return lambda camera: replace(camera, K=change @ camera.K)
 
 
@@ -105,27 +110,55 @@ ASSUMPTIONS = {
     "cloud-yzx": _of_cloud("the cloud's axes are y, z, x", "z x y"),
     "cloud-zxy": _of_cloud("the cloud's axes are z, x, y", "y z x"),
     "cloud-inches": _of_cloud("the cloud is in inches, the camera in metres", camera=_unit(0.0254)),
-    "cloud-millimetres": _of_cloud("the cloud is in millimetres, the camera in metres", camera=_unit(1e-3)),
-    "cloud-centimetres": _of_cloud("the cloud is in centimetres, the camera in metres", camera=_unit(1e-2)),
-    "camera-inches": Assumption("the camera is in inches, the cloud in metres", camera=_unit(1.0 / 0.0254)),
-    "camera-millimetres": Assumption("the camera is in millimetres, the cloud in metres", camera=_unit(1e3)),
-    "camera-centimetres": Assumption("the camera is in centimetres, the cloud in metres", camera=_unit(1e2)),
-    "cloud-ten-times-large": _of_cloud("the cloud is ten times too large, as millimetres for centimetres", camera=_unit(0.1)),
-    "cloud-ten-times-small": _of_cloud("the cloud is ten times too small, as centimetres for millimetres", camera=_unit(10.0)),
-    "cloud-twice-large": _of_cloud("the cloud is about twice too large", camera=_unit(0.5), handicap=0.14),
-    "cloud-half-large": _of_cloud("the cloud is about half as large as it should be", camera=_unit(2.0), handicap=0.14),
-    "opengl": Assumption("the camera's axes are OpenGL's (y up, z backward)", camera=_axes(1.0, -1.0, -1.0)),
-    "pytorch3d": Assumption("the camera's axes are PyTorch3D's (x left, y up)", camera=_axes(-1.0, -1.0, 1.0)),
+    "cloud-millimetres": _of_cloud(
+        "the cloud is in millimetres, the camera in metres", camera=_unit(1e-3)
+    ),
+    "cloud-centimetres": _of_cloud(
+        "the cloud is in centimetres, the camera in metres", camera=_unit(1e-2)
+    ),
+    "camera-inches": Assumption(
+        "the camera is in inches, the cloud in metres", camera=_unit(1.0 / 0.0254)
+    ),
+    "camera-millimetres": Assumption(
+        "the camera is in millimetres, the cloud in metres", camera=_unit(1e3)
+    ),
+    "camera-centimetres": Assumption(
+        "the camera is in centimetres, the cloud in metres", camera=_unit(1e2)
+    ),
+    "cloud-ten-times-large": _of_cloud(
+        "the cloud is ten times too large, as millimetres for centimetres", camera=_unit(0.1)
+    ),
+    "cloud-ten-times-small": _of_cloud(
+        "the cloud is ten times too small, as centimetres for millimetres", camera=_unit(10.0)
+    ),
+    "cloud-twice-large": _of_cloud(
+        "the cloud is about twice too large", camera=_unit(0.5), handicap=0.14
+    ),
+    "cloud-half-large": _of_cloud(
+        "the cloud is about half as large as it should be", camera=_unit(2.0), handicap=0.14
+    ),
+    "opengl": Assumption(
+        "the camera's axes are OpenGL's (y up, z backward)", camera=_axes(1.0, -1.0, -1.0)
+    ),
+    "pytorch3d": Assumption(
+        "the camera's axes are PyTorch3D's (x left, y up)", camera=_axes(-1.0, -1.0, 1.0)
+    ),
     "camera-to-world": Assumption("R and t are camera-to-world", camera=_to_camera),
     "opengl-camera-to-world": Assumption(
         "R and t are camera-to-world with OpenGL's axes, as Blender's and NeRF's",
         camera=lambda camera: _axes(1.0, -1.0, -1.0)(_to_camera(camera)),
     ),
-    "t-of-position": Assumption("t is the camera's position", camera=lambda camera: replace(camera, t=-camera.R @ camera.t)),
-    "R-transposed": Assumption("R is transposed", camera=lambda camera: replace(camera, R=camera.R.T)),
+    "t-of-position": Assumption(
+        "t is the camera's position", camera=lambda camera: replace(camera, t=-camera.R @ camera.t)
+    ),
+    "R-transposed": Assumption(
+        "R is transposed", camera=lambda camera: replace(camera, R=camera.R.T)
+    ),
     "K-of-half-size": Assumption("K is of an image half as wide", camera=_of_image(2.0)),
     "K-of-double-size": Assumption("K is of an image twice as wide", camera=_of_image(0.5)),
-    "principal-point-swapped": Assumption("x and y of the principal point are exchanged", camera=_exchanged),
+    "principal-point-swapped": Assumption(
+        "x and y of the principal point are exchanged", camera=_exchanged
+    ),
 }
 """By the name that `tso refine --assume` takes."""
 
@@ -151,10 +184,16 @@ def assumptions_of(texts: Sequence[str]) -> list[Assumption]:
                 f"--assume is {text!r}, expected one of {', '.join(ASSUMPTIONS)}, or NAME@MASK for one mask of several"
             )
         if at and ASSUMPTIONS[name].of_cloud:
-            raise InputError(f"--assume is {text!r}, expected {name} alone: the cloud is the same for all masks")
+            raise InputError(
+                f"--assume is {text!r}, expected {name} alone: the cloud is the same for all masks"
+            )
         if texts.count(text) > 1:
             raise InputError(f"--assume {text} is given twice, expected once")
-        assumptions.append(replace(ASSUMPTIONS[name], option=f"--assume {text}", view=str(Path(mask)) if mask else ""))
+        assumptions.append(
+            replace(
+                ASSUMPTIONS[name], option=f"--assume {text}", view=str(Path(mask)) if mask else ""
+            )
+        )
     return assumptions
 
 
@@ -181,7 +220,9 @@ def axes_of(assumptions: Sequence[Assumption]) -> Array:
 
 def mirrored(view: View) -> bool:
     """Whether its pictures and its camera are mirrored, as the cloud has left-handed axes."""
-    return isinstance(view, AssumedView) and bool(np.linalg.det(axes_of(about(view, view.given))) < 0.0)
+    return isinstance(view, AssumedView) and bool(
+        np.linalg.det(axes_of(about(view, view.given))) < 0.0
+    )
 
 
 def in_axes_of_cloud(view: View, axes: Array) -> View:

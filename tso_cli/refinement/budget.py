@@ -50,16 +50,28 @@ def _window(problem: Problem) -> Decision:
     for view, resampled in zip(problem.views, problem.resampled, strict=False):
         left, top, right, bottom = resampled.box
         height, width = view.mask.shape
-        across, down = min(right, width - 0.5) - max(left, -0.5), min(bottom, height - 0.5) - max(top, -0.5)
+        across, down = (
+            min(right, width - 0.5) - max(left, -0.5),
+            min(bottom, height - 0.5) - max(top, -0.5),
+        )
         seen += max(across, 0.0) * max(down, 0.0)
-    return Decision("window", f"{seen / pixels:.0%} of the masks", "cloud and object are there", 1.0 - seen / pixels)
+    return Decision(
+        "window",
+        f"{seen / pixels:.0%} of the masks",
+        "cloud and object are there",
+        1.0 - seen / pixels,
+    )
 
 
 def _grid(problem: Problem) -> Decision:
     cells = [view.camera.width for view in problem.resampled[: len(problem.views)]]
     finest = FINE_GRIDS[0][1]
     saving = 1.0 - sum(count**2 for count in cells) / (len(cells) * finest**2)
-    reason = "the window's pixels, and the moving points, resolve no more" if saving else "the masks resolve as much"
+    reason = (
+        "the window's pixels, and the moving points, resolve no more"
+        if saving
+        else "the masks resolve as much"
+    )
     choice = ", ".join(f"{count}x{count}" for count in dict.fromkeys(cells))
     return Decision("cells", f"{choice} in the last stage", reason, saving)
 
@@ -71,7 +83,11 @@ def _points(problem: Problem, settings: Settings) -> Decision:
         return Decision("points", f"{moving}", "all: there are no more", 0.0)
     reason = "a mask shows hardly more; the others follow"
     if "points" in settings.given:
-        reason = "so many were asked for" if moving == settings.points else "of a surface no more samples are taken"
+        reason = (
+            "so many were asked for"
+            if moving == settings.points
+            else "of a surface no more samples are taken"
+        )
     elif settings.points == SHORT_POINTS:
         reason = f"{settings.seconds:g} s are short"
     return Decision("points", f"{moving} of {of}", reason, 1.0 - moving / of)

@@ -48,23 +48,31 @@ def corrected_cameras(problem: Problem, settings: Settings, until: float) -> tup
     initial = cloud.normalised()
     # Without the flipped views: the mirror image of a wrong camera is wrong as well.
     objective = _WithCameras(problem.resampled[: len(problem.views)], initial)
-    descent = descend(_PointsAndCameras(initial, len(problem.views)), objective, PAPER_STEPS, until=until)
+    descent = descend(
+        _PointsAndCameras(initial, len(problem.views)), objective, PAPER_STEPS, until=until
+    )
     if descent.interrupted:
         return problem, True
     corrections = descent.best[len(initial) :].reshape(-1, 6)
     views = []
     for view, given, correction in zip(problem.views, objective.views, corrections, strict=True):
-        corrected = replace(view, camera=moved_camera(view.camera, correction, cloud.centre, cloud.scale))
+        corrected = replace(
+            view, camera=moved_camera(view.camera, correction, cloud.centre, cloud.scale)
+        )
         box = window_around(given.box, window_of(corrected, cloud.initial))
         before, after = (_misfit(problem, given, candidate, box) for candidate in (view, corrected))
         views.append(corrected if after < MISFIT_LEFT * before else view)
     return problem.with_views(tuple(views), settings), False
 
 
-def _misfit(problem: Problem, given: ResampledView, view: View, box: tuple[float, float, float, float]) -> float:
+def _misfit(
+    problem: Problem, given: ResampledView, view: View, box: tuple[float, float, float, float]
+) -> float:
     """Of the start by ``view``, in a window that holds the cloud as either camera sees it, since the misfit is in cells."""
     resampled = resample_view(view, given.sigma_sq, problem.cloud.centre, problem.cloud.scale, box)
-    return MaskChamferObjective(ViewTargets.of([resampled], [1.0]), ROBUST_SCALE)(problem.cloud.normalised())[0]
+    return MaskChamferObjective(ViewTargets.of([resampled], [1.0]), ROBUST_SCALE)(
+        problem.cloud.normalised()
+    )[0]
 
 
 class _PointsAndCameras:
@@ -100,15 +108,21 @@ class _WithCameras:
         gradient[:count] = PAPER_GAMMA["points"] * by_points
         for number, view in enumerate(self.views):
             turn, shift = count + 2 * number, count + 2 * number + 1
-            loss, by_points, by_turn, by_shift = moved_silhouette(points, view, rows[turn], rows[shift])
-            value += loss + WEIGHT * float(np.square(rows[turn] / TURN).sum() + np.square(rows[shift] / SHIFT).sum())
+            loss, by_points, by_turn, by_shift = moved_silhouette(
+                points, view, rows[turn], rows[shift]
+            )
+            value += loss + WEIGHT * float(
+                np.square(rows[turn] / TURN).sum() + np.square(rows[shift] / SHIFT).sum()
+            )
             gradient[:count] += by_points
             gradient[turn] = by_turn + 2.0 * WEIGHT / TURN**2 * rows[turn]
             gradient[shift] = by_shift + 2.0 * WEIGHT / SHIFT**2 * rows[shift]
         return value, gradient
 
 
-def moved_silhouette(points: Array, view: ResampledView, turn: Array, shift: Array) -> tuple[float, Array, Array, Array]:
+def moved_silhouette(
+    points: Array, view: ResampledView, turn: Array, shift: Array
+) -> tuple[float, Array, Array, Array]:
     """The silhouette's cross-entropy by a corrected camera, and its gradients by points, rotation vector and shift.
 
     The rotation, in radians and the camera's axes, is about the cloud's centre, which separates it from the shift, in
@@ -120,7 +134,9 @@ def moved_silhouette(points: Array, view: ResampledView, turn: Array, shift: Arr
     projected = project(points, moved)
     if not projected.valid.any():
         return np.inf, np.zeros_like(points), np.zeros(3), np.zeros(3)
-    value, gradient_px = silhouette_bce(projected.points_px, projected.valid, *view.pixel_weights, view.sigma_sq)
+    value, gradient_px = silhouette_bce(
+        projected.points_px, projected.valid, *view.pixel_weights, view.sigma_sq
+    )
     in_camera = projected.in_camera(gradient_px)
     # d(exp(w) v) = (J dw) x (exp(w) v), J the left Jacobian of the rotations.
     torque = np.cross(points @ moved.R.T, in_camera).sum(0)

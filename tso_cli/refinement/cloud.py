@@ -53,7 +53,14 @@ class Cloud:
     colours : [N, 3] float32 in [0, 1], or None.
     """
 
-    def __init__(self, points: Any, name: str, colours: Any = None, faces: Any = None, predicted: bool = False) -> None:
+    def __init__(
+        self,
+        points: Any,
+        name: str,
+        colours: Any = None,
+        faces: Any = None,
+        predicted: bool = False,
+    ) -> None:
         """``predicted`` : by a network, which moves all points; none is an outlier."""
         # In rows: columns would have every loop compiled anew for them.
         self.given: Array = np.ascontiguousarray(as_points(as_numpy(points), name))
@@ -61,18 +68,28 @@ class Cloud:
         self.surface = None if faces is None else Surface.of(self.given, as_numpy(faces), name)
         of_none = np.zeros(len(self.given), bool)
         self.outliers = of_none if predicted or self.surface else outliers(self.given)
-        self._colours = None if colours is None else _as_colours(as_numpy(colours), len(self.given), name)
-        self._move(self.surface or Subset(self.given, ~self.outliers, None if predicted else FIELD_NODES))
+        self._colours = (
+            None if colours is None else _as_colours(as_numpy(colours), len(self.given), name)
+        )
+        self._move(
+            self.surface or Subset(self.given, ~self.outliers, None if predicted else FIELD_NODES)
+        )
 
     def _move(self, moving: Surface | Subset) -> None:
         self._moving, self.initial = moving, moving.samples
         self.centre, self.scale = bounding_box_normalisation(self.initial, self.name)
-        self.colours = None if self._colours is None else moving.at(self._colours.astype(np.float64)).astype(np.float32)
+        self.colours = (
+            None
+            if self._colours is None
+            else moving.at(self._colours.astype(np.float64)).astype(np.float32)
+        )
 
     def with_parts_on(self, views: Sequence[View]) -> Cloud:
         """The same cloud; without outliers if these are many and fall on the object in all ``views``, as a part of it would."""
         far = self.given[self.outliers]
-        if len(far) < LEAST_PART * len(self.given) or any(2 * place(far, view).inside_mask < len(far) for view in views):
+        if len(far) < LEAST_PART * len(self.given) or any(
+            2 * place(far, view).inside_mask < len(far) for view in views
+        ):
             return self
         changed = copy(self)
         changed.outliers = np.zeros(len(self.given), bool)
@@ -145,10 +162,16 @@ def _far_groups(points: Array) -> NDArray[np.bool_]:
     size = float((quantile(points, 0.75) - quantile(points, 0.25)).max())
     if len(points) < FEWEST_GROUPED or longest_side(points) <= COMPACT * size or size == 0.0:
         return none
-    cubes = np.floor((points - quantile(points, 0.5)) / (GAP / CUBES * size)).clip(-FARTHEST, FARTHEST - 1).astype(np.int64)
+    cubes = (
+        np.floor((points - quantile(points, 0.5)) / (GAP / CUBES * size))
+        .clip(-FARTHEST, FARTHEST - 1)
+        .astype(np.int64)
+    )
     # One number for each cube, which is sorted sooner than three.
     numbers = (cubes + FARTHEST) @ [4 * FARTHEST**2, 2 * FARTHEST, 1]
-    _, first, cube, counts = np.unique(numbers, return_index=True, return_inverse=True, return_counts=True)
+    _, first, cube, counts = np.unique(
+        numbers, return_index=True, return_inverse=True, return_counts=True
+    )
     if len(first) > MOST_CUBES:
         return none
     group = _connected(cubes[first])
@@ -161,7 +184,9 @@ def _far_groups(points: Array) -> NDArray[np.bool_]:
 
 def _connected(cubes: NDArray[np.int64]) -> NDArray[np.int64]:
     """[C], one number for all of ``cubes`` [C, 3] that a chain of near ones connects. scipy's takes longer to import."""
-    near = np.logical_and.reduce([np.abs(np.subtract.outer(axis, axis)) <= CUBES + 1 for axis in cubes.T])
+    near = np.logical_and.reduce(
+        [np.abs(np.subtract.outer(axis, axis)) <= CUBES + 1 for axis in cubes.T]
+    )
     group = np.arange(len(cubes))
     while (least := np.where(near, group, len(cubes)).min(1)).tolist() != group.tolist():
         group = least[least]
@@ -184,7 +209,9 @@ def _far_points(points: Array) -> NDArray[np.bool_]:
 def outlier_warnings(count: int) -> list[str]:
     """The warning of so many outliers; empty without any."""
     points = "1 point lies" if count == 1 else f"{count:,} points lie"
-    return [f"{points} far from the rest: left where found, and out of all measures"] if count else []
+    return (
+        [f"{points} far from the rest: left where found, and out of all measures"] if count else []
+    )
 
 
 def as_numpy(values: Any) -> Any:
@@ -197,11 +224,17 @@ def _as_colours(colours: Any, count: int, name: str) -> NDArray[np.float32]:
         array = np.asarray(colours)
         as_floats: NDArray[np.float32] = array.astype(np.float32)
     except (TypeError, ValueError):
-        raise InputError(f"{name}: the colours are no array of numbers, expected [{count}, 3]") from None
+        raise InputError(
+            f"{name}: the colours are no array of numbers, expected [{count}, 3]"
+        ) from None
     if as_floats.shape != (count, 3):
-        raise InputError(f"{name}: the colours have shape {list(as_floats.shape)}, expected [{count}, 3]")
+        raise InputError(
+            f"{name}: the colours have shape {list(as_floats.shape)}, expected [{count}, 3]"
+        )
     if array.dtype == np.uint8:
         as_floats = as_floats / np.float32(255.0)
     if not (as_floats.min() >= 0.0 and as_floats.max() <= 1.0):
-        raise InputError(f"{name}: the colours span {as_floats.min():g} to {as_floats.max():g}, expected 0 to 1, or uint8")
+        raise InputError(
+            f"{name}: the colours span {as_floats.min():g} to {as_floats.max():g}, expected 0 to 1, or uint8"
+        )
     return as_floats

@@ -43,7 +43,9 @@ class CoarseToFine:
     evidence: float = 1.0
     stage_terms: Callable[[Array, Stage], list[Term]] = lambda points, stage: []
 
-    def run(self, steps: int, on_progress: Progress | None = None, until: float = math.inf) -> tuple[Descent, Problem]:
+    def run(
+        self, steps: int, on_progress: Progress | None = None, until: float = math.inf
+    ) -> tuple[Descent, Problem]:
         """Descend for ``steps`` in all; the stages share the time left ``until`` then (`time.perf_counter`).
 
         Returns
@@ -63,15 +65,26 @@ class CoarseToFine:
         for number, stage in enumerate(stages, 1):
             try:
                 if self.follow:
-                    before, problem = problem, problem.with_windows_around(problem.cloud.denormalised(points), stage.fine_grid)
+                    before, problem = (
+                        problem,
+                        problem.with_windows_around(
+                            problem.cloud.denormalised(points), stage.fine_grid
+                        ),
+                    )
                     if problem is not before:
                         targets = ViewTargets.of(problem.resampled, self.weights)
                         prior = position_prior(initial, targets, finest, config, evidence)
-                resolvability = targets.resolvability(points, finest) if config.use_resolvability else None
+                resolvability = (
+                    targets.resolvability(points, finest) if config.use_resolvability else None
+                )
                 mask_chamfer = MaskChamferObjective(targets, stage.robust_scale, resolvability)
                 objective = sum_of([mask_chamfer, prior, *self.stage_terms(points, stage)])
-                optimiser = (UniformAdam if config.uniform_adam else Adam)(stage.learning_rate_scale * self.learning_rate)
-                parameters = FieldParameters(points, finest.with_nodes(stage.nodes), stage.smoothness, optimiser)
+                optimiser = (UniformAdam if config.uniform_adam else Adam)(
+                    stage.learning_rate_scale * self.learning_rate
+                )
+                parameters = FieldParameters(
+                    points, finest.with_nodes(stage.nodes), stage.smoothness, optimiser
+                )
                 end = round(steps * number / len(stages))
                 report = on_progress and offset_progress(on_progress, done, steps)
                 now = time.perf_counter()
@@ -96,10 +109,19 @@ def network_objective(initial: Array, targets: ViewTargets) -> Term:
     field = SmoothField(initial)
     prior = position_prior(initial, targets, field, NETWORK)
     (stage,) = NETWORK.stages
-    return sum_of([MaskChamferObjective(targets, stage.robust_scale, targets.resolvability(initial, field)), prior])
+    return sum_of(
+        [
+            MaskChamferObjective(
+                targets, stage.robust_scale, targets.resolvability(initial, field)
+            ),
+            prior,
+        ]
+    )
 
 
-def _averaged(parts: list[Descent], weights: list[float], initial: Array, objective: Term) -> Descent:
+def _averaged(
+    parts: list[Descent], weights: list[float], initial: Array, objective: Term
+) -> Descent:
     """One descent of its stages: the mean of their best iterates by ``weights``, judged by the last objective."""
     last = parts[-1]
     # Displacements are averaged, not positions, so that unmoved points stay bit-identical.

@@ -80,29 +80,54 @@ class RefineConfig:
     def __post_init__(self) -> None:
         for name, known in (("mode", MODES), ("preset", PRESETS)):
             if getattr(self, name) not in known:
-                raise InputError(f"{name} is {getattr(self, name)!r}, expected one of {', '.join(known)}")
+                raise InputError(
+                    f"{name} is {getattr(self, name)!r}, expected one of {', '.join(known)}"
+                )
         if self.refine_camera and self.mode != "points":
             raise InputError(f"mode is {self.mode!r}, expected points to refine the camera")
         steps = self.steps
-        if steps is not None and (isinstance(steps, bool) or not isinstance(steps, int) or steps < 0):
+        if steps is not None and (
+            isinstance(steps, bool) or not isinstance(steps, int) or steps < 0
+        ):
             raise InputError(f"steps is {steps!r}, expected a whole number, 0 or more")
-        for name, low, high in (("learning_rate", 0.0, 1e6), ("gamma", -1.0, 1e15), ("sigma_sq", 0.0, 1e9)):
+        for name, low, high in (
+            ("learning_rate", 0.0, 1e6),
+            ("gamma", -1.0, 1e15),
+            ("sigma_sq", 0.0, 1e9),
+        ):
             value = getattr(self, name)
-            if value is not None and not (isinstance(value, (int, float)) and low < value <= high and value >= 0.0):
-                raise InputError(f"{name} is {value!r}, expected a number {'>= 0' if low else '> 0'}, at most {high:g}")
+            if value is not None and not (
+                isinstance(value, (int, float)) and low < value <= high and value >= 0.0
+            ):
+                raise InputError(
+                    f"{name} is {value!r}, expected a number {'>= 0' if low else '> 0'}, at most {high:g}"
+                )
         if self.mode == "points" and self.device not in ("cpu", "auto"):
-            raise InputError(f"device is {self.device!r}, expected cpu or auto: mode points has no network to put there")
+            raise InputError(
+                f"device is {self.device!r}, expected cpu or auto: mode points has no network to put there"
+            )
         if self.symmetry is not None:
             parse_symmetry(self.symmetry)
-        if self.points is not None and (not isinstance(self.points, int) or not FEWEST_POINTS <= self.points <= CANDIDATES):
-            raise InputError(f"points is {self.points!r}, expected a whole number from {FEWEST_POINTS} to {CANDIDATES:,}")
+        if self.points is not None and (
+            not isinstance(self.points, int) or not FEWEST_POINTS <= self.points <= CANDIDATES
+        ):
+            raise InputError(
+                f"points is {self.points!r}, expected a whole number from {FEWEST_POINTS} to {CANDIDATES:,}"
+            )
         budget = self.parsed_budget
         if budget == "full" and self.coarse_to_fine is not BEST:
-            raise InputError("budget is 'full', which has a coarse_to_fine of its own, found another")
-        staged_only = {"coarse_to_fine": self.coarse_to_fine is not BEST, "points": self.points is not None}
+            raise InputError(
+                "budget is 'full', which has a coarse_to_fine of its own, found another"
+            )
+        staged_only = {
+            "coarse_to_fine": self.coarse_to_fine is not BEST,
+            "points": self.points is not None,
+        }
         for name, used in (staged_only | {"budget full": budget == "full"}).items():
             if used and (self.preset, self.mode) != ("best", "points"):
-                raise InputError(f"{name} is for mode points with preset best, found {self.mode} with {self.preset}")
+                raise InputError(
+                    f"{name} is for mode points with preset best, found {self.mode} with {self.preset}"
+                )
 
     @property
     def parsed_budget(self) -> str | float:
@@ -129,11 +154,17 @@ class RefineConfig:
             defaults["steps"] = FULL_STEPS * steps
         elif isinstance(budget, float) and staged and budget < SHORT_SECONDS * views:
             defaults["points"] = SHORT_POINTS
-        chosen = {name: value for name, value in vars(self).items() if value is not None and name != "budget"}
+        chosen = {
+            name: value
+            for name, value in vars(self).items()
+            if value is not None and name != "budget"
+        }
         if budget == "full":
             chosen["coarse_to_fine"] = FULL
         seconds = budget if isinstance(budget, float) else math.inf
-        return Settings(**(defaults | chosen), seconds=seconds, full=budget == "full", given=frozenset(chosen))
+        return Settings(
+            **(defaults | chosen), seconds=seconds, full=budget == "full", given=frozenset(chosen)
+        )
 
 
 @dataclass(frozen=True)
@@ -194,5 +225,7 @@ def parse_symmetry(text: str) -> str | tuple[float, float, float, float]:
     except (ValueError, AttributeError):
         raise InputError(f"symmetry is {text!r}, {expected}") from None
     if not (1e-100 < math.hypot(a, b, c) < 1e100 and abs(d) < 1e100):
-        raise InputError(f"symmetry is {text!r}, whose normal has no direction or whose numbers are too large; {expected}")
+        raise InputError(
+            f"symmetry is {text!r}, whose normal has no direction or whose numbers are too large; {expected}"
+        )
     return a, b, c, d

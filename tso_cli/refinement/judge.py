@@ -66,23 +66,36 @@ def judged(
     compared = settings.staged and problem.views == given_views
     fits = problem.cloud.partial and compared and problem.masks_alone
     before, after = _misfits(problem, outcome.moved, view_weights.loss) if fits else (1.0, 0.0)
-    if descent.best_step == 0 or after >= before or (compared and _agrees_less(problem, outcome.ious, view_weights.loss)):
+    if (
+        descent.best_step == 0
+        or after >= before
+        or (compared and _agrees_less(problem, outcome.ious, view_weights.loss))
+    ):
         unmoved = problem.cloud.moved(np.zeros_like(step))
         ious = [(start, start if descent.best_step else end) for start, end in outcome.ious]
         reason: StopReason = "not_improved" if before else "nothing_to_do"
-        return Outcome(unmoved, ious, Verdict.unchanged(problem.suspicion), taken=0.0, unmoved=reason)
+        return Outcome(
+            unmoved, ious, Verdict.unchanged(problem.suspicion), taken=0.0, unmoved=reason
+        )
     signs: dict[str, float] = {}
     unjudged = _why_unjudged(problem, descent, settings)
     if unjudged is not None:
-        verdict = Verdict("doubtful", None, problem.suspicion) if problem.suspicion else Verdict(None, None, unjudged)
+        verdict = (
+            Verdict("doubtful", None, problem.suspicion)
+            if problem.suspicion
+            else Verdict(None, None, unjudged)
+        )
     else:
-        assert field is not None and problem.agreement is not None
+        assert field is not None
+        assert problem.agreement is not None
         signs = signs_of(problem, field, descent, outcome.ious, view_weights.inlier)
         verdict = Verdict.of(signs, problem.agreement)
     taken = 1.0 if settings.accept_doubtful else verdict.step
     if taken < 1.0:
         outcome = _after(problem, given_views, taken * step)
-    return replace(outcome, verdict=verdict, taken=taken, unmoved=None if taken else "doubtful", signs=signs)
+    return replace(
+        outcome, verdict=verdict, taken=taken, unmoved=None if taken else "doubtful", signs=signs
+    )
 
 
 def _why_unjudged(problem: Problem, descent: Descent, settings: Settings) -> str | None:
@@ -93,10 +106,13 @@ def _why_unjudged(problem: Problem, descent: Descent, settings: Settings) -> str
     reasons = {
         "only mode points with preset best is": not settings.staged,
         "none with a depth map or a photo is": not problem.masks_alone,
-        f"{len(problem.cloud.initial)} points are too few": len(problem.cloud.initial) < FEWEST_POINTS,
+        f"{len(problem.cloud.initial)} points are too few": len(problem.cloud.initial)
+        < FEWEST_POINTS,
         "it was interrupted": few and descent.interrupted,
         # The confidence counts on a symmetry check of a cloud that has a mirror plane.
-        f"{settings.seconds:g} s were too few": descent.out_of_time and few or problem.symmetry.outcome == "unchecked",
+        f"{settings.seconds:g} s were too few": descent.out_of_time
+        and few
+        or problem.symmetry.outcome == "unchecked",
         f"{steps} steps are too few": few,
     }
     return next((reason for reason, holds in reasons.items() if holds), None)
@@ -107,7 +123,9 @@ def _after(problem: Problem, given_views: Sequence[View], displacements: Array) 
     return Outcome(moved, view_ious(problem.cloud.judged, moved.judged, given_views, problem.views))
 
 
-def view_ious(initial: Array, refined: Array, given: Sequence[View], corrected: Sequence[View]) -> list[tuple[float, float]]:
+def view_ious(
+    initial: Array, refined: Array, given: Sequence[View], corrected: Sequence[View]
+) -> list[tuple[float, float]]:
     """IoU of each view before, by the given camera, and after, by the corrected one; both in the same window."""
     ious = []
     for before, after in zip(given, corrected, strict=True):

@@ -17,7 +17,9 @@ from .view_weights import ViewWeights
 MOST_LOSS = 0.62
 
 
-def checked_hint(problem: Problem, settings: Settings, until: float = math.inf) -> tuple[Problem, bool]:
+def checked_hint(
+    problem: Problem, settings: Settings, until: float = math.inf
+) -> tuple[Problem, bool]:
     """The problem, whose hint is confirmed where a descent says so too; and whether Ctrl-C came, which ends the check.
 
     Silhouettes that agree somewhat better under an assumption (`Agreement.hint`) may do so by chance. Two short descents are
@@ -26,14 +28,18 @@ def checked_hint(problem: Problem, settings: Settings, until: float = math.inf) 
     photos, or without time for it ``until`` then (`final_losses`).
     """
     agreement = problem.agreement
-    if not (agreement and agreement.hint and settings.staged and settings.steps and problem.masks_alone):
+    if not (
+        agreement and agreement.hint and settings.staged and settings.steps and problem.masks_alone
+    ):
         return problem, False
     given = replace(problem, resampled=problem.resampled[: len(problem.views)])
     without_plane = replace(problem, symmetry=SymmetryDecision("not_asked"))
     points = problem.cloud.normalised()
     field, weights = SmoothField(points), ViewWeights.of(given.resampled, points).loss
     try:
-        mended = without_plane.with_views(tuple(map(agreement.hint.assumption.read, problem.views)), settings)
+        mended = without_plane.with_views(
+            tuple(map(agreement.hint.assumption.read, problem.views)), settings
+        )
         losses = final_losses([probe(views, weights, field) for views in (given, mended)], until)
     except InputError:
         # A mask that shows nothing where the assumption has its object.

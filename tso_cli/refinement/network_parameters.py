@@ -26,7 +26,9 @@ class NetworkParameters:
     cloud : the prediction.
     """
 
-    def __init__(self, network: BaseNetwork | None, image: Any, mode: str, device: str, learning_rate: float) -> None:
+    def __init__(
+        self, network: BaseNetwork | None, image: Any, mode: str, device: str, learning_rate: float
+    ) -> None:
         if network is None or image is None:
             raise InputError(f"mode {mode} needs a network and an image")
         self.device = devices.resolve(device)
@@ -39,10 +41,16 @@ class NetworkParameters:
             self._predict = network.decoder
             moving = [self._input]
         else:
-            moving = list((network.encoder if mode == "encoder" else network).requires_grad_(True).parameters())
+            moving = list(
+                (network.encoder if mode == "encoder" else network)
+                .requires_grad_(True)
+                .parameters()
+            )
         self._optimiser = TorchAdam(moving, learning_rate)
         with torch.no_grad():
-            self.cloud = Cloud(self._predict(self._input)[0], "the network's prediction", predicted=True)
+            self.cloud = Cloud(
+                self._predict(self._input)[0], "the network's prediction", predicted=True
+            )
 
     def forward(self) -> tuple[Array, StepDown]:
         """The predicted cloud [N, 3], normalised as it was at the start, and the step of the weights by its gradient."""
@@ -50,9 +58,13 @@ class NetworkParameters:
 
         def step(gradient: Array) -> None:
             by_prediction = torch.as_tensor(gradient / self.cloud.scale).to(prediction)
-            self._optimiser.apply(torch.autograd.grad(prediction, self._optimiser.parameters, by_prediction))
+            self._optimiser.apply(
+                torch.autograd.grad(prediction, self._optimiser.parameters, by_prediction)
+            )
 
-        points: Array = (prediction.detach().cpu().numpy().astype(np.float64) - self.cloud.centre) / self.cloud.scale
+        points: Array = (
+            prediction.detach().cpu().numpy().astype(np.float64) - self.cloud.centre
+        ) / self.cloud.scale
         return points, step
 
 
@@ -70,15 +82,28 @@ class TorchAdam:
         self._squares = [torch.zeros_like(p) for p in parameters]
         # Other devices lack the fused form in some supported releases of torch.
         self._fused = all(p.device.type in ("cpu", "cuda") for p in parameters)
-        self._steps = [torch.zeros((), device=p.device if self._fused else "cpu") for p in parameters]
+        self._steps = [
+            torch.zeros((), device=p.device if self._fused else "cpu") for p in parameters
+        ]
 
     @torch.no_grad()
     def apply(self, grads: Sequence[Tensor]) -> None:
         """One step, given the gradient by each parameter."""
         grads = [_laid_out_as(p, grad) for p, grad in zip(self.parameters, grads, strict=True)]
-        settings: dict[str, Any] = dict(amsgrad=False, beta1=0.9, beta2=0.999, weight_decay=0.0, eps=1e-8, maximize=False)
+        settings: dict[str, Any] = dict(
+            amsgrad=False, beta1=0.9, beta2=0.999, weight_decay=0.0, eps=1e-8, maximize=False
+        )
         moments = self._means, self._squares
-        adam(self.parameters, grads, *moments, [], self._steps, fused=self._fused, lr=self._learning_rate, **settings)
+        adam(
+            self.parameters,
+            grads,
+            *moments,
+            [],
+            self._steps,
+            fused=self._fused,
+            lr=self._learning_rate,
+            **settings,
+        )
 
 
 def _laid_out_as(parameter: Tensor, grad: Tensor) -> Tensor:

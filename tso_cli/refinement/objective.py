@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 from ..geometry.camera import NEAR, Camera
 from ..kernels.dispatch import use_compiled
 from ..losses.depth import DepthTarget, depth_loss
-from ..losses.mask_chamfer import COVERED_WITHIN, REFERENCE_POINTS, MaskTarget, mask_chamfer, resolvability
+from ..losses.mask_chamfer import (
+    COVERED_WITHIN,
+    REFERENCE_POINTS,
+    MaskTarget,
+    mask_chamfer,
+    resolvability,
+)
 from ..losses.projection import project
 from ..losses.silhouette import silhouette_bce
 from .resampled_view import ResampledView
@@ -46,7 +52,9 @@ def silhouette_loss(points: Array, view: ResampledView, camera: Camera) -> tuple
     # Without a visible point the loss would have no gradient: a cloud behind the camera would be perfect.
     if not projected.valid.any():
         return np.inf, np.zeros_like(points)
-    value, gradient_px = silhouette_bce(projected.points_px, projected.valid, *view.pixel_weights, view.sigma_sq)
+    value, gradient_px = silhouette_bce(
+        projected.points_px, projected.valid, *view.pixel_weights, view.sigma_sq
+    )
     return value, projected.pull_back(gradient_px)
 
 
@@ -61,7 +69,11 @@ class ViewTarget:
 
     @classmethod
     def of(cls, view: ResampledView, weight: float) -> ViewTarget:
-        depth = None if view.depth is None else DepthTarget.of(view.depth, view.target.inside, view.camera)
+        depth = (
+            None
+            if view.depth is None
+            else DepthTarget.of(view.depth, view.target.inside, view.camera)
+        )
         return cls(view.camera, view.target, depth, weight)
 
     @cached_property
@@ -95,12 +107,17 @@ class ViewTargets:
 
     @classmethod
     def of(cls, views: Sequence[ResampledView], weights: Sequence[float]) -> ViewTargets:
-        return cls(tuple(ViewTarget.of(view, weight) for view, weight in zip(views, weights, strict=True)))
+        return cls(
+            tuple(ViewTarget.of(view, weight) for view, weight in zip(views, weights, strict=True))
+        )
 
     @cached_property
     def pixels(self) -> float:
         """Foreground pixels and known depths of all views, of masks of 64, weighted like their losses."""
-        return sum(view.weight * (view.mask.pixels + (view.depth.pixels if view.depth else 0.0)) for view in self.views)
+        return sum(
+            view.weight * (view.mask.pixels + (view.depth.pixels if view.depth else 0.0))
+            for view in self.views
+        )
 
     @property
     def truncated(self) -> bool:
@@ -111,7 +128,9 @@ class ViewTargets:
         """For each view [N] in [0, 1], how well its mask resolves the part around each point: its node's neighbourhood."""
         nodes = points[field.nodes]
         return [
-            field.of_nearest_node(resolvability(project(nodes, view.camera).points_px[field.patches], view.mask.grain))
+            field.of_nearest_node(
+                resolvability(project(nodes, view.camera).points_px[field.patches], view.mask.grain)
+            )
             for view in self.views
         ]
 
@@ -138,7 +157,9 @@ class MaskChamferObjective:
         total = float(costs.sum()) if observed else np.inf
         for view in self.targets.views:
             if view.depth is not None and view.weight > 0.0:
-                value, by_points = depth_loss(points, project(points, view.camera), view.depth, self.robust_scale)
+                value, by_points = depth_loss(
+                    points, project(points, view.camera), view.depth, self.robust_scale
+                )
                 total, gradient = total + view.weight * value, gradient + view.weight * by_points
         return total, gradient, costs
 
@@ -152,11 +173,15 @@ class MaskChamferObjective:
             if use_compiled():
                 from ..kernels.mask_chamfer_numba import mask_chamfer as compiled
 
-                observed &= compiled(points, view.compiled, self.robust_scale, resolved, view.weight, costs, gradient)
+                observed &= compiled(
+                    points, view.compiled, self.robust_scale, resolved, view.weight, costs, gradient
+                )
             else:
                 projected = project(points, view.camera)
                 pixels, valid = projected.points_px, projected.valid
-                of_points, gradient_px = mask_chamfer(pixels, valid, view.mask, self.robust_scale, resolved)
+                of_points, gradient_px = mask_chamfer(
+                    pixels, valid, view.mask, self.robust_scale, resolved
+                )
                 costs += view.weight * of_points
                 gradient += view.weight * projected.pull_back(gradient_px)
                 observed &= bool(view.mask.observed(pixels, valid).any())

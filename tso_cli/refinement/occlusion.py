@@ -37,7 +37,9 @@ def occluded(pixels: Array, view: View) -> float | None:
         along = end - start
         length = np.hypot(*along)
         middle = (start + end) / 2.0
-        at_border = (middle < WITHIN).any() or (middle > np.array(inside.shape[::-1]) - 1.0 - WITHIN).any()
+        at_border = (middle < WITHIN).any() or (
+            middle > np.array(inside.shape[::-1]) - 1.0 - WITHIN
+        ).any()
         if length < LEAST_EDGE * size or at_border:
             continue
         along = along / length
@@ -47,7 +49,10 @@ def occluded(pixels: Array, view: View) -> float | None:
         place = np.floor((outline[strip] - start) @ along).astype(np.int64)
         at_edge, near = _different(place[behind[strip] < WITHIN]), _different(place)
         beyond = -(pixels - start) @ [-along[1], along[0]]
-        if at_edge < max(LEAST_EDGE * size, LEAST_STRAIGHT * near) or (beyond > BEYOND * size).mean() < LEAST_BEYOND:
+        if (
+            at_edge < max(LEAST_EDGE * size, LEAST_STRAIGHT * near)
+            or (beyond > BEYOND * size).mean() < LEAST_BEYOND
+        ):
             continue
         without = _iou(outline, pixels[beyond <= 0.0], size)
         if without >= _iou(outline, pixels, size) + GAIN:
@@ -86,5 +91,8 @@ def _turn(a: tuple[int, int], b: tuple[int, int], c: tuple[int, int]) -> int:
 
 
 def _iou(outline: Array, pixels: Array, size: float) -> float:
-    covered, inside = (set(map(tuple, np.floor(places * (CELLS / size)).astype(int).tolist())) for places in (pixels, outline))
+    covered, inside = (
+        set(map(tuple, np.floor(places * (CELLS / size)).astype(int).tolist()))
+        for places in (pixels, outline)
+    )
     return len(covered & inside) / len(covered | inside)

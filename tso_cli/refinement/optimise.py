@@ -73,7 +73,11 @@ def sum_of(terms: list[Term]) -> Term:
 
 
 def descend(
-    parameters: Parameters, objective: Term, steps: int, on_progress: Progress | None = None, until: float = math.inf
+    parameters: Parameters,
+    objective: Term,
+    steps: int,
+    on_progress: Progress | None = None,
+    until: float = math.inf,
 ) -> Descent:
     """Minimise ``objective`` by ``parameters`` in ``steps`` steps.
 
@@ -107,4 +111,12 @@ def descend(
             raise
         interrupted = True
     # Ctrl-C may fall between the loss of the start and its being the lowest.
-    return Descent(best, best_step, losses, interrupted, losses[0], min(lowest, losses[0]), out_of_time=out_of_time)
+    return Descent(
+        best,
+        best_step,
+        losses,
+        interrupted,
+        losses[0],
+        min(lowest, losses[0]),
+        out_of_time=out_of_time,
+    )

@@ -44,16 +44,25 @@ class Outline:
         """IoU of the mask's cells and those that ``points`` [N, 3] fall in, under these assumptions in place of the given."""
         return self.ious(points, assumptions, [self])[0]
 
-    def ious(self, points: Array, assumptions: Sequence[Assumption], masks: Sequence[Outline]) -> list[float]:
+    def ious(
+        self, points: Array, assumptions: Sequence[Assumption], masks: Sequence[Outline]
+    ) -> list[float]:
         """The same of other ``masks`` with this camera; 0 of one of another size."""
         view, given = self.view, about(self.view, self.given)
         assumptions, camera = about(view, assumptions), self.camera
         for assumption in assumptions:
             camera = assumption.of_camera(camera)
         # The mask has the given changes already; each change is its own inverse, so what occurs twice cancels.
-        changes = [assumption.mask for assumption in (*given, *assumptions)] + ["left-right"] * mirrored(view)
-        inverted, across, down = (changes.count(name) % 2 == 1 for name in ("inverted", "left-right", "upside-down"))
-        compared = [mask.cells.get(inverted) if mask.view.mask.shape == view.mask.shape else None for mask in masks]
+        changes = [assumption.mask for assumption in (*given, *assumptions)] + [
+            "left-right"
+        ] * mirrored(view)
+        inverted, across, down = (
+            changes.count(name) % 2 == 1 for name in ("inverted", "left-right", "upside-down")
+        )
+        compared = [
+            mask.cells.get(inverted) if mask.view.mask.shape == view.mask.shape else None
+            for mask in masks
+        ]
         if not any(compared):
             return [0.0] * len(masks)
         pixels, _ = camera.project(points @ axes_of(assumptions).T)
@@ -62,7 +71,10 @@ class Outline:
             pixels[:, 0] = camera.width - 1.0 - pixels[:, 0]
         if down:
             pixels[:, 1] = camera.height - 1.0 - pixels[:, 1]
-        return [cells.iou(on_known(pixels, mask.view)) if cells else 0.0 for cells, mask in zip(compared, masks, strict=True)]
+        return [
+            cells.iou(on_known(pixels, mask.view)) if cells else 0.0
+            for cells, mask in zip(compared, masks, strict=True)
+        ]
 
 
 class Cells(NamedTuple):

@@ -20,7 +20,11 @@ MOST_PAIRS = 3
 
 
 def mispaired_views(
-    points: Array, outlines: Sequence[Outline], as_given: Array, tells: NDArray[np.bool_], otherwise: float
+    points: Array,
+    outlines: Sequence[Outline],
+    as_given: Array,
+    tells: NDArray[np.bool_],
+    otherwise: float,
 ) -> tuple[tuple[Suspect, ...], int]:
     """What is said where views fit one another's masks better than their own, and how many do.
 
@@ -51,8 +55,13 @@ def mispaired_views(
     names = [outline.view.name for outline in outlines]
     if len(set(names)) < len(names):
         names = [f"view {number}" for number in range(1, len(names) + 1)]
-    pairs = [f"{names[numbers[best[i]]]} with the camera that {names[numbers[i]]} has now" for i in moved[:MOST_PAIRS]]
+    pairs = [
+        f"{names[numbers[best[i]]]} with the camera that {names[numbers[i]]} has now"
+        for i in moved[:MOST_PAIRS]
+    ]
     more = f", and so on, {len(moved)} in all" * (len(moved) > MOST_PAIRS)
     # All views of a cloud that is turned show what others show of a right one.
-    what = "masks and cameras are paired wrongly" + ", or the cloud is turned" * (len(moved) == len(outlines))
+    what = "masks and cameras are paired wrongly" + ", or the cloud is turned" * (
+        len(moved) == len(outlines)
+    )
     return (Suspect(what, ", ".join(pairs) + more, float(paired.mean())),), len(moved)

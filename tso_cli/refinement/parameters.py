@@ -25,13 +25,17 @@ class PointParameters:
 class FieldParameters:
     """The values u [M, 3] of a `SmoothField` at its nodes, added to ``initial`` [N, 3] after smoothing."""
 
-    def __init__(self, initial: Array, field: SmoothField, smoothness: float, optimiser: Adam) -> None:
+    def __init__(
+        self, initial: Array, field: SmoothField, smoothness: float, optimiser: Adam
+    ) -> None:
         self._initial, self._field, self._optimiser = initial, field, optimiser
         self._smoothness = smoothness
         self._values = np.zeros((len(field.nodes), 3))
 
     def forward(self) -> tuple[Array, StepDown]:
-        return self._initial + self._field.spread(self._field.smoothed(self._values, self._smoothness)), self._step
+        return self._initial + self._field.spread(
+            self._field.smoothed(self._values, self._smoothness)
+        ), self._step
 
     def _step(self, gradient: Array) -> None:
         by_values = self._field.smoothed(self._field.gather(gradient), self._smoothness)

@@ -63,7 +63,16 @@ def place(points: Array, view: View) -> Placement:
             box = _plain((*low, *high))
             overlap = box_iou(box, mask_box)
     distances = (float(depth[front].min()), float(depth[front].max())) if len(seen) else None
-    return Placement(len(points), int((~front).sum()), int(inside.sum()), int(on_mask.sum()), distances, box, mask_box, overlap)
+    return Placement(
+        len(points),
+        int((~front).sum()),
+        int(inside.sum()),
+        int(on_mask.sum()),
+        distances,
+        box,
+        mask_box,
+        overlap,
+    )
 
 
 def mask_doubts(view: View, points: int) -> list[str]:
@@ -104,7 +113,9 @@ def behind_warnings(placement: Placement, view: View) -> list[str]:
     """The warning of points behind the camera; empty without any, or where all are."""
     if not 0 < placement.behind < placement.points:
         return []
-    return [f"{view.name}: {placement.behind} of {placement.points} points lie behind the camera and take no part"]
+    return [
+        f"{view.name}: {placement.behind} of {placement.points} points lie behind the camera and take no part"
+    ]
 
 
 def require_overlap(placement: Placement, view: View, advice: str | None = None) -> None:
@@ -114,10 +125,14 @@ def require_overlap(placement: Placement, view: View, advice: str | None = None)
         "or look at the numbers with --check"
     )
     if placement.behind == placement.points:
-        raise InputError(f"{view.name}: all {placement.points} points lie behind the camera; {advice or general}")
+        raise InputError(
+            f"{view.name}: all {placement.points} points lie behind the camera; {advice or general}"
+        )
     if not placement.inside_image or placement.points_box is None:
         size = f"{view.camera.width}x{view.camera.height}"
-        raise InputError(f"{view.name}: no point falls inside the {size} image; {advice or general}")
+        raise InputError(
+            f"{view.name}: no point falls inside the {size} image; {advice or general}"
+        )
     if placement.box_iou <= SMALLEST_BOX_IOU:
         advice = advice or _part_met(placement.points_box, view.inside) or general
         raise InputError(
@@ -140,7 +155,9 @@ def _part_met(points_box: Box, inside: NDArray[np.bool_]) -> str | None:
     if not most:
         return None
     places = [np.nonzero(parts == part) for part in most]
-    boxes = [_plain((x.min() - 0.5, y.min() - 0.5, x.max() + 0.5, y.max() + 0.5)) for y, x in places]
+    boxes = [
+        _plain((x.min() - 0.5, y.min() - 0.5, x.max() + 0.5, y.max() + 0.5)) for y, x in places
+    ]
     best = max(boxes, key=lambda box: box_iou(points_box, box))
     if box_iou(points_box, best) < PART_BOX_IOU:
         return None

@@ -102,10 +102,17 @@ FULL = replace(BEST, stages=tuple(replace(stage, fine_grid=True) for stage in ST
 # The network modes: weights move many points together, so no field is needed; and a prediction that is far off is the wrong
 # shape, which small changes of weights do not mend, so the prior falls more slowly.
 NETWORK = CoarseToFineConfig(
-    stages=(Stage(0.0, 3.0),), prior_weight=500.0, prior_decay=0.5, least_prior_weight=30.0, local_prior=False
+    stages=(Stage(0.0, 3.0),),
+    prior_weight=500.0,
+    prior_decay=0.5,
+    least_prior_weight=30.0,
+    local_prior=False,
 )
 # The symmetry check: one short, loosely held stage. A strong prior would hide how the two descents it compares differ.
 SYMMETRY_PROBE = CoarseToFineConfig(
-    stages=(Stage(10.0, 6.0, nodes=512),), prior_weight=350.0, least_prior_weight=30.0, local_prior=False
+    stages=(Stage(10.0, 6.0, nodes=512),),
+    prior_weight=350.0,
+    least_prior_weight=30.0,
+    local_prior=False,
 )
 SYMMETRY_PROBE_STEPS = 20

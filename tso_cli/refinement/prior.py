@@ -39,7 +39,11 @@ def start_loss(initial: Array, targets: ViewTargets) -> tuple[float, Array]:
 
 
 def position_prior(
-    initial: Array, targets: ViewTargets, field: SmoothField, config: CoarseToFineConfig, evidence: float = 1.0
+    initial: Array,
+    targets: ViewTargets,
+    field: SmoothField,
+    config: CoarseToFineConfig,
+    evidence: float = 1.0,
 ) -> PositionPrior:
     """The prior of a cloud ``initial`` [N, 3]: the better the start fits its views, the more it is held.
 

@@ -18,7 +18,9 @@ TIMED_STEPS = 6
 
 def probe(problem: Problem, weights: list[float], field: SmoothField) -> CoarseToFine:
     """A descent by the views of ``problem``, of these ``weights``; ``field`` is of the start."""
-    return CoarseToFine(problem, weights, field, SYMMETRY_PROBE, BEST_LEARNING_RATE["points"], follow=False)
+    return CoarseToFine(
+        problem, weights, field, SYMMETRY_PROBE, BEST_LEARNING_RATE["points"], follow=False
+    )
 
 
 def final_losses(probes: list[CoarseToFine], until: float) -> list[float] | None:

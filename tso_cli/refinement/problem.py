@@ -63,11 +63,15 @@ class Problem:
         plane, cloud = self.symmetry.plane, self.cloud
         all_views = views if plane is None else (*views, *(plane.view(view) for view in views))
         resampled = tuple(
-            resample_view(view, settings.sigma_sq, cloud.centre, cloud.scale, window_of(view, cloud.initial))
+            resample_view(
+                view, settings.sigma_sq, cloud.centre, cloud.scale, window_of(view, cloud.initial)
+            )
             for view in all_views
         )
         fine_grids = tuple(fine_cells(_side(view.box), len(cloud.initial)) for view in resampled)
-        return replace(self, views=views, all_views=all_views, resampled=resampled, fine_grids=fine_grids)
+        return replace(
+            self, views=views, all_views=all_views, resampled=resampled, fine_grids=fine_grids
+        )
 
     def with_windows_around(self, points: Array, fine_grid: bool) -> Problem:
         """The same with windows around ``points`` [N, 3] (units of the file), resampled where they change much; else itself.
@@ -78,8 +82,15 @@ class Problem:
         resampled = []
         for view, current, cells in zip(self.all_views, self.resampled, grids, strict=True):
             box = window_of(view, points)
-            same = current.camera.width == cells and abs(np.log(_side(box) / _side(current.box))) <= WINDOW_CHANGE
-            resampled.append(current if same else resample_view(view, current.sigma_sq, cloud.centre, cloud.scale, box, cells))
+            same = (
+                current.camera.width == cells
+                and abs(np.log(_side(box) / _side(current.box))) <= WINDOW_CHANGE
+            )
+            resampled.append(
+                current
+                if same
+                else resample_view(view, current.sigma_sq, cloud.centre, cloud.scale, box, cells)
+            )
         if all(new is old for new, old in zip(resampled, self.resampled, strict=True)):
             return self
         return replace(self, resampled=tuple(resampled))
@@ -103,7 +114,8 @@ class Problem:
         """Weighted number of masks and depth maps; a flipped mask counts a quarter."""
         flipped = 0.0 if self.symmetry.plane is None else FLIPPED_EVIDENCE
         return sum(
-            weight * (1.0 + flipped + (view.depth is not None)) for weight, view in zip(weights, self.views, strict=True)
+            weight * (1.0 + flipped + (view.depth is not None))
+            for weight, view in zip(weights, self.views, strict=True)
         )
 
 
@@ -124,7 +136,9 @@ def _require_supported(cloud: Cloud, views: tuple[View, ...], settings: Settings
         raise InputError("a view has an image, expected a cloud with colours, found none")
 
 
-def _require_plane_through(cloud: Cloud, views: tuple[View, ...], decision: SymmetryDecision, symmetry: str) -> None:
+def _require_plane_through(
+    cloud: Cloud, views: tuple[View, ...], decision: SymmetryDecision, symmetry: str
+) -> None:
     """Refuse a given plane whose flipped views the cloud does not meet."""
     assert decision.plane is not None
     for view in views:

@@ -63,11 +63,20 @@ class ResampledView:
         """Pixels of a 64x64 mask per unit length at the cloud's centre; the silhouette loss is proportional to it."""
         camera = self.camera
         depth = 1.0 if camera.model == "orthographic" else max(float(camera.t[2]), NEAR)
-        return float(np.sqrt(camera.K[0, 0] * camera.K[1, 1] / (camera.width * camera.height)) * REFERENCE_SIDE / depth)
+        return float(
+            np.sqrt(camera.K[0, 0] * camera.K[1, 1] / (camera.width * camera.height))
+            * REFERENCE_SIDE
+            / depth
+        )
 
 
 def resample_view(
-    view: View, sigma_sq: float, centre: Array, scale: float, box: Box | None = None, cells: int = CELLS
+    view: View,
+    sigma_sq: float,
+    centre: Array,
+    scale: float,
+    box: Box | None = None,
+    cells: int = CELLS,
 ) -> ResampledView:
     """Resample ``view`` for a cloud normalised by ``(X - centre) / scale``.
 
@@ -81,7 +90,9 @@ def resample_view(
     """
     widest = (cells / 4.0) ** 2
     if not 0.01 <= sigma_sq <= widest:
-        raise InputError(f"sigma_sq is {sigma_sq:g}, expected 0.01 to {widest:g}: squared cells of a window of {cells}x{cells}")
+        raise InputError(
+            f"sigma_sq is {sigma_sq:g}, expected 0.01 to {widest:g}: squared cells of a window of {cells}x{cells}"
+        )
     box = window_of(view) if box is None else box
     camera = view.camera.cropped(box, cells, cells)
     mask, weight = area_resize(view.mask, box, cells, cells, weights=view.known, interpolate=True)
@@ -92,7 +103,9 @@ def resample_view(
     known = None if view.known is None and weight.min() >= 1.0 - 1e-9 else weight
     bounds = _image_bounds(box, view.camera, cells)
     normalised = camera.for_normalised(centre, scale)
-    resampled = ResampledView(mask, known, normalised, sigma_sq, box, bounds, view.truncated, depth, image)
+    resampled = ResampledView(
+        mask, known, normalised, sigma_sq, box, bounds, view.truncated, depth, image
+    )
     if not resampled.target.inside.any():
         raise InputError(
             f"{view.name}: no pixel is known to be foreground when it is worked on at {cells}x{cells}, expected "
@@ -120,7 +133,9 @@ def _sampled(depth: Array, box: Box, cells: int) -> Array:
     columns = np.floor(left + centres * (right - left) + 0.5).astype(int)
     height, width = depth.shape
     in_image = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))
-    return np.where(in_image, depth[rows.clip(0, height - 1)[:, None], columns.clip(0, width - 1)], np.nan)
+    return np.where(
+        in_image, depth[rows.clip(0, height - 1)[:, None], columns.clip(0, width - 1)], np.nan
+    )
 
 
 # From a window of so many pixels of the mask, the last stage uses so many cells; more bring nothing, at 16,384 points neither.

@@ -20,7 +20,15 @@ from .symmetry import SymmetryOutcome
 from .verdict import shown
 
 Array = NDArray[np.float64]
-StopReason = Literal["max_steps", "interrupted", "non_finite", "out_of_time", "nothing_to_do", "not_improved", "doubtful"]
+StopReason = Literal[
+    "max_steps",
+    "interrupted",
+    "non_finite",
+    "out_of_time",
+    "nothing_to_do",
+    "not_improved",
+    "doubtful",
+]
 
 # A view with a lower inlier weight is warned of.
 DOUBTFUL_INLIER_WEIGHT = 0.5
@@ -151,7 +159,9 @@ def refused(result: RefineResult) -> bool:
     return bool(result.signs) and not result.step_taken
 
 
-def result_warnings(result: RefineResult, views: Sequence[View], steps: int, suspicion: str | None) -> tuple[str, ...]:
+def result_warnings(
+    result: RefineResult, views: Sequence[View], steps: int, suspicion: str | None
+) -> tuple[str, ...]:
     """The ``warnings`` of a result that lacks them; ``steps`` : how many were asked for; ``suspicion`` : of the input."""
     messages = []
     reason = why_unmoved(result)
@@ -167,12 +177,20 @@ def result_warnings(result: RefineResult, views: Sequence[View], steps: int, sus
     elif result.symmetry_outcome == "unchecked":
         messages.append(f"the budget left no time for the symmetry check{unjudged}")
     elif result.stop_reason == "non_finite":
-        messages.append(f"the loss was no number after step {result.steps}: the result is the best before that")
+        messages.append(
+            f"the loss was no number after step {result.steps}: the result is the best before that"
+        )
     elif not reason and result.moved_max < SMALL_DISPLACEMENT:
-        messages.append(f"hardly anything moved: no point by more than {100.0 * SMALL_DISPLACEMENT:g} % of the object's size")
+        messages.append(
+            f"hardly anything moved: no point by more than {100.0 * SMALL_DISPLACEMENT:g} % of the object's size"
+        )
     if result.verdict == "doubtful":
         # A suspected mistake makes it doubtful whatever the confidence.
-        sure = f" (confidence {shown(result.confidence)})" if result.confidence is not None and not suspicion else ""
+        sure = (
+            f" (confidence {shown(result.confidence)})"
+            if result.confidence is not None and not suspicion
+            else ""
+        )
         taken = ", so the cloud is left as it was" if refused(result) else ""
         if 0.0 < result.step_taken < 1.0:
             taken = f", so only {100.0 * result.step_taken:.0f} % of the step is taken"

@@ -78,12 +78,18 @@ def run(
     with stopwatch.phase("optimise"):
         descent, problem = _optimise(prepared, network, chamfer, settings, on_progress, until)
     with stopwatch.phase("judge"):
-        outcome = judged(problem, given_views, descent, prepared.field, prepared.view_weights, settings)
+        outcome = judged(
+            problem, given_views, descent, prepared.field, prepared.view_weights, settings
+        )
         chamfer_to_initial = chamfer(chamfer.initial + outcome.moved.displacements)[0]
-    return _result(problem, outcome, descent, prepared, chamfer_to_initial, settings, stopwatch.seconds)
+    return _result(
+        problem, outcome, descent, prepared, chamfer_to_initial, settings, stopwatch.seconds
+    )
 
 
-def _prepare(problem: Problem, settings: Settings, stopwatch: Stopwatch, interrupted: bool, until: float) -> _Prepared:
+def _prepare(
+    problem: Problem, settings: Settings, stopwatch: Stopwatch, interrupted: bool, until: float
+) -> _Prepared:
     if problem.agreement and problem.agreement.hint and not interrupted:
         with stopwatch.phase("check mistake"):
             problem, interrupted = checked_hint(problem, settings, until)
@@ -109,9 +115,16 @@ def _prepare(problem: Problem, settings: Settings, stopwatch: Stopwatch, interru
 
 def _steps(problem: Problem, loss_weights: list[float], settings: Settings) -> int:
     """More than the default where the start fits several large masks badly."""
-    if not settings.staged or settings.full or "steps" in settings.given or not problem.several_large:
+    if (
+        not settings.staged
+        or settings.full
+        or "steps" in settings.given
+        or not problem.several_large
+    ):
         return settings.steps
-    loss, _ = start_loss(problem.cloud.normalised(), ViewTargets.of(problem.resampled, loss_weights))
+    loss, _ = start_loss(
+        problem.cloud.normalised(), ViewTargets.of(problem.resampled, loss_weights)
+    )
     return settings.steps * (MORE_STEPS if loss > BAD_START else 1)
 
 
@@ -129,10 +142,16 @@ def _optimise(
     on_progress = None if prepared.interrupted else on_progress
     regulariser: list[Term] = [_Weighted(settings.gamma, chamfer)] if settings.gamma else []
     if prepared.field:
-        photos, colours = _photos(problem, prepared.view_weights.loss), np.asarray(problem.cloud.colours, dtype=np.float64)
+        photos, colours = (
+            _photos(problem, prepared.view_weights.loss),
+            np.asarray(problem.cloud.colours, dtype=np.float64),
+        )
 
         def stage_terms(points: Array, stage: Stage) -> list[Term]:
-            return [*regulariser, *(PhotometricTerm.at(photo, colours, points, stage.blur) for photo in photos)]
+            return [
+                *regulariser,
+                *(PhotometricTerm.at(photo, colours, points, stage.blur) for photo in photos),
+            ]
 
         coarse_to_fine = CoarseToFine(
             problem,
@@ -188,7 +207,9 @@ def _result(
     if not losses:
         raise TsoError("the loss of the start is no finite number")
     if len(losses) == 1 and not finite:
-        raise TsoError("the loss is no finite number after the first step (a smaller learning rate?)")
+        raise TsoError(
+            "the loss is no finite number after the first step (a smaller learning rate?)"
+        )
     cloud, moved, plane = problem.cloud, outcome.moved, problem.symmetry.plane
     best_step = 0 if outcome.unmoved else descent.best_step
     iou_before, iou_after = np.mean(outcome.ious, 0).tolist()
@@ -208,7 +229,9 @@ def _result(
         view_ious=outcome.ious,
         inlier_weights=prepared.view_weights.inlier,
         view_weights=prepared.view_weights.loss,
-        view_windows=[(view.box, view.camera.width) for view in problem.resampled[: len(problem.views)]],
+        view_windows=[
+            (view.box, view.camera.width) for view in problem.resampled[: len(problem.views)]
+        ],
         moved_mean=float(lengths.mean()),
         moved_max=float(lengths.max()),
         chamfer_to_initial=chamfer_to_initial,
@@ -233,10 +256,14 @@ def _result(
         signs=outcome.signs,
         budget=decisions(problem, settings, descent),
     )
-    return replace(result, warnings=result_warnings(result, problem.views, settings.steps, problem.suspicion))
+    return replace(
+        result, warnings=result_warnings(result, problem.views, settings.steps, problem.suspicion)
+    )
 
 
-def _stop_reason(finite: bool, descent: Descent, unmoved: StopReason | None, steps: int) -> StopReason:
+def _stop_reason(
+    finite: bool, descent: Descent, unmoved: StopReason | None, steps: int
+) -> StopReason:
     if not finite:
         return "non_finite"
     if descent.interrupted:

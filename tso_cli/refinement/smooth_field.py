@@ -34,12 +34,16 @@ class SmoothField:
     patches : [M, 12] the nearest nodes of each node, itself first.
     """
 
-    def __init__(self, points: Array, nodes: int = FIELD_NODES, finer: SmoothField | None = None) -> None:
+    def __init__(
+        self, points: Array, nodes: int = FIELD_NODES, finer: SmoothField | None = None
+    ) -> None:
         self._points = points
         self._coarser: dict[int, SmoothField] = {}
         # The first of a spread subset are the smaller one, but where the finer field has every point, in their own order.
         known = finer is not None and len(finer.nodes) < len(points)
-        self.nodes: Indices = finer.nodes[:nodes] if finer and known else spread_subset(points, nodes)
+        self.nodes: Indices = (
+            finer.nodes[:nodes] if finer and known else spread_subset(points, nodes)
+        )
         positions = points[self.nodes]
         self.patches = _patches(positions)
         self._adjacent = _adjacent(self.patches)
@@ -63,7 +67,9 @@ class SmoothField:
         """``(I + weight L)^-1 values``, [M, C]; a symmetric matrix, its own transpose."""
         if weight not in self._smoothers:
             # Lambda is stated for so many nodes: with fewer the edges are longer.
-            self._smoothers[weight] = _Smoother(self._adjacent, weight * len(self.nodes) / FIELD_NODES)
+            self._smoothers[weight] = _Smoother(
+                self._adjacent, weight * len(self.nodes) / FIELD_NODES
+            )
         return self._smoothers[weight](values)
 
     def spread(self, values: Array) -> Array:
@@ -90,7 +96,10 @@ class SmoothField:
             points_numba.gather(self._index, self._weight, values, out)
             return out
         index, weight = self._index.ravel(), self._weight
-        columns = [np.bincount(index, (weight * column[:, None]).ravel(), len(self.nodes)) for column in values.T]
+        columns = [
+            np.bincount(index, (weight * column[:, None]).ravel(), len(self.nodes))
+            for column in values.T
+        ]
         return np.stack(columns, 1)
 
     def of_nearest_node(self, values: Array) -> Array:
@@ -100,7 +109,13 @@ class SmoothField:
     def averaged(self, values: Array, weight: float) -> Array:
         """[N] ``values`` averaged around each point: ``(I + weight L)^-1`` of the nodes' sums over that of their counts."""
         owner = self._index[:, 0]
-        sums = np.stack([np.bincount(owner, part, len(self.nodes)).astype(float) for part in (values, np.ones_like(values))], 1)
+        sums = np.stack(
+            [
+                np.bincount(owner, part, len(self.nodes)).astype(float)
+                for part in (values, np.ones_like(values))
+            ],
+            1,
+        )
         total, count = self.smoothed(sums, weight).T
         return self.of_nearest_node(total / np.maximum(count, np.finfo(float).tiny))
 
@@ -110,7 +125,9 @@ def _patches(nodes: Array) -> Indices:
     itself = np.arange(len(nodes))[:, None]
     near = nearest_few(nodes, nodes, min(PATCH, len(nodes)))
     # Of coinciding nodes another may come first, or all others.
-    place = np.where((near == itself).any(1), (near == itself).argmax(1), near.shape[1] - 1)[:, None]
+    place = np.where((near == itself).any(1), (near == itself).argmax(1), near.shape[1] - 1)[
+        :, None
+    ]
     np.put_along_axis(near, place, near[:, :1], 1)
     near[:, :1] = itself
     return np.concatenate([near, np.repeat(itself, PATCH - near.shape[1], 1)], 1)

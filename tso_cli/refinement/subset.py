@@ -27,11 +27,15 @@ class Subset:
     samples : [S, 3], in the unit of the cloud.
     """
 
-    def __init__(self, points: Array, kept: NDArray[np.bool_], most: int | None = FIELD_NODES) -> None:
+    def __init__(
+        self, points: Array, kept: NDArray[np.bool_], most: int | None = FIELD_NODES
+    ) -> None:
         self._given, self.kept = points, kept
         self._inliers = self.judged(points)
         count = len(self._inliers) if most is None else most
-        self._chosen = spread_on_surfaces(self._inliers, count) if count < len(self._inliers) else slice(None)
+        self._chosen = (
+            spread_on_surfaces(self._inliers, count) if count < len(self._inliers) else slice(None)
+        )
         self.samples: Array = self._inliers[self._chosen]
 
     def with_samples(self, most: int | None) -> Subset:
@@ -64,7 +68,9 @@ class Subset:
                 part = slice(start, start + CARRIED_AT_ONCE)
                 points = self._inliers[part]
                 near = nearest_few(points, self.samples, count)
-                weights = falling_weights(np.sqrt(np.square(points[:, None] - self.samples[near]).sum(2)))
+                weights = falling_weights(
+                    np.sqrt(np.square(points[:, None] - self.samples[near]).sum(2))
+                )
                 of_inliers[part] = (weights[..., None] * displacements[near]).sum(1)
         of_inliers[self._chosen] = displacements
         of_all = np.zeros((len(self.kept), 3))

@@ -99,9 +99,15 @@ class Surface:
         # [S, S]: how far the faces carry each sample, per displacement of every sample.
         carried = np.zeros((count, count))
         rows, corners = np.arange(count)[:, None, None], self._corners[self._chosen]
-        np.add.at(carried, (rows, nearest[corners]), self._shares[self._chosen][..., None] * weights[corners])
+        np.add.at(
+            carried,
+            (rows, nearest[corners]),
+            self._shares[self._chosen][..., None] * weights[corners],
+        )
         normal = carried.T @ carried + RIDGE * np.eye(count)
-        corrected = displacements + np.linalg.solve(normal, carried.T @ (displacements - carried @ displacements))
+        corrected = displacements + np.linalg.solve(
+            normal, carried.T @ (displacements - carried @ displacements)
+        )
         of_vertices: Array = (weights[..., None] * corrected[nearest]).sum(1)
         return of_vertices
 

@@ -62,7 +62,9 @@ class MirrorPlane:
         return _judged(self, subset, subset, _spacing(subset))
 
     def reflect(self, points: Array) -> Array:
-        reflected: Array = points - 2.0 * ((points @ self.normal) - self.offset)[:, None] * self.normal
+        reflected: Array = (
+            points - 2.0 * ((points @ self.normal) - self.offset)[:, None] * self.normal
+        )
         return reflected
 
     def view(self, view: View) -> View:
@@ -76,7 +78,13 @@ class MirrorPlane:
         t = flip * (camera.t + 2.0 * self.offset * (camera.R @ self.normal))
         known = None if view.known is None else view.known[:, ::-1]
         depth = None if view.depth is None else view.depth[:, ::-1]
-        return View(view.mask[:, ::-1], replace(camera, K=K, R=R, t=t), known, f"{view.name}, mirrored", depth)
+        return View(
+            view.mask[:, ::-1],
+            replace(camera, K=K, R=R, t=t),
+            known,
+            f"{view.name}, mirrored",
+            depth,
+        )
 
 
 def find_mirror_plane(points: Array) -> MirrorPlane:
@@ -144,7 +152,9 @@ def _improved(planes: list[MirrorPlane], points: Array) -> tuple[list[MirrorPlan
     kept = squared <= np.partition(squared, last, 1)[:, last : last + 1] * (1.0 + EQUALLY_FAR)
     weight = kept / kept.sum(1, keepdims=True)
     mean_x, mean_y = weight @ points, (weight[:, None] @ pairs)[:, 0]
-    product = ((points - mean_x[:, None]) * weight[:, :, None]).transpose(0, 2, 1) @ (pairs - mean_y[:, None])
+    product = ((points - mean_x[:, None]) * weight[:, :, None]).transpose(0, 2, 1) @ (
+        pairs - mean_y[:, None]
+    )
     normals = np.linalg.eigh(product + product.transpose(0, 2, 1))[1][:, :, 0]
     offsets = (normals * (mean_x + mean_y)).sum(1) / 2.0
     return list(map(MirrorPlane, normals, offsets.tolist())), (weight * squared).sum(1).tolist()
@@ -158,7 +168,9 @@ def _judged(plane: MirrorPlane, cloud: Array, queries: Array, spacing: float) ->
         misfit = np.inf if distance.any() else 0.0
         return replace(plane, misfit=misfit, far=misfit)
     distance /= spacing
-    return replace(plane, misfit=float(distance.mean()), far=float(quantile(distance, FAR_QUANTILE)))
+    return replace(
+        plane, misfit=float(distance.mean()), far=float(quantile(distance, FAR_QUANTILE))
+    )
 
 
 def _spacing(points: Array) -> float:
@@ -210,7 +222,9 @@ def decide_symmetry(cloud: Cloud, symmetry: str) -> SymmetryDecision:
     if parsed == "auto":
         # Searched in normalised coordinates and rounded, so that neither unit nor origin of the input changes the result.
         # All points of a cloud: the few that move need not be symmetric where it is.
-        plane = find_mirror_plane(cloud.normalised() if cloud.surface else cloud.normalise(cloud.judged))
+        plane = find_mirror_plane(
+            cloud.normalised() if cloud.surface else cloud.normalise(cloud.judged)
+        )
         normal = plane.normal.round(6) / np.linalg.norm(plane.normal.round(6))
         offset = cloud.scale * round(plane.offset, 6) + float(normal @ cloud.centre)
         plane = replace(plane, normal=normal, offset=offset)

@@ -36,6 +36,8 @@ def verified_symmetry(
     ratio = losses[0] / max(2.0 * losses[1], 1e-300)
     most = MOST_LOSS_RATIO if len(weights) == 1 else MOST_OF_SEVERAL
     passed = ratio <= most or losses[0] == 0.0
-    symmetry = replace(problem.symmetry, outcome="used" if passed else "contradicted", loss_ratio=ratio, most=most)
+    symmetry = replace(
+        problem.symmetry, outcome="used" if passed else "contradicted", loss_ratio=ratio, most=most
+    )
     problem = replace(problem, symmetry=symmetry)
     return problem if passed else problem.with_views(problem.views, settings), False

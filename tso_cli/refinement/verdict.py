@@ -75,7 +75,11 @@ class Verdict:
         confidence, suspicion = min(confidence, agreement.most_confidence), agreement.suspicion
         if confidence < LEAST_CONFIDENCE or suspicion:
             between = OUTVOTED_STEP if agreement.outvoted else SUSPECT_STEP
-            step = float(np.interp(confidence, between, (0.0, 1.0))) if suspicion and not agreement.confirmed else 1.0
+            step = (
+                float(np.interp(confidence, between, (0.0, 1.0)))
+                if suspicion and not agreement.confirmed
+                else 1.0
+            )
             return cls("doubtful", confidence, suspicion or REASONS[group], step)
         return cls("improved", confidence)
 
@@ -94,7 +98,11 @@ def shown(confidence: float) -> str:
 
 
 def signs_of(
-    problem: Problem, field: SmoothField, descent: Descent, ious: list[tuple[float, float]], inlier: list[float]
+    problem: Problem,
+    field: SmoothField,
+    descent: Descent,
+    ious: list[tuple[float, float]],
+    inlier: list[float],
 ) -> dict[str, float]:
     """What the confidence depends on, named GROUP: SIGN.
 
@@ -108,10 +116,14 @@ def signs_of(
     axes = np.sqrt(np.square(moved @ camera.R.T).mean(0))
     signs |= {"motion: along": _log(axes[2]), "motion: across": _log(float(np.hypot(*axes[:2])))}
     of_nodes = moved[field.nodes]
-    rough = np.square(of_nodes - field.smoothed(of_nodes, SMOOTHNESS)).sum() / (np.square(of_nodes).sum() + 1e-12)
+    rough = np.square(of_nodes - field.smoothed(of_nodes, SMOOTHNESS)).sum() / (
+        np.square(of_nodes).sum() + 1e-12
+    )
     signs |= {"motion: rough": float(rough), **_explained(initial, refined)}
     for i, j in ((0, 1), (0, 2), (1, 2)):
-        signs[f"stages: {i + 1} to {j + 1}"] = _log(np.sqrt(np.square(stages[j] - stages[i]).sum(1).mean()))
+        signs[f"stages: {i + 1} to {j + 1}"] = _log(
+            np.sqrt(np.square(stages[j] - stages[i]).sum(1).mean())
+        )
 
     views = len(problem.views)
     targets = ViewTargets.of(problem.resampled[:views], [1.0 / views] * views)
@@ -125,9 +137,13 @@ def signs_of(
     assert problem.agreement is not None
     # In the cells that the cloud was compared with: there an object in a large picture looks like one in a small.
     inside = targets.views[0].mask.inside
-    border = np.count_nonzero(inside[1:] != inside[:-1]) + np.count_nonzero(inside[:, 1:] != inside[:, :-1])
+    border = np.count_nonzero(inside[1:] != inside[:-1]) + np.count_nonzero(
+        inside[:, 1:] != inside[:, :-1]
+    )
     signs |= {
-        "input: IoU of boxes": float(np.mean([place(problem.cloud.initial, view).box_iou for view in problem.views])),
+        "input: IoU of boxes": float(
+            np.mean([place(problem.cloud.initial, view).box_iou for view in problem.views])
+        ),
         "input: IoU of cells": problem.agreement.as_given,
         "input: IoU of cells as assumed": problem.agreement.best,
         "input: suspects": float(len(problem.agreement.named)),
@@ -154,8 +170,13 @@ def _explained(initial: Array, refined: Array) -> dict[str, float]:
     total = np.square(refined - initial).sum() + 1e-12
     left = {"rigid": x @ turn, "similar": scale * x @ turn, "affine": x @ affine}
     return {
-        **{f"camera: not {name}": float(np.square(y - mapped).sum() / total) for name, mapped in left.items()},
-        "camera: turn": _log(np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))),
+        **{
+            f"camera: not {name}": float(np.square(y - mapped).sum() / total)
+            for name, mapped in left.items()
+        },
+        "camera: turn": _log(
+            np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))
+        ),
         "camera: scale": _log(abs(np.log(max(scale, SMALLEST)))),
         "camera: shift": _log(float(np.linalg.norm((refined - initial).mean(0)))),
     }
@@ -175,7 +196,9 @@ def _log(value: Any) -> float:
 @functools.cache
 def _model() -> tuple[list[str], tuple[Array, ...]]:
     document = json.loads(MODEL.read_text())
-    return document["signs"], tuple(np.array(document[name]) for name in ("mean", "deviation", "hidden", "offset", "output"))
+    return document["signs"], tuple(
+        np.array(document[name]) for name in ("mean", "deviation", "hidden", "offset", "output")
+    )
 
 
 def _judged(signs: dict[str, float]) -> tuple[float, str]:

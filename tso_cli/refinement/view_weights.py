@@ -50,8 +50,12 @@ class ViewWeights:
         inlier = np.ones(len(views))
         if len(views) >= FEWEST_TO_JUDGE:
             losses = [silhouette_loss(points, view, view.camera) for view in views]
-            comparable = np.array([value / view.magnification for (value, _), view in zip(losses, views, strict=True)])
-            inlier = inlier_weights(comparable, np.array([gradient.ravel() for _, gradient in losses]))
+            comparable = np.array(
+                [value / view.magnification for (value, _), view in zip(losses, views, strict=True)]
+            )
+            inlier = inlier_weights(
+                comparable, np.array([gradient.ravel() for _, gradient in losses])
+            )
         return cls(inlier.tolist(), shared_weights(inlier, _redundancy(views, points)).tolist())
 
 

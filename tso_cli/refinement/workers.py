@@ -38,7 +38,11 @@ def stop_flag(processes: int) -> Any:
 
 
 def spread(
-    work: Callable[[int], Result], count: int, processes: int, stop: Any, on_done: Callable[[Result], None]
+    work: Callable[[int], Result],
+    count: int,
+    processes: int,
+    stop: Any,
+    on_done: Callable[[Result], None],
 ) -> list[Result]:
     """``[work(0), ..., work(count - 1)]``; ``on_done`` is called here with each result.
 
@@ -59,12 +63,22 @@ def spread(
     for number in range(count if processes == 1 else 1):
         finish(number, work(number))
     if len(results) < count:
-        _fork(work, [number for number in range(count) if number not in results], processes, stop, finish)
+        _fork(
+            work,
+            [number for number in range(count) if number not in results],
+            processes,
+            stop,
+            finish,
+        )
     return [results[number] for number in range(count)]
 
 
 def _fork(
-    work: Callable[[int], Result], numbers: list[int], processes: int, stop: Any, finish: Callable[[int, Result], None]
+    work: Callable[[int], Result],
+    numbers: list[int],
+    processes: int,
+    stop: Any,
+    finish: Callable[[int, Result], None],
 ) -> None:
     context = multiprocessing.get_context("fork")
     with ProcessPoolExecutor(processes, context, initializer=_begin, initargs=(work,)) as pool:
@@ -87,7 +101,9 @@ def _fork(
             except KeyboardInterrupt:
                 stop.set()
             except BrokenProcessPool:
-                raise TsoError("a process of the batch was killed, expected enough memory for all of them") from None
+                raise TsoError(
+                    "a process of the batch was killed, expected enough memory for all of them"
+                ) from None
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise

@@ -44,7 +44,9 @@ def normalise(mesh: Mesh) -> Mesh:
     return replace(mesh, vertices=vertices, faces=faces.reshape(mesh.faces.shape).astype(np.int64))
 
 
-def ground_truth(mesh: Mesh, settings: RenderSettings, rng: np.random.Generator) -> tuple[Array, Array]:
+def ground_truth(
+    mesh: Mesh, settings: RenderSettings, rng: np.random.Generator
+) -> tuple[Array, Array]:
     """Surface samples [samples, 3] and the farthest-point subset of them [points, 3]."""
     samples = sample_surface(mesh.vertices, mesh.faces, settings.samples, rng)
     return samples, samples[farthest_point_sample(samples, settings.points)]
@@ -54,7 +56,9 @@ def render_mesh(mesh: Mesh, settings: RenderSettings, rng: np.random.Generator) 
     """Normalise ``mesh``, render its views and sample its ground truth."""
     mesh = normalise(paint(mesh, rng) if settings.paint else mesh)
     scene = RayScene(mesh)
-    views = [render_view(scene, camera, rng) for camera in sample_cameras(settings, mesh.vertices, rng)]
+    views = [
+        render_view(scene, camera, rng) for camera in sample_cameras(settings, mesh.vertices, rng)
+    ]
     samples, target = ground_truth(mesh, settings, rng)
     return RenderedObject(views, samples.astype(np.float32), target.astype(np.float32))
 
@@ -97,11 +101,17 @@ def render_folder(
         names = set(only)
         missing = sorted(names - set(meshes))
         if missing:
-            raise InputError(f"{source}: has no mesh {missing[0]} ({len(missing)} of {len(names)} are missing), expected it")
+            raise InputError(
+                f"{source}: has no mesh {missing[0]} ({len(missing)} of {len(names)} are missing), expected it"
+            )
         meshes = {name: path for name, path in meshes.items() if name in names}
     record = {"tso": __version__, "seed": seed, **asdict(settings)}
     summary = RenderSummary(output)
-    objects = [(copied(name, copy), path, copy) for name, path in meshes.items() for copy in range(settings.copies + 1)]
+    objects = [
+        (copied(name, copy), path, copy)
+        for name, path in meshes.items()
+        for copy in range(settings.copies + 1)
+    ]
     with writing(output) as writer:
         # Before the work starts, so that a clash of settings does not show after an hour.
         waiting = []
@@ -123,12 +133,16 @@ def render_folder(
                 summary.failed[name] = str(error) if str(path) in str(error) else f"{path}: {error}"
             else:
                 views = [(view.image, view.mask, view.camera) for view in rendered.views]
-                writer.write(name, views, rendered.samples, rendered.target, {"mesh": path.name, **record})
+                writer.write(
+                    name, views, rendered.samples, rendered.target, {"mesh": path.name, **record}
+                )
                 summary.written.append(name)
             if progress is not None:
                 progress(done, len(waiting), name)
     if summary.failed and not (summary.written or summary.skipped):
-        raise InputError(f"none of {len(objects)} objects could be rendered, the first: {next(iter(summary.failed.values()))}")
+        raise InputError(
+            f"none of {len(objects)} objects could be rendered, the first: {next(iter(summary.failed.values()))}"
+        )
     return summary
 
 
@@ -166,12 +180,19 @@ def _names(source: Path, output: Path) -> dict[str, Path]:
             continue
         name = path.relative_to(source).with_suffix("").as_posix()
         if name in meshes:
-            raise InputError(f"{path}: would be rendered as {name}, as would {meshes[name]}; expected different names")
+            raise InputError(
+                f"{path}: would be rendered as {name}, as would {meshes[name]}; expected different names"
+            )
         meshes[name] = path
     for name, path in meshes.items():
-        above = next((parent.as_posix() for parent in Path(name).parents if parent.as_posix() in meshes), None)
+        above = next(
+            (parent.as_posix() for parent in Path(name).parents if parent.as_posix() in meshes),
+            None,
+        )
         if above is not None:
-            raise InputError(f"{path}: would be rendered inside {above}, made of {meshes[above]}; expected another name")
+            raise InputError(
+                f"{path}: would be rendered inside {above}, made of {meshes[above]}; expected another name"
+            )
     if not meshes:
         raise InputError(f"{source}: no mesh in this folder beside those of {output}")
     return meshes

@@ -53,7 +53,10 @@ class RayScene:
         # Texture of each face, -1 for none, and the face's row there.
         self._texture, self._row = np.full((2, len(mesh.faces)), -1)
         for number, texture in enumerate(mesh.textures):
-            self._texture[texture.faces], self._row[texture.faces] = number, np.arange(len(texture.faces))
+            self._texture[texture.faces], self._row[texture.faces] = (
+                number,
+                np.arange(len(texture.faces)),
+            )
 
     def cast(self, camera: Camera, columns: Array, rows: Array) -> dict[str, Any]:
         """First hits of the rays through pixel coordinates ``columns`` [C] x ``rows`` [R].
@@ -81,20 +84,32 @@ class RayScene:
         hits = self._scene.cast_rays(self._o3d.core.Tensor(rays))
         depth = hits["t_hit"].numpy().astype(np.float64) + near
         names = {"face": "primitive_ids", "normal": "primitive_normals", "shares": "primitive_uvs"}
-        return {"hit": np.isfinite(depth), "depth": depth, **{name: hits[key].numpy() for name, key in names.items()}}
+        return {
+            "hit": np.isfinite(depth),
+            "depth": depth,
+            **{name: hits[key].numpy() for name, key in names.items()},
+        }
 
     def colours(self, hits: dict[str, Any]) -> NDArray[np.uint8]:
         """The mesh's unlit colour [R, C, 3] at the ``hits`` of `cast`; arbitrary where nothing is hit."""
         face = np.where(hits["hit"], hits["face"], 0)
-        colours = np.full((*face.shape, 3), GREY, np.uint8) if self.mesh.colours is None else self.mesh.colours[face]
+        colours = (
+            np.full((*face.shape, 3), GREY, np.uint8)
+            if self.mesh.colours is None
+            else self.mesh.colours[face]
+        )
         texture = np.where(hits["hit"], self._texture[face], -1)
         for number in np.unique(texture[texture >= 0]):
             textured = texture == number
-            colours[textured] = self.mesh.textures[number].at(self._row[face[textured]], hits["shares"][textured])
+            colours[textured] = self.mesh.textures[number].at(
+                self._row[face[textured]], hits["shares"][textured]
+            )
         return colours
 
 
-def render_view(scene: RayScene, camera: Camera, rng: np.random.Generator | None = None) -> RenderedView:
+def render_view(
+    scene: RayScene, camera: Camera, rng: np.random.Generator | None = None
+) -> RenderedView:
     """Picture and mask of ``scene`` seen by ``camera``.
 
     A pixel is inside the mask when more than half of its 25 rays hit the mesh; its colour is their mean, over white. Lambert
@@ -130,7 +145,11 @@ def render_view(scene: RayScene, camera: Camera, rng: np.random.Generator | None
 
 def _light(rng: np.random.Generator | None) -> Array:
     """Unit vector toward the light in camera axes, on the camera's side and mostly from above."""
-    direction = np.array([-0.5, -0.7, -0.6]) if rng is None else rng.normal([0.0, -0.6, -0.8], [0.6, 0.4, 0.3])
+    direction = (
+        np.array([-0.5, -0.7, -0.6])
+        if rng is None
+        else rng.normal([0.0, -0.6, -0.8], [0.6, 0.4, 0.3])
+    )
     return direction / max(float(np.linalg.norm(direction)), 1e-9)
 
 

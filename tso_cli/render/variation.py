@@ -39,7 +39,9 @@ def paint(mesh: Mesh, rng: np.random.Generator) -> Mesh:
     part = connected_parts(mesh.faces, len(mesh.vertices))
     count = int(part.max()) + 1
     palette = rng.integers(1, 4)
-    colours = rng.uniform(20.0, 245.0, (palette, 1)) + rng.normal(0.0, 35.0, (palette, 3)) * rng.random()
+    colours = (
+        rng.uniform(20.0, 245.0, (palette, 1)) + rng.normal(0.0, 35.0, (palette, 3)) * rng.random()
+    )
     chosen = np.clip(np.rint(colours), 0, 255).astype(np.uint8)[rng.integers(palette, size=count)]
     return Mesh(mesh.vertices, mesh.faces, chosen[part])
 

@@ -39,16 +39,28 @@ class RenderSettings:
         if not 0 <= self.copies <= 9999:
             raise InputError(f"copies is {self.copies}, expected 0 to 9999")
         if min(self.size) < 8 or max(self.size) > 8192:
-            raise InputError(f"size is {self.size[0]}x{self.size[1]}, expected 8 to 8192 pixels each way")
+            raise InputError(
+                f"size is {self.size[0]}x{self.size[1]}, expected 8 to 8192 pixels each way"
+            )
         for name, limit in (("azimuth", 360.0), ("elevation", 90.0)):
             low, high = getattr(self, name)
             if not -limit <= low <= high <= limit:
-                raise InputError(f"{name} is {low:g} to {high:g}, expected a range within -{limit:g} to {limit:g} degrees")
+                raise InputError(
+                    f"{name} is {low:g} to {high:g}, expected a range within -{limit:g} to {limit:g} degrees"
+                )
         if not 1 <= self.points <= self.samples:
-            raise InputError(f"points is {self.points} and samples {self.samples}, expected 1 <= points <= samples")
+            raise InputError(
+                f"points is {self.points} and samples {self.samples}, expected 1 <= points <= samples"
+            )
 
 
-def look_at(azimuth: float, elevation: float, distance: float, size: tuple[int, int], focal: float | None = None) -> Camera:
+def look_at(
+    azimuth: float,
+    elevation: float,
+    distance: float,
+    size: tuple[int, int],
+    focal: float | None = None,
+) -> Camera:
     """The camera at ``azimuth`` and ``elevation`` (degrees) and ``distance`` that looks at the origin.
 
     ``size`` is width, height; ``focal`` is in pixels, None for 120 for each 64 of the longer side.
@@ -60,8 +72,12 @@ def look_at(azimuth: float, elevation: float, distance: float, size: tuple[int, 
     right = [cos_a, 0.0, -sin_a]
     down = [sin_e * sin_a, -cos_e, sin_e * cos_a]
     forward = [-cos_e * sin_a, -sin_e, -cos_e * cos_a]
-    K = np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
-    return Camera(K, np.array([right, down, forward]), np.array([0.0, 0.0, distance]), width, height)
+    K = np.array(
+        [[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]]
+    )
+    return Camera(
+        K, np.array([right, down, forward]), np.array([0.0, 0.0, distance]), width, height
+    )
 
 
 def fitting_distance(vertices: Array, camera: Camera, margin: float = MARGIN_PX) -> float:
@@ -78,7 +94,9 @@ def fitting_distance(vertices: Array, camera: Camera, margin: float = MARGIN_PX)
     return float(max(CANONICAL_DISTANCE, distances.max(), 0.01 - rotated[:, 2].min()))
 
 
-def sample_cameras(settings: RenderSettings, vertices: Array, rng: np.random.Generator) -> list[Camera]:
+def sample_cameras(
+    settings: RenderSettings, vertices: Array, rng: np.random.Generator
+) -> list[Camera]:
     """Cameras in random directions that see all of the normalised ``vertices`` [V, 3]."""
     cameras = []
     for _ in range(settings.views):

@@ -18,7 +18,15 @@ from ..geometry.view import View
 from ..io.cameras import check_size, find_camera, pair_with_masks, read_camera
 from ..io.clouds import PointCloud, read_cloud
 from ..io.images import read_depth, read_image, read_mask
-from ..refinement.assumptions import INVERT_MASK, AssumedView, Assumption, about, axes_of, in_axes_of_cloud, mirrored
+from ..refinement.assumptions import (
+    INVERT_MASK,
+    AssumedView,
+    Assumption,
+    about,
+    axes_of,
+    in_axes_of_cloud,
+    mirrored,
+)
 from ..refinement.cloud import Cloud
 
 if TYPE_CHECKING:
@@ -115,10 +123,14 @@ def load_views(files: ViewFiles) -> tuple[list[View], list[Path | None]]:
                 f"{len(files.masks)} masks"
             )
         if len(numbers) > 1:
-            for number, camera in zip(numbers, pair_with_masks(source, [files.masks[i] for i in numbers]), strict=True):
+            for number, camera in zip(
+                numbers, pair_with_masks(source, [files.masks[i] for i in numbers]), strict=True
+            ):
                 cameras[number] = camera
     rows = zip(files.masks, sources, cameras, ignore, strict=True)
-    views = [_read_view(mask, source, camera, files, unknown) for mask, source, camera, unknown in rows]
+    views = [
+        _read_view(mask, source, camera, files, unknown) for mask, source, camera, unknown in rows
+    ]
     return _with_depth_and_images(views, files), sources
 
 
@@ -142,7 +154,11 @@ def _with_depth_and_images(views: Sequence[View], files: ViewFiles) -> list[View
 
 
 def _read_view(
-    mask_file: Path, camera_file: Path | None, camera: Camera | None, files: ViewFiles, ignore_file: Path | None
+    mask_file: Path,
+    camera_file: Path | None,
+    camera: Camera | None,
+    files: ViewFiles,
+    ignore_file: Path | None,
 ) -> View:
     """A mask with ``camera``, else with the one in ``camera_file``, else with the canonical one."""
     mask = read_mask(mask_file, files.invert)
@@ -174,14 +190,20 @@ def _read_view(
 def _of_mask(assumption: Assumption, masks: Sequence[Path]) -> Assumption:
     """With the path of the one mask that it names, by its path or by the last part of it."""
     named = assumption.view
-    paths = [mask for mask in masks if str(mask) == named] or [mask for mask in masks if mask.name == named]
+    paths = [mask for mask in masks if str(mask) == named] or [
+        mask for mask in masks if mask.name == named
+    ]
     if named and len(paths) != 1:
         found = f"there are {len(paths)} such masks" if paths else "there is no such mask"
-        raise InputError(f"{assumption.option}: {found}, expected one of {', '.join(map(str, masks))}")
+        raise InputError(
+            f"{assumption.option}: {found}, expected one of {', '.join(map(str, masks))}"
+        )
     return replace(assumption, view=str(paths[0])) if named else assumption
 
 
-def require_same_size(file: Path, shape: tuple[int, ...], mask_file: Path | str, mask_shape: tuple[int, ...]) -> None:
+def require_same_size(
+    file: Path, shape: tuple[int, ...], mask_file: Path | str, mask_shape: tuple[int, ...]
+) -> None:
     """InputError where an image of that [H, W, ...] shape and a mask differ in size."""
     if shape[:2] != mask_shape:
         raise InputError(
@@ -200,7 +222,9 @@ def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = Fal
         raise InputError(
             f"--camera fit finds the camera of one mask, found {len(files.masks)} masks; expected one, or a camera file"
         )
-    files = replace(files, assumptions=[_of_mask(assumption, files.masks) for assumption in files.assumptions])
+    files = replace(
+        files, assumptions=[_of_mask(assumption, files.masks) for assumption in files.assumptions]
+    )
     cloud = read_cloud(cloud_file)
     colours = cloud.colours() if files.image else None
     start = Cloud(cloud.points, str(cloud_file), colours, cloud.faces())
@@ -216,7 +240,10 @@ def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = Fal
     summary = f"cameras of {', '.join(names) if len(names) < 3 else f'{len(names)} files'}"
     if len(sources) == 1:
         summary = f"camera {names[0]}" if sources[0] else f"canonical camera {NO_FILE}"
-    described = tuple(camera_source(source) + MIRRORED * mirrored(view) for source, view in zip(sources, views, strict=True))
+    described = tuple(
+        camera_source(source) + MIRRORED * mirrored(view)
+        for source, view in zip(sources, views, strict=True)
+    )
     return replace(scene, views=tuple(views), camera_sources=described, camera_summary=summary)
 
 
@@ -225,18 +252,30 @@ def _with_fitted_camera(scene: Scene, files: ViewFiles) -> Scene:
 
     (ignore,) = files.one_each("--ignore", "ignore maps", files.ignore)
     if any(assumption.camera for assumption in files.assumptions):
-        raise InputError("--camera fit finds the camera by itself, expected no --assume about a camera")
+        raise InputError(
+            "--camera fit finds the camera by itself, expected no --assume about a camera"
+        )
     (view,) = _with_depth_and_images([_read_view(files.masks[0], None, None, files, ignore)], files)
     fitted = fit_camera(scene.moving, view.mask, view.known, name=view.name)
     view = replace(view, camera=fitted.camera)
     if isinstance(view, AssumedView):
         # It is in the axes of the cloud, whatever these are.
-        view = replace(view, camera_read=fitted.camera, given=tuple(about(view, [one for one in view.given if one.mask])))
+        view = replace(
+            view,
+            camera_read=fitted.camera,
+            given=tuple(about(view, [one for one in view.given if one.mask])),
+        )
     doubt = "" if fitted.sure else f"the fitted camera is unsure: {fitted.doubt}"
     if doubt:
         warnings.warn(f"{view.name}: {doubt}", stacklevel=3)
     summary = f"camera fitted to cloud and mask ({'sure' if fitted.sure else 'unsure'})"
-    return replace(scene, views=(view,), camera_sources=(fitted.describe(),), camera_summary=summary, doubt=doubt)
+    return replace(
+        scene,
+        views=(view,),
+        camera_sources=(fitted.describe(),),
+        camera_summary=summary,
+        doubt=doubt,
+    )
 
 
 def camera_source(camera_file: Path | None) -> str:

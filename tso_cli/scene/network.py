@@ -67,14 +67,31 @@ def load_network_scene(
             "found no camera file, expected --camera FILE"
         )
     if config.frame != "view" and option:
-        raise InputError(f"{checkpoint}: predicts in the canonical frame, found {option}, which is for view-aligned networks")
+        raise InputError(
+            f"{checkpoint}: predicts in the canonical frame, found {option}, which is for view-aligned networks"
+        )
     if camera_file is None and placing == "camera":
-        raise InputError("--place camera needs the camera's t; found no camera file, expected --camera FILE")
+        raise InputError(
+            "--place camera needs the camera's t; found no camera file, expected --camera FILE"
+        )
     if camera_file is None and world:
-        raise InputError("--frame world needs the camera's R and t; found no camera file, expected --camera FILE")
+        raise InputError(
+            "--frame world needs the camera's R and t; found no camera file, expected --camera FILE"
+        )
     if config.frame == "view" and view.camera.model != "perspective":
-        raise InputError(f"{camera_file}: model is {view.camera.model}, expected perspective for a view-aligned network")
-    return network_scene(image, view, network, config, camera_source(camera_file), camera_file is not None, world, placing)
+        raise InputError(
+            f"{camera_file}: model is {view.camera.model}, expected perspective for a view-aligned network"
+        )
+    return network_scene(
+        image,
+        view,
+        network,
+        config,
+        camera_source(camera_file),
+        camera_file is not None,
+        world,
+        placing,
+    )
 
 
 def network_scene(
@@ -120,7 +137,9 @@ def network_scene(
             used, verb = ("K", "counts") if config.crop_share else ("K and t", "count")
             if known_camera:
                 summary += f" (only its {used})"
-            source += f"; of it {used} {verb}, the network's cloud is placed to fill the mask, {distance}"
+            source += (
+                f"; of it {used} {verb}, the network's cloud is placed to fill the mask, {distance}"
+            )
         crop = replace(crop, camera=placed)
         if world:
             frame = "world"
@@ -137,10 +156,16 @@ def _placed(points: Array, crop: View, view: View, placing: Placing, sigma_sq: f
     if placing == "camera":
         depth = view.camera.t[2]
         if depth <= 0.0:
-            raise InputError(f"{view.name}: the camera has the object at depth {depth:g}, expected it in front (> 0)")
+            raise InputError(
+                f"{view.name}: the camera has the object at depth {depth:g}, expected it in front (> 0)"
+            )
         return replace(crop.camera, R=CANONICAL_ROTATION, t=view.camera.t)
     camera = place_in_front(points, crop)
-    return align_silhouette(points, replace(crop, camera=camera), sigma_sq) if placing == "silhouette" else camera
+    return (
+        align_silhouette(points, replace(crop, camera=camera), sigma_sq)
+        if placing == "silhouette"
+        else camera
+    )
 
 
 def place_in_front(points: Array, view: View) -> Camera:
@@ -151,7 +176,12 @@ def place_in_front(points: Array, view: View) -> Camera:
     """
     left, top, right, bottom = view.box()
     size, middle = max(right - left, bottom - top), np.array([left + right, top + bottom]) / 2.0
-    camera = replace(view.camera, R=CANONICAL_ROTATION, t=np.array([0.0, 0.0, CANONICAL_DISTANCE]), model="perspective")
+    camera = replace(
+        view.camera,
+        R=CANONICAL_ROTATION,
+        t=np.array([0.0, 0.0, CANONICAL_DISTANCE]),
+        model="perspective",
+    )
     focal = camera.K[[0, 1], [0, 1]]
     nearest = float(points[:, 2].max()) + 0.1
     # The size of the box is almost inversely proportional to the distance, so this converges in a few rounds.
@@ -167,7 +197,9 @@ def place_in_front(points: Array, view: View) -> Camera:
     return camera
 
 
-def align_silhouette(points: Array, view: View, sigma_sq: float = 0.4, steps: int = ALIGNMENT_STEPS) -> Camera:
+def align_silhouette(
+    points: Array, view: View, sigma_sq: float = 0.4, steps: int = ALIGNMENT_STEPS
+) -> Camera:
     """The view's camera, shifted to where the silhouette of a cloud agrees best with the mask (BCE, Eq. 4).
 
     A box depends on the outermost points of a prediction, which are often wrong; the silhouette depends on all of them. The
@@ -181,7 +213,9 @@ def align_silhouette(points: Array, view: View, sigma_sq: float = 0.4, steps: in
         projected = project(points, replace(view.camera, t=view.camera.t + shift[0]))
         if not projected.valid.any():
             return np.inf, shift
-        value, gradient_px = silhouette_bce(projected.points_px, projected.valid, *weights, sigma_sq)
+        value, gradient_px = silhouette_bce(
+            projected.points_px, projected.valid, *weights, sigma_sq
+        )
         return value, projected.in_camera(gradient_px).sum(0, keepdims=True)
 
     optimiser = Adam(ALIGNMENT_STEP * float(np.ptp(points, axis=0).max()))
@@ -196,6 +230,8 @@ def view_to_world(points: Array, placed: Camera, camera: Camera) -> Array:
     the world's origin. Raises InputError if that is not in front of ``camera``.
     """
     if camera.t[2] <= 0.0:
-        raise InputError(f"the world's origin has depth {camera.t[2]:g} in this camera, expected it in front (> 0)")
+        raise InputError(
+            f"the world's origin has depth {camera.t[2]:g} in this camera, expected it in front (> 0)"
+        )
     points_camera = (points @ placed.R.T + placed.t) * (camera.t[2] / placed.t[2])
     return (points_camera - camera.t) @ camera.R

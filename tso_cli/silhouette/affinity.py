@@ -16,7 +16,9 @@ from .projection import pixels_under
 HALF = math.atanh(0.5)
 
 
-def affinity(sums: Tensor, mask: Tensor, points_px: Tensor, valid: Tensor, form: str = "points") -> Tensor:
+def affinity(
+    sums: Tensor, mask: Tensor, points_px: Tensor, valid: Tensor, form: str = "points"
+) -> Tensor:
     """Nearest-point affinity loss (Eq. 5); ``sums``, ``mask``, ``points_px`` and ``valid`` as in `silhouette_bce`.
 
     Parameters
@@ -35,10 +37,14 @@ def affinity(sums: Tensor, mask: Tensor, points_px: Tensor, valid: Tensor, form:
     """
     inside, predicted = mask > 0.5, sums.detach() > HALF
     if form == "points":
-        total = _points_to_mask(points_px, valid, inside) + pixels_to_points(inside & ~predicted, mask, points_px, valid, 1.0)
+        total = _points_to_mask(points_px, valid, inside) + pixels_to_points(
+            inside & ~predicted, mask, points_px, valid, 1.0
+        )
     else:
         silhouette = torch.tanh(sums)
-        total = _least_products(silhouette, mask, inside) + _least_products(mask, silhouette, predicted)
+        total = _least_products(silhouette, mask, inside) + _least_products(
+            mask, silhouette, predicted
+        )
     return total * pixel_weight(mask) ** 2
 
 
@@ -48,19 +54,29 @@ def _least_products(source: Tensor, target: Tensor, marked: Tensor) -> Tensor:
     All pairs: where the least product lies depends on the values, so no distance transform finds it.
     """
     width, terms = source.shape[-1], []
-    for weight, values, marks in zip(source.flatten(1), target.flatten(1), marked.flatten(1), strict=True):
+    for weight, values, marks in zip(
+        source.flatten(1), target.flatten(1), marked.flatten(1), strict=True
+    ):
         # A marked pixel is at distance 0 from itself.
-        pixels, candidates = torch.nonzero((weight > 0.0) & ~marks).squeeze(1), torch.nonzero(marks).squeeze(1)
+        pixels, candidates = (
+            torch.nonzero((weight > 0.0) & ~marks).squeeze(1),
+            torch.nonzero(marks).squeeze(1),
+        )
         if len(pixels) == 0 or len(candidates) == 0:
             terms.append(weight.sum() * 0.0)
             continue
         with torch.no_grad():
-            from_px, to_px = (torch.stack([i // width, i % width], -1).to(weight.dtype) for i in (pixels, candidates))
+            from_px, to_px = (
+                torch.stack([i // width, i % width], -1).to(weight.dtype)
+                for i in (pixels, candidates)
+            )
             centre = to_px.mean(0)
             x, p = from_px - centre, to_px - centre
             # v |x - p|^2 = (|x|^2, x, 1) . (v, -2 v p, v |p|^2), one matrix product
             left = torch.cat([x.square().sum(1, keepdim=True), x, torch.ones_like(x[:, :1])], 1)
-            right = torch.cat([torch.ones_like(p[:, :1]), -2.0 * p, p.square().sum(1, keepdim=True)], 1)
+            right = torch.cat(
+                [torch.ones_like(p[:, :1]), -2.0 * p, p.square().sum(1, keepdim=True)], 1
+            )
             right = right * values[candidates].unsqueeze(1)
             parts = left.split(max(1, PAIRS_PER_CHUNK // len(candidates)))
             best = torch.cat([(part @ right.T).argmin(1) for part in parts])
@@ -74,7 +90,9 @@ def _points_to_mask(points_px: Tensor, valid: Tensor, inside: Tensor) -> Tensor:
     if use_numba(points_px):
         from ..kernels.losses_numba import points_to_mask
 
-        attraction: Tensor = PrecomputedGradient.apply(points_px, *called(points_to_mask, points_px, valid, inside))
+        attraction: Tensor = PrecomputedGradient.apply(
+            points_px, *called(points_to_mask, points_px, valid, inside)
+        )
         return attraction
     rows, columns = nearest_marked(inside)
     pixel, in_image = pixels_under(points_px, valid, *inside.shape[-2:])

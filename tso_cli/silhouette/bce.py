@@ -16,7 +16,12 @@ REFERENCE_PIXELS = 64.0 * 64.0
 
 
 def silhouette_bce(
-    sums: Tensor, mask: Tensor, points_px: Tensor, valid: Tensor, sigma_sq: float, known: Tensor | None = None
+    sums: Tensor,
+    mask: Tensor,
+    points_px: Tensor,
+    valid: Tensor,
+    sigma_sq: float,
+    known: Tensor | None = None,
 ) -> Tensor:
     """Binary cross-entropy between mask and silhouette (Eq. 4), computed from the sum s and not from tanh(s).
 
@@ -33,7 +38,9 @@ def silhouette_bce(
     -------
     [M] sum over pixels, weighted by 64^2 / (W H) so that settings hold at any resolution.
     """
-    covering, freeing = (mask, 1.0 - mask) if known is None else (mask * known, (1.0 - mask) * known)
+    covering, freeing = (
+        (mask, 1.0 - mask) if known is None else (mask * known, (1.0 - mask) * known)
+    )
     if use_numba(points_px):
         from ..kernels.losses_numba import cross_entropy
 
@@ -41,7 +48,9 @@ def silhouette_bce(
         covered = PrecomputedGradient.apply(sums, value, by_sums)
     else:
         covered, waiting = _cross_entropy(sums, covering, freeing)
-    return (covered + pixels_to_points(waiting, covering, points_px, valid, 0.5 / sigma_sq)) * pixel_weight(sums)
+    return (
+        covered + pixels_to_points(waiting, covering, points_px, valid, 0.5 / sigma_sq)
+    ) * pixel_weight(sums)
 
 
 def pixel_weight(image: Tensor) -> float:
@@ -63,12 +72,16 @@ def _cross_entropy(sums: Tensor, covering: Tensor, freeing: Tensor) -> tuple[Ten
     return total, (sums <= NEGLIGIBLE) & (covering > 0.0)
 
 
-def pixels_to_points(pixels: Tensor, weight: Tensor, points_px: Tensor, valid: Tensor, factor: float) -> Tensor:
+def pixels_to_points(
+    pixels: Tensor, weight: Tensor, points_px: Tensor, valid: Tensor, factor: float
+) -> Tensor:
     """Sum [M] over ``pixels`` [M, H, W] of weight * factor * squared distance to the nearest projected point."""
     if use_numba(points_px):
         from ..kernels.losses_numba import pixels_to_points as compiled
 
-        attraction: Tensor = PrecomputedGradient.apply(points_px, *called(compiled, pixels, weight, points_px, valid, factor))
+        attraction: Tensor = PrecomputedGradient.apply(
+            points_px, *called(compiled, pixels, weight, points_px, valid, factor)
+        )
         return attraction
     index = nearest_points(pixels, points_px, valid).flatten(1)
     width, count = pixels.shape[2], points_px.shape[1]

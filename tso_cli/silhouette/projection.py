@@ -36,15 +36,21 @@ def project(points: Tensor, cameras: CameraBatch) -> Projected:
     ``points`` [B, N, 3] are seen by V cameras, the same for all clouds ([V, ...]) or different ones ([B, V, ...]). Points at or
     behind a camera are invalid; their pixel coordinates are finite and get no gradient.
     """
-    camera = points.unsqueeze(-3) @ cameras.R.transpose(-1, -2) + cameras.t.unsqueeze(-2)  # [B, V, N, 3]
+    camera = points.unsqueeze(-3) @ cameras.R.transpose(-1, -2) + cameras.t.unsqueeze(
+        -2
+    )  # [B, V, N, 3]
     plane, depth = camera[..., :2], camera[..., 2]
     valid = depth > NEAR
-    plane = torch.where(valid.unsqueeze(-1), plane, 0.0) / torch.where(valid, depth, 1.0).unsqueeze(-1)
+    plane = torch.where(valid.unsqueeze(-1), plane, 0.0) / torch.where(valid, depth, 1.0).unsqueeze(
+        -1
+    )
     linear, centre = cameras.K[..., :2, :2], cameras.K[..., :2, 2]
     return Projected(plane @ linear.transpose(-1, -2) + centre.unsqueeze(-2), valid)
 
 
-def pixels_under(points_px: Tensor, valid: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
+def pixels_under(
+    points_px: Tensor, valid: Tensor, height: int, width: int
+) -> tuple[Tensor, Tensor]:
     """The pixels ``row * width + column`` that points fall on [M, N], 0 outside the image, and whether they fall inside."""
     pixel = points_px.detach().round()
     in_image = valid & (pixel >= 0).all(-1) & (pixel < pixel.new_tensor([width, height])).all(-1)
@@ -55,5 +61,7 @@ def pixels_under(points_px: Tensor, valid: Tensor, height: int, width: int) -> t
 def silhouette_sums(projected: Projected, cameras: CameraBatch, sigma_sq: float) -> Tensor:
     """The sums s [B, V, H, W] whose tanh is the silhouette (Eq. 2); losses take s, which keeps what tanh rounds away."""
     points_px, valid = projected
-    sums = splat(points_px.flatten(0, 1), valid.flatten(0, 1), cameras.height, cameras.width, sigma_sq)
+    sums = splat(
+        points_px.flatten(0, 1), valid.flatten(0, 1), cameras.height, cameras.width, sigma_sq
+    )
     return sums.view(*points_px.shape[:2], cameras.height, cameras.width)

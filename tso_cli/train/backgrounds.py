@@ -37,8 +37,12 @@ class Backgrounds:
             return
         folder = Path(source)
         if not folder.is_dir():
-            raise InputError(f"{folder}: not a folder, expected one with photos for backgrounds, or {TEXTURES!r}")
-        self._paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
+            raise InputError(
+                f"{folder}: not a folder, expected one with photos for backgrounds, or {TEXTURES!r}"
+            )
+        self._paths = sorted(
+            path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file()
+        )
         if not self._paths:
             raise InputError(f"{folder}: holds no picture, expected {', '.join(SUFFIXES)} files")
 
@@ -50,7 +54,9 @@ class Backgrounds:
         height, width = photo.shape[:2]
         side = rng.uniform(0.4, 1.0) * min(height, width)
         left, top = rng.uniform(0.0, width - side) - 0.5, rng.uniform(0.0, height - side) - 0.5
-        crop, _ = area_resize(photo / np.float32(255.0), (left, top, left + side, top + side), IMAGE_SIZE, IMAGE_SIZE)
+        crop, _ = area_resize(
+            photo / np.float32(255.0), (left, top, left + side, top + side), IMAGE_SIZE, IMAGE_SIZE
+        )
         if rng.random() < 0.5:
             crop = crop[:, ::-1]
         return np.ascontiguousarray(np.clip(crop, 0.0, 1.0).transpose(2, 0, 1), dtype=np.float32)
@@ -67,7 +73,9 @@ class Backgrounds:
                     raise
                 self.unusable[str(path)] = str(error)
                 warnings.warn(f"{error}; left out", stacklevel=2)
-        raise InputError(f"{self.source}: no photo can be used, the first: {next(iter(self.unusable.values()))}")
+        raise InputError(
+            f"{self.source}: no photo can be used, the first: {next(iter(self.unusable.values()))}"
+        )
 
 
 def _shrunk(path: Path) -> NDArray[np.uint8]:
@@ -84,10 +92,14 @@ def texture(rng: np.random.Generator) -> Floats:
     ends = rng.uniform(0.0, 1.0, (2, 3, 1, 1))
     angle = rng.uniform(0.0, 2.0 * np.pi)
     across = np.linspace(-0.5, 0.5, IMAGE_SIZE)
-    ramp = np.clip(0.5 + np.cos(angle) * across[None, :] + np.sin(angle) * across[:, None], 0.0, 1.0)
+    ramp = np.clip(
+        0.5 + np.cos(angle) * across[None, :] + np.sin(angle) * across[:, None], 0.0, 1.0
+    )
     image = ends[0] * (1.0 - ramp) + ends[1] * ramp
     for cells in (2, 4, 8, 16, 32):
-        coarse = rng.normal(0.0, rng.uniform(0.0, 0.25), (3 if rng.random() < 0.5 else 1, cells + 1, cells + 1))
+        coarse = rng.normal(
+            0.0, rng.uniform(0.0, 0.25), (3 if rng.random() < 0.5 else 1, cells + 1, cells + 1)
+        )
         image = image + _enlarged(coarse, IMAGE_SIZE)
     return np.clip(image, 0.0, 1.0).astype(np.float32)
 

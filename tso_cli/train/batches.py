@@ -21,7 +21,9 @@ class Batch:
     """B objects, each with V supervising masks; V is 0 without mask supervision."""
 
     images: Floats  # [B, 3, 64, 64]
-    targets: list[Floats]  # B times [M, 3], in the frame of the prediction; empty where only masks supervise
+    targets: list[
+        Floats
+    ]  # B times [M, 3], in the frame of the prediction; empty where only masks supervise
     masks: Floats  # [B, V, 64, 64]
     known: Floats  # [B, V, 64, 64], 1 or 0
     K: NDArray[np.float64]  # [B, V, 3, 3]
@@ -33,7 +35,11 @@ class Batch:
         """The objects at ``indices``."""
 
         def rows(values: Any) -> Any:
-            return values[indices] if isinstance(values, np.ndarray) else [values[i] for i in indices if values]
+            return (
+                values[indices]
+                if isinstance(values, np.ndarray)
+                else [values[i] for i in indices if values]
+            )
 
         return Batch(*(rows(getattr(self, field.name)) for field in fields(self)))
 
@@ -74,7 +80,9 @@ class Draw:
     background_seed: int = 0
 
 
-def draw_batch(data: TrainingData, drawing: Drawing, step: int, part: tuple[int, int] = (0, 1)) -> Batch:
+def draw_batch(
+    data: TrainingData, drawing: Drawing, step: int, part: tuple[int, int] = (0, 1)
+) -> Batch:
     """The batch of a step, or the part of it that process ``part`` = (rank, processes) works on.
 
     Objects come in a new random order after all have been drawn (those of each category, with ``balance``). The input view
@@ -92,7 +100,16 @@ def draw_batch(data: TrainingData, drawing: Drawing, step: int, part: tuple[int,
         colour_seed, background_seed = (int(rng.integers(2**31)) for _ in range(2))
         if drawing.input_supervises:
             supervising = [view]
-        draws.append(Draw(index, view, tuple(supervising), mirror, colour_seed if drawing.augment else None, background_seed))
+        draws.append(
+            Draw(
+                index,
+                view,
+                tuple(supervising),
+                mirror,
+                colour_seed if drawing.augment else None,
+                background_seed,
+            )
+        )
     return assemble(data, draws[part[0] :: part[1]], drawing.frame, drawing.targets)
 
 
@@ -100,11 +117,19 @@ def _object_at(data: TrainingData, drawing: Drawing, place: int) -> int:
     """Index of the object at ``place`` in the sequence of all epochs; with ``balance`` categories take turns."""
     if not drawing.balance:
         epoch, slot = divmod(place, len(data.objects))
-        return int(np.random.default_rng([drawing.seed, 2, epoch]).permutation(len(data.objects))[slot])
+        return int(
+            np.random.default_rng([drawing.seed, 2, epoch]).permutation(len(data.objects))[slot]
+        )
     turn, category = divmod(place, len(data.categories))
     members = data.categories[category]
     epoch, slot = divmod(turn, len(members))
-    return int(members[np.random.default_rng([drawing.seed, 3, category, epoch]).permutation(len(members))[slot]])
+    return int(
+        members[
+            np.random.default_rng([drawing.seed, 3, category, epoch]).permutation(len(members))[
+                slot
+            ]
+        ]
+    )
 
 
 def assemble(data: TrainingData, draws: list[Draw], frame: str, targets: bool = True) -> Batch:
@@ -118,7 +143,9 @@ def assemble(data: TrainingData, draws: list[Draw], frame: str, targets: bool = 
     K, R, t, categories = [], [], [], []
     for draw in draws:
         index, number, picture = data.usable(draw.index, draw.view, targets)
-        to_frame = np.eye(3) if frame == "canonical" else (CANONICAL_ROTATION @ picture.camera.R).T  # rows of X to rows of y
+        to_frame = (
+            np.eye(3) if frame == "canonical" else (CANONICAL_ROTATION @ picture.camera.R).T
+        )  # rows of X to rows of y
         flip = MIRROR if draw.mirror else np.eye(3)
         image = picture.image
         if draw.colour_seed is not None:
@@ -132,13 +159,20 @@ def assemble(data: TrainingData, draws: list[Draw], frame: str, targets: bool = 
         if targets:
             points.append((data.target(index) @ (to_frame @ flip)).astype(np.float32))
         # Object and input view may stand in for unusable ones; the replacement then supervises too.
-        views = [data.usable(index, number if view == draw.view else view)[2] for view in draw.supervising]
+        views = [
+            data.usable(index, number if view == draw.view else view)[2]
+            for view in draw.supervising
+        ]
         masks.append([_mirrored(view.mask, draw.mirror) for view in views])
         known.append([_mirrored(view.known, draw.mirror) for view in views])
-        K.append([_mirrored_intrinsics(view.camera) if draw.mirror else view.camera.K for view in views])
+        K.append(
+            [_mirrored_intrinsics(view.camera) if draw.mirror else view.camera.K for view in views]
+        )
         R.append([flip @ view.camera.R @ to_frame @ flip for view in views])
         t.append([flip @ view.camera.t for view in views])
-    inputs, masks_array, known_array = (np.asarray(rows, dtype=np.float32) for rows in (images, masks, known))
+    inputs, masks_array, known_array = (
+        np.asarray(rows, dtype=np.float32) for rows in (images, masks, known)
+    )
     K_array, R_array, t_array = (np.asarray(rows, dtype=np.float64) for rows in (K, R, t))
     return Batch(inputs, points, masks_array, known_array, K_array, R_array, t_array, categories)
 

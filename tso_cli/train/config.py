@@ -60,10 +60,14 @@ class TrainConfig:
                 raise InputError(f"{name} is {getattr(self, name)}, expected 1 or more")
         if not 0.0 <= self.averaging < 1.0:
             raise InputError(f"averaging is {self.averaging:g}, expected 0 or more and below 1")
-        positive = {name: getattr(self, name) for name in ("learning_rate", "sigma_sq", "joint_weight")}
+        positive = {
+            name: getattr(self, name) for name in ("learning_rate", "sigma_sq", "joint_weight")
+        }
         positive |= {f"sigma_sq of {name}": value for name, value in self.category_sigma_sq.items()}
         for name, value in positive.items():
             if not 0.0 < value < np.inf:
                 raise InputError(f"{name} is {value:g}, expected a finite number above 0")
         if not 0.0 <= self.affinity_weight < np.inf:
-            raise InputError(f"lambda is {self.affinity_weight:g}, expected a finite number, 0 or more")
+            raise InputError(
+                f"lambda is {self.affinity_weight:g}, expected a finite number, 0 or more"
+            )

@@ -60,7 +60,9 @@ class TrainingData:
         first = self.objects[0].views[0]
         _require_perspective(first.name, first.camera)
         if self.backgrounds is not None and self.background != "keep":
-            raise InputError(f"backgrounds with background {self.background!r}, expected 'keep': they stay in the picture")
+            raise InputError(
+                f"backgrounds with background {self.background!r}, expected 'keep': they stay in the picture"
+            )
         _, category = np.unique([item.category for item in self.objects], return_inverse=True)
         self.categories = [np.flatnonzero(category == i) for i in range(category.max() + 1)]
         self._bad: set[tuple[int, int | None]] = set()
@@ -97,7 +99,9 @@ class TrainingData:
     def judged(self, most: int) -> list[int]:
         """Indices of at most ``most`` objects, spread evenly over those that have a 3D file, less what cannot be read."""
         indices = []
-        for index in _spread([i for i, item in enumerate(self.objects) if item.target is not None], most):
+        for index in _spread(
+            [i for i, item in enumerate(self.objects) if item.target is not None], most
+        ):
             try:
                 if self.readable(index) and self.usable(index, 0, points=True)[0] == index:
                     indices.append(index)
@@ -112,7 +116,9 @@ class TrainingData:
         if points is None:
             load = self.objects[index].target
             if load is None:
-                raise InputError(f"{self.objects[index].name}: has no points, expected some to learn from")
+                raise InputError(
+                    f"{self.objects[index].name}: has no points, expected some to learn from"
+                )
             points = load()
             self._cache(self._targets, index, points, points.nbytes)
         return points
@@ -153,7 +159,9 @@ class TrainingData:
                 picture = self._attempt((at, number), partial(self.prepared, at, number))
                 if picture is not None:
                     return at, number, picture
-        raise InputError(f"{self.description}: no picture can be used, the first: {next(iter(self.unusable.values()))}")
+        raise InputError(
+            f"{self.description}: no picture can be used, the first: {next(iter(self.unusable.values()))}"
+        )
 
     def _attempt(self, key: tuple[int, int | None], load: Callable[[], T]) -> T | None:
         """What ``load`` gives; None if the view, or the points of an object (view None), cannot be used."""
@@ -188,7 +196,9 @@ def _as_bytes(values: Floats) -> Any:
 
 def _spread(indices: Sequence[int], most: int) -> list[int]:
     """At most ``most`` of ``indices``, evenly from the first to the last."""
-    places = np.unique(np.linspace(0, len(indices) - 1, min(most, len(indices))).round().astype(int))
+    places = np.unique(
+        np.linspace(0, len(indices) - 1, min(most, len(indices))).round().astype(int)
+    )
     return [indices[place] for place in places]
 
 

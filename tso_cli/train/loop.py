@@ -81,14 +81,20 @@ def network_config(data: TrainingData, config: TrainConfig, steps: int) -> Netwo
     )
 
 
-def start(data: TrainingData, config: TrainConfig, initial: BaseNetwork | None = None) -> TrainingState:
+def start(
+    data: TrainingData, config: TrainConfig, initial: BaseNetwork | None = None
+) -> TrainingState:
     """A training at step 0, from random weights or from those of ``initial``."""
     assert config.saturation_steps is not None
     schedule = AffinitySchedule(config.affinity_weight, config.saturation_steps)
     network = copy.deepcopy(initial) if initial else build_network(config.points, config.seed)
     if network.decoder.points != config.points:
-        raise InputError(f"the initial network predicts {network.decoder.points} points, expected {config.points}")
-    return new_state(network, config.learning_rate, schedule, data.fingerprint(), devices.resolve(config.device))
+        raise InputError(
+            f"the initial network predicts {network.decoder.points} points, expected {config.points}"
+        )
+    return new_state(
+        network, config.learning_rate, schedule, data.fingerprint(), devices.resolve(config.device)
+    )
 
 
 def train(
@@ -142,7 +148,9 @@ def train(
                 loss, first, second = batch_loss(clouds, batches, config, weight)
             state.optimiser.zero_grad(set_to_none=True)
             loss.backward()
-            row = torch.tensor([float(loss.detach()), first, second], dtype=torch.float64, device=device)
+            row = torch.tensor(
+                [float(loss.detach()), first, second], dtype=torch.float64, device=device
+            )
             processes.average([row])
             value, first, second = row.tolist()
             if not np.isfinite(value):
@@ -168,15 +176,21 @@ def train(
     network = copy.deepcopy(state.averaged()).cpu().to(memory_format=torch.contiguous_format).eval()  # type: ignore[call-overload]
     stop_reason = "max_steps" if state.step >= config.steps else "interrupted"
     history = np.array(state.history, dtype=np.float64).reshape(-1, 4)
-    return TrainResult(network, finished, state.step, stop_reason, history, state.schedule.dropped_at)
+    return TrainResult(
+        network, finished, state.step, stop_reason, history, state.schedule.dropped_at
+    )
 
 
-def _require_data(data: TrainingData, masked: TrainingData | None, config: TrainConfig, processes: Processes) -> None:
+def _require_data(
+    data: TrainingData, masked: TrainingData | None, config: TrainConfig, processes: Processes
+) -> None:
     """InputError unless the data have what the supervision needs."""
     categories = {item.category for part in (data, masked) if part for item in part.objects}
     for name in config.category_sigma_sq:
         if name not in categories:
-            raise InputError(f"sigma^2 is given for {name!r}, expected one of the categories {', '.join(sorted(categories))}")
+            raise InputError(
+                f"sigma^2 is given for {name!r}, expected one of the categories {', '.join(sorted(categories))}"
+            )
     parts = processes.count * (2 if masked else 1)
     if config.batch_size % parts:
         raise InputError(f"batch size is {config.batch_size}, expected a multiple of {parts}")
@@ -187,10 +201,14 @@ def _require_data(data: TrainingData, masked: TrainingData | None, config: Train
                     f"{item.name}: has {len(item.views)} views, expected at least the {config.views} that supervise a step"
                 )
     elif lacking := next((item.name for item in data.objects if item.target is None), None):
-        raise InputError(f"{lacking}: has no points to learn from, expected some (or --supervision masks)")
+        raise InputError(
+            f"{lacking}: has no points to learn from, expected some (or --supervision masks)"
+        )
 
 
-def prefetched(draw: Callable[[int], list[Batch]], first: int, steps: int, workers: int) -> Generator[list[Batch], None, None]:
+def prefetched(
+    draw: Callable[[int], list[Batch]], first: int, steps: int, workers: int
+) -> Generator[list[Batch], None, None]:
     """The batches of steps ``first`` to ``steps`` - 1; threads draw the next ``workers`` of them meanwhile."""
     pool = ThreadPoolExecutor(workers, thread_name_prefix="tso-batch")
     waiting: deque[Future[list[Batch]]] = deque()
@@ -220,7 +238,9 @@ def evaluate(
             count = min(views, len(data.objects[index].views))
             batch = assemble(data, [Draw(index, view) for view in range(count)], frame)
             points = network(torch.as_tensor(batch.images, device=device))
-            forward, backward = chamfer(points, torch.as_tensor(np.stack(batch.targets), device=device))
+            forward, backward = chamfer(
+                points, torch.as_tensor(np.stack(batch.targets), device=device)
+            )
             distances.append((float(forward.mean()), float(backward.mean())))
     forward_mean, backward_mean = np.mean(distances, axis=0) if distances else (np.nan, np.nan)
     return float(forward_mean), float(backward_mean), len(distances)

@@ -27,14 +27,23 @@ def point_loss(points: Tensor, batch: Batch) -> tuple[Tensor, float, float]:
     if len({len(target) for target in batch.targets}) == 1:
         pairs = [(points, np.stack(batch.targets))]
     else:
-        pairs = [(cloud[None], target[None]) for cloud, target in zip(points, batch.targets, strict=True)]
-    distances = [chamfer(clouds, torch.as_tensor(targets, device=points.device)) for clouds, targets in pairs]
+        pairs = [
+            (cloud[None], target[None]) for cloud, target in zip(points, batch.targets, strict=True)
+        ]
+    distances = [
+        chamfer(clouds, torch.as_tensor(targets, device=points.device)) for clouds, targets in pairs
+    ]
     forward, backward = (torch.cat(parts).mean() for parts in zip(*distances, strict=True))
     return forward + backward, float(forward.detach()), float(backward.detach())
 
 
 def mask_loss_by_category(
-    points: Tensor, batch: Batch, sigma_sq: float, by_category: Mapping[str, float], weight: float, form: str
+    points: Tensor,
+    batch: Batch,
+    sigma_sq: float,
+    by_category: Mapping[str, float],
+    weight: float,
+    form: str,
 ) -> tuple[Tensor, float, float]:
     """`mask_loss` with the sigma^2 of each object's category: ``by_category``, else ``sigma_sq``."""
     variances = np.array([by_category.get(category, sigma_sq) for category in batch.categories])
@@ -46,7 +55,11 @@ def mask_loss_by_category(
         chosen = points[torch.as_tensor(index, device=points.device)]
         part = mask_loss(chosen, batch.select(index), float(variance), weight, form)
         fraction = len(index) / len(variances)
-        loss, bce, outliers = loss + fraction * part[0], bce + fraction * part[1], outliers + fraction * part[2]
+        loss, bce, outliers = (
+            loss + fraction * part[0],
+            bce + fraction * part[1],
+            outliers + fraction * part[2],
+        )
     return loss, bce, outliers
 
 
@@ -73,8 +86,14 @@ def mask_loss(
     height, width = batch.masks.shape[-2:]
     cameras = CameraBatch(like(batch.K), like(batch.R), like(batch.t), width, height)
     projected = project(points, cameras)
-    sums = silhouette(projected, cameras) if silhouette else silhouette_sums(projected, cameras, sigma_sq)
-    sums, masks, known = (images.flatten(0, 1) for images in (sums, like(batch.masks), like(batch.known)))  # [B V, H, W]
+    sums = (
+        silhouette(projected, cameras)
+        if silhouette
+        else silhouette_sums(projected, cameras, sigma_sq)
+    )
+    sums, masks, known = (
+        images.flatten(0, 1) for images in (sums, like(batch.masks), like(batch.known))
+    )  # [B V, H, W]
     points_px, valid = projected.points_px.flatten(0, 1), projected.valid.flatten(0, 1)
     bce_points = points_px.detach() if silhouette else points_px
     bce = silhouette_bce(sums, masks, bce_points, valid, sigma_sq, known).sum() / len(points)
@@ -126,7 +145,11 @@ class AffinitySchedule:
     def from_json(cls, values: Any, name: str) -> AffinitySchedule:
         """The schedule with these fields; InputError naming the file ``name`` if they are damaged."""
         fields = asdict(cls(0.0))
-        numbers = isinstance(values, dict) and all(isinstance(value, (int, float, type(None))) for value in values.values())
+        numbers = isinstance(values, dict) and all(
+            isinstance(value, (int, float, type(None))) for value in values.values()
+        )
         if not numbers or set(values) != set(fields):
-            raise InputError(f"{name}: the schedule in the training state is damaged, expected numbers for {', '.join(fields)}")
+            raise InputError(
+                f"{name}: the schedule in the training state is damaged, expected numbers for {', '.join(fields)}"
+            )
         return cls(**values)

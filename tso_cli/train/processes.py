@@ -36,7 +36,9 @@ class Processes:
         joined = torch.cat([tensor.reshape(-1) for tensor in tensors])
         torch.distributed.all_reduce(joined)
         joined /= self.count
-        for tensor, part in zip(tensors, joined.split([tensor.numel() for tensor in tensors]), strict=True):
+        for tensor, part in zip(
+            tensors, joined.split([tensor.numel() for tensor in tensors]), strict=True
+        ):
             tensor.copy_(part.view_as(tensor))
 
     def any(self, flag: bool, device: torch.device) -> bool:
@@ -66,7 +68,9 @@ def joined(device: str) -> Iterator[tuple[Processes, str]]:
     if cuda:
         local, gpus = int(os.environ.get("LOCAL_RANK", "0")), torch.cuda.device_count()
         if local >= gpus:
-            raise InputError(f"process {local} of this machine has no GPU of its own, expected at most {gpus} processes")
+            raise InputError(
+                f"process {local} of this machine has no GPU of its own, expected at most {gpus} processes"
+            )
         device = f"cuda:{local}"
         torch.cuda.set_device(local)
     torch.distributed.init_process_group("nccl" if cuda else "gloo")

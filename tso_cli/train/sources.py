@@ -41,7 +41,9 @@ def from_meshes(
     for number, path in enumerate(meshes):
         rendered = render_mesh(read_mesh(path), settings, np.random.default_rng([0, number]))
         category = path.parent.name
-        objects.append(rendered_object(f"{category}/{path.stem}", category, rendered.views, rendered.target))
+        objects.append(
+            rendered_object(f"{category}/{path.stem}", category, rendered.views, rendered.target)
+        )
         if progress:
             progress(number + 1, len(meshes), "")
     return sized(Dataset(objects, description), crop_share, background)
@@ -50,17 +52,23 @@ def from_meshes(
 def sized(dataset: Dataset, crop_share: float, background: str = "black") -> TrainingData:
     """Objects of longest side 1 as training data, scaled to unit diagonal if ``crop_share`` is 0 (pictures show sizes)."""
     dataset = dataset if crop_share else of_unit_diagonal(dataset)
-    return TrainingData(dataset.objects, dataset.description, crop_share, background, scale=dataset.scale)
+    return TrainingData(
+        dataset.objects, dataset.description, crop_share, background, scale=dataset.scale
+    )
 
 
-def rendered_object(name: str, category: str, views: Sequence[RenderedView], target: Floats) -> ObjectItem:
+def rendered_object(
+    name: str, category: str, views: Sequence[RenderedView], target: Floats
+) -> ObjectItem:
     """A shape whose pictures and points [P, 3] are held in memory."""
 
     def pixels_of(view: RenderedView) -> Callable[[], tuple[NDArray[np.uint8], Floats]]:
         # Kept in bytes: the float mask takes four times the memory.
         return lambda: (view.image, view.mask.astype(np.float32) / np.float32(255.0))
 
-    items = [ViewItem(f"{name} view {i}", view.camera, pixels_of(view)) for i, view in enumerate(views)]
+    items = [
+        ViewItem(f"{name} view {i}", view.camera, pixels_of(view)) for i, view in enumerate(views)
+    ]
     return ObjectItem(name, category, items, lambda: target)
 
 
@@ -70,9 +78,15 @@ def shipped_examples(crop_share: float = 0.9, background: str = "black") -> Trai
     for category in CATEGORIES:
         folder = examples_folder() / category
         camera = read_cameras(folder / "camera.json")[0].camera
-        load = partial(load_pair, folder / "image.png", folder / "mask.png", camera, "as its camera")
+        load = partial(
+            load_pair, folder / "image.png", folder / "mask.png", camera, "as its camera"
+        )
         view = ViewItem(str(folder / "mask.png"), camera, load)
-        objects.append(ObjectItem(category, category, [view], partial(_normalised_cloud, folder / "target.ply")))
+        objects.append(
+            ObjectItem(
+                category, category, [view], partial(_normalised_cloud, folder / "target.ply")
+            )
+        )
     return sized(Dataset(objects, "shipped examples"), crop_share, background)
 
 

@@ -21,7 +21,10 @@ ROUNDS = 5
 
 
 def images_per_second(
-    state: TrainingState, config: TrainConfig, data: TrainingData, masked: TrainingData | None = None
+    state: TrainingState,
+    config: TrainConfig,
+    data: TrainingData,
+    masked: TrainingData | None = None,
 ) -> dict[str, float]:
     """Images a second of ``bare`` forward and backward passes and of a ``step``, measured alternately in this process.
 
@@ -36,7 +39,9 @@ def images_per_second(
 
     def bare_passes(batches: list[Batch]) -> None:
         network.zero_grad(set_to_none=True)
-        torch.stack([cloud.sum() for cloud in predict(network, batches, config.precision)]).sum().backward()
+        torch.stack(
+            [cloud.sum() for cloud in predict(network, batches, config.precision)]
+        ).sum().backward()
 
     def passes(batches: list[Batch]) -> None:
         network.zero_grad(set_to_none=True)
@@ -53,7 +58,10 @@ def images_per_second(
         return time.perf_counter() - start
 
     drawn = [draw(step) for step in range(ROUNDS + 1)]
-    rows = [(seconds(bare_passes, batches), seconds(lambda i: passes(draw(i)), step)) for step, batches in enumerate(drawn)]
+    rows = [
+        (seconds(bare_passes, batches), seconds(lambda i: passes(draw(i)), step))
+        for step, batches in enumerate(drawn)
+    ]
     waits = []
     with closing(prefetched(draw, 0, ROUNDS + 1, config.workers)) as upcoming:
         for _ in range(ROUNDS + 1):

@@ -13,7 +13,14 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ..io.checkpoints import STATE_PREFIX, load_network, load_state, read_metadata, save_network, save_tensors
+from ..io.checkpoints import (
+    STATE_PREFIX,
+    load_network,
+    load_state,
+    read_metadata,
+    save_network,
+    save_tensors,
+)
 from ..io.output import write_file
 from ..io.reading import shown
 from ..network.model import BaseNetwork, NetworkConfig
@@ -72,7 +79,9 @@ def state_path(checkpoint: Path) -> Path:
     return checkpoint.with_name(f"{checkpoint.stem}.training.safetensors")
 
 
-def save_training(checkpoint: Path, state: TrainingState, config: NetworkConfig, overwrite: bool = True) -> None:
+def save_training(
+    checkpoint: Path, state: TrainingState, config: NetworkConfig, overwrite: bool = True
+) -> None:
     """Write the network to ``checkpoint``, and network and state beside it; each file is replaced whole."""
     tensors = dict(state.network.state_dict())
     for name, parameter in state.network.named_parameters():
@@ -81,28 +90,42 @@ def save_training(checkpoint: Path, state: TrainingState, config: NetworkConfig,
             tensors[f"{STATE_PREFIX}{moment}.{name}"] = value
     for (name, _), mean in zip(state.network.named_parameters(), state.average, strict=False):
         tensors[f"{STATE_PREFIX}average.{name}"] = mean
-    tensors[f"{STATE_PREFIX}history"] = torch.tensor(state.history, dtype=torch.float64).reshape(-1, 4)
-    values = {"step": state.step, "schedule": dataclasses.asdict(state.schedule), "fingerprint": state.fingerprint}
+    tensors[f"{STATE_PREFIX}history"] = torch.tensor(state.history, dtype=torch.float64).reshape(
+        -1, 4
+    )
+    values = {
+        "step": state.step,
+        "schedule": dataclasses.asdict(state.schedule),
+        "fingerprint": state.fingerprint,
+    }
     save_tensors(state_path(checkpoint), tensors, config, values, overwrite)
     save_network(checkpoint, state.averaged(), config, overwrite)
 
 
-def load_training(checkpoint: Path, config: NetworkConfig, fingerprint: str, device: torch.device) -> TrainingState:
+def load_training(
+    checkpoint: Path, config: NetworkConfig, fingerprint: str, device: torch.device
+) -> TrainingState:
     """Read the state beside ``checkpoint``; training continues from it bit for bit.
 
     Raises InputError if there is no state, it is damaged, or it is from a training with other settings or other data.
     """
     path = state_path(checkpoint)
     if not path.exists():
-        raise InputError(f"{path}: does not exist, expected the state of an unfinished training to resume")
+        raise InputError(
+            f"{path}: does not exist, expected the state of an unfinished training to resume"
+        )
     network, stored = load_network(path)
     _require_same(path, stored, config)
     _, values = read_metadata(path)
     step = values.get("step")
     if not isinstance(step, int) or isinstance(step, bool) or step < 0:
-        raise InputError(f"{path}: step in the training state is {shown(step)}, expected a whole number")
+        raise InputError(
+            f"{path}: step in the training state is {shown(step)}, expected a whole number"
+        )
     if values.get("fingerprint") != fingerprint:
-        raise InputError(f"{path}: was trained on other data ({stored.training_set}), expected the same data to resume")
+        raise InputError(
+            f"{path}: was trained on other data ({stored.training_set}), expected the same data to resume"
+        )
     schedule = AffinitySchedule.from_json(values.get("schedule"), str(path))
     shapes: dict[str, tuple[int, ...]] = {"history": (step, 4)}
     kinds = (*MOMENTS, "average") if step and config.settings.get("averaging") else MOMENTS
@@ -114,7 +137,10 @@ def load_training(checkpoint: Path, config: NetworkConfig, fingerprint: str, dev
     if step:
         for name, parameter in state.network.named_parameters():
             # Same memory layout as the parameter: the sums of a convolution depend on it in the last bit.
-            values = {kind: torch.empty_like(parameter.detach()).copy_(tensors[f"{kind}.{name}"]) for kind in kinds}
+            values = {
+                kind: torch.empty_like(parameter.detach()).copy_(tensors[f"{kind}.{name}"])
+                for kind in kinds
+            }
             if "average" in kinds:
                 state.average.append(values.pop("average"))
             state.optimiser.state[parameter] = {"step": torch.tensor(float(step)), **values}
@@ -129,7 +155,11 @@ def stored_window(checkpoint: Path) -> int | None:
 
 
 def new_state(
-    network: BaseNetwork, learning_rate: float, schedule: AffinitySchedule, fingerprint: str, device: torch.device
+    network: BaseNetwork,
+    learning_rate: float,
+    schedule: AffinitySchedule,
+    fingerprint: str,
+    device: torch.device,
 ) -> TrainingState:
     """A training at step 0."""
     # Channels last makes convolutions a third faster on the CPU.
@@ -144,7 +174,11 @@ def _require_same(path: Path, stored: NetworkConfig, current: NetworkConfig) -> 
     def flat(config: NetworkConfig) -> dict[str, Any]:
         values = dataclasses.asdict(config)
         values |= values.pop("settings")
-        return {name: value for name, value in values.items() if name not in ("steps", "version", "training_set")}
+        return {
+            name: value
+            for name, value in values.items()
+            if name not in ("steps", "version", "training_set")
+        }
 
     before, after = flat(stored), flat(current)
     # Supervision first: other settings depend on it.
@@ -156,9 +190,15 @@ def _require_same(path: Path, stored: NetworkConfig, current: NetworkConfig) -> 
             )
 
 
-def write_history(path: Path, history: History, config: NetworkConfig, overwrite: bool = True) -> None:
+def write_history(
+    path: Path, history: History, config: NetworkConfig, overwrite: bool = True
+) -> None:
     """Write the settings, then the losses of every step, one JSON object a line."""
-    terms = {"points": ("forward", "backward"), "masks": ("bce", "affinity", "lambda"), "joint": ("chamfer", "bce", "lambda")}
+    terms = {
+        "points": ("forward", "backward"),
+        "masks": ("bce", "affinity", "lambda"),
+        "joint": ("chamfer", "bce", "lambda"),
+    }
     names = ("step", "loss", *terms[config.supervision])
     lines = [json.dumps(dataclasses.asdict(config), allow_nan=False)]
     for step, row in enumerate(history, 1):

@@ -33,16 +33,24 @@ def draw_step(
     """
     part = (processes.rank, processes.count)
     size = config.batch_size // (2 if masked else 1)
-    drawing = Drawing(config.seed, size, config.frame, balance=config.balance, augment=config.augment)
+    drawing = Drawing(
+        config.seed, size, config.frame, balance=config.balance, augment=config.augment
+    )
     if config.supervision == "masks":
         return [draw_batch(data, replace(drawing, views=config.views, targets=targets), step, part)]
     batches = [draw_batch(data, drawing, step, part)]
     if masked:
-        batches.append(draw_batch(masked, replace(drawing, views=1, input_supervises=True, targets=False), step, part))
+        batches.append(
+            draw_batch(
+                masked, replace(drawing, views=1, input_supervises=True, targets=False), step, part
+            )
+        )
     return batches
 
 
-def batch_loss(clouds: list[Tensor], batches: list[Batch], config: TrainConfig, weight: float) -> tuple[Tensor, float, float]:
+def batch_loss(
+    clouds: list[Tensor], batches: list[Batch], config: TrainConfig, weight: float
+) -> tuple[Tensor, float, float]:
     """The loss and two parts of it: forward and backward, BCE and affinity, or Chamfer and BCE."""
     projected = (config.sigma_sq, config.category_sigma_sq, weight, config.affinity)
     if config.supervision == "masks":

@@ -39,7 +39,9 @@ WAYS = {
     "96 steps": RefineConfig(steps=96),
     "finest grid in every stage": RefineConfig(coarse_to_fine=FINE),
     "64 cells in every stage": RefineConfig(
-        coarse_to_fine=replace(BEST, stages=tuple(replace(stage, fine_grid=False) for stage in BEST.stages))
+        coarse_to_fine=replace(
+            BEST, stages=tuple(replace(stage, fine_grid=False) for stage in BEST.stages)
+        )
     ),
     "512 points move": RefineConfig(points=512),
     "24 steps": RefineConfig(steps=24),
@@ -88,7 +90,9 @@ def lattice(cells: int = 3, width: float = 0.03) -> Mesh:
         extents[axis] = 1.0 + width
         for pair in product(places, places):
             centre = np.insert(np.array(pair), axis, 0.0)
-            struts.append(trimesh.creation.box(extents, trimesh.transformations.translation_matrix(centre)))
+            struts.append(
+                trimesh.creation.box(extents, trimesh.transformations.translation_matrix(centre))
+            )
     return _mesh(trimesh.util.concatenate(struts))
 
 
@@ -111,11 +115,21 @@ def _mesh(mesh: Any) -> Mesh:
 
 def plan(progress: Progress, *, shapes: tuple[str, ...], scenes: int, seed: int) -> Plan:
     """A job refines one scene of one shape in every way, one call after the other."""
-    settings = {"shapes": list(shapes), "scenes": SCENES[:scenes], "ways": list(WAYS), "seed": seed, "machine": machine()}
+    settings = {
+        "shapes": list(shapes),
+        "scenes": SCENES[:scenes],
+        "ways": list(WAYS),
+        "seed": seed,
+        "machine": machine(),
+    }
     compile_loops()
 
     def judge(draw: int, **place: Any) -> Cases:
-        ways = {name: way for name, way in WAYS.items() if place["points"] <= MOST_POINTS or name in (AUTO, FULL)}
+        ways = {
+            name: way
+            for name, way in WAYS.items()
+            if place["points"] <= MOST_POINTS or name in (AUTO, FULL)
+        }
         start, target, views = scene(**place, seed=DRAWS * seed + draw)
         before, rows = chamfer(scattered(start, CANDIDATES), target).chamfer, {}
         with threadpool_limits(1), planned(1 << 60, 1 << 60):
@@ -137,13 +151,20 @@ def plan(progress: Progress, *, shapes: tuple[str, ...], scenes: int, seed: int)
     return Plan(settings, [(place, partial(judge, **place)) for place in places])
 
 
-def scene(shape: str, size: int, points: int, masks: int, seed: int) -> tuple[Array, Array, list[View]]:
+def scene(
+    shape: str, size: int, points: int, masks: int, seed: int
+) -> tuple[Array, Array, list[View]]:
     """The start [N, 3], points [16384, 3] of the truth, and views of it."""
     mesh, rng = normalise(SHAPES[shape]()), np.random.default_rng([seed, size, points])
     cameras = sample_cameras(RenderSettings(views=masks, size=(size, size)), mesh.vertices, rng)
     rays = RayScene(mesh)
-    pictures = [render_view(rays, camera, rng).mask.astype(np.float32) / 255.0 for camera in cameras]
-    views = [View(*seen, name=f"{shape} {i}") for i, seen in enumerate(zip(pictures, cameras, strict=True))]
+    pictures = [
+        render_view(rays, camera, rng).mask.astype(np.float32) / 255.0 for camera in cameras
+    ]
+    views = [
+        View(*seen, name=f"{shape} {i}")
+        for i, seen in enumerate(zip(pictures, cameras, strict=True))
+    ]
     target = sample_surface(mesh.vertices, mesh.faces, CANDIDATES, rng)
     sampled = sample_surface(mesh.vertices, mesh.faces, max(points, CANDIDATES), rng)
     start = sampled if points >= CANDIDATES else sampled[farthest_point_sample(sampled, points)]
@@ -159,15 +180,28 @@ def conclude(cases: Cases) -> Record:
         pairs = [(case["ways"][name], case["ways"][AUTO]) for case in cases if name in case["ways"]]
         if pairs:
             ratio, of_auto = (np.array([pair[i]["ratio"] for pair in pairs]) for i in (0, 1))
-            figures = {"mean_ratio": ratio.mean(), "median_seconds": np.median([pair[0]["seconds"] for pair in pairs])}
+            figures = {
+                "mean_ratio": ratio.mean(),
+                "median_seconds": np.median([pair[0]["seconds"] for pair in pairs]),
+            }
             figures["cost"] = of_auto.mean() / ratio.mean()
             figures["error"] = standard_error(of_auto - ratio) / ratio.mean()
-            figures["saving"] = 1.0 - np.median([pair[1]["seconds"] / pair[0]["seconds"] for pair in pairs])
+            figures["saving"] = 1.0 - np.median(
+                [pair[1]["seconds"] / pair[0]["seconds"] for pair in pairs]
+            )
             summary[name] = {"scenes": len(pairs), **rounded(figures)}
     cost, error, saving = (summary[FULL][key] for key in ("cost", "error", "saving"))
     claims = [
-        claim("auto comes within 2 % of full", cost <= 1.02, f"auto's mean ratio is {cost:.3f} times full's, ± {error:.3f}"),
-        claim("auto takes at most a third of full's time", saving >= 2 / 3, f"auto saves {saving:.0%} of its time (median)"),
+        claim(
+            "auto comes within 2 % of full",
+            cost <= 1.02,
+            f"auto's mean ratio is {cost:.3f} times full's, ± {error:.3f}",
+        ),
+        claim(
+            "auto takes at most a third of full's time",
+            saving >= 2 / 3,
+            f"auto saves {saving:.0%} of its time (median)",
+        ),
         _near_front(cases),
     ]
     return {"summary": summary, "claims": claims}
@@ -178,14 +212,21 @@ def _near_front(cases: Cases) -> Record:
     scenes, beyond = _by_scene(cases), []
     for scene, rows in scenes.items():
         ways = {
-            name: [mean(row["ways"][name][key] for row in rows) for key in KEYS] for name in WAYS if name in rows[0]["ways"]
+            name: [mean(row["ways"][name][key] for row in rows) for key in KEYS]
+            for name in WAYS
+            if name in rows[0]["ways"]
         }
         ratio, seconds = ways[AUTO]
-        best, least = min(((name, way[0]) for name, way in ways.items() if way[1] <= seconds), key=lambda pair: pair[1])
+        best, least = min(
+            ((name, way[0]) for name, way in ways.items() if way[1] <= seconds),
+            key=lambda pair: pair[1],
+        )
         if ratio > NEAR * least:
             beyond.append((ratio / least, f"; at most {ratio / least:.2f} times, {best}: {scene}"))
     found = f"{len(scenes) - len(beyond)} of {len(scenes)} scenes{max(beyond)[1] if beyond else ''}"
-    return claim("auto is within 5 % of every way that takes no longer, in every scene", not beyond, found)
+    return claim(
+        "auto is within 5 % of every way that takes no longer, in every scene", not beyond, found
+    )
 
 
 def _by_scene(cases: Cases) -> dict[str, Cases]:
@@ -202,7 +243,9 @@ def tables(record: Record) -> list[Table]:
     """Every way beside auto, and every scene."""
     header = ["way", "scenes", "ratio", "s", "auto's ratio / this", "±", "auto saves"]
     rows = [[name, *row.values()] for name, row in record["summary"].items()]
-    scenes: list[Any] = [[name, *_of_draws(rows)] for name, rows in _by_scene(record["cases"]).items()]
+    scenes: list[Any] = [
+        [name, *_of_draws(rows)] for name, rows in _by_scene(record["cases"]).items()
+    ]
     return [Table(header, rows), Table(["scene", "auto", "s", "full", "s"], scenes, "Scenes")]
 
 
@@ -217,7 +260,12 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
         axis = figure.subplots()
         for name, row in record["summary"].items():
             place = 1.0 / (1.0 - row["saving"]), 1.0 / row["cost"]
-            axis.plot(*place, "*" if name == AUTO else "o", color=COLOURS[0], markersize=14 if name == AUTO else 6)
+            axis.plot(
+                *place,
+                "*" if name == AUTO else "o",
+                color=COLOURS[0],
+                markersize=14 if name == AUTO else 6,
+            )
             # Ways about as good as auto stand close to it: quicker ones are named on the left, full above, slower ones below.
             left, above = place[0] <= 1.0, 5 if place[1] >= 1.0 or name == FULL else -12
             axis.annotate(
@@ -228,7 +276,11 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
             )
         axis.axhline(1.0, color=INK, linewidth=0.8, zorder=0)
         axis.margins(0.25, 0.15)
-        axis.set(xlim=(0.0, None), xlabel="time / auto's (median)", ylabel="Chamfer after / before, over auto's")
+        axis.set(
+            xlim=(0.0, None),
+            xlabel="time / auto's (median)",
+            ylabel="Chamfer after / before, over auto's",
+        )
 
 
 STUDY = Study(
@@ -240,8 +292,23 @@ STUDY = Study(
     "spares is worth its time if its ratio is hardly higher; what it could spare besides is not if its ratio is lower.",
     convention=CONVENTION,
     options=(
-        Option("--shape", "May be repeated.", str, tuple(SHAPES), tuple(SHAPES), multiple=True, name="shapes"),
-        Option("--scenes", "So many of them, the smallest first.", int, len(SCENES), least=1, most=len(SCENES)),
+        Option(
+            "--shape",
+            "May be repeated.",
+            str,
+            tuple(SHAPES),
+            tuple(SHAPES),
+            multiple=True,
+            name="shapes",
+        ),
+        Option(
+            "--scenes",
+            "So many of them, the smallest first.",
+            int,
+            len(SCENES),
+            least=1,
+            most=len(SCENES),
+        ),
         SEED,
     ),
     plan=plan,

@@ -37,7 +37,9 @@ def measure_silhouette(setting: Setting, sizes: Sequence[tuple[int, int]] = PICT
     records = []
     for count, side in sizes:
         points_px, mask = scene(count, side, setting.seed)
-        ours = partial(silhouette_bce, points_px, np.ones(count, bool), mask, 1.0 - mask, PAPER_SIGMA_SQ)
+        ours = partial(
+            silhouette_bce, points_px, np.ones(count, bool), mask, 1.0 - mask, PAPER_SIGMA_SQ
+        )
         scatter = differentiated(partial(scattered_loss, mask=tensor(mask)))
         samples = {f"tso, {form}": timed(ours, form) for form in FORMS}
         samples["scatter 9x9, torch"] = timed(partial(scatter, points_px))
@@ -65,7 +67,8 @@ def scattered_loss(points_px: Tensor, mask: Tensor) -> Tensor:
     centre = points_px.detach().round().long()
     column, row = (centre[:, axis : axis + 1] + steps for axis in (0, 1))  # [N, k]
     weights_x, weights_y = (
-        torch.exp((points_px[:, axis : axis + 1] - index).square() * (-0.5 / PAPER_SIGMA_SQ)) * ((index >= 0) & (index < side))
+        torch.exp((points_px[:, axis : axis + 1] - index).square() * (-0.5 / PAPER_SIGMA_SQ))
+        * ((index >= 0) & (index < side))
         for axis, index in ((0, column), (1, row))
     )
     taps = weights_y.unsqueeze(2) * weights_x.unsqueeze(1)  # [N, k, k]
@@ -79,14 +82,21 @@ def measure_chamfer(setting: Setting, sizes: Sequence[int] = CLOUDS) -> Cases:
     """Seconds a step of every contestant at every size, on one thread unless its name says otherwise."""
     records = []
     for count in sizes:
-        initial, configs = cloud(count, setting.seed), [RefineConfig(preset="paper", steps=steps) for steps in STEPS]
+        initial, configs = (
+            cloud(count, setting.seed),
+            [RefineConfig(preset="paper", steps=steps) for steps in STEPS],
+        )
         moved = [refine(initial, chair_views(), config=config).points for config in configs]
         contestants, left_out = [], []
         for name, term in terms(initial).items():
             if isinstance(term, str):
                 left_out.append(record("chamfer", name, points=count, left_out=term))
             else:
-                contestants.append(Contestant(name, timed(partial(_along, term, moved)), {"points": count}, len(moved)))
+                contestants.append(
+                    Contestant(
+                        name, timed(partial(_along, term, moved)), {"points": count}, len(moved)
+                    )
+                )
         records += [*setting.race("chamfer", contestants, "over_tso"), *left_out]
     return records
 
@@ -112,7 +122,9 @@ def terms(initial: Array) -> dict[str, Term | str]:
     return result
 
 
-def _k_d_trees(initial: Array, kept: cKDTree | None, workers: int, moved: Array) -> tuple[float, Array]:
+def _k_d_trees(
+    initial: Array, kept: cKDTree | None, workers: int, moved: Array
+) -> tuple[float, Array]:
     """Nearest neighbours of all points, both ways; ``kept`` is the tree of the initial points, else built at each call."""
     to_initial = (kept or cKDTree(initial)).query(moved, workers=workers)[1]
     return paired(initial, moved, to_initial, cKDTree(moved).query(initial, workers=workers)[1])
@@ -138,9 +150,13 @@ def differentiated(loss: Callable[[Tensor], Tensor]) -> Term:
     return term
 
 
-def paired(initial: Array, moved: Array, to_initial: NDArray[np.int64], to_moved: NDArray[np.int64]) -> tuple[float, Array]:
+def paired(
+    initial: Array, moved: Array, to_initial: NDArray[np.int64], to_moved: NDArray[np.int64]
+) -> tuple[float, Array]:
     """The Chamfer distance and its gradient, by each moved point's nearest initial point, [N], and the reverse."""
     ahead, back = moved - initial[to_initial], moved[to_moved] - initial
     gradient = ahead.copy()
     np.add.at(gradient, to_moved, back)
-    return float(np.square(ahead).sum() + np.square(back).sum()) / len(moved), (2.0 / len(moved)) * gradient
+    return float(np.square(ahead).sum() + np.square(back).sum()) / len(moved), (
+        2.0 / len(moved)
+    ) * gradient

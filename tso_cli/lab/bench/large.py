@@ -21,7 +21,21 @@ from .timing import IMPORT_TORCH, Contestant, Setting, process
 WIDTH, HEIGHT = 4000, 3000
 SCAN, SPLATS, FACES = 2_000_000, 100_000, 500_000
 # Of a splat, as the reference implementation of Gaussian splatting writes them; its colours of higher order are left out.
-PROPERTIES = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"]
+PROPERTIES = [
+    "x",
+    "y",
+    "z",
+    "nx",
+    "ny",
+    "nz",
+    "f_dc_0",
+    "f_dc_1",
+    "f_dc_2",
+    "opacity",
+    "scale_0",
+    "scale_1",
+    "scale_2",
+]
 PROPERTIES += [f"rot_{number}" for number in range(4)]
 # The command, then the peak of its process's memory.
 WATCHED = """from tso_cli.__main__ import main
@@ -34,7 +48,9 @@ finally:
 """
 
 
-def measure_large(setting: Setting, scan: int = SCAN, splats: int = SPLATS, faces: int = FACES) -> Cases:
+def measure_large(
+    setting: Setting, scan: int = SCAN, splats: int = SPLATS, faces: int = FACES
+) -> Cases:
     """Whole processes of `tso refine`, and the memory that they take; TsoError if one fails."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -51,10 +67,15 @@ def measure_large(setting: Setting, scan: int = SCAN, splats: int = SPLATS, face
         contestants, peaks = [IMPORT_TORCH], []
         for scene, (start, mask, points) in scenes.items():
             words = ("refine", "--mode", "points", str(folder / start), str(mask))
-            contestants.append(Contestant(scene, process(scene, (*TSO, *words)), {"points": points}))
+            contestants.append(
+                Contestant(scene, process(scene, (*TSO, *words)), {"points": points})
+            )
             peaks.append(_peak(folder / "peak", scene, words))
         records = setting.race("large", contestants, "over_import_torch")
-        return [records[0], *(row | {"peak_MiB": peak} for row, peak in zip(records[1:], peaks, strict=True))]
+        return [
+            records[0],
+            *(row | {"peak_MiB": peak} for row, peak in zip(records[1:], peaks, strict=True)),
+        ]
 
 
 def _write_photo(folder: Path) -> None:
@@ -65,14 +86,21 @@ def _write_photo(folder: Path) -> None:
     box = (-0.5 - aside, -0.5, side - 0.5 + aside, side - 0.5)
     mask, _ = area_resize(view.mask, box, WIDTH, HEIGHT)
     write_image(folder / "mask.png", np.uint8(255.0 * (mask > 0.5)))
-    write_cameras(folder / "mask.camera.json", [CameraRecord(view.camera.cropped(box, WIDTH, HEIGHT))])
+    write_cameras(
+        folder / "mask.camera.json", [CameraRecord(view.camera.cropped(box, WIDTH, HEIGHT))]
+    )
 
 
 def splat_file(count: int, seed: int) -> bytes:
     """A PLY file of so many splats."""
     values = np.random.default_rng(seed).normal(size=(count, len(PROPERTIES))).astype("<f4")
     values[:, :3] = cloud(count, seed)
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {count}", *(f"property float {p}" for p in PROPERTIES)]
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"element vertex {count}",
+        *(f"property float {p}" for p in PROPERTIES),
+    ]
     return "\n".join([*lines, "end_header", ""]).encode() + values.tobytes()
 
 

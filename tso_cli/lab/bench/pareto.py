@@ -22,7 +22,22 @@ from ..studies.accuracy import CATEGORIES
 from ..studies.cases import Case, CaseBuilder, kinds_of
 from ..studies.shapes import Shape, shapes_of_part, view_aligned_network, weights_hash
 from ..studies.summary import grouped, ratio_figures, rounded, standard_error
-from ..study import DEVICE, LIMIT, SEED, SPLIT, VIEWS, Cases, Option, Plan, Progress, Record, Study, Table, claim, part
+from ..study import (
+    DEVICE,
+    LIMIT,
+    SEED,
+    SPLIT,
+    VIEWS,
+    Cases,
+    Option,
+    Plan,
+    Progress,
+    Record,
+    Study,
+    Table,
+    claim,
+    part,
+)
 from .pareto_chart import draw
 from .speed import machine
 from .timing import timed
@@ -41,7 +56,9 @@ CONVENTION = {
 }
 
 
-def plan(progress: Progress, *, quick: bool, meshes: Path | None, split: Path | None, **settings: Any) -> Plan:
+def plan(
+    progress: Progress, *, quick: bool, meshes: Path | None, split: Path | None, **settings: Any
+) -> Plan:
     """Refine every case in every way, one call after the other; a job is a shape, so that a busy while slows all ways alike.
 
     Raises InputError without ``meshes``, unless ``quick``.
@@ -50,12 +67,22 @@ def plan(progress: Progress, *, quick: bool, meshes: Path | None, split: Path | 
         meshes, split = examples_folder() / "meshes", SHIPPED_SPLIT
         settings |= {"part": "test", "categories": (), "views": 1}
     if meshes is None:
-        raise InputError("--meshes is missing, expected a folder of meshes (or --quick, for the shipped examples)")
-    shapes = shapes_of_part(meshes, split, settings["part"], settings["categories"], settings["limit"])
+        raise InputError(
+            "--meshes is missing, expected a folder of meshes (or --quick, for the shipped examples)"
+        )
+    shapes = shapes_of_part(
+        meshes, split, settings["part"], settings["categories"], settings["limit"]
+    )
     network, about = view_aligned_network(default_checkpoint())
-    builder = CaseBuilder(meshes, split, settings["views"], 64, 1024, settings["seed"], network, about)
+    builder = CaseBuilder(
+        meshes, split, settings["views"], 64, 1024, settings["seed"], network, about
+    )
     settings |= {"quick": quick, "categories": sorted({shape.category for shape in shapes})}
-    settings |= {"shapes": [shape.name for shape in shapes], "ways": list(WAYS), "machine": machine()}
+    settings |= {
+        "shapes": [shape.name for shape in shapes],
+        "ways": list(WAYS),
+        "machine": machine(),
+    }
     settings["network"] = weights_hash(network)
     compile_loops()
     warm = set[str]()
@@ -66,7 +93,9 @@ def plan(progress: Progress, *, quick: bool, meshes: Path | None, split: Path | 
         for kind in kinds_of(shape.category, tuple(STARTS)):
             ways = {name: way for name, way in WAYS.items() if kind in way.kinds}
             sizes = {(way.points, way.size) for way in ways.values()}
-            built = {of: replace(builder, points=of[0], size=of[1]).cases(shape, kind) for of in sizes}
+            built = {
+                of: replace(builder, points=of[0], size=of[1]).cases(shape, kind) for of in sizes
+            }
             for view in range(settings["views"]):
                 rows = {}
                 for name, way in ways.items():
@@ -74,7 +103,15 @@ def plan(progress: Progress, *, quick: bool, meshes: Path | None, split: Path | 
                     for _ in range(1 if name in warm else 2):
                         rows[name] = _judged(case, way, settings["device"], network)
                     warm.add(name)
-                cases.append({"kind": kind, "category": shape.category, "shape": shape.name, "view": view, "ways": rows})
+                cases.append(
+                    {
+                        "kind": kind,
+                        "category": shape.category,
+                        "shape": shape.name,
+                        "view": view,
+                        "ways": rows,
+                    }
+                )
         return cases
 
     return Plan(settings, [({"shape": shape.name}, partial(judge, shape)) for shape in shapes])
@@ -110,12 +147,19 @@ def _summary(cases: Cases) -> Record:
     by_shape = grouped(cases, "shape").values()
     ways = {}
     for name in cases[0]["ways"]:
-        of_shapes = [np.mean([case["ways"][name]["ratio"] for case in of_shape]) for of_shape in by_shape]
+        of_shapes = [
+            np.mean([case["ways"][name]["ratio"] for case in of_shape]) for of_shape in by_shape
+        ]
         seconds = float(np.median([case["ways"][name]["seconds"] for case in cases]))
         figures = ratio_figures(np.array([case["ways"][name]["ratio"] for case in cases]))
-        ways[name] = rounded({**figures, "standard_error": standard_error(of_shapes), "median_seconds": seconds})
+        ways[name] = rounded(
+            {**figures, "standard_error": standard_error(of_shapes), "median_seconds": seconds}
+        )
     alike = [name for name in ways if WAYS[name].masks == 1]
-    chosen = [alike[i] for i in front([(ways[name]["median_seconds"], ways[name]["mean_ratio"]) for name in alike])]
+    chosen = [
+        alike[i]
+        for i in front([(ways[name]["median_seconds"], ways[name]["mean_ratio"]) for name in alike])
+    ]
     return {"cases": len(cases), "shapes": len(by_shape), "ways": ways, "front": chosen}
 
 
@@ -127,9 +171,14 @@ def _claims(summary: Record) -> Iterator[Record]:
         nearest = min((PAPER, *PEERS), key=lambda name: group["ways"][name]["mean_ratio"])
         theirs = group["ways"][nearest]
         text = f"{ours['mean_ratio']:.3f}; {nearest} {theirs['mean_ratio']:.3f} in {theirs['median_seconds']:.2f} s"
-        holds = ours["mean_ratio"] + ours["standard_error"] < theirs["mean_ratio"] - theirs["standard_error"]
+        holds = (
+            ours["mean_ratio"] + ours["standard_error"]
+            < theirs["mean_ratio"] - theirs["standard_error"]
+        )
         yield claim(
-            f"{STARTS[kind]}: the default is nearer than the paper's preset and other ways, beyond the errors", holds, text
+            f"{STARTS[kind]}: the default is nearer than the paper's preset and other ways, beyond the errors",
+            holds,
+            text,
         )
     if PREDICTION in summary:
         ours = summary[PREDICTION]["ways"][DEFAULT]
@@ -143,20 +192,44 @@ def tables(record: Record) -> list[Table]:
     found = []
     for kind, group in record["summary"].items():
         rows = [
-            [name, row["median_seconds"], row["mean_ratio"], row["standard_error"], row["worst_ratio"], row["worse"]]
+            [
+                name,
+                row["median_seconds"],
+                row["mean_ratio"],
+                row["standard_error"],
+                row["worst_ratio"],
+                row["worse"],
+            ]
             + ["yes" if name in group["front"] else ""]
-            for name, row in sorted(group["ways"].items(), key=lambda item: item[1]["median_seconds"])
+            for name, row in sorted(
+                group["ways"].items(), key=lambda item: item[1]["median_seconds"]
+            )
         ]
         header = ["way", "s", "ratio", "standard error", "worst", "worse", "front"]
-        found.append(Table(header, rows, f"{STARTS[kind]}: {group['cases']} cases of {group['shapes']} shapes"))
+        found.append(
+            Table(
+                header, rows, f"{STARTS[kind]}: {group['cases']} cases of {group['shapes']} shapes"
+            )
+        )
     of = record["settings"]["machine"]
-    found.append(Table(["measured on"], [[f"{of['cpu']}, {of['cores']} cores, device {record['settings']['device']}"]]))
+    found.append(
+        Table(
+            ["measured on"],
+            [[f"{of['cpu']}, {of['cores']} cores, device {record['settings']['device']}"]],
+        )
+    )
     return found
 
 
 STUDY = Study(
     name="pareto",
-    parts=("pictures", "points, paper", "points, best", "network modes, paper", "network modes, best"),
+    parts=(
+        "pictures",
+        "points, paper",
+        "points, best",
+        "network modes, paper",
+        "network modes, best",
+    ),
     tables=tables,
     draw=draw,
     reading="Down is nearer to the truth, left is quicker: what lies above and to the right of another point is not worth its "
@@ -165,10 +238,16 @@ STUDY = Study(
     convention=CONVENTION,
     options=(
         Option("--quick", "The shipped examples, one view.", bool, False),
-        Option("--meshes", "Folder with CATEGORY/NAME for every name of the split; not with --quick.", Path),
+        Option(
+            "--meshes",
+            "Folder with CATEGORY/NAME for every name of the split; not with --quick.",
+            Path,
+        ),
         SPLIT,
         part("test"),
-        Option("--category", "May be repeated.", default=CATEGORIES, multiple=True, name="categories"),
+        Option(
+            "--category", "May be repeated.", default=CATEGORIES, multiple=True, name="categories"
+        ),
         LIMIT,
         replace(VIEWS, default=1),
         SEED,

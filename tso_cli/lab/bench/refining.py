@@ -84,14 +84,20 @@ TSO = ("-m", "tso_cli")
 def cloud(count: int, seed: int = 0) -> Array:
     """Initial points [count, 3], longest side 1."""
     mesh = read_mesh(START)
-    samples = sample_surface(mesh.vertices, mesh.faces, max(count, SAMPLES), np.random.default_rng([seed, count]))
-    return normalise_longest_side(samples[spread_subset(samples, count)] if count <= SPREAD else samples[:count])
+    samples = sample_surface(
+        mesh.vertices, mesh.faces, max(count, SAMPLES), np.random.default_rng([seed, count])
+    )
+    return normalise_longest_side(
+        samples[spread_subset(samples, count)] if count <= SPREAD else samples[:count]
+    )
 
 
 def chair_views(count: int = 1) -> list[View]:
     """The mask of the shipped chair, and silhouettes of its cloud turned about the vertical axis."""
     scene = load_points_scene(CHAIR / "target.ply", CHAIR / "mask.png")
-    return views_around(scene.view, scene.points, np.radians(DEGREES_BETWEEN_VIEWS * np.arange(1, count)))
+    return views_around(
+        scene.view, scene.points, np.radians(DEGREES_BETWEEN_VIEWS * np.arange(1, count))
+    )
 
 
 def measure_command(setting: Setting) -> Cases:
@@ -99,42 +105,81 @@ def measure_command(setting: Setting) -> Cases:
 
     Raises TsoError if a command fails, InputError if the shipped examples are missing.
     """
-    plain = {"python": ("-c", "pass"), "tso --version": (*TSO, "--version"), "tso --help": (*TSO, "--help")}
-    contestants = [IMPORT_TORCH, *(Contestant(name, process(name, arguments)) for name, arguments in plain.items())]
+    plain = {
+        "python": ("-c", "pass"),
+        "tso --version": (*TSO, "--version"),
+        "tso --help": (*TSO, "--help"),
+    }
+    contestants = [
+        IMPORT_TORCH,
+        *(Contestant(name, process(name, arguments)) for name, arguments in plain.items()),
+    ]
     with tempfile.TemporaryDirectory() as folder:
         for points in SIZES:
             path = f"{folder}/{points}.npy"
             np.save(path, cloud(points, setting.seed))
             arguments = (*TSO, "refine", "--mode", "points", path, str(CHAIR / "mask.png"))
             for call, environment in (("steady", as_installed), ("first", never_run)):
-                name = f"tso refine --mode points, {points:,} points" + (", first run" if call == "first" else "")
-                contestants.append(Contestant(name, process(name, arguments, environment), {"points": points, "call": call}))
+                name = f"tso refine --mode points, {points:,} points" + (
+                    ", first run" if call == "first" else ""
+                )
+                contestants.append(
+                    Contestant(
+                        name,
+                        process(name, arguments, environment),
+                        {"points": points, "call": call},
+                    )
+                )
         return setting.race("command", contestants, "over_import_torch")
 
 
-def measure_object(setting: Setting, sizes: tuple[int, ...] = SIZES, large: int = LARGE, steps: int | None = None) -> Cases:
+def measure_object(
+    setting: Setting, sizes: tuple[int, ...] = SIZES, large: int = LARGE, steps: int | None = None
+) -> Cases:
     """Both forms of the loops, of both presets and with more views; the form that the default chooses, on one core and on all.
 
     A form "" is the one chosen.
     """
-    cases = [(preset, points, 1, form, 1, False) for points in sizes for preset in PRESETS for form in FORMS]
+    cases = [
+        (preset, points, 1, form, 1, False)
+        for points in sizes
+        for preset in PRESETS
+        for form in FORMS
+    ]
     more = [(large, 1), *((sizes[0], views) for views in MORE_VIEWS)]
-    cases += [("best", points, views, form, 1, False) for (points, views), form in product(more, FORMS)]
+    cases += [
+        ("best", points, views, form, 1, False) for (points, views), form in product(more, FORMS)
+    ]
     on_threads = product((*sizes, large), sorted({1, CORES}), (False, True))
     cases += [("best", points, 1, "", threads, busy) for points, threads, busy in on_threads]
     contestants = [IMPORT_TORCH]
     for preset, points, views, form, threads, busy in cases:
         config = RefineConfig(preset=preset, steps=steps)
         work = partial(refine, cloud(points, setting.seed), chair_views(views), config=config)
-        fields = {"points": points, "preset": preset, "views": views, "form": form, "threads": threads, "busy": busy}
+        fields = {
+            "points": points,
+            "preset": preset,
+            "views": views,
+            "form": form,
+            "threads": threads,
+            "busy": busy,
+        }
         way = form or f"{threads} thread" + "s" * (threads > 1) + ", busy neighbour" * busy
-        contestants.append(Contestant(f"{preset}, {way}", on_cores(timed(work, form), threads, busy), fields))
+        contestants.append(
+            Contestant(f"{preset}, {way}", on_cores(timed(work, form), threads, busy), fields)
+        )
     return setting.race("object", contestants, "over_import_torch")
 
 
-def measure_phases(setting: Setting, sizes: tuple[int, ...] = (*SIZES, LARGE), views: tuple[int, ...] = MORE_VIEWS) -> Cases:
+def measure_phases(
+    setting: Setting, sizes: tuple[int, ...] = (*SIZES, LARGE), views: tuple[int, ...] = MORE_VIEWS
+) -> Cases:
     """The default at every size, and at the smallest with more views and as in a batch; each in a process of its own."""
-    scenes = [*((points, 1, "") for points in sizes), *((sizes[0], count, "") for count in views), (sizes[0], 1, "compiled")]
+    scenes = [
+        *((points, 1, "") for points in sizes),
+        *((sizes[0], count, "") for count in views),
+        (sizes[0], 1, "compiled"),
+    ]
     records = []
     for number, scene in enumerate(scenes, 1):
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
@@ -157,14 +202,27 @@ def _taken_apart(points: int, views: int, form: str, seed: int) -> Record:
             whole = sum(work().seconds.values())
     of_these = stopwatch.seconds | {"rest": whole - sum(stopwatch.seconds.values())}
     phases = {name: float(np.median([seconds[name] for seconds in later])) for name in later[0]}
-    low, median, high = np.percentile([sum(seconds.values()) for seconds in later], [25, 50, 75]).tolist()
-    fields = {"points": points, "views": views, "form": form, "phases": phases, "of_these": of_these}
+    low, median, high = np.percentile(
+        [sum(seconds.values()) for seconds in later], [25, 50, 75]
+    ).tolist()
+    fields = {
+        "points": points,
+        "views": views,
+        "form": form,
+        "phases": phases,
+        "of_these": of_these,
+    }
     fields |= {"first": sum(first.values()), "peak_MiB": peak}
-    return record("phases", "best", seconds={"median": median, "low": low, "high": high}, runs=RUNS) | fields
+    return (
+        record("phases", "best", seconds={"median": median, "low": low, "high": high}, runs=RUNS)
+        | fields
+    )
 
 
 def measure_batch(
-    setting: Setting, batches: Mapping[tuple[str, int, int], Sequence[int]] = BATCHES, steps: int | None = None
+    setting: Setting,
+    batches: Mapping[tuple[str, int, int], Sequence[int]] = BATCHES,
+    steps: int | None = None,
 ) -> Cases:
     """Seconds an object of `refine`, and of `refine_batch` in one process and on all cores."""
     contestants = [IMPORT_TORCH]
@@ -173,7 +231,9 @@ def measure_batch(
         scenes = [(cloud(points, setting.seed + number), seen) for number in range(CLOUDS)]
         scene = {"preset": preset, "points": points, "views": views}
         alone = on_cores(timed(partial(refine, *scenes[0], config=config)), 1)
-        contestants.append(Contestant("refine", alone, scene | {"batch": 1, "processes": 1, "busy": False}))
+        contestants.append(
+            Contestant("refine", alone, scene | {"batch": 1, "processes": 1, "busy": False})
+        )
         for size, count, busy in product(sizes, sorted({1, CORES}), (False, True)):
             if busy and size != NEIGHBOURED:
                 continue
@@ -181,7 +241,9 @@ def measure_batch(
             fields = scene | {"batch": size, "processes": count, "busy": busy}
             name = f"refine_batch of {size}" + ", busy neighbour" * busy
             sample = on_cores(timed(work), count, busy)
-            contestants.append(Contestant(name, sample, fields, calls=size, warm_up=size <= NEIGHBOURED))
+            contestants.append(
+                Contestant(name, sample, fields, calls=size, warm_up=size <= NEIGHBOURED)
+            )
     records = setting.race("batch", contestants, "over_import_torch")
     of_one = records[0]
     for row in records[1:]:
@@ -201,7 +263,11 @@ def on_cores(work: Sample, count: int, busy: bool = False) -> Sample:
 
     def sample() -> float:
         neighbour = busy_neighbour() if busy else nullcontext()
-        with patch.dict(os.environ, OMP_NUM_THREADS=str(count)), threadpool_limits(count), neighbour:
+        with (
+            patch.dict(os.environ, OMP_NUM_THREADS=str(count)),
+            threadpool_limits(count),
+            neighbour,
+        ):
             return work()
 
     return sample

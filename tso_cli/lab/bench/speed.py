@@ -40,7 +40,11 @@ CONVENTION = {
     "chamfer": "one step, value and gradient, mean of those after 10, 30 and 50 steps of the preset paper",
 }
 PROCESSORS = Path("/proc/cpuinfo")
-LARGE = {"scan": "a scan of {:,} points and a mask of 4000x3000", "splats": "{:,} splats", "mesh": "a mesh of {:,} faces"}
+LARGE = {
+    "scan": "a scan of {:,} points and a mask of 4000x3000",
+    "splats": "{:,} splats",
+    "mesh": "a mesh of {:,} faces",
+}
 # Rows that differ in no other way than cores and neighbour are of the same work.
 WORK = ("preset", "points", "views", "form", "batch")
 
@@ -63,7 +67,10 @@ def plan(progress: Progress, *, parts: tuple[str, ...], seed: int) -> Plan:
     settings = {
         "parts": list(parts),
         "machine": machine(),
-        "installed_MB": {"in all": installed("tso-cli"), "without torch": installed("tso-cli", leave_out="torch")},
+        "installed_MB": {
+            "in all": installed("tso-cli"),
+            "without torch": installed("tso-cli", leave_out="torch"),
+        },
         "versions": {"tso": __version__, "python": platform.python_version(), **packages},
         "seed": seed,
     }
@@ -84,7 +91,11 @@ def installed(package: str, leave_out: str = "") -> int:
         names.add(name)
         with suppress(PackageNotFoundError):
             of_package = distribution(name)
-            size += sum(path.stat().st_size for file in of_package.files or [] if (path := Path(str(file.locate()))).exists())
+            size += sum(
+                path.stat().st_size
+                for file in of_package.files or []
+                if (path := Path(str(file.locate()))).exists()
+            )
             required = [text for text in of_package.requires or [] if "extra ==" not in text]
             waiting += [re.split(r"[^\w.-]", text, maxsplit=1)[0] for text in required]
     return round(size / 1e6)
@@ -121,35 +132,74 @@ def _judged(chosen: Callable[..., Cases]) -> Iterator[tuple[str, bool, str]]:
             yield f"{name}: at most 0.15 s more than bare Python", more <= 0.15, f"{more:.2f} s"
     for row in chosen("command", call="steady", points=1024):
         ratio = row["over_import_torch"]
-        yield "tso refine of 1,024 points: at most 0.35 of `import torch`", ratio <= 0.35, f"{ratio:.2f}"
+        yield (
+            "tso refine of 1,024 points: at most 0.35 of `import torch`",
+            ratio <= 0.35,
+            f"{ratio:.2f}",
+        )
     for first in chosen("command", call="first"):
         (steady,) = chosen("command", call="steady", points=first["points"])
         ratio = first["median"] / steady["median"]
-        yield f"tso refine of {first['points']:,} points: the first run under twice any other", ratio < 2.0, f"{ratio:.2f}x"
+        yield (
+            f"tso refine of {first['points']:,} points: the first run under twice any other",
+            ratio < 2.0,
+            f"{ratio:.2f}x",
+        )
 
     for name, file in LARGE.items():
         for row in chosen("large", name=name):
             title, most = file.format(row["points"]), 20.0 if name == "scan" else 4.0
             yield f"{title}: under {most:g} s", row["median"] < most, f"{row['median']:.1f} s"
             if row["peak_MiB"]:
-                yield f"{title}: under 1,536 MiB", row["peak_MiB"] < 1536, f"{row['peak_MiB']:,} MiB"
+                yield (
+                    f"{title}: under 1,536 MiB",
+                    row["peak_MiB"] < 1536,
+                    f"{row['peak_MiB']:,} MiB",
+                )
 
     for (points, most), form in product(((1024, 0.15), (16384, 0.25)), ("", "compiled")):
-        for row in chosen("object", points=points, preset="best", views=1, form=form, threads=1, busy=False):
+        for row in chosen(
+            "object", points=points, preset="best", views=1, form=form, threads=1, busy=False
+        ):
             way, ratio = f", {form}" if form else "", row["over_import_torch"]
-            yield f"one object of {points:,} points{way}: at most {most} of `import torch`", ratio <= most, f"{ratio:.2f}"
+            yield (
+                f"one object of {points:,} points{way}: at most {most} of `import torch`",
+                ratio <= most,
+                f"{ratio:.2f}",
+            )
 
     most_processes = max((row.get("processes", 1) for row in chosen("batch")), default=1)
-    for row in chosen("batch", preset="best", points=1024, batch=64, processes=most_processes, busy=False):
+    for row in chosen(
+        "batch", preset="best", points=1024, batch=64, processes=most_processes, busy=False
+    ):
         ratio = row["over_import_torch"]
-        yield "an object in a batch of 64: at most 0.04 of `import torch`", ratio <= 0.04, f"{ratio:.3f}"
+        yield (
+            "an object in a batch of 64: at most 0.04 of `import torch`",
+            ratio <= 0.04,
+            f"{ratio:.3f}",
+        )
     for what, cores, busy, most, target in (
         ("object", "threads", False, 1.1, "one object on all cores takes at most 1.1x one core"),
-        ("object", "threads", True, 1.5, "beside a busy neighbour one object on all cores takes at most 1.5x one thread"),
+        (
+            "object",
+            "threads",
+            True,
+            1.5,
+            "beside a busy neighbour one object on all cores takes at most 1.5x one thread",
+        ),
         ("batch", "processes", False, 1.0, "a batch is never slower on all cores than on one"),
-        ("batch", "processes", True, 1.5, "beside a busy neighbour a batch on all cores takes at most 1.5x one process"),
+        (
+            "batch",
+            "processes",
+            True,
+            1.5,
+            "beside a busy neighbour a batch on all cores takes at most 1.5x one process",
+        ),
     ):
-        taken = [(tuple(map(row.get, WORK)), row[cores], row["median"]) for row in chosen(what, busy=busy)]
+        taken = [
+            (tuple(map(row.get, WORK)), row[cores], row["median"])
+            for row in chosen(what, busy=busy)
+        ]
         on_one = {work: median for work, count, median in taken if count == 1}
         if ratios := [median / on_one[work] for work, count, median in taken if count > 1]:
             yield target, max(ratios) <= most, f"{max(ratios):.2f}x at worst"
@@ -160,10 +210,17 @@ def _judged(chosen: Callable[..., Cases]) -> Iterator[tuple[str, bool, str]]:
         ("chamfer", 16384, "two k-d trees a step", 5.0),
     ):
         rows = chosen(what, points=points)
-        ours, theirs = ([row["median"] for row in rows if row["name"].startswith(name)] for name in ("tso", peer))
+        ours, theirs = (
+            [row["median"] for row in rows if row["name"].startswith(name)]
+            for name in ("tso", peer)
+        )
         if ours and theirs:
             ratio = min(theirs) / min(ours)
-            yield f"{what} of {points:,} points: at least {factor:g}x faster than {peer}", ratio >= factor, f"{ratio:.1f}x"
+            yield (
+                f"{what} of {points:,} points: at least {factor:g}x faster than {peer}",
+                ratio >= factor,
+                f"{ratio:.1f}x",
+            )
 
 
 STUDY = Study(
@@ -177,7 +234,18 @@ STUDY = Study(
     reading="Contestants for the same work take turns in one process. Trust ratios before times: two runs on a shared machine "
     "differ by up to half.",
     convention=CONVENTION,
-    options=(Option("--only", "May be repeated.", str, tuple(PARTS), tuple(PARTS), multiple=True, name="parts"), SEED),
+    options=(
+        Option(
+            "--only",
+            "May be repeated.",
+            str,
+            tuple(PARTS),
+            tuple(PARTS),
+            multiple=True,
+            name="parts",
+        ),
+        SEED,
+    ),
     plan=plan,
     conclude=conclude,
 )

@@ -72,7 +72,9 @@ class Setting:
         for contestant, taken in zip(contestants, blocks, strict=True):
             low, median, high = np.percentile(taken, [25, 50, 75]) / contestant.calls
             seconds = {"median": float(median), "low": float(low), "high": float(high)}
-            records.append(record(what, contestant.name, seconds=seconds, runs=len(taken)) | contestant.fields)
+            records.append(
+                record(what, contestant.name, seconds=seconds, runs=len(taken)) | contestant.fields
+            )
         first = records[0]["seconds"]["median"]
         return [row | {ratio: row["seconds"]["median"] / first} for row in records]
 
@@ -92,7 +94,14 @@ def _block(sample: Sample) -> float:
 
 def record(what: str, name: str, **fields: Any) -> Record:
     """A flat record of one contestant; without ``seconds`` the field "left_out" says why."""
-    return {"what": what, "name": name, "points": None, "side": None, "seconds": None, "runs": 0} | fields
+    return {
+        "what": what,
+        "name": name,
+        "points": None,
+        "side": None,
+        "seconds": None,
+        "runs": 0,
+    } | fields
 
 
 def timed(work: Callable[[], object], form: str = "") -> Sample:
@@ -119,7 +128,9 @@ def peak_memory() -> int | None:
     """
     status = Path("/proc/self/status")
     lines = status.read_text().splitlines() if status.exists() else []
-    return next((round(int(line.split()[1]) / 1024.0) for line in lines if line.startswith("VmHWM:")), None)
+    return next(
+        (round(int(line.split()[1]) / 1024.0) for line in lines if line.startswith("VmHWM:")), None
+    )
 
 
 Environment = Callable[[Path], dict[str, str]]
@@ -127,7 +138,11 @@ Environment = Callable[[Path], dict[str, str]]
 
 
 def as_installed(folder: Path) -> dict[str, str]:
-    return {"PYTHONPATH": os.pathsep.join(filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH"))))}
+    return {
+        "PYTHONPATH": os.pathsep.join(
+            filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH")))
+        )
+    }
 
 
 def never_run(folder: Path) -> dict[str, str]:
@@ -143,11 +158,17 @@ def process(name: str, arguments: Sequence[str], environment: Environment = as_i
     def sample() -> float:
         with tempfile.TemporaryDirectory() as folder:
             # With PYTHONDONTWRITEBYTECODE no byte code would be kept, and every run would be a first one.
-            variables = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
+            variables = {
+                key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"
+            }
             variables |= environment(Path(folder))
             start = time.perf_counter()
             done = subprocess.run(
-                [sys.executable, *arguments], cwd=folder, env=variables, stdin=subprocess.DEVNULL, capture_output=True
+                [sys.executable, *arguments],
+                cwd=folder,
+                env=variables,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
             )
             elapsed = time.perf_counter() - start
         if done.returncode:

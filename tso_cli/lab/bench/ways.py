@@ -55,15 +55,27 @@ def _by_steps(line: str) -> Iterator[tuple[str, Way]]:
     mode, preset = line.split(", ")
     for steps in STEPS[line]:
         kinds = (PREDICTION,) if mode != "points" else (CLOUD,) if steps else (CLOUD, PREDICTION)
-        yield line + f", {steps} steps" * bool(steps), Way(Variant(RefineConfig(mode, preset=preset, steps=steps)), line, kinds)
+        yield (
+            line + f", {steps} steps" * bool(steps),
+            Way(Variant(RefineConfig(mode, preset=preset, steps=steps)), line, kinds),
+        )
 
 
 WAYS: dict[str, Way] = {
     **dict(way for line in STEPS for way in _by_steps(line)),
     **{f"{DEFAULT}, {number} masks": Way(Variant(masks=number), "masks") for number in (2, 4)},
-    **{f"{DEFAULT}, {count:,} points": Way(Variant(), "points", (CLOUD,), points=count) for count in (256, 4096, 16384)},
-    **{f"{DEFAULT}, {size} px": Way(Variant(), "pixels", (CLOUD,), size=size) for size in (32, 128, 256)},
-    **{f"{DEFAULT}, budget {budget}": Way(Variant(RefineConfig(budget=budget)), "budget") for budget in BUDGETS},
+    **{
+        f"{DEFAULT}, {count:,} points": Way(Variant(), "points", (CLOUD,), points=count)
+        for count in (256, 4096, 16384)
+    },
+    **{
+        f"{DEFAULT}, {size} px": Way(Variant(), "pixels", (CLOUD,), size=size)
+        for size in (32, 128, 256)
+    },
+    **{
+        f"{DEFAULT}, budget {budget}": Way(Variant(RefineConfig(budget=budget)), "budget")
+        for budget in BUDGETS
+    },
     f"{DEFAULT}, 512 move": Way(Variant(RefineConfig(points=512)), "moving", (CLOUD,)),
     f"{DEFAULT}, no mirror plane": Way(Variant(RefineConfig(symmetry="none"))),
     **{name: Way(variant, kinds=(PREDICTION,)) for name, variant in COMBINED.items()},

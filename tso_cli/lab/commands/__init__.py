@@ -23,7 +23,9 @@ class StudyGroup(LazyGroup):
         from . import tools
         from .records import command_of
 
-        command: click.Command = getattr(tools, cmd_name) if cmd_name in TOOLS else command_of(tools.load(cmd_name))
+        command: click.Command = (
+            getattr(tools, cmd_name) if cmd_name in TOOLS else command_of(tools.load(cmd_name))
+        )
         return command
 
 
@@ -35,7 +37,10 @@ def lines(questions: dict[str, tuple[str, str]]) -> dict[str, tuple[str, str]]:
 @click.group(
     "lab",
     cls=StudyGroup,
-    sections={"Studies": lines(QUESTIONS), "Tools": {name: ("", text) for name, text in TOOLS.items()}},
+    sections={
+        "Studies": lines(QUESTIONS),
+        "Tools": {name: ("", text) for name, text in TOOLS.items()},
+    },
 )
 def command() -> None:
     """Ask a question of the method, on many shapes, and keep the answer as JSON beside a chart and a page."""

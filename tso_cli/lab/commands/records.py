@@ -17,7 +17,10 @@ from ...io.shipped import named_checkpoint
 from ..study import Option, Progress, Record, Study, answer, page, undamaged
 
 output_option = click.option(
-    "-o", "--output", type=options.FilePath(), help="Write the record here (.json), a chart (.png) and a page (.md) beside it."
+    "-o",
+    "--output",
+    type=options.FilePath(),
+    help="Write the record here (.json), a chart (.png) and a page (.md) beside it.",
 )
 
 
@@ -30,7 +33,9 @@ def check_outputs(output: Path | None, overwrite: bool, resume: bool = False) ->
         raise InputError("--resume goes on from a record, expected its name after -o")
     if output is not None:
         if output.suffix.lower() != ".json":
-            raise InputError(f"{output}: the suffix is {output.suffix!r}, expected .json (the chart goes beside it as .png)")
+            raise InputError(
+                f"{output}: the suffix is {output.suffix!r}, expected .json (the chart goes beside it as .png)"
+            )
         click.get_current_context().with_resource(sole_writer(output))
         for suffix in (".json", ".png", ".md"):
             check_output(output.with_suffix(suffix), overwrite or resume)
@@ -101,7 +106,9 @@ def write_page(study: Study, record: Record, output: Path) -> None:
 def command_of(study: Study) -> click.Command:
     """`tso lab NAME` or `tso bench NAME`."""
 
-    def run(output: Path | None, overwrite: bool, as_json: bool, resume: bool, **values: Any) -> None:
+    def run(
+        output: Path | None, overwrite: bool, as_json: bool, resume: bool, **values: Any
+    ) -> None:
         check_outputs(output, overwrite, resume)
         command_line = _command_line(study, values)
         for option in study.options:
@@ -117,7 +124,9 @@ def command_of(study: Study) -> click.Command:
 
         earlier = earlier_record(study.name, output, resume)
         named = f"{output}: the record to go on from"
-        record = study.run(Progress(Reporter(), earlier, keep, overwrite or resume, named), **values)
+        record = study.run(
+            Progress(Reporter(), earlier, keep, overwrite or resume, named), **values
+        )
         if output is not None:
             write_page(study, {**record, "command": command_line}, output)
         if as_json:
@@ -125,11 +134,23 @@ def command_of(study: Study) -> click.Command:
         else:
             click.echo(answer(study, record))
 
-    resumed = click.option("--resume", is_flag=True, help="Go on from the record at -o, kept after every job, if there is one.")
+    resumed = click.option(
+        "--resume",
+        is_flag=True,
+        help="Go on from the record at -o, kept after every job, if there is one.",
+    )
     function: Callable[..., Any] = run
-    for decorate in (options.as_json, options.overwrite, resumed, output_option, *map(_click_option, study.options[::-1])):
+    for decorate in (
+        options.as_json,
+        options.overwrite,
+        resumed,
+        output_option,
+        *map(_click_option, study.options[::-1]),
+    ):
         function = decorate(function)
-    return click.command(study.name, help="\n\n".join(filter(None, (study.question, study.about))))(function)
+    return click.command(study.name, help="\n\n".join(filter(None, (study.question, study.about))))(
+        function
+    )
 
 
 def _click_option(option: Option) -> Callable[..., Any]:
@@ -146,7 +167,9 @@ def _click_option(option: Option) -> Callable[..., Any]:
         option.parameter,
         required=option.required,
         multiple=option.multiple,
-        show_default=not (option.default is None or option.default is False or option.default == ()),
+        show_default=not (
+            option.default is None or option.default is False or option.default == ()
+        ),
         help=option.help,
         **settings,
     )
@@ -163,5 +186,8 @@ def _command_line(study: Study, values: dict[str, Any]) -> str:
             words += [option.flag] * value
         elif value != option.default:
             values_of = value if option.multiple else [value]
-            words += [f"{option.flag} {item.name if isinstance(item, Path) else item}" for item in values_of]
+            words += [
+                f"{option.flag} {item.name if isinstance(item, Path) else item}"
+                for item in values_of
+            ]
     return " ".join(words)

@@ -33,9 +33,13 @@ def page(records: tuple[Path, ...]) -> None:
         record = read_record(path)
         name = record.get("study")
         if name not in (*QUESTIONS, *BENCHES):
-            raise InputError(f"{path}: is of the study {shown(name)}, expected one of {', '.join((*QUESTIONS, *BENCHES))}")
+            raise InputError(
+                f"{path}: is of the study {shown(name)}, expected one of {', '.join((*QUESTIONS, *BENCHES))}"
+            )
         if not record.get("complete", True):
-            raise InputError(f"{path}: is not complete, expected a finished record (--resume finishes it)")
+            raise InputError(
+                f"{path}: is not complete, expected a finished record (--resume finishes it)"
+            )
         study = load(name)
         with undamaged(f"{path}: the record"):
             answer(study, record)  # before anything is written
@@ -57,14 +61,24 @@ def fingerprint(records: tuple[Path, ...]) -> None:
         with undamaged(f"{path}: the record"):
             changes[path] = differences(read_record(path))
     for path, lines in changes.items():
-        click.echo("\n  ".join([f"{path}: of {'another method' if lines else 'the method as it is'}", *lines]))
+        click.echo(
+            "\n  ".join(
+                [f"{path}: of {'another method' if lines else 'the method as it is'}", *lines]
+            )
+        )
     if others := sum(map(bool, changes.values())):
-        raise GateError(f"{others} of {len(records)} records are not known to be of the method as it is")
+        raise GateError(
+            f"{others} of {len(records)} records are not known to be of the method as it is"
+        )
 
 
 @click.command("generate")
 @click.option(
-    "-o", "--output", type=options.FilePath(), required=True, help="Folder to write CATEGORY/gen_00000.ply and so on into."
+    "-o",
+    "--output",
+    type=options.FilePath(),
+    required=True,
+    help="Folder to write CATEGORY/gen_00000.ply and so on into.",
 )
 @click.option("--chair", type=int, default=300, show_default=True, help="How many chairs.")
 @click.option("--car", type=int, default=300, show_default=True, help="How many cars.")
@@ -72,7 +86,9 @@ def fingerprint(records: tuple[Path, ...]) -> None:
 @options.seed
 @options.overwrite
 @options.as_json
-def generate(output: Path, chair: int, car: int, airplane: int, seed: int, overwrite: bool, as_json: bool) -> None:
+def generate(
+    output: Path, chair: int, car: int, airplane: int, seed: int, overwrite: bool, as_json: bool
+) -> None:
     """Draw chairs, cars and aeroplanes by rule and write them as meshes.
 
     No two are alike, each is reproducible from the seed, and asking for more (with --overwrite) gives the same ones first. They
@@ -85,7 +101,15 @@ def generate(output: Path, chair: int, car: int, airplane: int, seed: int, overw
     counts = {"chair": chair, "car": car, "airplane": airplane}
     written = write_shapes(output, counts, seed, options.ProgressBar("generating"), overwrite)
     if as_json:
-        options.echo_json({"output": output, "counts": counts, "written": len(written), "seed": seed, "version": __version__})
+        options.echo_json(
+            {
+                "output": output,
+                "counts": counts,
+                "written": len(written),
+                "seed": seed,
+                "version": __version__,
+            }
+        )
     else:
         each = ", ".join(f"{count} of {category}" for category, count in counts.items() if count)
         click.echo(f"{len(written)} shapes written into {output} ({each}, seed {seed})")

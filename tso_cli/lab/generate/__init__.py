@@ -52,8 +52,14 @@ def write_shapes(
     output = Path(output)
     for category, count in counts.items():
         if not 0 <= count <= MOST:
-            raise InputError(f"asked for {count} shapes of category {category}, expected 0 to {MOST:,}")
-    paths = {(name, k): output / name / f"gen_{k:05d}.ply" for name, count in counts.items() for k in range(count)}
+            raise InputError(
+                f"asked for {count} shapes of category {category}, expected 0 to {MOST:,}"
+            )
+    paths = {
+        (name, k): output / name / f"gen_{k:05d}.ply"
+        for name, count in counts.items()
+        for k in range(count)
+    }
     if not paths:
         raise InputError("asked for no shape at all, expected at least one")
     for folder in (output, *dict.fromkeys(path.parent for path in paths.values())):

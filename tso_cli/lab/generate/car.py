@@ -14,17 +14,53 @@ from .parts import Array, Range, both, box, chance, cushion, draw, loft, wheel
 SPREAD = 0.05
 # Side views: shares of the length from the nose, and of the height there.
 PROFILES: dict[str, tuple[list[float], list[float]]] = {
-    "sedan": ([0, 0.03, 0.28, 0.43, 0.52, 0.66, 0.82, 0.97, 1], [0.42, 0.52, 0.63, 0.96, 1, 0.97, 0.69, 0.65, 0.5]),
-    "hatch": ([0, 0.04, 0.25, 0.42, 0.54, 0.82, 0.96, 1], [0.42, 0.53, 0.65, 0.97, 1, 0.93, 0.65, 0.45]),
+    "sedan": (
+        [0, 0.03, 0.28, 0.43, 0.52, 0.66, 0.82, 0.97, 1],
+        [0.42, 0.52, 0.63, 0.96, 1, 0.97, 0.69, 0.65, 0.5],
+    ),
+    "hatch": (
+        [0, 0.04, 0.25, 0.42, 0.54, 0.82, 0.96, 1],
+        [0.42, 0.53, 0.65, 0.97, 1, 0.93, 0.65, 0.45],
+    ),
     "suv": ([0, 0.02, 0.26, 0.37, 0.46, 0.9, 0.98, 1], [0.45, 0.6, 0.66, 0.97, 1, 0.97, 0.65, 0.4]),
-    "van": ([0, 0.04, 0.12, 0.27, 0.34, 0.97, 0.995, 1], [0.35, 0.45, 0.53, 0.94, 1, 0.98, 0.9, 0.5]),
-    "pickup": ([0, 0.02, 0.26, 0.36, 0.4, 0.54, 0.585, 0.99, 1], [0.45, 0.57, 0.62, 0.97, 1, 0.98, 0.63, 0.62, 0.5]),
-    "sports": ([0, 0.04, 0.34, 0.5, 0.57, 0.68, 0.9, 0.98, 1], [0.3, 0.48, 0.68, 0.97, 1, 0.95, 0.73, 0.7, 0.5]),
-    "wedge": ([0, 0.1, 0.3, 0.46, 0.55, 0.66, 0.8, 0.99, 1], [0.28, 0.45, 0.62, 0.97, 1, 0.9, 0.75, 0.7, 0.4]),
-    "round": ([0, 0.08, 0.3, 0.4, 0.52, 0.66, 0.85, 0.96, 1], [0.3, 0.52, 0.62, 0.92, 1, 0.93, 0.62, 0.4, 0.28]),
-    "box": ([0, 0.005, 0.28, 0.38, 0.42, 0.72, 0.84, 0.995, 1], [0.55, 0.6, 0.62, 0.99, 1, 1, 0.63, 0.62, 0.55]),
+    "van": (
+        [0, 0.04, 0.12, 0.27, 0.34, 0.97, 0.995, 1],
+        [0.35, 0.45, 0.53, 0.94, 1, 0.98, 0.9, 0.5],
+    ),
+    "pickup": (
+        [0, 0.02, 0.26, 0.36, 0.4, 0.54, 0.585, 0.99, 1],
+        [0.45, 0.57, 0.62, 0.97, 1, 0.98, 0.63, 0.62, 0.5],
+    ),
+    "sports": (
+        [0, 0.04, 0.34, 0.5, 0.57, 0.68, 0.9, 0.98, 1],
+        [0.3, 0.48, 0.68, 0.97, 1, 0.95, 0.73, 0.7, 0.5],
+    ),
+    "wedge": (
+        [0, 0.1, 0.3, 0.46, 0.55, 0.66, 0.8, 0.99, 1],
+        [0.28, 0.45, 0.62, 0.97, 1, 0.9, 0.75, 0.7, 0.4],
+    ),
+    "round": (
+        [0, 0.08, 0.3, 0.4, 0.52, 0.66, 0.85, 0.96, 1],
+        [0.3, 0.52, 0.62, 0.92, 1, 0.93, 0.62, 0.4, 0.28],
+    ),
+    "box": (
+        [0, 0.005, 0.28, 0.38, 0.42, 0.72, 0.84, 0.995, 1],
+        [0.55, 0.6, 0.62, 0.99, 1, 1, 0.63, 0.62, 0.55],
+    ),
 }
-NUMBERS = ("length", "width", "height", "clearance", "radius", "smooth", "tumble", "nose", "rear", "bulge", "inset")
+NUMBERS = (
+    "length",
+    "width",
+    "height",
+    "clearance",
+    "radius",
+    "smooth",
+    "tumble",
+    "nose",
+    "rear",
+    "bulge",
+    "inset",
+)
 # Ranges of the first six of these fields of `Shape`.
 SIZES: dict[str, tuple[Range, ...]] = {
     "sedan": ((4.2, 5.1), (1.65, 1.9), (1.36, 1.52), (0.14, 0.22), (0.29, 0.35), (0.01, 0.06)),
@@ -82,7 +118,11 @@ class Shape:
 
     def top(self, s: Array | float) -> Array:
         """Height of the upper edge at share ``s`` of the length, corners rounded."""
-        around = np.clip(np.asarray(s, dtype=np.float64)[..., None] + np.linspace(-1.0, 1.0, 9) * self.smooth, 0.0, 1.0)
+        around = np.clip(
+            np.asarray(s, dtype=np.float64)[..., None] + np.linspace(-1.0, 1.0, 9) * self.smooth,
+            0.0,
+            1.0,
+        )
         heights: Array = np.interp(around, *self.profile.T).mean(axis=-1) * self.height
         return heights
 
@@ -99,7 +139,9 @@ class Shape:
     def mesh(self) -> Mesh:
         s = self._stations()
         wide, top = self.half_width(s), self.top(s)
-        ends = np.clip(1.0 - s / 0.08, 0.0, 1.0) ** 2 + np.clip(1.0 - (1.0 - s) / 0.08, 0.0, 1.0) ** 2
+        ends = (
+            np.clip(1.0 - s / 0.08, 0.0, 1.0) ** 2 + np.clip(1.0 - (1.0 - s) / 0.08, 0.0, 1.0) ** 2
+        )
         low = self.clearance + 0.35 * (top.min() - self.clearance) * ends
         belt = np.minimum(np.interp(s, [0, 1], self.belt) * self.height, top - 0.015)
         # The lower edge of the sides, raised over the wheels.
@@ -118,8 +160,28 @@ class Shape:
             inside = (s >= self.hollow[0]) & (s <= self.hollow[1])
             floor = np.where(inside, np.maximum(top - self.hollow[2], low + 0.05), top)
             rim_x = np.where(inside, 0.88 * edge, rim_x)
-        x = [middle, inner, inner, wide - bulge, wide, wide - 0.3 * bulge, wide - bulge, (wide - bulge + edge) / 2.0, edge]
-        y = [low, low, side, side, mid, belt - 0.15 * (belt - mid), belt, belt + 0.5 * (glass - crown), top - crown]
+        x = [
+            middle,
+            inner,
+            inner,
+            wide - bulge,
+            wide,
+            wide - 0.3 * bulge,
+            wide - bulge,
+            (wide - bulge + edge) / 2.0,
+            edge,
+        ]
+        y = [
+            low,
+            low,
+            side,
+            side,
+            mid,
+            belt - 0.15 * (belt - mid),
+            belt,
+            belt + 0.5 * (glass - crown),
+            top - crown,
+        ]
         x, y = [*x, edge - 0.7 * crown, rim_x, middle], [*y, top - 0.15 * crown, floor, floor]
         half = np.stack([np.stack(x, 1), np.stack(y, 1)], axis=-1)
         ring = np.concatenate([half, half[:, ::-1] * [-1.0, 1.0]], axis=1)
@@ -128,9 +190,18 @@ class Shape:
 
     def _stations(self) -> Array:
         """Shares of the length at which the body has an outline."""
-        ends, arch = np.array([0.004, 0.015, 0.035, 0.06]), 0.999 * self.arch * self.radius / self.length
+        ends, arch = (
+            np.array([0.004, 0.015, 0.035, 0.06]),
+            0.999 * self.arch * self.radius / self.length,
+        )
         around = np.linspace(-arch, arch, 7)
-        s = [np.linspace(0, 1, 13), ends, 1.0 - ends, self.profile[:, 0], *(axle + around for axle in self.axles)]
+        s = [
+            np.linspace(0, 1, 13),
+            ends,
+            1.0 - ends,
+            self.profile[:, 0],
+            *(axle + around for axle in self.axles),
+        ]
         if self.hollow:
             s.append(np.array([0.0, -0.004, 0.0, 0.004]) + np.repeat(self.hollow[:2], 2))
         return np.unique(np.round(np.clip(np.concatenate(s), 0.0, 1.0), 5))
@@ -138,7 +209,10 @@ class Shape:
     def wheels(self, hub: float) -> list[Mesh]:
         x = self.width / 2.0 - self.inset - self.tyre / 2.0
         return both(
-            wheel(np.array([x, self.radius, float(self.z(axle))]), self.radius, self.tyre, 0, 18, hub) for axle in self.axles
+            wheel(
+                np.array([x, self.radius, float(self.z(axle))]), self.radius, self.tyre, 0, 18, hub
+            )
+            for axle in self.axles
         )
 
 
@@ -149,7 +223,9 @@ def build(rng: np.random.Generator, kind: str) -> list[Mesh]:
 
 
 def _shape(rng: np.random.Generator, kind: str) -> Shape:
-    numbers: dict[str, Any] = dict(zip(NUMBERS, draw(rng, SIZES[kind] + FORMS.get(kind, FORM)), strict=True))
+    numbers: dict[str, Any] = dict(
+        zip(NUMBERS, draw(rng, SIZES[kind] + FORMS.get(kind, FORM)), strict=True)
+    )
     knots = np.array(PROFILES[kind]).T
     knots = knots + rng.normal(0.0, 1.0, knots.shape) * [0.018, 0.015]
     # Ends stay ends, the order stays, and the highest point stays 1.
@@ -163,7 +239,15 @@ def _shape(rng: np.random.Generator, kind: str) -> Shape:
         hollow = (rng.uniform(0.59, 0.65), 0.975, rng.uniform(0.3, 0.5))
     if chance(rng, 0.15):
         arch = 0.0
-    return Shape(**numbers, profile=profile, belt=(low, high), axles=(front, rear), tyre=tyre, arch=arch, hollow=hollow)
+    return Shape(
+        **numbers,
+        profile=profile,
+        belt=(low, high),
+        axles=(front, rear),
+        tyre=tyre,
+        arch=arch,
+        hollow=hollow,
+    )
 
 
 def _extras(rng: np.random.Generator, shape: Shape, kind: str) -> list[Mesh]:
@@ -171,17 +255,32 @@ def _extras(rng: np.random.Generator, shape: Shape, kind: str) -> list[Mesh]:
     parts: list[Mesh] = []
     half, high, rear = shape.width / 2.0, shape.height, float(shape.z(1.0))
     if chance(rng, 0.6):
-        mirror = (0.97 * half + 0.07, shape.belt[0] * high + 0.08, float(shape.z(rng.uniform(0.3, 0.36))))
-        parts += both(cushion((rng.uniform(0.12, 0.22), rng.uniform(0.1, 0.16), 0.09), mirror, 0.8, 3))
+        mirror = (
+            0.97 * half + 0.07,
+            shape.belt[0] * high + 0.08,
+            float(shape.z(rng.uniform(0.3, 0.36))),
+        )
+        parts += both(
+            cushion((rng.uniform(0.12, 0.22), rng.uniform(0.1, 0.16), 0.09), mirror, 0.8, 3)
+        )
     if chance(rng, 0.35):
         y, thick = shape.clearance + 0.15 * high + 0.05, rng.uniform(0.08, 0.2)
         for s in (0.02, 0.98):
-            parts.append(cushion((2.1 * float(shape.half_width(s)), thick, 0.16), (0, y, float(shape.z(round(s)))), 0.4, 8))
+            parts.append(
+                cushion(
+                    (2.1 * float(shape.half_width(s)), thick, 0.16),
+                    (0, y, float(shape.z(round(s)))),
+                    0.4,
+                    8,
+                )
+            )
     if chance(rng, 0.35 if kind in ("wedge", "sports", "box") else 0.14):
         deck, rise = float(shape.top(0.95)), rng.uniform(0.05, 0.3)
         size = (shape.width * rng.uniform(0.75, 1.0), 0.035, rng.uniform(0.15, 0.4))
         parts.append(box(size, (0, deck + rise, rear + 0.15)))
-        parts += both(box((0.04, rise + 0.06, 0.12), (half * 0.65, deck + rise / 2 - 0.03, rear + 0.16)))
+        parts += both(
+            box((0.04, rise + 0.06, 0.12), (half * 0.65, deck + rise / 2 - 0.03, rear + 0.16))
+        )
     if float(shape.top(0.96)) > 0.75 * high and chance(rng, 0.15):
         parts.append(wheel(np.array([0, 0.55 * high, rear - 0.08]), shape.radius * 0.9, 0.18, 2))
     return parts

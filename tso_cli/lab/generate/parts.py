@@ -82,7 +82,10 @@ def superellipse(angle: ArrayLike, power: float) -> Array:
     """Points [..., 2] of the unit superellipse: power 2 a circle, above 6 nearly a square."""
     cos, sin = np.cos(angle), np.sin(angle)
     # Scaled along rays, which spreads the points evenly whatever the power.
-    return np.stack([cos, sin], -1) * ((np.abs(cos) ** power + np.abs(sin) ** power) ** (-1.0 / power))[..., None]
+    return (
+        np.stack([cos, sin], -1)
+        * ((np.abs(cos) ** power + np.abs(sin) ** power) ** (-1.0 / power))[..., None]
+    )
 
 
 def oval(half_width: float, half_height: float, power: float = 2.0, count: int = 12) -> Array:
@@ -92,10 +95,19 @@ def oval(half_width: float, half_height: float, power: float = 2.0, count: int =
 
 def rectangle(width: float, height: float) -> Array:
     """Outline [4, 2], centred."""
-    return np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * [width / 2.0, height / 2.0]
+    return np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * [
+        width / 2.0,
+        height / 2.0,
+    ]
 
 
-def sweep(path: ArrayLike, section: Array, scale: ArrayLike = 1.0, side: ArrayLike | None = None, closed: bool = False) -> Mesh:
+def sweep(
+    path: ArrayLike,
+    section: Array,
+    scale: ArrayLike = 1.0,
+    side: ArrayLike | None = None,
+    closed: bool = False,
+) -> Mesh:
     """An outline drawn along a path.
 
     path : [N, 3], no point twice in a row; where ``closed`` it returns to its first point.
@@ -103,12 +115,23 @@ def sweep(path: ArrayLike, section: Array, scale: ArrayLike = 1.0, side: ArrayLi
     scale : of the section, one number or one for each point [N].
     """
     points = np.asarray(path, dtype=np.float64)
-    around = np.concatenate([points[-1:], points, points[:1]]) if closed else np.concatenate([points[:1], points, points[-1:]])
+    around = (
+        np.concatenate([points[-1:], points, points[:1]])
+        if closed
+        else np.concatenate([points[:1], points, points[-1:]])
+    )
     tangent = _unit(around[2:] - around[:-2])
-    reference = np.eye(3)[int(np.abs(tangent).max(0).argmin())] if side is None else np.asarray(side, dtype=np.float64)
+    reference = (
+        np.eye(3)[int(np.abs(tangent).max(0).argmin())]
+        if side is None
+        else np.asarray(side, dtype=np.float64)
+    )
     first = _unit(reference - (tangent @ reference)[:, None] * tangent)
     size = np.broadcast_to(np.asarray(scale, dtype=np.float64), (len(points),))[:, None, None]
-    offsets = section[None, :, 0, None] * first[:, None] + section[None, :, 1, None] * np.cross(tangent, first)[:, None]
+    offsets = (
+        section[None, :, 0, None] * first[:, None]
+        + section[None, :, 1, None] * np.cross(tangent, first)[:, None]
+    )
     return loft(points[:, None] + size * offsets, closed)
 
 
@@ -116,12 +139,16 @@ def _unit(vectors: Array) -> Array:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
-def rod(a: ArrayLike, b: ArrayLike, radius: float, end: float | None = None, sides: int = 8) -> Mesh:
+def rod(
+    a: ArrayLike, b: ArrayLike, radius: float, end: float | None = None, sides: int = 8
+) -> Mesh:
     """Cylinder from ``a`` to ``b``, or the frustum of radius ``end`` at ``b``."""
     return turned(a, b, [0.0, 1.0], [radius, radius if end is None else end], sides)
 
 
-def turned(a: ArrayLike, b: ArrayLike, stations: ArrayLike, radii: ArrayLike, sides: int = 10) -> Mesh:
+def turned(
+    a: ArrayLike, b: ArrayLike, stations: ArrayLike, radii: ArrayLike, sides: int = 10
+) -> Mesh:
     """Body of revolution about the line from ``a`` to ``b``: radius ``radii`` [N] at fractions ``stations`` [N] of it."""
     start, line = np.asarray(a, dtype=np.float64), np.subtract(b, a, dtype=np.float64)
     direction = _unit(line)
@@ -130,16 +157,26 @@ def turned(a: ArrayLike, b: ArrayLike, stations: ArrayLike, radii: ArrayLike, si
     circle = oval(1.0, 1.0, 2.0, sides)
     ring = circle[:, :1] * first + circle[:, 1:] * np.cross(direction, first)
     along = np.asarray(stations, dtype=np.float64)[:, None]
-    return loft((start + along * line)[:, None] + np.asarray(radii, dtype=np.float64)[:, None, None] * ring)
+    return loft(
+        (start + along * line)[:, None] + np.asarray(radii, dtype=np.float64)[:, None, None] * ring
+    )
 
 
 def box(size: Sequence[float], centre: ArrayLike) -> Mesh:
     """Box of ``size`` [3]."""
     outline = rectangle(size[0], size[2])
-    return loft(np.stack([flat(outline, -0.5 * size[1]), flat(outline, 0.5 * size[1])]) + np.asarray(centre))
+    return loft(
+        np.stack([flat(outline, -0.5 * size[1]), flat(outline, 0.5 * size[1])]) + np.asarray(centre)
+    )
 
 
-def cushion(size: Sequence[float], centre: ArrayLike, rounding: float = 0.5, power: float = 6.0, puff: float = 0.0) -> Mesh:
+def cushion(
+    size: Sequence[float],
+    centre: ArrayLike,
+    rounding: float = 0.5,
+    power: float = 6.0,
+    puff: float = 0.0,
+) -> Mesh:
     """Box of ``size`` [3] with round edges.
 
     rounding : radius of the upper and lower edges in half heights. power : how square it is seen from above; see
@@ -149,7 +186,10 @@ def cushion(size: Sequence[float], centre: ArrayLike, rounding: float = 0.5, pow
     edge = rounding * half[1]
     # Rings from below: inset from the outline, and height.
     inset = np.array([0.6, 0.293, 0.0, 0.0, 0.293, 1.0]) * edge
-    height = np.array([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0]) * half[1] + np.array([0.0, 0.293, 1.0, -1.0, -0.293, 0.0]) * edge
+    height = (
+        np.array([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0]) * half[1]
+        + np.array([0.0, 0.293, 1.0, -1.0, -0.293, 0.0]) * edge
+    )
     if puff > 0.0:
         inset = np.append(inset, edge + 0.45 * max(half[[0, 2]].min() - edge, 0.0))
         height = np.append(height, half[1] * (1.0 + 2.0 * puff))
@@ -174,7 +214,11 @@ def plate(grid: ArrayLike, thickness: ArrayLike) -> Mesh:
     """A bent sheet: middle surface [M, N, 3], and its thickness, one number or [M, N]."""
     middle = np.asarray(grid, dtype=np.float64)
     normal = _unit(np.cross(np.gradient(middle, axis=0), np.gradient(middle, axis=1)))
-    half = np.broadcast_to(np.asarray(thickness, dtype=np.float64), middle.shape[:2])[..., None] / 2.0 * normal
+    half = (
+        np.broadcast_to(np.asarray(thickness, dtype=np.float64), middle.shape[:2])[..., None]
+        / 2.0
+        * normal
+    )
     return loft(np.concatenate([middle + half, (middle - half)[:, ::-1]], axis=1))
 
 
@@ -182,10 +226,16 @@ def curve(points: ArrayLike, count: int) -> Array:
     """A smooth curve [count, D] through ``points`` [K, D], K >= 3, evenly stepped between them."""
     knots = np.asarray(points, dtype=np.float64)
     at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1))])
-    return np.asarray(CubicHermiteSpline(at, knots, np.gradient(knots, at, axis=0))(np.linspace(0.0, at[-1], count)))
+    return np.asarray(
+        CubicHermiteSpline(at, knots, np.gradient(knots, at, axis=0))(
+            np.linspace(0.0, at[-1], count)
+        )
+    )
 
 
-def wheel(centre: ArrayLike, radius: float, width: float, axis: int, sides: int = 18, hub: float = 0.6) -> Mesh:
+def wheel(
+    centre: ArrayLike, radius: float, width: float, axis: int, sides: int = 18, hub: float = 0.6
+) -> Mesh:
     """Wheel with a hollow hub; ``width`` along ``axis``."""
     half = np.eye(3)[axis] * width / 2.0
     stations = [0.12, 0.06, 0.0, 0.12, 0.88, 1.0, 0.94, 0.88]

@@ -68,7 +68,12 @@ class Axis:
     masks: int = 1
 
     def apply(
-        self, case: Case, level: float, rng: Rng, other: Case | None = None, config: RefineConfig | None = None
+        self,
+        case: Case,
+        level: float,
+        rng: Rng,
+        other: Case | None = None,
+        config: RefineConfig | None = None,
     ) -> tuple[Case, RefineConfig]:
         """The case to refine at ``level``, and the settings to refine it with; raises InputError where it cannot be made."""
         config = config or RefineConfig()
@@ -112,10 +117,18 @@ def _direction(rng: Rng) -> Array:
 # Masks: another one [H, W] for what is foreground [H, W] in the first view.
 
 
-def _mask(name: str, unit: str, levels: tuple[float, ...], change: Callable[[Bits, float, Rng], Any], **options: Any) -> Axis:
+def _mask(
+    name: str,
+    unit: str,
+    levels: tuple[float, ...],
+    change: Callable[[Bits, float, Rng], Any],
+    **options: Any,
+) -> Axis:
     def alter(case: Case, level: float, rng: Rng) -> Case:
         view = case.views[0]
-        return _first(case, replace(view, mask=change(view.mask > 0.5, level, rng).astype(np.float32)))
+        return _first(
+            case, replace(view, mask=change(view.mask > 0.5, level, rng).astype(np.float32))
+        )
 
     return Axis("mask", name, unit, levels, alter, **options)
 
@@ -151,17 +164,23 @@ def _thresholded(inside: Bits, threshold: float, rng: Rng) -> Any:
 
 
 def _occluded(inside: Bits, percent: float, rng: Rng) -> Bits:
-    return _least(inside, np.tensordot(_aside(rng)[:2], np.indices(inside.shape), 1), 100.0 - percent)
+    return _least(
+        inside, np.tensordot(_aside(rng)[:2], np.indices(inside.shape), 1), 100.0 - percent
+    )
 
 
 def _shifted(inside: Bits, percent: float, rng: Rng) -> Any:
-    return shift(inside.astype(np.uint8), np.rint(percent / 100.0 * _size(inside) * _aside(rng)[:2]), order=0)
+    return shift(
+        inside.astype(np.uint8), np.rint(percent / 100.0 * _size(inside) * _aside(rng)[:2]), order=0
+    )
 
 
 def _nearly_empty(inside: Bits, percent: float, rng: Rng) -> Bits:
     """The pixels nearest to one of them."""
     place = rng.choice(np.argwhere(inside))
-    return _least(inside, np.square(np.indices(inside.shape) - place[:, None, None]).sum(0), percent)
+    return _least(
+        inside, np.square(np.indices(inside.shape) - place[:, None, None]).sum(0), percent
+    )
 
 
 def _nearly_full(inside: Bits, percent: float, rng: Rng) -> Bits:
@@ -173,9 +192,13 @@ def _cut(case: Case, percent: float, rng: Rng) -> Case:
     view, side = case.views[0], int(rng.integers(4))
     ends = np.array([(0, 0), view.mask.shape])
     share = percent / 100.0 if side < 2 else 1.0 - percent / 100.0
-    ends[side // 2, side % 2] = np.quantile(np.nonzero(view.mask > 0.5)[side % 2], share) + side // 2
+    ends[side // 2, side % 2] = (
+        np.quantile(np.nonzero(view.mask > 0.5)[side % 2], share) + side // 2
+    )
     (top, left), (bottom, right) = ends.tolist()
-    camera = view.camera.cropped((left - 0.5, top - 0.5, right - 0.5, bottom - 0.5), right - left, bottom - top)
+    camera = view.camera.cropped(
+        (left - 0.5, top - 0.5, right - 0.5, bottom - 0.5), right - left, bottom - top
+    )
     return _first(case, replace(view, mask=view.mask[top:bottom, left:right], camera=camera))
 
 
@@ -189,12 +212,17 @@ def _boxed(inside: Bits, level: float, rng: Rng) -> Bits:
 
 def _of_other(case: Case, level: float, rng: Rng, other: Case) -> Case:
     view = case.views[0]
-    return _first(case, replace(view, mask=_resized(other.views[0].mask, view.camera.width, view.camera.height)))
+    return _first(
+        case,
+        replace(view, mask=_resized(other.views[0].mask, view.camera.width, view.camera.height)),
+    )
 
 
 def _masks_exchanged(case: Case, level: float, rng: Rng) -> Case:
     first, second, *others = case.views
-    return replace(case, views=(replace(first, mask=second.mask), replace(second, mask=first.mask), *others))
+    return replace(
+        case, views=(replace(first, mask=second.mask), replace(second, mask=first.mask), *others)
+    )
 
 
 # Cameras: what changes in those of all views.
@@ -202,13 +230,18 @@ def _masks_exchanged(case: Case, level: float, rng: Rng) -> Case:
 Fields = Callable[[Camera, float, Rng], dict[str, Any]]
 
 
-def _camera(name: str, unit: str, levels: tuple[float, ...], change: Fields, **options: Any) -> Axis:
+def _camera(
+    name: str, unit: str, levels: tuple[float, ...], change: Fields, **options: Any
+) -> Axis:
     return Axis("camera", name, unit, levels, _seen(change), **options)
 
 
 def _seen(change: Fields) -> Alter:
     def alter(case: Case, level: float, rng: Rng) -> Case:
-        views = (replace(view, camera=replace(view.camera, **change(view.camera, level, rng))) for view in case.views)
+        views = (
+            replace(view, camera=replace(view.camera, **change(view.camera, level, rng)))
+            for view in case.views
+        )
         return replace(case, views=tuple(views))
 
     return alter
@@ -225,7 +258,9 @@ def _around_itself(camera: Camera, degrees: float, rng: Rng) -> dict[str, Any]:
     return {"R": turn @ camera.R, "t": turn @ camera.t}
 
 
-def _scaled(camera: Camera, factor: float, rng: Rng, focal: bool = False, distance: bool = False) -> dict[str, Any]:
+def _scaled(
+    camera: Camera, factor: float, rng: Rng, focal: bool = False, distance: bool = False
+) -> dict[str, Any]:
     """Focal length, distance or both, too long or too short."""
     factor **= float(rng.choice([-1.0, 1.0]))
     f, z = factor if focal else 1.0, factor if distance else 1.0
@@ -237,7 +272,13 @@ def _in_axes(*signs: float) -> Fields:
 
 
 def _principal_point(camera: Camera, percent: float, rng: Rng) -> dict[str, Any]:
-    return {"K": camera.K + percent / 100.0 * max(camera.width, camera.height) * np.outer(_aside(rng), [0.0, 0.0, 1.0])}
+    return {
+        "K": camera.K
+        + percent
+        / 100.0
+        * max(camera.width, camera.height)
+        * np.outer(_aside(rng), [0.0, 0.0, 1.0])
+    }
 
 
 def _exchanged(case: Case, level: float, rng: Rng) -> Case:
@@ -245,10 +286,14 @@ def _exchanged(case: Case, level: float, rng: Rng) -> Case:
     views = []
     for view in case.views:
         width, height, more = view.camera.width, view.camera.height, view.camera.width // 2
-        camera = view.camera.cropped((-0.5 - more, -0.5, width - 0.5, height - 0.5), width + more, height)
+        camera = view.camera.cropped(
+            (-0.5 - more, -0.5, width - 0.5, height - 0.5), width + more, height
+        )
         K = camera.K.copy()
         K[:2, 2] = K[1::-1, 2]
-        views.append(replace(view, mask=np.pad(view.mask, ((0, 0), (more, 0))), camera=replace(camera, K=K)))
+        views.append(
+            replace(view, mask=np.pad(view.mask, ((0, 0), (more, 0))), camera=replace(camera, K=K))
+        )
     return replace(case, views=tuple(views))
 
 
@@ -256,19 +301,27 @@ def _exchanged(case: Case, level: float, rng: Rng) -> Case:
 
 
 def _start(
-    name: str, unit: str, levels: tuple[float, ...], change: Callable[[Case, float, Rng], Array], **options: Any
+    name: str,
+    unit: str,
+    levels: tuple[float, ...],
+    change: Callable[[Case, float, Rng], Array],
+    **options: Any,
 ) -> Axis:
     alter = lambda case, level, rng: replace(case, initial=change(case, level, rng))  # noqa: E731
     return Axis("cloud", name, unit, levels, alter, **options)
 
 
 def _clouds(case: Case, change: Callable[[Array], Array]) -> Case:
-    return replace(case, initial=change(case.initial), target=change(case.target), dense=change(case.dense))
+    return replace(
+        case, initial=change(case.initial), target=change(case.target), dense=change(case.dense)
+    )
 
 
 def _framed(matrix: Any, power: float = 1.0) -> Alter:
     """The cloud, and so the result, is in other axes than the camera: ``matrix`` times the level to a power."""
-    return lambda case, level, rng: _clouds(case, lambda points: level**power * points @ np.array(matrix, float).T)
+    return lambda case, level, rng: _clouds(
+        case, lambda points: level**power * points @ np.array(matrix, float).T
+    )
 
 
 def _behind(case: Case, percent: float, rng: Rng) -> Array:
@@ -281,7 +334,9 @@ def _behind(case: Case, percent: float, rng: Rng) -> Array:
 def _flat(case: Case, percent: float, rng: Rng) -> Array:
     """Along the line of sight."""
     forward = case.views[0].camera.R[2]
-    return case.initial - percent / 100.0 * np.outer((case.initial - case.initial.mean(0)) @ forward, forward)
+    return case.initial - percent / 100.0 * np.outer(
+        (case.initial - case.initial.mean(0)) @ forward, forward
+    )
 
 
 def _collinear(case: Case, percent: float, rng: Rng) -> Array:
@@ -311,7 +366,9 @@ def _with_outliers(case: Case, percent: float, rng: Rng, spread: float = SPREAD)
 
 
 def _with_clump(case: Case, percent: float, rng: Rng) -> Array:
-    return _added(case, CLUMP * _direction(rng) + CLUMP_SIZE * rng.normal(size=(_share(case, percent), 3)))
+    return _added(
+        case, CLUMP * _direction(rng) + CLUMP_SIZE * rng.normal(size=(_share(case, percent), 3))
+    )
 
 
 def _with_floor(case: Case, percent: float, rng: Rng) -> Array:
@@ -351,9 +408,19 @@ def _thin(case: Case, factor: float, rng: Rng) -> Case:
     """So many times as thin across the first picture, whose mask is exact; other views are left out."""
     view, camera = case.views[0], case.views[0].camera
     middle, (left, right) = camera.K[0, 2], np.array([-0.5, camera.width - 0.5])
-    box = (middle + factor * (left - middle), -0.5, middle + factor * (right - middle), camera.height - 0.5)
-    thin = replace(case, views=(replace(view, mask=_cells(view.mask, box, camera.width, camera.height)),))
-    return _clouds(thin, lambda p: p - (1.0 - 1.0 / factor) * np.outer(p @ camera.R[0] + camera.t[0], camera.R[0]))
+    box = (
+        middle + factor * (left - middle),
+        -0.5,
+        middle + factor * (right - middle),
+        camera.height - 0.5,
+    )
+    thin = replace(
+        case, views=(replace(view, mask=_cells(view.mask, box, camera.width, camera.height)),)
+    )
+    return _clouds(
+        thin,
+        lambda p: p - (1.0 - 1.0 / factor) * np.outer(p @ camera.R[0] + camera.t[0], camera.R[0]),
+    )
 
 
 def _holed(case: Case, percent: float, rng: Rng) -> Case:
@@ -385,8 +452,19 @@ def _small(case: Case, percent: float, rng: Rng) -> Case:
     for view in case.views:
         width, height = view.camera.width, view.camera.height
         more = (100.0 * _size(view.mask > 0.5) / (percent * max(width, height)) - 1.0) / 2.0
-        box = (-more * width - 0.5, -more * height - 0.5, (1.0 + more) * width - 0.5, (1.0 + more) * height - 0.5)
-        views.append(replace(view, mask=_cells(view.mask, box, width, height), camera=view.camera.cropped(box, width, height)))
+        box = (
+            -more * width - 0.5,
+            -more * height - 0.5,
+            (1.0 + more) * width - 0.5,
+            (1.0 + more) * height - 0.5,
+        )
+        views.append(
+            replace(
+                view,
+                mask=_cells(view.mask, box, width, height),
+                camera=view.camera.cropped(box, width, height),
+            )
+        )
     return replace(case, views=tuple(views))
 
 
@@ -395,7 +473,13 @@ def _pictured(case: Case, pixels: float, rng: Rng) -> Case:
     for view in case.views:
         sizes = view.camera.width, view.camera.height
         width, height = (max(1, round(pixels / max(sizes) * size)) for size in sizes)
-        views.append(replace(view, mask=_resized(view.mask, width, height), camera=view.camera.resized(width, height)))
+        views.append(
+            replace(
+                view,
+                mask=_resized(view.mask, width, height),
+                camera=view.camera.resized(width, height),
+            )
+        )
     return replace(case, views=tuple(views))
 
 
@@ -416,7 +500,12 @@ def _cells(mask: NDArray[np.float32], box: Box, width: int, height: int) -> NDAr
 # Settings.
 
 
-def _settings(name: str, unit: str, levels: tuple[float, ...], change: Callable[[RefineConfig, float], dict[str, Any]]) -> Axis:
+def _settings(
+    name: str,
+    unit: str,
+    levels: tuple[float, ...],
+    change: Callable[[RefineConfig, float], dict[str, Any]],
+) -> Axis:
     alter = lambda config, level: replace(config, **change(config, level))  # noqa: E731
     return Axis("settings", name, unit, levels, alter)
 
@@ -440,9 +529,26 @@ _DEGREES = (1.0, 2.0, 5.0, 10.0, 20.0, 45.0, 90.0)
 _FACTORS = (1.01, 1.02, 1.05, 1.1, 1.25, 2.0, 5.0)
 _STRAYS = (0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _UNITS = (2.0, 10.0, 39.37, 100.0, 1000.0)
-_TOO_LARGE = ("cloud-twice-large", "cloud-ten-times-large", "cloud-inches", "cloud-centimetres", "cloud-millimetres")
-_TOO_SMALL = ("cloud-half-large", "cloud-ten-times-small", "camera-inches", "camera-centimetres", "camera-millimetres")
-_SIZES, _SIZE, _TIMES, _YES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0), "% of the object's size", "times", (1.0,)
+_TOO_LARGE = (
+    "cloud-twice-large",
+    "cloud-ten-times-large",
+    "cloud-inches",
+    "cloud-centimetres",
+    "cloud-millimetres",
+)
+_TOO_SMALL = (
+    "cloud-half-large",
+    "cloud-ten-times-small",
+    "camera-inches",
+    "camera-centimetres",
+    "camera-millimetres",
+)
+_SIZES, _SIZE, _TIMES, _YES = (
+    (1.0, 2.0, 5.0, 10.0, 20.0, 50.0),
+    "% of the object's size",
+    "times",
+    (1.0,),
+)
 _YAW: Fields = partial(_around_object, axis=1)
 _ASIDE: Fields = lambda camera, percent, rng: {"t": camera.t + percent / 100.0 * _aside(rng)}  # noqa: E731
 _FOR_SIZE: Fields = lambda camera, factor, rng: {"K": np.diag([factor, factor, 1.0]) @ camera.K}  # noqa: E731
@@ -453,38 +559,86 @@ _DILATED = partial(_edge_moved, outward=1.0)
 AXES: tuple[Axis, ...] = (
     _settings("nothing wrong", "", _YES, lambda config, level: {}),
     _mask("mask dilated", _SIZE, _SIZES, _DILATED),
-    _mask("mask eroded", _SIZE, (0.5, 1.0, 2.0, 4.0, 8.0, 16.0), partial(_edge_moved, outward=-1.0)),
+    _mask(
+        "mask eroded", _SIZE, (0.5, 1.0, 2.0, 4.0, 8.0, 16.0), partial(_edge_moved, outward=-1.0)
+    ),
     _mask("holes in the mask", "% of its area", _SHARES, _with_holes),
     _mask(
-        "speckle", "% of the pixels", (0.1, 0.5, 2.0, 5.0, 15.0, 45.0), lambda m, p, rng: m ^ (rng.random(m.shape) < p / 100.0)
+        "speckle",
+        "% of the pixels",
+        (0.1, 0.5, 2.0, 5.0, 15.0, 45.0),
+        lambda m, p, rng: m ^ (rng.random(m.shape) < p / 100.0),
     ),
     _mask("threshold too high, 0.5 is right", "", (0.5, 0.6, 0.7, 0.8, 0.9, 0.98), _thresholded),
     _mask("threshold too low, 0.5 is right", "", (0.5, 0.4, 0.3, 0.2, 0.1, 0.01), _thresholded),
     _mask("mask occluded", "% of its area", _SHARES, _occluded),
     Axis("mask", "object cut by the border", "% of its area", _SHARES, _cut),
     _mask("mask shifted", _SIZE, _SIZES, _shifted),
-    _mask("mask flipped left to right", "", _YES, lambda m, level, rng: m[:, ::-1], **_is("mask-flipped")),
+    _mask(
+        "mask flipped left to right",
+        "",
+        _YES,
+        lambda m, level, rng: m[:, ::-1],
+        **_is("mask-flipped"),
+    ),
     _mask("mask upside down", "", _YES, lambda m, level, rng: m[::-1], **_is("mask-upside-down")),
     _mask("mask inverted", "", _YES, lambda m, level, rng: ~m, **_is("mask-inverted")),
     Axis("mask", "mask of another object", "", _YES, _of_other, needs_other=True),
     _mask("box in place of the mask", "", _YES, _boxed),
     _mask("mask nearly empty", "% of it left", (80.0, 50.0, 20.0, 5.0, 1.0, 0.01), _nearly_empty),
-    _mask("mask nearly full", "% of the rest filled", (2.0, 5.0, 20.0, 50.0, 90.0, 99.0, 100.0), _nearly_full),
+    _mask(
+        "mask nearly full",
+        "% of the rest filled",
+        (2.0, 5.0, 20.0, 50.0, 90.0, 99.0, 100.0),
+        _nearly_full,
+    ),
     _mask("mask shifted, beside a right one", _SIZE, _SIZES, _shifted, masks=2),
     _mask("mask dilated, beside a right one", _SIZE, _SIZES, _DILATED, masks=2),
     Axis("mask", "two masks exchanged", "", _YES, _masks_exchanged, masks=2),
-    Axis("mask", "mask of another object, beside a right one", "", _YES, _of_other, needs_other=True, masks=2),
-    Axis("mask", "mask of another object, beside three right ones", "", _YES, _of_other, needs_other=True, masks=4),
+    Axis(
+        "mask",
+        "mask of another object, beside a right one",
+        "",
+        _YES,
+        _of_other,
+        needs_other=True,
+        masks=2,
+    ),
+    Axis(
+        "mask",
+        "mask of another object, beside three right ones",
+        "",
+        _YES,
+        _of_other,
+        needs_other=True,
+        masks=4,
+    ),
     _camera("yaw of the camera", "degrees", (*_DEGREES, 180.0), _YAW),
     _camera("pitch of the camera", "degrees", (*_DEGREES, 180.0), partial(_around_object, axis=0)),
     _camera("roll of the camera", "degrees", (*_DEGREES, 180.0), partial(_around_object, axis=2)),
-    _camera("camera turned where it stands", "degrees", (0.2, 0.5, 1.0, 2.0, 5.0, 20.0), _around_itself),
+    _camera(
+        "camera turned where it stands", "degrees", (0.2, 0.5, 1.0, 2.0, 5.0, 20.0), _around_itself
+    ),
     _camera("camera moved aside", _SIZE, _SIZES, _ASIDE),
     _camera("distance of the camera", _TIMES, _FACTORS, partial(_scaled, distance=True)),
     _camera("focal length", _TIMES, _FACTORS, partial(_scaled, focal=True)),
-    _camera("focal length and distance", _TIMES, (1.1, 1.25, 1.5, 2.0, 5.0, 20.0), partial(_scaled, focal=True, distance=True)),
-    _camera("principal point", "% of the picture", (0.5, 1.0, 2.0, 5.0, 10.0, 25.0), _principal_point),
-    Axis("camera", "principal point's x and y exchanged", "", _YES, _exchanged, **_is("principal-point-swapped")),
+    _camera(
+        "focal length and distance",
+        _TIMES,
+        (1.1, 1.25, 1.5, 2.0, 5.0, 20.0),
+        partial(_scaled, focal=True, distance=True),
+    ),
+    _camera(
+        "principal point", "% of the picture", (0.5, 1.0, 2.0, 5.0, 10.0, 25.0), _principal_point
+    ),
+    Axis(
+        "camera",
+        "principal point's x and y exchanged",
+        "",
+        _YES,
+        _exchanged,
+        **_is("principal-point-swapped"),
+    ),
     _camera("K of twice the size", _TIMES, (2.0,), _FOR_SIZE, **_is("K-of-double-size")),
     _camera("K of half the size", _TIMES, (0.5,), _FOR_SIZE, **_is("K-of-half-size")),
     _camera("R transposed", "", _YES, lambda c, level, rng: {"R": c.R.T}, **_is("R-transposed")),
@@ -492,30 +646,106 @@ AXES: tuple[Axis, ...] = (
     _camera("axes of PyTorch3D", "", _YES, _in_axes(-1.0, -1.0, 1.0), **_is("pytorch3d")),
     _camera("camera-to-world for world-to-camera", "", _YES, _TO_WORLD, **_is("camera-to-world")),
     _camera("camera's x mirrored", "", _YES, _in_axes(-1.0, 1.0, 1.0)),
-    Axis("camera", "yaw of one camera, beside a right one", "degrees", _DEGREES, _one_turned, masks=2),
-    Axis("camera", "yaw of one camera, beside three right ones", "degrees", _DEGREES, _one_turned, masks=4),
+    Axis(
+        "camera", "yaw of one camera, beside a right one", "degrees", _DEGREES, _one_turned, masks=2
+    ),
+    Axis(
+        "camera",
+        "yaw of one camera, beside three right ones",
+        "degrees",
+        _DEGREES,
+        _one_turned,
+        masks=4,
+    ),
     Axis("camera", "yaw before a thin object", "degrees", _DEGREES, _of_thin(_YAW)),
     Axis("camera", "camera moved aside, thin object", _SIZE, _SIZES, _of_thin(_ASIDE)),
-    Axis("cloud", "cloud with z up", "", _YES, _framed([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), **_is("cloud-z-up")),
-    Axis("cloud", "cloud with x and z exchanged", "", _YES, _framed(np.eye(3)[::-1]), **_is("cloud-xz-swapped")),
-    Axis("cloud", "cloud with axes in another order", "", _YES, _framed([[0, 0, 1], [1, 0, 0], [0, 1, 0]]), **_is("cloud-zxy")),
+    Axis(
+        "cloud",
+        "cloud with z up",
+        "",
+        _YES,
+        _framed([[1, 0, 0], [0, 0, -1], [0, 1, 0]]),
+        **_is("cloud-z-up"),
+    ),
+    Axis(
+        "cloud",
+        "cloud with x and z exchanged",
+        "",
+        _YES,
+        _framed(np.eye(3)[::-1]),
+        **_is("cloud-xz-swapped"),
+    ),
+    Axis(
+        "cloud",
+        "cloud with axes in another order",
+        "",
+        _YES,
+        _framed([[0, 0, 1], [1, 0, 0], [0, 1, 0]]),
+        **_is("cloud-zxy"),
+    ),
     Axis("cloud", "cloud of the other handedness", "", _YES, _framed(np.diag([-1, 1, 1]))),
-    Axis("cloud", "cloud in smaller units", _TIMES, _UNITS, _framed(np.eye(3)), mistakes=_TOO_LARGE),
-    Axis("cloud", "cloud in larger units", _TIMES, _UNITS, _framed(np.eye(3), -1.0), mistakes=_TOO_SMALL),
-    _start("start far off", _SIZE, (*_SIZES, 100.0, 1000.0), lambda c, p, rng: c.initial + p / 100.0 * _direction(rng)),
-    _start("start partly behind the camera", "% of its points", (0.1, 1.0, 5.0, 20.0, 50.0, 100.0), _behind),
+    Axis(
+        "cloud", "cloud in smaller units", _TIMES, _UNITS, _framed(np.eye(3)), mistakes=_TOO_LARGE
+    ),
+    Axis(
+        "cloud",
+        "cloud in larger units",
+        _TIMES,
+        _UNITS,
+        _framed(np.eye(3), -1.0),
+        mistakes=_TOO_SMALL,
+    ),
+    _start(
+        "start far off",
+        _SIZE,
+        (*_SIZES, 100.0, 1000.0),
+        lambda c, p, rng: c.initial + p / 100.0 * _direction(rng),
+    ),
+    _start(
+        "start partly behind the camera",
+        "% of its points",
+        (0.1, 1.0, 5.0, 20.0, 50.0, 100.0),
+        _behind,
+    ),
     _start("start flat along the line of sight", "% gone", _GONE, _flat),
     _start("start collinear", "% gone", _GONE, _collinear),
     _start("start shrunk into one pixel", _TIMES, (1.1, 1.5, 2.0, 5.0, 20.0, 1000.0), _shrunk),
     _start("outliers", "% of the points", _STRAYS, _with_outliers, adds_points=True),
-    _start("outliers close by", "% of the points", _STRAYS, partial(_with_outliers, spread=SPREAD_CLOSE), adds_points=True),
-    _start("outliers in one clump", "% of the points", _STRAYS, _with_clump, adds_points=True),
-    _start("floor under the object", "% of the points", (2.0, 5.0, 10.0, 20.0, 50.0, 100.0), _with_floor, adds_points=True),
     _start(
-        "one stray point", "sizes away", (1.0, *_UP), lambda c, r, rng: _added(c, r * _direction(rng)[None]), adds_points=True
+        "outliers close by",
+        "% of the points",
+        _STRAYS,
+        partial(_with_outliers, spread=SPREAD_CLOSE),
+        adds_points=True,
     ),
-    _start("duplicates", "% of the points", (10.0, 50.0, 100.0, 400.0), _with_duplicates, adds_points=True),
-    _start("noise", _SIZE, (0.2, 0.5, *_SIZES[:5]), lambda c, p, rng: c.initial + p / 100.0 * rng.normal(size=c.initial.shape)),
+    _start("outliers in one clump", "% of the points", _STRAYS, _with_clump, adds_points=True),
+    _start(
+        "floor under the object",
+        "% of the points",
+        (2.0, 5.0, 10.0, 20.0, 50.0, 100.0),
+        _with_floor,
+        adds_points=True,
+    ),
+    _start(
+        "one stray point",
+        "sizes away",
+        (1.0, *_UP),
+        lambda c, r, rng: _added(c, r * _direction(rng)[None]),
+        adds_points=True,
+    ),
+    _start(
+        "duplicates",
+        "% of the points",
+        (10.0, 50.0, 100.0, 400.0),
+        _with_duplicates,
+        adds_points=True,
+    ),
+    _start(
+        "noise",
+        _SIZE,
+        (0.2, 0.5, *_SIZES[:5]),
+        lambda c, p, rng: c.initial + p / 100.0 * rng.normal(size=c.initial.shape),
+    ),
     _start("few points", "points", (512, 256, 64, 16, 4, 2), _counted),
     _start("many points", "points", (2048, 16384, 131072, 1_000_000), _counted),
     _start("uneven density", "times as dense", (2.0, 5.0, 20.0, 100.0, 1000.0), _uneven),
@@ -529,7 +759,9 @@ AXES: tuple[Axis, ...] = (
     _settings("learning rate too low", _TIMES, _DOWN, _rate),
     _settings("few steps", "steps", (24, 12, 6, 3, 1, 0), _steps),
     _settings("many steps", "steps", (96, 200, 500, 1000), _steps),
-    Axis("image", "small in the picture", "% of its width", (50.0, 20.0, 10.0, 5.0, 2.0, 1.0), _small),
+    Axis(
+        "image", "small in the picture", "% of its width", (50.0, 20.0, 10.0, 5.0, 2.0, 1.0), _small
+    ),
     Axis("image", "small picture", "px", (128, 64, 32, 16, 8), _pictured),
     Axis("image", "large picture", "px", (512, 1024, 2048, 4096, 8192), _pictured),
 )

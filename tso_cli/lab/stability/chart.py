@@ -14,7 +14,14 @@ from ..study import Record
 from .knees import AXIS, WORSE, fails, speaks
 
 # Colours by the ratio, each up to that one: better, hardly changed, worse, far worse.
-SHADES = {0.7: "#1a9850", 0.95: "#91cf60", WORSE: "#d9ef8b", 1.5: "#fdae61", 3.0: "#f46d43", np.inf: "#d73027"}
+SHADES = {
+    0.7: "#1a9850",
+    0.95: "#91cf60",
+    WORSE: "#d9ef8b",
+    1.5: "#fdae61",
+    3.0: "#f46d43",
+    np.inf: "#d73027",
+}
 NAMES = ("to 0.7", "to 0.95", f"to {WORSE:g}, as before", "to 1.5", "to 3", "above")
 ROW = 0.18
 """Inches."""
@@ -26,13 +33,24 @@ def draw(path: Path, record: Record, overwrite: bool) -> None:
     knees = record["knees"][DEFAULT]
     columns = max(len(rows) for rows in axes.values())
     groups = [AXIS[name].group for name in axes]
-    with page(path, overwrite, (13.0, 1.15 + ROW * (len(axes) + len(set(groups)))), dpi=100) as figure:
+    with page(
+        path, overwrite, (13.0, 1.15 + ROW * (len(axes) + len(set(groups)))), dpi=100
+    ) as figure:
         axis = figure.subplots()
         y, ticks = -1.0, []
         for i, (name, rows) in enumerate(axes.items()):
             if i == 0 or groups[i] != groups[i - 1]:
                 y += 1.0
-                axis.text(-0.55, y, groups[i], fontsize=8, weight="bold", ha="right", va="center", color=INK)
+                axis.text(
+                    -0.55,
+                    y,
+                    groups[i],
+                    fontsize=8,
+                    weight="bold",
+                    ha="right",
+                    va="center",
+                    color=INK,
+                )
             y += 1.0
             ticks.append(y)
             for x, row in enumerate(rows):
@@ -53,8 +71,24 @@ def _draw_cell(axis: Any, x: float, y: float, row: Record) -> None:
     axis.barh(y, 0.96, 0.86, x - 0.48, color=colour, linewidth=0)
     light = "white" if not refused and (ratio > 3.0 or ratio <= 0.7) else INK
     text = "" if refused else f"{ratio:.2f}" if ratio < 10.0 else f"{ratio:.0f}"
-    axis.text(x - 0.44, y, AXIS[row["axis"]].at(row["level"]).split(" ")[0], fontsize=6, va="center", color=light)
-    axis.text(x + 0.30, y, text, fontsize=6.5, va="center", ha="right", color=light, weight="bold" if fails(row) else "normal")
+    axis.text(
+        x - 0.44,
+        y,
+        AXIS[row["axis"]].at(row["level"]).split(" ")[0],
+        fontsize=6,
+        va="center",
+        color=light,
+    )
+    axis.text(
+        x + 0.30,
+        y,
+        text,
+        fontsize=6.5,
+        va="center",
+        ha="right",
+        color=light,
+        weight="bold" if fails(row) else "normal",
+    )
     if speaks(row):
         axis.scatter(x + 0.39, y, s=16, marker="^", color=light, linewidths=0)
 
@@ -63,9 +97,20 @@ def _draw_legend(figure: Any, axis: Any) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    handles: list[Any] = [Patch(color=shade, label=name) for shade, name in zip(SHADES.values(), NAMES, strict=True)]
-    handles += [Patch(color=PALE, label="refused by most"), Line2D([], [], color=INK, marker="^", ls="", label="speaks up")]
+    handles: list[Any] = [
+        Patch(color=shade, label=name) for shade, name in zip(SHADES.values(), NAMES, strict=True)
+    ]
+    handles += [
+        Patch(color=PALE, label="refused by most"),
+        Line2D([], [], color=INK, marker="^", ls="", label="speaks up"),
+    ]
     title = "from harmless to hopeless: level, and median Chamfer distance after / before"
     figure.legend(
-        handles=handles, loc="outside upper center", ncols=8, frameon=False, fontsize=8, title=title, title_fontsize=9
+        handles=handles,
+        loc="outside upper center",
+        ncols=8,
+        frameon=False,
+        fontsize=8,
+        title=title,
+        title_fontsize=9,
     )

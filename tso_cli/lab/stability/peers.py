@@ -58,7 +58,10 @@ def _descent(silhouette: Callable[[Tensor], Tensor]) -> Callable[[Array, Sequenc
         # More would wait for one another on a busy machine.
         torch.set_num_threads(1)
         centre, scale = bounding_box_normalisation(points)
-        seen = [resample_view(view, PAPER_SIGMA_SQ, centre, scale, window_of(view, points)) for view in views]
+        seen = [
+            resample_view(view, PAPER_SIGMA_SQ, centre, scale, window_of(view, points))
+            for view in views
+        ]
         start = (points - centre) / scale
         moved = torch.tensor(start, dtype=torch.float32, requires_grad=True)
         # In compiled loops.
@@ -69,7 +72,9 @@ def _descent(silhouette: Callable[[Tensor], Tensor]) -> Callable[[Array, Sequenc
             gradient = to_start(moved.detach().double().numpy())[1]
             loss = sum((_cross_entropy(silhouette, moved, view) for view in seen), torch.zeros(()))
             (by_masks,) = torch.autograd.grad(loss, moved)
-            moved.grad = by_masks + PAPER_GAMMA["points"] * torch.as_tensor(gradient, dtype=torch.float32)
+            moved.grad = by_masks + PAPER_GAMMA["points"] * torch.as_tensor(
+                gradient, dtype=torch.float32
+            )
             adam.step()
         moved_back: Array = centre + scale * moved.detach().double().numpy()
         return moved_back
@@ -77,7 +82,9 @@ def _descent(silhouette: Callable[[Tensor], Tensor]) -> Callable[[Array, Sequenc
     return refined
 
 
-def _cross_entropy(silhouette: Callable[[Tensor], Tensor], points: Tensor, view: ResampledView) -> Tensor:
+def _cross_entropy(
+    silhouette: Callable[[Tensor], Tensor], points: Tensor, view: ResampledView
+) -> Tensor:
     K, R, t, mask, background = (
         torch.as_tensor(values, dtype=torch.float32)
         for values in (view.camera.K, view.camera.R, view.camera.t, *view.pixel_weights)
@@ -85,7 +92,9 @@ def _cross_entropy(silhouette: Callable[[Tensor], Tensor], points: Tensor, view:
     camera = points @ R.T + t
     front = camera[camera[:, 2] > NEAR]
     drawn = silhouette(front[:, :2] / front[:, 2:] @ K[:2, :2].T + K[:2, 2])
-    return -(mask * torch.log(drawn + EPSILON) + background * torch.log(1.0 - drawn + EPSILON)).sum()
+    return -(
+        mask * torch.log(drawn + EPSILON) + background * torch.log(1.0 - drawn + EPSILON)
+    ).sum()
 
 
 PEERS = {

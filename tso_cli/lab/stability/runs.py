@@ -28,7 +28,12 @@ Way = Variant | Peer
 # Pixels of the scenes that are refined in one call, at most: 8,192 pixels each way fill a quarter of a GiB.
 AT_ONCE = 3e7
 # What a row says of each run -> the attribute of its result.
-NUMBERS = {"confidence": "confidence", "iou_before": "iou_before", "iou_after": "iou_after", "moved": "moved_mean"}
+NUMBERS = {
+    "confidence": "confidence",
+    "iou_before": "iou_before",
+    "iou_after": "iou_after",
+    "moved": "moved_mean",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,14 +76,21 @@ class Outcome:
         axis, case, altered = self.run.axis, self.run.case, self.altered
         if altered is None or self.points is None or not np.isfinite(self.points).all():
             return None
-        before, after = (chamfer(axis.own(case, points), altered.target).chamfer for points in (altered.initial, self.points))
+        before, after = (
+            chamfer(axis.own(case, points), altered.target).chamfer
+            for points in (altered.initial, self.points)
+        )
         return after / before
 
 
-def run_of(cases: Sequence[Case], axis: Axis, level: float, number: int, seed: int, masks: int = 1) -> Run:
+def run_of(
+    cases: Sequence[Case], axis: Axis, level: float, number: int, seed: int, masks: int = 1
+) -> Run:
     """Case ``number`` at that level, beside another of them; one seed gives all levels the same random numbers."""
     case, other = cases[number], cases[(number + max(1, len(cases) // 2)) % len(cases)]
-    rng = np.random.default_rng([seed, zlib.crc32(axis.name.encode()), zlib.crc32(case.shape.encode()), case.view])
+    rng = np.random.default_rng(
+        [seed, zlib.crc32(axis.name.encode()), zlib.crc32(case.shape.encode()), case.view]
+    )
     return Run(axis, level, case, other, rng, masks)
 
 
@@ -92,9 +104,17 @@ def judge(
 ) -> Cases:
     """A row for each level, of all seeds of each case."""
     masks = way.masks if isinstance(way, Variant) else 1
-    runs = (run_of(cases, axis, *place, masks) for place in product(levels, range(len(cases)), seeds))
-    run_rows, count = [_run_row(outcome) for outcome in outcomes_of(runs, way)], len(cases) * len(seeds)
-    return [_row(axis, name, level, run_rows[i * count : (i + 1) * count]) for i, level in enumerate(levels)]
+    runs = (
+        run_of(cases, axis, *place, masks) for place in product(levels, range(len(cases)), seeds)
+    )
+    run_rows, count = (
+        [_run_row(outcome) for outcome in outcomes_of(runs, way)],
+        len(cases) * len(seeds),
+    )
+    return [
+        _row(axis, name, level, run_rows[i * count : (i + 1) * count])
+        for i, level in enumerate(levels)
+    ]
 
 
 def _run_row(outcome: Outcome) -> dict[str, Any]:
@@ -113,11 +133,25 @@ def _run_row(outcome: Outcome) -> dict[str, Any]:
 def _row(axis: Axis, name: str, level: float, run_rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The level's figures, and the same of every run; what no run has is left out."""
     of_runs = {key: [run[key] for run in run_rows] for key in run_rows[0]}
-    said, verdicts, ratios = "".join(of_runs.pop("said")), "".join(of_runs.pop("verdict")), of_runs.pop("ratio")
-    head = {"axis": axis.name, "variant": name, "level": level, **figures(said, ratios, of_runs["took"]), "said": said}
+    said, verdicts, ratios = (
+        "".join(of_runs.pop("said")),
+        "".join(of_runs.pop("verdict")),
+        of_runs.pop("ratio"),
+    )
+    head = {
+        "axis": axis.name,
+        "variant": name,
+        "level": level,
+        **figures(said, ratios, of_runs["took"]),
+        "said": said,
+    }
     if verdicts.strip("?"):
         head["verdict"] = verdicts
-    return {**head, "ratio": ratios, **{key: values for key, values in of_runs.items() if any(v is not None for v in values)}}
+    return {
+        **head,
+        "ratio": ratios,
+        **{key: values for key, values in of_runs.items() if any(v is not None for v in values)},
+    }
 
 
 def outcomes_of(runs: Iterable[Run], way: Way) -> Iterator[Outcome]:
@@ -140,7 +174,9 @@ def outcomes_of(runs: Iterable[Run], way: Way) -> Iterator[Outcome]:
     yield from _refined(waiting, way, refined_with)
 
 
-def _refined(waiting: Sequence[tuple[Run, Case | TsoError]], way: Way, config: RefineConfig) -> Iterator[Outcome]:
+def _refined(
+    waiting: Sequence[tuple[Run, Case | TsoError]], way: Way, config: RefineConfig
+) -> Iterator[Outcome]:
     # What is said on the way names the view.
     named = [
         replace(altered, views=tuple(replace(view, name=f"run {i}") for view in altered.views))

@@ -57,13 +57,37 @@ def example_cases() -> list[Case]:
     cases = []
     for category in ("chair", "car", "airplane"):
         folder = examples_folder() / category
-        scene, target = load_points_scene(folder / "initial.ply", folder / "mask.png"), read_cloud(folder / "target.ply").points
+        scene, target = (
+            load_points_scene(folder / "initial.ply", folder / "mask.png"),
+            read_cloud(folder / "target.ply").points,
+        )
         views = tuple(views_around(scene.view, target, 2.0 * np.pi * np.arange(1, MASKS) / MASKS))
-        cases.append(Case("example", category, category, 0, "initial.ply", scene.points, target, target, views, float("nan")))
+        cases.append(
+            Case(
+                "example",
+                category,
+                category,
+                0,
+                "initial.ply",
+                scene.points,
+                target,
+                target,
+                views,
+                float("nan"),
+            )
+        )
     return cases
 
 
-def plan(progress: Progress, *, quick: bool, meshes: Path | None, split: Path | None, pictures: Path | None, seed: int) -> Plan:
+def plan(
+    progress: Progress,
+    *,
+    quick: bool,
+    meshes: Path | None,
+    split: Path | None,
+    pictures: Path | None,
+    seed: int,
+) -> Plan:
     """Every axis with the default preset; fewer levels and seeds with the other variants, and some axes with peers.
 
     Raises InputError without ``meshes``, unless ``quick``.
@@ -74,7 +98,9 @@ def plan(progress: Progress, *, quick: bool, meshes: Path | None, split: Path | 
         names, cases_of, seeds = ["chair", "car", "airplane"], example_cases, [seed]
     else:
         if meshes is None:
-            raise InputError("--meshes is missing, expected a folder of meshes (or --quick, for the shipped examples)")
+            raise InputError(
+                "--meshes is missing, expected a folder of meshes (or --quick, for the shipped examples)"
+            )
         shapes = shapes_of_part(meshes, split, "test", CATEGORIES, SHAPES)
         builder = CaseBuilder(meshes, split, 1, SIZE, COUNT, seed)
         names, seeds = [shape.name for shape in shapes], [seed, seed + 1]
@@ -105,13 +131,20 @@ def plan(progress: Progress, *, quick: bool, meshes: Path | None, split: Path | 
 
 def fewer_levels(axis: Axis) -> Sequence[float]:
     """Every second level, or the only one, without those that take long."""
-    return [level for level in axis.levels[1::2] or axis.levels if level <= MOST.get(axis.unit, np.inf)]
+    return [
+        level for level in axis.levels[1::2] or axis.levels if level <= MOST.get(axis.unit, np.inf)
+    ]
 
 
 def _ways(axis: Axis, quick: bool) -> dict[str, Way]:
     """The default preset; other variants where nothing else is asked for by the axis, and peers on some."""
-    compared, plain = axis.name in (COMPARED[::3] if quick else COMPARED), axis.group != "settings" and axis.masks == 1
-    ways: dict[str, Way] = dict(POINTS) if compared or (plain and not quick) else {DEFAULT: POINTS[DEFAULT]}
+    compared, plain = (
+        axis.name in (COMPARED[::3] if quick else COMPARED),
+        axis.group != "settings" and axis.masks == 1,
+    )
+    ways: dict[str, Way] = (
+        dict(POINTS) if compared or (plain and not quick) else {DEFAULT: POINTS[DEFAULT]}
+    )
     if quick:
         ways.pop(FOUR_MASKS, None)
     if axis.name in CORRECTED_ON:
@@ -123,19 +156,27 @@ def _ways(axis: Axis, quick: bool) -> dict[str, Way]:
     return ways
 
 
-def _worst(rows: Cases, cases: Sequence[Case], seeds: Sequence[int]) -> list[tuple[str, Case, np.ndarray]]:
+def _worst(
+    rows: Cases, cases: Sequence[Case], seeds: Sequence[int]
+) -> list[tuple[str, Case, np.ndarray]]:
     """Of some groups the axes whose silent results are worst, refined once more: (title, altered case, points)."""
     pictured = []
     for group in PICTURED:
         worst: dict[str, tuple[float, float, int]] = {}
         for row in rows:
             if row["variant"] == DEFAULT and AXIS[row["axis"]].group == group:
-                found = [(ratio, row["level"], i) for i, ratio in enumerate(row["ratio"]) if ratio and row["said"][i] == SILENT]
+                found = [
+                    (ratio, row["level"], i)
+                    for i, ratio in enumerate(row["ratio"])
+                    if ratio and row["said"][i] == SILENT
+                ]
                 worst[row["axis"]] = max([*found, worst.get(row["axis"], (0.0, 0.0, 0))])
         for name in sorted(worst, key=lambda name: -worst[name][0])[:ROWS_OF_GROUP]:
             ratio, level, run = worst[name]
             number, seed = divmod(run, len(seeds))
-            (outcome,) = outcomes_of([run_of(cases, AXIS[name], level, number, seeds[seed])], POINTS[DEFAULT])
+            (outcome,) = outcomes_of(
+                [run_of(cases, AXIS[name], level, number, seeds[seed])], POINTS[DEFAULT]
+            )
             if outcome.altered is not None and outcome.points is not None:
                 title = f"{name} {AXIS[name].at(level)}: {ratio:.3g}, {outcome.altered.category}"
                 pictured.append((fill(title, TITLE), outcome.altered, outcome.points))
@@ -148,14 +189,21 @@ def conclude(cases: Cases) -> Record:
     knees = summarised(cases, ("variant", "axis"), knee)
     silence = {}
     for what, gross in (("gross mistakes", True), ("other mistakes", False)):
-        rows = [row for row in cases if row["variant"] == DEFAULT and AXIS[row["axis"]].gross == gross]
+        rows = [
+            row for row in cases if row["variant"] == DEFAULT and AXIS[row["axis"]].gross == gross
+        ]
         runs = sum(len(row["said"]) for row in rows)
         shares = {
-            key: sum(row[key] * len(row["said"]) for row in rows) / max(1, runs) for key in ("refused", "worse", "silent")
+            key: sum(row[key] * len(row["said"]) for row in rows) / max(1, runs)
+            for key in ("refused", "worse", "silent")
         }
         silence[what] = {"runs": runs, **{key: round(share, 4) for key, share in shares.items()}}
     ours = [row for row in cases if row["variant"] == DEFAULT]
-    halves = {group: _halves(rows) for group in GROUPS if (rows := [row for row in ours if AXIS[row["axis"]].group == group])}
+    halves = {
+        group: _halves(rows)
+        for group in GROUPS
+        if (rows := [row for row in ours if AXIS[row["axis"]].group == group])
+    }
     return {"knees": knees, "silence": silence, "halves": halves}
 
 
@@ -174,7 +222,11 @@ def _halves(rows: Cases) -> Record:
 
 def _worse(row: Record) -> list[str]:
     """What became of each run that got worse."""
-    return [word for ratio, word in zip(row["ratio"], row["said"], strict=True) if got_worse(ratio, word)]
+    return [
+        word
+        for ratio, word in zip(row["ratio"], row["said"], strict=True)
+        if got_worse(ratio, word)
+    ]
 
 
 def tables(record: Record) -> list[Table]:
@@ -184,19 +236,43 @@ def tables(record: Record) -> list[Table]:
         for row in record["cases"]
         if row["variant"] == DEFAULT
     ]
-    several = {row["axis"] for row in record["cases"] if row["variant"] != DEFAULT}.intersection(COMPARED)
-    chosen = [row for row in record["cases"] if row["axis"] in several and row["level"] in fewer_levels(AXIS[row["axis"]])]
+    several = {row["axis"] for row in record["cases"] if row["variant"] != DEFAULT}.intersection(
+        COMPARED
+    )
+    chosen = [
+        row
+        for row in record["cases"]
+        if row["axis"] in several and row["level"] in fewer_levels(AXIS[row["axis"]])
+    ]
     chosen.sort(key=lambda row: (COMPARED.index(row["axis"]), row["level"]))
-    compared = [[row["axis"], AXIS[row["axis"]].at(row["level"]), row["variant"], *_figures(row)] for row in chosen]
-    words = [[AXIS[name].group, name, found["words"]] for name, found in record["knees"][DEFAULT].items()]
+    compared = [
+        [row["axis"], AXIS[row["axis"]].at(row["level"]), row["variant"], *_figures(row)]
+        for row in chosen
+    ]
+    words = [
+        [AXIS[name].group, name, found["words"]] for name, found in record["knees"][DEFAULT].items()
+    ]
     silence = [[what, *row.values()] for what, row in record["silence"].items()]
     halves = [[group, *row.values()] for group, row in record["halves"].items()]
     return [
         Table(["axis", "level", *FIGURES], rows, "Default preset", decimals=2),
         Table(["axis", "level", "by", *FIGURES], compared, "Variants and other ways", decimals=2),
         Table(["", "axis", "knee"], words, "Knees of the default preset"),
-        Table(["default preset", "runs", "refused", "worse", "worse, without a word"], silence, decimals=3),
-        Table(["wrong is", "axes", "harmless half: with a worse run", "other half: worse runs", "flagged"], halves),
+        Table(
+            ["default preset", "runs", "refused", "worse", "worse, without a word"],
+            silence,
+            decimals=3,
+        ),
+        Table(
+            [
+                "wrong is",
+                "axes",
+                "harmless half: with a worse run",
+                "other half: worse runs",
+                "flagged",
+            ],
+            halves,
+        ),
     ]
 
 
@@ -216,7 +292,11 @@ STUDY = Study(
     convention=CONVENTION,
     options=(
         Option("--quick", "Shipped examples, every second level, one seed.", bool, False),
-        Option("--meshes", "Folder with CATEGORY/NAME for every name of the split; not with --quick.", Path),
+        Option(
+            "--meshes",
+            "Folder with CATEGORY/NAME for every name of the split; not with --quick.",
+            Path,
+        ),
         SPLIT,
         SEED,
         Option("--pictures", "Draw results that are worst without a word here (.png).", Path),

@@ -16,7 +16,21 @@ from ...geometry.points import Array
 from ...io.output import check_output
 from ...network.model import BaseNetwork
 from ..charts import Panel, draw_cases, draw_ratios
-from ..study import CHECKPOINT, COMMON, DEVICE, VIEWS, Cases, Option, Plan, Progress, Record, Study, Table, claim, part
+from ..study import (
+    CHECKPOINT,
+    COMMON,
+    DEVICE,
+    VIEWS,
+    Cases,
+    Option,
+    Plan,
+    Progress,
+    Record,
+    Study,
+    Table,
+    claim,
+    part,
+)
 from .cases import JUDGED, KINDS, LEVELS, SAMPLES, Case, CaseBuilder, kinds_of
 from .refining import (
     COMBINED,
@@ -37,10 +51,22 @@ from .summary import grouped, interval, mean, ratio_figures, ratios_of, rounded,
 CATEGORIES = ("chair", "airplane", "car", "sofa", "table")
 GROUP = 32
 """Cases that are refined in one call."""
-STARTS = "Where the starts are from. May be repeated.  [default: all; with --ablation all but right]"
+STARTS = (
+    "Where the starts are from. May be repeated.  [default: all; with --ablation all but right]"
+)
 F_THRESHOLD = 0.02
 # Of a row of the table, beside Chamfer.
-FIGURES = ("mean_ratio", "median_ratio", "worst_ratio", "worse", "floor_ratio", "start_f_score", "f_score", "iou_before", "iou")
+FIGURES = (
+    "mean_ratio",
+    "median_ratio",
+    "worst_ratio",
+    "worse",
+    "floor_ratio",
+    "start_f_score",
+    "f_score",
+    "iou_before",
+    "iou",
+)
 # Mean Chamfer after / before that is aimed at, one random 64x64 mask, starts from other shapes.
 AIMS = {
     "chair": {DEFAULT: 0.50, NO_SYMMETRY: 0.75, TWO_MASKS: 0.40},
@@ -86,10 +112,18 @@ def plan(
     if not JUDGED <= points <= SAMPLES:
         raise InputError(f"points is {points}, expected {JUDGED} to {SAMPLES}")
     if about is not None and about.points != points:
-        raise InputError(f"points is {points}, expected {about.points}, as many as the network predicts, for kind network")
-    builder = CaseBuilder(meshes, split, settings["views"], settings["size"], points, settings["seed"], network, about)
+        raise InputError(
+            f"points is {points}, expected {about.points}, as many as the network predicts, for kind network"
+        )
+    builder = CaseBuilder(
+        meshes, split, settings["views"], settings["size"], points, settings["seed"], network, about
+    )
     variants = {kind: variants_of(kind, settings["ablation"]) for kind in kinds}
-    settings |= {"categories": list(categories), "kinds": list(kinds), "shapes": [shape.name for shape in shapes]}
+    settings |= {
+        "categories": list(categories),
+        "kinds": list(kinds),
+        "shapes": [shape.name for shape in shapes],
+    }
     settings["network"] = weights_hash(network) if network else None
     settings["variants"] = {kind: list(of_kind) for kind, of_kind in variants.items()}
 
@@ -104,7 +138,9 @@ def plan(
             group = members[start : start + size]
             jobs.append(({"kind": kind, "shape": group[0].name}, partial(judge, kind, group)))
     if not jobs:
-        raise InputError(f"kinds are {', '.join(kinds)}, expected some that {', '.join(categories)} have")
+        raise InputError(
+            f"kinds are {', '.join(kinds)}, expected some that {', '.join(categories)} have"
+        )
 
     def draw_extremes(record: Record) -> None:
         if pictures is not None:
@@ -113,16 +149,28 @@ def plan(
     return Plan(settings, jobs, finish=draw_extremes)
 
 
-def judge_group(cases: list[Case], variants: dict[str, Variant], device: str, network: BaseNetwork | None) -> Cases:
+def judge_group(
+    cases: list[Case], variants: dict[str, Variant], device: str, network: BaseNetwork | None
+) -> Cases:
     """Refine cases of one kind and category with every variant."""
     records: Cases = []
     for case in cases:
         names = {key: getattr(case, key) for key in ("kind", "category", "shape", "view")}
-        records.append({**names, "before": rounded({**_scores(case.initial, case), "floor": case.floor}), "variants": {}})
+        records.append(
+            {
+                **names,
+                "before": rounded({**_scores(case.initial, case), "floor": case.floor}),
+                "variants": {},
+            }
+        )
     for name, variant in variants.items():
         results = refined(cases, variant, device, network)
         for case, record, result in zip(cases, records, results, strict=True):
-            row = {**_scores(result.points, case), "iou_before": result.iou_before, "iou": result.iou_after}
+            row = {
+                **_scores(result.points, case),
+                "iou_before": result.iou_before,
+                "iou": result.iou_after,
+            }
             record["variants"][name] = rounded(row)
     return records
 
@@ -132,7 +180,9 @@ def _scores(points: Array, case: Case) -> dict[str, float]:
     return {"chamfer": distance.chamfer, "f_score": score.f_score}
 
 
-def _extremes(record: Record, builder: CaseBuilder, shapes: list[Shape]) -> list[tuple[str, Case, Array]]:
+def _extremes(
+    record: Record, builder: CaseBuilder, shapes: list[Shape]
+) -> list[tuple[str, Case, Array]]:
     """Worst and median case of each category under the default preset, refined once more: (title, case, points).
 
     They are of the first kind in ``record``.
@@ -157,7 +207,10 @@ def _extremes(record: Record, builder: CaseBuilder, shapes: list[Shape]) -> list
 def conclude(cases: Cases) -> Record:
     """{"summary": {kind: {category: {"cases", "before", "variants": {variant: {...}}}}}, "claims"}; of an ablation none."""
     summary = summarised(cases, ("kind", "category"), _means)
-    return {"summary": summary, "claims": claims(cases, summary) if TWO_MASKS in cases[0]["variants"] else []}
+    return {
+        "summary": summary,
+        "claims": claims(cases, summary) if TWO_MASKS in cases[0]["variants"] else [],
+    }
 
 
 def claims(cases: Cases, summary: Record) -> list[Record]:
@@ -170,15 +223,24 @@ def claims(cases: Cases, summary: Record) -> list[Record]:
     # What starts at the floor can only get worse.
     starts = {kind: group for kind, group in kinds.items() if kind != "right"}
     if starts:
-        groups = {f"{kind}, {variant}": ratios_of(group, variant) for kind, group in starts.items() for variant in MASKS}
+        groups = {
+            f"{kind}, {variant}": ratios_of(group, variant)
+            for kind, group in starts.items()
+            for variant in MASKS
+        }
         # The many that two and four masks hardly ever harm must not hide what one does.
         one_mask = np.concatenate([ratios_of(group, DEFAULT) for group in starts.values()])
         share = float((one_mask > 1.0).mean())
-        answers.append(_rarely_worse("points mode, all starts, with one, two and four masks", groups, share))
+        answers.append(
+            _rarely_worse("points mode, all starts, with one, two and four masks", groups, share)
+        )
     if "network" in kinds:
         names = (*(f"{mode}, {DEFAULT}" for mode in NETWORK_MODES), *COMBINED)
         groups = {name: ratios_of(kinds["network"], name) for name in names}
-        answers += [_rarely_worse("network modes, and points mode after them", groups), *_network(kinds["network"])]
+        answers += [
+            _rarely_worse("network modes, and points mode after them", groups),
+            *_network(kinds["network"]),
+        ]
     return answers
 
 
@@ -189,7 +251,9 @@ def _aims(summary: Record) -> list[Record]:
         for variant, aim in AIMS[category].items():
             ratio = variants[variant]["mean_ratio"]
             text = f"{ratio:.3f}; the paper's preset {variants[PAPER]['mean_ratio']:.3f}, sampling floor {floor:.2f}"
-            answers.append(claim(f"{category}: {variant}: mean ratio at most {aim:.2f}", ratio <= aim, text))
+            answers.append(
+                claim(f"{category}: {variant}: mean ratio at most {aim:.2f}", ratio <= aim, text)
+            )
     return answers
 
 
@@ -201,14 +265,20 @@ def _beyond_the_paper(cases: Cases) -> Record:
             gained = ratios_of(group, variant) - ratios_of(group, PAPER)
             highest.append(interval([case["shape"] for case in group], gained)[1])
             texts.append(f"{category}, {variant} {gained.mean():+.3f}, at most {highest[-1]:+.3f}")
-    text = "every column lies below the paper's preset in every category (95 % interval over shapes)"
+    text = (
+        "every column lies below the paper's preset in every category (95 % interval over shapes)"
+    )
     return claim(text, max(highest) < 0.0, "; ".join(texts))
 
 
 def _stays_right(by_category: dict[str, Cases]) -> list[Record]:
     answers = []
     for category, level in LEVELS["near"].items():
-        near = [case for case in by_category.get(category, []) if case["before"]["chamfer"] <= NEAR_ENOUGH * level]
+        near = [
+            case
+            for case in by_category.get(category, [])
+            if case["before"]["chamfer"] <= NEAR_ENOUGH * level
+        ]
         if near:
             ratios = ratios_of(near, DEFAULT)
             text = f"{category} near the truth: mean ratio at most {NEAR_MEAN:.2f}, worst at most {NEAR_WORST:.2f}"
@@ -223,52 +293,107 @@ def _rarely_worse(what: str, groups: dict[str, np.ndarray], share: float = 0.0) 
     ratios = np.concatenate(list(groups.values()))
     of_all = float((ratios > 1.0).mean())
     figures = [f"{100.0 * of_all:.1f} % of {len(ratios)}, worst {ratios.max():.3f}"]
-    figures += [f"{name}: {(values > 1.0).sum()} of {len(values)}, {values.max():.3f}" for name, values in groups.items()]
+    figures += [
+        f"{name}: {(values > 1.0).sum()} of {len(values)}, {values.max():.3f}"
+        for name, values in groups.items()
+    ]
     text = f"{what}: under {100.0 * WORSE_SHARE:g} % of cases are made worse, none by over {100.0 * (WORST - 1.0):.0f} %"
-    return claim(text, max(share, of_all) < WORSE_SHARE and ratios.max() <= WORST, "; ".join(figures))
+    return claim(
+        text, max(share, of_all) < WORSE_SHARE and ratios.max() <= WORST, "; ".join(figures)
+    )
 
 
 def _network(cases: Cases) -> list[Record]:
     """Relative gains from the network's prediction; the paper has no latent variant, which is held against its best."""
     ratio = {name: float(ratios_of(cases, name).mean()) for name in cases[0]["variants"]}
-    theirs = {"points": ratio[PAPER], **{mode: ratio[f"{mode}, {PAPER}"] for mode in NETWORK_MODES if mode != "latent"}}
-    ours = {"points": ratio[DEFAULT], **{mode: ratio[f"{mode}, {DEFAULT}"] for mode in NETWORK_MODES}}
+    theirs = {
+        "points": ratio[PAPER],
+        **{mode: ratio[f"{mode}, {PAPER}"] for mode in NETWORK_MODES if mode != "latent"},
+    }
+    ours = {
+        "points": ratio[DEFAULT],
+        **{mode: ratio[f"{mode}, {DEFAULT}"] for mode in NETWORK_MODES},
+    }
     theirs["latent"] = min(theirs.values())
-    holds = all(1.0 - ours[mode] >= NETWORK_TIMES * (1.0 - theirs[mode]) and ours[mode] < 1.0 for mode in ours)
+    holds = all(
+        1.0 - ours[mode] >= NETWORK_TIMES * (1.0 - theirs[mode]) and ours[mode] < 1.0
+        for mode in ours
+    )
     text = ", ".join(f"{mode} {theirs[mode]:.3f} to {ours[mode]:.3f}" for mode in ours)
-    combinations = (DEFAULT, NO_SYMMETRY, *COMBINED, *(f"{mode}, {DEFAULT}" for mode in NETWORK_MODES))
+    combinations = (
+        DEFAULT,
+        NO_SYMMETRY,
+        *COMBINED,
+        *(f"{mode}, {DEFAULT}" for mode in NETWORK_MODES),
+    )
     best = min(combinations, key=lambda name: ratio[name])
     best_text = f"the best combination comes to {NETWORK_BEST} or less"
     return [
-        claim("from the network's prediction every variant gains at least twice what the paper's settings do", holds, text),
+        claim(
+            "from the network's prediction every variant gains at least twice what the paper's settings do",
+            holds,
+            text,
+        ),
         claim(best_text, ratio[best] <= NETWORK_BEST, f"{best} {ratio[best]:.3f}"),
     ]
 
 
 def _means(cases: Cases) -> Record:
     before = {key: mean(case["before"][key] for case in cases) for key in ("chamfer", "f_score")}
-    before["floor_ratio"] = mean(case["before"]["floor"] / case["before"]["chamfer"] for case in cases)
+    before["floor_ratio"] = mean(
+        case["before"]["floor"] / case["before"]["chamfer"] for case in cases
+    )
     variants = {}
     for name in cases[0]["variants"]:
         rows = [case["variants"][name] for case in cases]
-        row = {key: mean(row[key] for row in rows) for key in ("chamfer", "f_score", "iou_before", "iou")}
+        row = {
+            key: mean(row[key] for row in rows)
+            for key in ("chamfer", "f_score", "iou_before", "iou")
+        }
         variants[name] = rounded(row | ratio_figures(ratios_of(cases, name)))
     return {"cases": len(cases), "before": before, "variants": variants}
 
 
 def tables(record: Record) -> list[Table]:
     """What each variant reaches; of an ablation a row an ingredient and a column a kind and category."""
-    groups = [(kind, category, group) for kind, summary in record["summary"].items() for category, group in summary.items()]
+    groups = [
+        (kind, category, group)
+        for kind, summary in record["summary"].items()
+        for category, group in summary.items()
+    ]
     if record["settings"]["ablation"]:
         return [_ablation(groups)]
     rows = []
     for kind, category, group in groups:
         before = group["before"]
         for name, row in group["variants"].items():
-            start = [kind, category, group["cases"], name, 1e3 * before["chamfer"], 1e3 * row["chamfer"]]
-            figures = {**row, "floor_ratio": before["floor_ratio"], "start_f_score": before["f_score"]}
+            start = [
+                kind,
+                category,
+                group["cases"],
+                name,
+                1e3 * before["chamfer"],
+                1e3 * row["chamfer"],
+            ]
+            figures = {
+                **row,
+                "floor_ratio": before["floor_ratio"],
+                "start_f_score": before["f_score"],
+            }
             rows.append([*start, *(figures[key] for key in FIGURES)])
-    header = ["kind", "category", "cases", "variant", "before", "after", "ratio", "median", "worst", "worse", "floor"]
+    header = [
+        "kind",
+        "category",
+        "cases",
+        "variant",
+        "before",
+        "after",
+        "ratio",
+        "median",
+        "worst",
+        "worse",
+        "floor",
+    ]
     note = (
         "before, after: Chamfer x1000; ratio: after/before, mean of the cases' own; worse: cases over 1; floor: ratio that "
         "another sampling of the truth has"
@@ -281,10 +406,20 @@ def _ablation(groups: list[tuple[str, str, Record]]) -> Table:
         return f"{row['mean_ratio']:.2f} ({row['worse']}, {row['worst_ratio']:.2f})"
 
     header = ["", *(f"{category}, {kind}" for kind, category, _ in groups)]
-    rows = [[name, *(cell(group["variants"][name]) for *_, group in groups)] for name in groups[0][2]["variants"]]
-    rows.append(["Chamfer x1000 of the start", *(f"{1e3 * group['before']['chamfer']:.1f}" for *_, group in groups)])
+    rows = [
+        [name, *(cell(group["variants"][name]) for *_, group in groups)]
+        for name in groups[0][2]["variants"]
+    ]
+    rows.append(
+        [
+            "Chamfer x1000 of the start",
+            *(f"{1e3 * group['before']['chamfer']:.1f}" for *_, group in groups),
+        ]
+    )
     rows.append(["cases", *(str(group["cases"]) for *_, group in groups)])
-    return Table(header, rows, note="mean of Chamfer after / before (cases that got worse, worst case)")
+    return Table(
+        header, rows, note="mean of Chamfer after / before (cases that got worse, worst case)"
+    )
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
@@ -292,7 +427,10 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
     grid: list[list[Panel]] = []
     for kind, of_kind in grouped(record["cases"], "kind").items():
         groups = grouped(of_kind, "category").items()
-        ratios = {category: {name: ratios_of(cases, name) for name in cases[0]["variants"]} for category, cases in groups}
+        ratios = {
+            category: {name: ratios_of(cases, name) for name in cases[0]["variants"]}
+            for category, cases in groups
+        }
         grid.append([Panel(f"{category}, {kind}", rows) for category, rows in ratios.items()])
     draw_ratios(path, grid, overwrite)
 
@@ -302,7 +440,13 @@ STUDY = Study(
     about="Starts are another shape's cloud as wrong as a trained network's (other), one near the truth (near), the first "
     "with an object that the border truncates (cut), the truth sampled once more (right), and the network's prediction "
     "(network).",
-    parts=("pictures", "points, paper", "points, best", "network modes, paper", "network modes, best"),
+    parts=(
+        "pictures",
+        "points, paper",
+        "points, best",
+        "network modes, paper",
+        "network modes, best",
+    ),
     tables=tables,
     draw=draw,
     reading="The default preset is judged by two questions: how much of the error it removes, and how often it adds some. One "
@@ -314,13 +458,19 @@ STUDY = Study(
         *COMMON,
         CHECKPOINT,
         part("test"),
-        Option("--category", "May be repeated.", default=CATEGORIES, multiple=True, name="categories"),
+        Option(
+            "--category", "May be repeated.", default=CATEGORIES, multiple=True, name="categories"
+        ),
         Option("--kind", STARTS, str, (), KINDS, multiple=True, name="kinds"),
         VIEWS,
         Option("--size", "Of the masks, pixels each way.", int, 64, least=16, most=1024),
         Option("--points", "Of initial and target clouds, 1024 to 16384.", int, 1024),
         Option("--ablation", "Change one ingredient of the default preset at a time.", bool, False),
-        Option("--pictures", "Draw the worst, the median and the best case of each category here (.png).", Path),
+        Option(
+            "--pictures",
+            "Draw the worst, the median and the best case of each category here (.png).",
+            Path,
+        ),
         DEVICE,
     ),
     plan=plan,

@@ -42,9 +42,13 @@ def measure(predicted: list[Predicted], data: TrainingData) -> Record:
         views = data.objects[shape.index].views
         unobserved = [data.prepared(shape.index, view) for view in range(JUDGED_VIEWS, len(views))]
         for points in shape.points:
-            strays = [outliers(view.camera.project(points)[0], view.mask).mean() for view in unobserved]
+            strays = [
+                outliers(view.camera.project(points)[0], view.mask).mean() for view in unobserved
+            ]
             fractions.setdefault(shape.category, []).append(float(np.mean(strays)))
-    return {"outliers": {category: float(np.mean(values)) for category, values in fractions.items()}}
+    return {
+        "outliers": {category: float(np.mean(values)) for category, values in fractions.items()}
+    }
 
 
 def outliers(pixels: Array, mask: NDArray[np.floating]) -> NDArray[np.bool_]:
@@ -53,7 +57,9 @@ def outliers(pixels: Array, mask: NDArray[np.floating]) -> NDArray[np.bool_]:
     Distances are from the edge of the mask, half a pixel beyond the centres of its pixels. What is not finite is an outlier.
     """
     finite = np.asarray(np.isfinite(pixels).all(1))
-    distance, _ = cKDTree(np.argwhere(mask > 0.5)[:, ::-1]).query(np.where(finite[:, None], pixels, 0.0))
+    distance, _ = cKDTree(np.argwhere(mask > 0.5)[:, ::-1]).query(
+        np.where(finite[:, None], pixels, 0.0)
+    )
     return np.asarray(~finite | (distance > OUTLIER_PX + 0.5))
 
 
@@ -61,16 +67,39 @@ def conclude(cases: Cases) -> Record:
     """Outliers and Chamfer by category, with and without; and whether the loss lowers both."""
     summary: dict[str, dict[str, dict[str, float]]] = {}
     for name, by_category in chamfers(cases).items():
-        fractions = {key: value for case in cases if case["setting"] == name for key, value in case["outliers"].items()}
-        summary[name] = {key: {"outliers": fractions[key], "chamfer": value} for key, value in by_category.items()}
+        fractions = {
+            key: value
+            for case in cases
+            if case["setting"] == name
+            for key, value in case["outliers"].items()
+        }
+        summary[name] = {
+            key: {"outliers": fractions[key], "chamfer": value}
+            for key, value in by_category.items()
+        }
     claims = []
     for name in FORMS:
-        kinds = ("outliers", "fewer outliers", 100.0, " %"), ("chamfer", "a lower Chamfer distance", 1.0, "")
+        kinds = (
+            ("outliers", "fewer outliers", 100.0, " %"),
+            ("chamfer", "a lower Chamfer distance", 1.0, ""),
+        )
         for key, text, scale, unit in kinds:
-            pairs = {category: (row[key], summary[name][category][key]) for category, row in summary[WITHOUT].items()}
-            figures = [f"{category} {scale * a:.2f}{unit} to {scale * b:.2f}{unit}" for category, (a, b) in pairs.items()]
+            pairs = {
+                category: (row[key], summary[name][category][key])
+                for category, row in summary[WITHOUT].items()
+            }
+            figures = [
+                f"{category} {scale * a:.2f}{unit} to {scale * b:.2f}{unit}"
+                for category, (a, b) in pairs.items()
+            ]
             text = f"a network trained with the affinity loss ({name}) has {text}"
-            claims.append(claim(text, all(after < before for before, after in pairs.values()), ", ".join(figures)))
+            claims.append(
+                claim(
+                    text,
+                    all(after < before for before, after in pairs.values()),
+                    ", ".join(figures),
+                )
+            )
     return {"summary": summary, "claims": claims}
 
 
@@ -106,7 +135,9 @@ def weight_settings(categories: Sequence[str]) -> list[Setting]:
     """A network for each weight and form."""
     pairs = [(AFFINITIES[0], 0.0), *product(AFFINITIES, WEIGHTS[1:])]
     return [
-        Setting(_name(form, weight), category, masks(category, affinity_weight=weight, affinity=form))
+        Setting(
+            _name(form, weight), category, masks(category, affinity_weight=weight, affinity=form)
+        )
         for category in categories
         for form, weight in pairs
     ]
@@ -116,12 +147,16 @@ def conclude_weights(cases: Cases) -> Record:
     """Chamfer by form and weight, the mean over categories, beside the paper's; and whether its lambda is the best."""
     values = chamfers(cases)
     summary = {
-        form: {f"{weight:g}": with_mean(values[_name(form, weight)])["mean"] for weight in WEIGHTS} for form in AFFINITIES
+        form: {f"{weight:g}": with_mean(values[_name(form, weight)])["mean"] for weight in WEIGHTS}
+        for form in AFFINITIES
     }
     chairs, claims = list(values["none"]) == ["chair"], []
     for form, by_weight in summary.items() if chairs else ():
         theirs = {weight: by_weight[weight] for weight in PAPER}
-        best, three = min(by_weight, key=by_weight.__getitem__), ", ".join(f"{value:.2f}" for value in theirs.values())
+        best, three = (
+            min(by_weight, key=by_weight.__getitem__),
+            ", ".join(f"{value:.2f}" for value in theirs.values()),
+        )
         measured = f"{three}; paper 4.63, 4.42, 5.3; best of all here: lambda = {best}, {by_weight[best]:.2f}"
         text = f"of 0.5e-4, 1e-4 and 5e-4, lambda = 1e-4 is the best (form {form!r})"
         claims.append(claim(text, min(theirs, key=theirs.__getitem__) == "0.0001", measured))
@@ -131,7 +166,9 @@ def conclude_weights(cases: Cases) -> Record:
 def weight_rows(record: Record) -> Rows:
     """Chamfer by lambda, of each form and the paper's."""
     ours = {f"form {form!r}": values for form, values in record["summary"].items()}
-    return {"lambda": ours | {f"paper ({name})": values for name, values in record["paper"].items()}}
+    return {
+        "lambda": ours | {f"paper ({name})": values for name, values in record["paper"].items()}
+    }
 
 
 LAMBDA = trained_study(

@@ -17,7 +17,14 @@ from ...geometry.points import Array, farthest_point_sample, sample_surface
 from ...geometry.view import View
 from ...io.shipped import CATEGORIES
 from ...network.model import BaseNetwork, NetworkConfig
-from ...render import RayScene, RenderSettings, fitting_distance, look_at, render_view, sample_cameras
+from ...render import (
+    RayScene,
+    RenderSettings,
+    fitting_distance,
+    look_at,
+    render_view,
+    sample_cameras,
+)
 from ...scene.network import network_scene
 from .shapes import Shape, shape_type, shapes_of_part
 
@@ -88,25 +95,42 @@ class CaseBuilder:
         """The cases of one shape, one for each of the views."""
         mesh = shape.mesh()
         rng = self._rng(shape, "truth")
-        dense, resampled = (sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng) for _ in range(2))
+        dense, resampled = (
+            sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng) for _ in range(2)
+        )
         target, initial = _subset(dense, self.points), _subset(resampled, self.points)
         floor = chamfer(initial, target).chamfer
         scene, rng = RayScene(mesh), self._rng(shape, kind)
         start = {"right": "the truth", "network": "prediction"}.get(kind, "")
         if not start:
-            start, initial = self._start(shape, _subset(dense, JUDGED), LEVELS[kind].get(shape.category, 0.0))
+            start, initial = self._start(
+                shape, _subset(dense, JUDGED), LEVELS[kind].get(shape.category, 0.0)
+            )
         # Each view has the next three beside it; `_predicted` makes those of a network's case.
         count = 0 if kind == "network" else self.views + MASKS - 1
         views = [self._view(shape, number, scene, kind == "cut", rng) for number in range(count)]
         cases = []
         for number in range(self.views):
             beside = tuple(views[number : number + MASKS])
-            case = Case(kind, shape.category, shape.name, number, start, initial, target, dense, beside, floor)
+            case = Case(
+                kind,
+                shape.category,
+                shape.name,
+                number,
+                start,
+                initial,
+                target,
+                dense,
+                beside,
+                floor,
+            )
             cases.append(self._predicted(case, shape, scene, rng) if kind == "network" else case)
         return cases
 
     def _rng(self, shape: Shape, purpose: str) -> np.random.Generator:
-        return np.random.default_rng([self.seed, zlib.crc32(shape.name.encode()), zlib.crc32(purpose.encode())])
+        return np.random.default_rng(
+            [self.seed, zlib.crc32(shape.name.encode()), zlib.crc32(purpose.encode())]
+        )
 
     def _start(self, shape: Shape, target: Array, level: float) -> tuple[str, Array]:
         """The training shape of another type whose distance from the truth is nearest to ``level``: its name and cloud."""
@@ -114,17 +138,27 @@ class CaseBuilder:
             starts = self._starts[shape.category] = []
             for training in shapes_of_part(self.folder, self.split_file, "train", [shape.category]):
                 mesh = training.mesh()
-                samples = sample_surface(mesh.vertices, mesh.faces, SAMPLES, self._rng(training, "truth"))
+                samples = sample_surface(
+                    mesh.vertices, mesh.faces, SAMPLES, self._rng(training, "truth")
+                )
                 starts.append((training, samples, _subset(samples, JUDGED)))
         object_type = shape_type(shape.path.stem)
-        candidates = [start for start in self._starts[shape.category] if shape_type(start[0].path.stem) != object_type]
+        candidates = [
+            start
+            for start in self._starts[shape.category]
+            if shape_type(start[0].path.stem) != object_type
+        ]
         if not candidates:
             found = f"no {shape.category} of another type is in the list train"
             raise InputError(f"{shape.name}: {found}, expected one to start from")
-        nearest, samples, _ = min(candidates, key=lambda start: abs(chamfer(start[2], target).chamfer - level))
+        nearest, samples, _ = min(
+            candidates, key=lambda start: abs(chamfer(start[2], target).chamfer - level)
+        )
         return nearest.name, _subset(samples, self.points)
 
-    def _view(self, shape: Shape, number: int, scene: RayScene, truncated: bool, rng: np.random.Generator) -> View:
+    def _view(
+        self, shape: Shape, number: int, scene: RayScene, truncated: bool, rng: np.random.Generator
+    ) -> View:
         settings = RenderSettings(views=1, size=(self.size, self.size))
         while True:
             if truncated:
@@ -137,21 +171,36 @@ class CaseBuilder:
             border = np.concatenate([mask[[0, -1]].ravel(), mask[:, [0, -1]].ravel()])
             # From its narrow side a long object fits the picture from nearer too: then another direction is drawn.
             if not truncated or border.max() > 127:
-                return View(mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, mask {number}")
+                return View(
+                    mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, mask {number}"
+                )
 
-    def _predicted(self, case: Case, shape: Shape, scene: RayScene, rng: np.random.Generator) -> Case:
+    def _predicted(
+        self, case: Case, shape: Shape, scene: RayScene, rng: np.random.Generator
+    ) -> Case:
         """The network's prediction from a picture, before a camera whose distance from the object is known."""
-        assert self.network is not None and self.about is not None
-        (camera,) = sample_cameras(RenderSettings(views=1, size=(PICTURE, PICTURE)), scene.mesh.vertices, rng)
+        assert self.network is not None
+        assert self.about is not None
+        (camera,) = sample_cameras(
+            RenderSettings(views=1, size=(PICTURE, PICTURE)), scene.mesh.vertices, rng
+        )
         picture = render_view(scene, camera, rng)
-        view = View(picture.mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, view {case.view}")
+        view = View(
+            picture.mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, view {case.view}"
+        )
         predicted = network_scene(picture.image, view, self.network, self.about, placing="camera")
         turn = (CANONICAL_ROTATION @ camera.R).T
         # A generator for each view: the number of views changes none of them.
         rng = np.random.default_rng([self.seed, zlib.crc32(shape.name.encode()), case.view])
         views = [self._view(shape, number, scene, False, rng) for number in range(1, MASKS)]
-        turned = [replace(view, camera=replace(view.camera, R=view.camera.R @ turn)) for view in views]
-        clouds = {"initial": predicted.points, "target": case.target @ turn, "dense": case.dense @ turn}
+        turned = [
+            replace(view, camera=replace(view.camera, R=view.camera.R @ turn)) for view in views
+        ]
+        clouds = {
+            "initial": predicted.points,
+            "target": case.target @ turn,
+            "dense": case.dense @ turn,
+        }
         return replace(case, views=(predicted.view, *turned), image=predicted.image, **clouds)
 
 

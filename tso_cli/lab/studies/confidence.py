@@ -22,7 +22,19 @@ from ...refinement.agreement import NAMED
 from ...refinement.verdict import LEAST_CONFIDENCE, MODEL
 from ..stability.axes import AXES, Axis
 from ..stability.runs import Run, outcomes_of
-from ..study import CATEGORY, COMMON, VIEWS, Cases, Option, Plan, Progress, Record, Study, Table, claim
+from ..study import (
+    CATEGORY,
+    COMMON,
+    VIEWS,
+    Cases,
+    Option,
+    Plan,
+    Progress,
+    Record,
+    Study,
+    Table,
+    claim,
+)
 from .cases import Case, CaseBuilder, kinds_of
 from .refining import Variant
 from .shapes import shapes_of_part
@@ -32,7 +44,10 @@ CATEGORIES, KINDS = ("chair", "airplane", "car", "sofa", "table"), ("other", "ne
 SIZE, POINTS = 128, 1024
 """Pixels of the masks each way, points of the clouds."""
 # How many masks there are is drawn besides.
-RIGHT, ALTERED = AXES[0], tuple(axis for axis in AXES if axis.group != "settings" and axis.masks <= 2)
+RIGHT, ALTERED = (
+    AXES[0],
+    tuple(axis for axis in AXES if axis.group != "settings" and axis.masks <= 2),
+)
 MOST = {"many points": 16384, "large picture": 2048}
 """Levels beyond which only the time changes."""
 MASKS = (1, 1, 1, 1, 1, 2, 4)
@@ -60,14 +75,20 @@ CONVENTION = {
 }
 
 
-def alterations(case: Case, other: Case, count: int, seed: int, to_fit: bool = False) -> Iterator[Run]:
+def alterations(
+    case: Case, other: Case, count: int, seed: int, to_fit: bool = False
+) -> Iterator[Run]:
     """A case as it is, and with ``count`` alterations, each at a random level; ``to_fit`` adds those of `LEARNED`.
 
     ``other`` has the mask of another object.
     """
-    rng = np.random.default_rng([seed, zlib.crc32(case.shape.encode()), zlib.crc32(case.kind.encode()), case.view])
+    rng = np.random.default_rng(
+        [seed, zlib.crc32(case.shape.encode()), zlib.crc32(case.kind.encode()), case.view]
+    )
     for axis in (RIGHT, *rng.choice(np.array(ALTERED, dtype=object), count)):
-        level = float(rng.choice([level for level in axis.levels if level <= MOST.get(axis.name, np.inf)]))
+        level = float(
+            rng.choice([level for level in axis.levels if level <= MOST.get(axis.name, np.inf)])
+        )
         yield _run(axis, level, case, other, rng)
     for axis in (axis for axis in ALTERED if to_fit and axis.name in LEARNED):
         yield from (_run(axis, level, case, other, rng) for level in LEARNED[axis.name])
@@ -86,7 +107,11 @@ def rows_of(runs: Iterable[Run]) -> list[tuple[Record, dict[str, float]]]:
             run, result, ratio = outcome.run, outcome.result, outcome.ratio()
             row: Record = {
                 **{key: getattr(run.case, key) for key in ("category", "shape", "kind")},
-                **{"axis": run.axis.name, "group": "gross" if run.axis.gross else run.axis.group, "level": run.level},
+                **{
+                    "axis": run.axis.name,
+                    "group": "gross" if run.axis.gross else run.axis.group,
+                    "level": run.level,
+                },
             }
             mistake = run.axis.mistake(run.level)
             if mistake:
@@ -98,7 +123,10 @@ def rows_of(runs: Iterable[Run]) -> list[tuple[Record, dict[str, float]]]:
                 row |= {
                     **{"ratio": round(ratio, 4), "confidence": round(result.confidence or 0.0, 4)},
                     **{"flagged": result.verdict == "doubtful", "suspected": bool(result.suspects)},
-                    **{"iou_gain": round(result.iou_after - result.iou_before, 4), "moved": result.best_step > 0},
+                    **{
+                        "iou_gain": round(result.iou_after - result.iou_before, 4),
+                        "moved": result.best_step > 0,
+                    },
                 }
                 rows.append((row, result.signs))
     return rows
@@ -115,8 +143,13 @@ def _jobs(
     def refine_shape(number: int) -> list[Any]:
         shape, other = shapes[number], shapes[number - 1]
         before[:] = before or builder.cases(other, KINDS[0])
-        cases = [case for kind in kinds_of(shape.category, KINDS) for case in builder.cases(shape, kind)]
-        drawn = (alterations(case, before[0], settings["alterations"], settings["seed"], to_fit) for case in cases)
+        cases = [
+            case for kind in kinds_of(shape.category, KINDS) for case in builder.cases(shape, kind)
+        ]
+        drawn = (
+            alterations(case, before[0], settings["alterations"], settings["seed"], to_fit)
+            for case in cases
+        )
         rows = rows_of(run for runs in drawn for run in runs)
         before[:] = cases
         return rows
@@ -124,7 +157,9 @@ def _jobs(
     return {shape.name: partial(refine_shape, number) for number, shape in enumerate(shapes)}
 
 
-def plan(progress: Progress, *, meshes: Path, split: Path | None, fit: Path | None, **settings: Any) -> Plan:
+def plan(
+    progress: Progress, *, meshes: Path, split: Path | None, fit: Path | None, **settings: Any
+) -> Plan:
     """Judge altered test shapes; with ``fit`` first fit the model to training and validation shapes, and write it there."""
     settings["categories"] = list(settings["categories"] or CATEGORIES)
     if fit is not None:
@@ -140,7 +175,12 @@ def plan(progress: Progress, *, meshes: Path, split: Path | None, fit: Path | No
         with atomic_output(fit) as temporary:
             temporary.write_text(json.dumps(fitted(rows)))
     test = _jobs(meshes, split, "test", settings)
-    return Plan(settings, [({"shape": name}, lambda job=job: [row for row, _ in job()]) for name, job in test.items()])  # type: ignore[misc]
+    work = [({"shape": name}, partial(_rows, job)) for name, job in test.items()]
+    return Plan(settings, work)
+
+
+def _rows(job: Callable[[], list[tuple[Record, dict[str, float]]]]) -> list[Record]:
+    return [row for row, _ in job()]
 
 
 def fitted(rows: Sequence[tuple[Record, dict[str, float]]], seed: int = 0) -> Record:
@@ -157,7 +197,9 @@ def fitted(rows: Sequence[tuple[Record, dict[str, float]]], seed: int = 0) -> Re
     for network in range(NETWORKS):
         torch.manual_seed(seed + network)
         hidden, output = torch.nn.Linear(len(names), HIDDEN), torch.nn.Linear(HIDDEN, 1)
-        adam = torch.optim.AdamW([*hidden.parameters(), *output.parameters()], RATE, weight_decay=DECAY)
+        adam = torch.optim.AdamW(
+            [*hidden.parameters(), *output.parameters()], RATE, weight_decay=DECAY
+        )
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, EPOCHS)
         for _ in range(EPOCHS):
             for batch in torch.randperm(len(worse)).split(BATCH):
@@ -167,7 +209,12 @@ def fitted(rows: Sequence[tuple[Record, dict[str, float]]], seed: int = 0) -> Re
                 loss.backward()
                 adam.step()
             schedule.step()
-        layers.append([part.detach().numpy() for part in (hidden.weight.T, hidden.bias, output.weight[0], output.bias)])
+        layers.append(
+            [
+                part.detach().numpy()
+                for part in (hidden.weight.T, hidden.bias, output.weight[0], output.bias)
+            ]
+        )
     weights, offsets, outputs, biases = zip(*layers, strict=True)
     model = {
         "mean": mean,
@@ -176,7 +223,10 @@ def fitted(rows: Sequence[tuple[Record, dict[str, float]]], seed: int = 0) -> Re
         "offset": np.concatenate(offsets),
         "output": np.append(np.concatenate(outputs) / NETWORKS, np.mean(biases)),
     }
-    return {"signs": names, **{key: np.round(numbers.astype(float), 4).tolist() for key, numbers in model.items()}}
+    return {
+        "signs": names,
+        **{key: np.round(numbers.astype(float), 4).tolist() for key, numbers in model.items()},
+    }
 
 
 def auc(confidence: NDArray[np.float64], worse: NDArray[np.bool_]) -> float | None:
@@ -186,34 +236,66 @@ def auc(confidence: NDArray[np.float64], worse: NDArray[np.bool_]) -> float | No
     count = int(worse.sum())
     if not 0 < count < len(worse):
         return None
-    return float((rankdata(-confidence)[worse].sum() - count * (count + 1) / 2) / (count * (len(worse) - count)))
+    return float(
+        (rankdata(-confidence)[worse].sum() - count * (count + 1) / 2)
+        / (count * (len(worse) - count))
+    )
 
 
 def conclude(cases: Cases) -> Record:
     """AUC, and who is flagged, by group of alterations."""
-    chosen = {"all": cases, "camera and mask": [case for case in cases if case["group"] in ("camera", "mask")]}
-    chosen |= grouped(cases, "group") | {f"{name}, any": rows for name, rows in grouped(cases, "category").items()}
+    chosen = {
+        "all": cases,
+        "camera and mask": [case for case in cases if case["group"] in ("camera", "mask")],
+    }
+    chosen |= grouped(cases, "group") | {
+        f"{name}, any": rows for name, rows in grouped(cases, "category").items()
+    }
     chosen["right scenes"] = [case for case in cases if case["axis"] == RIGHT.name]
     summary = {name: _figures(rows) for name, rows in chosen.items() if refined(rows)}
-    confidence, worse = (np.array([case[key] for case in refined(cases)]) for key in ("confidence", "ratio"))
+    confidence, worse = (
+        np.array([case[key] for case in refined(cases)]) for key in ("confidence", "ratio")
+    )
     worse = worse > WORSE
     bins = np.minimum((confidence * BINS).astype(int), BINS - 1)
     reliability = [
-        [int(here.sum()), *([round(float(confidence[here].mean()), 3), round(float(1.0 - worse[here].mean()), 3)])]
+        [
+            int(here.sum()),
+            *(
+                [
+                    round(float(confidence[here].mean()), 3),
+                    round(float(1.0 - worse[here].mean()), 3),
+                ]
+            ),
+        ]
         for here in (bins == number for number in range(BINS))
         if here.any()
     ]
     claims = [
-        claim(f"AUC of {name} alterations is at least {least}", found["auc"] >= least, f"{found['auc']:.3f}")
+        claim(
+            f"AUC of {name} alterations is at least {least}",
+            found["auc"] >= least,
+            f"{found['auc']:.3f}",
+        )
         for name, least in AIMS.items()
         if (found := summary.get(name)) and found["auc"] is not None
     ]
     suspected = summary["right scenes"]["suspected"]
-    claims.append(claim("no right scene is suspected of a mistake", not suspected, f"share suspected {suspected:.3f}"))
+    claims.append(
+        claim(
+            "no right scene is suspected of a mistake",
+            not suspected,
+            f"share suspected {suspected:.3f}",
+        )
+    )
     if gross := summary.get("gross"):
         for key in ("suspected", "named"):
             claims.append(
-                claim(f"over {LEAST_NAMED} of gross mistakes are {key}", gross[key] > LEAST_NAMED, f"{gross[key]:.3f}")
+                claim(
+                    f"over {LEAST_NAMED} of gross mistakes are {key}",
+                    gross[key] > LEAST_NAMED,
+                    f"{gross[key]:.3f}",
+                )
             )
     return {"summary": summary, "reliability": reliability, "claims": claims}
 
@@ -225,7 +307,9 @@ def refined(cases: Cases) -> Cases:
 
 def _figures(cases: Cases) -> Record:
     rows = refined(cases)
-    confidence, ratio = (np.array([row[key] for row in rows], dtype=float) for key in ("confidence", "ratio"))
+    confidence, ratio = (
+        np.array([row[key] for row in rows], dtype=float) for key in ("confidence", "ratio")
+    )
     worse, flagged = ratio > WORSE, np.array([row["flagged"] for row in rows])
     iou = auc(np.array([row["iou_gain"] for row in rows]), worse)
     return {
@@ -237,7 +321,9 @@ def _figures(cases: Cases) -> Record:
         "flagged_of_worse": float(flagged[worse].mean()) if worse.any() else None,
         "refused": len(cases) - len(rows),
         "suspected": float(np.mean([case["suspected"] for case in cases])),
-        "named": float(np.mean(named)) if (named := [case["named"] for case in cases if "named" in case]) else None,
+        "named": float(np.mean(named))
+        if (named := [case["named"] for case in cases if "named" in case])
+        else None,
     }
 
 
@@ -257,15 +343,35 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
         _, said, true = np.array(record["reliability"]).T
         left.plot([0, 1], [0, 1], color=INK, linewidth=0.8)
         left.plot(said, true, "o-", color=COLOURS[0])
-        left.set(xlabel="confidence", ylabel="share that is not worse by over 5 %", xlim=(0, 1), ylim=(0, 1))
-        groups = {"all alterations": None, "camera": "camera", "mask": "mask", "gross mistakes": "gross"}
+        left.set(
+            xlabel="confidence",
+            ylabel="share that is not worse by over 5 %",
+            xlim=(0, 1),
+            ylim=(0, 1),
+        )
+        groups = {
+            "all alterations": None,
+            "camera": "camera",
+            "mask": "mask",
+            "gross mistakes": "gross",
+        }
         for (label, group), colour in zip(groups.items(), COLOURS, strict=False):
             rows = [case for case in refined(record["cases"]) if group in (None, case["group"])]
             order = np.argsort([row["confidence"] for row in rows], kind="stable")
             worse = np.array([row["ratio"] > WORSE for row in rows])[order]
             if 0 < worse.sum() < len(worse):
-                right.plot(np.cumsum(~worse) / (~worse).sum(), np.cumsum(worse) / worse.sum(), color=colour, label=label)
-        right.set(xlabel="share of the others flagged", ylabel="share of the worse flagged", xlim=(0, 1), ylim=(0, 1))
+                right.plot(
+                    np.cumsum(~worse) / (~worse).sum(),
+                    np.cumsum(worse) / worse.sum(),
+                    color=colour,
+                    label=label,
+                )
+        right.set(
+            xlabel="share of the others flagged",
+            ylabel="share of the worse flagged",
+            xlim=(0, 1),
+            ylim=(0, 1),
+        )
         right.legend(frameon=False, fontsize=8, loc="lower right")
 
 
@@ -286,7 +392,11 @@ STUDY = Study(
         VIEWS,
         replace(CATEGORY, help="May be repeated.  [default: 5]"),
         Option("--alterations", "Of each case.", int, 24, least=1),
-        Option("--fit", f"Fit the model first and write it here; the one in use is {MODEL.name} in refinement/.", Path),
+        Option(
+            "--fit",
+            f"Fit the model first and write it here; the one in use is {MODEL.name} in refinement/.",
+            Path,
+        ),
     ),
     plan=plan,
     conclude=conclude,

@@ -22,7 +22,12 @@ FILLED = 3.8002
 
 
 def discrete_depth(
-    points_px: Tensor, depth: Tensor, valid: Tensor, height: int, width: int, upsampling: int = UPSAMPLING
+    points_px: Tensor,
+    depth: Tensor,
+    valid: Tensor,
+    height: int,
+    width: int,
+    upsampling: int = UPSAMPLING,
 ) -> tuple[Tensor, Tensor]:
     """Lin et al.'s projection: depths scattered onto a grid ``upsampling`` times finer, of which each pixel shows the nearest.
 
@@ -41,9 +46,15 @@ def discrete_depth(
     cell = row * (width * upsampling) + column  # 0 where there is none
     # Points count from 1; 0 stands for none, at inverse depth 0.
     numbers = torch.arange(1, points_px.shape[1] + 1, device=points_px.device) * inside
-    last = numbers.new_zeros(len(cell), height * width * upsampling**2).scatter_reduce_(1, cell, numbers, "amax")
+    last = numbers.new_zeros(len(cell), height * width * upsampling**2).scatter_reduce_(
+        1, cell, numbers, "amax"
+    )
     inverse = torch.where(inside, 1.0 / torch.where(inside, depth, 1.0), 0.0)
-    fine = torch.nn.functional.pad(inverse, (1, 0)).gather(1, last).view(-1, 1, height * upsampling, width * upsampling)
+    fine = (
+        torch.nn.functional.pad(inverse, (1, 0))
+        .gather(1, last)
+        .view(-1, 1, height * upsampling, width * upsampling)
+    )
     nearest = torch.nn.functional.max_pool2d(fine, upsampling).squeeze(1)
     hit = nearest > 0.0
     return torch.where(hit, 1.0 / torch.where(hit, nearest, 1.0), 0.0), hit
@@ -52,7 +63,14 @@ def discrete_depth(
 def silhouette_sums(projected: Projected, cameras: CameraBatch) -> Tensor:
     """Sums [B, V, H, W] whose tanh is the plain discretised projection, 1 where a point is rounded to; without gradient."""
     points_px, valid = projected.points_px.detach().flatten(0, 1), projected.valid.flatten(0, 1)
-    hit = discrete_depth(points_px, torch.ones_like(points_px[..., 0]), valid, cameras.height, cameras.width, upsampling=1)[1]
+    hit = discrete_depth(
+        points_px,
+        torch.ones_like(points_px[..., 0]),
+        valid,
+        cameras.height,
+        cameras.width,
+        upsampling=1,
+    )[1]
     return FILLED * hit.to(points_px.dtype).unflatten(0, projected.valid.shape[:2])
 
 
@@ -65,7 +83,9 @@ def depth_loss(points: Tensor, batch: Batch) -> Tensor:
     height, width = batch.masks.shape[-2:]
     losses, given = [], (batch.K, batch.R, batch.t, batch.targets)
     for b, cloud in enumerate(points):
-        K, R, t, target = (torch.as_tensor(values[b], dtype=points.dtype, device=points.device) for values in given)
+        K, R, t, target = (
+            torch.as_tensor(values[b], dtype=points.dtype, device=points.device) for values in given
+        )
         cameras = CameraBatch(K, R, t, width, height)
         depth, hit = depth_map(cloud, cameras)
         true, true_hit = depth_map(target, cameras)
@@ -90,7 +110,9 @@ def projected_objective(config: TrainConfig, projection: str) -> Objective:
     """
 
     def objective(points: Tensor, batch: Batch, weight: float) -> tuple[Tensor, float, float]:
-        loss, bce, outliers = mask_loss(points, batch, config.sigma_sq, weight, config.affinity, silhouette_sums)
+        loss, bce, outliers = mask_loss(
+            points, batch, config.sigma_sq, weight, config.affinity, silhouette_sums
+        )
         return (loss + depth_loss(points, batch) if projection == DEPTH else loss), bce, outliers
 
     return objective

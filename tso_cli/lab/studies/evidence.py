@@ -61,10 +61,17 @@ DEPTH_ROWS: Rows = {
     "two masks, no symmetry": (unaltered, TWO),
     "two masks and their depths, no symmetry": (with_depth, TWO),
 }
-STARTS_OF_PAINT = {"bent 2": "bent to Chamfer 2", "bent 6": "bent to Chamfer 6", "other": "another shape, other colours"}
+STARTS_OF_PAINT = {
+    "bent 2": "bent to Chamfer 2",
+    "bent 6": "bent to Chamfer 6",
+    "other": "another shape, other colours",
+}
 PHOTOS = {None: "mask", 0.7: "mask and photo, exposure 0.7", 1.4: "mask and photo, exposure 1.4"}
 COLOUR_ROWS: Rows = {
-    f"{STARTS_OF_PAINT[start]}; {PHOTOS[exposure]}": (partial(painted, start=start, exposure=exposure), ONE)
+    f"{STARTS_OF_PAINT[start]}; {PHOTOS[exposure]}": (
+        partial(painted, start=start, exposure=exposure),
+        ONE,
+    )
     for start, exposure in product(STARTS_OF_PAINT, PHOTOS)
 }
 LACKING: dict[str, Alter] = {
@@ -75,7 +82,9 @@ LACKING: dict[str, Alter] = {
 }
 MISSING_ROWS: Rows = {
     f"{name}; symmetry {plane}": (alter, variant)
-    for (name, alter), (plane, variant) in product(LACKING.items(), (("none", ONE), ("auto", _variant())))
+    for (name, alter), (plane, variant) in product(
+        LACKING.items(), (("none", ONE), ("auto", _variant()))
+    )
 }
 
 
@@ -83,26 +92,43 @@ THREE = ("chair", "airplane", "car")
 QUESTIONS = {
     "depth": Question("Depth maps", ("other", "near"), DEPTH_ROWS, THREE),
     "colours": Question("Photos of painted objects", ("other",), COLOUR_ROWS, THREE),
-    "missing": Question("Objects of which a part is missing", ("other",), MISSING_ROWS, (*THREE, "sofa"), planes=True),
+    "missing": Question(
+        "Objects of which a part is missing",
+        ("other",),
+        MISSING_ROWS,
+        (*THREE, "sofa"),
+        planes=True,
+    ),
 }
 
 
 def plan(progress: Progress, *, meshes: Path, split: Path | None, **settings: Any) -> Plan:
     """Ask each question of every case that it is about; errors are those of the study of accuracy."""
-    categories = list(dict.fromkeys(name for question in QUESTIONS.values() for name in question.categories))
+    categories = list(
+        dict.fromkeys(name for question in QUESTIONS.values() for name in question.categories)
+    )
     shapes = shapes_of_part(meshes, split, settings["part"], categories, settings["limit"])
-    by_category = {name: [shape for shape in shapes if shape.category == name] for name in categories}
+    by_category = {
+        name: [shape for shape in shapes if shape.category == name] for name in categories
+    }
     builder = CaseBuilder(meshes, split, settings["views"], SIZE, POINTS, settings["seed"])
     settings |= {"points": POINTS, "size": SIZE}
     settings["rows"] = {name: list(question.rows) for name, question in QUESTIONS.items()}
     settings["shapes"] = [shape.name for group in by_category.values() for shape in group]
 
     def judge_group(name: str, kind: str, group: list[Shape]) -> Cases:
-        cases = [(case, truth) for truth in map(Truth, group) for case in builder.cases(truth.shape, kind)]
+        cases = [
+            (case, truth)
+            for truth in map(Truth, group)
+            for case in builder.cases(truth.shape, kind)
+        ]
         return judge(name, QUESTIONS[name], cases, settings["seed"])
 
     jobs = [
-        ({"question": name, "kind": kind, "shape": group[0].name}, partial(judge_group, name, kind, group))
+        (
+            {"question": name, "kind": kind, "shape": group[0].name},
+            partial(judge_group, name, kind, group),
+        )
         for name, question in QUESTIONS.items()
         for kind in question.kinds
         for category, group in by_category.items()
@@ -114,16 +140,26 @@ def plan(progress: Progress, *, meshes: Path, split: Path | None, **settings: An
 def judge(name: str, question: Question, cases: list[tuple[Case, Truth]], seed: int) -> Cases:
     """Every row of a question for cases of one kind and category; a row that a case cannot have is left out of it."""
     keys = ("kind", "category", "shape", "view")
-    records: Cases = [{"question": name, **{key: getattr(case, key) for key in keys}, "rows": {}} for case, _ in cases]
+    records: Cases = [
+        {"question": name, **{key: getattr(case, key) for key in keys}, "rows": {}}
+        for case, _ in cases
+    ]
     for label, (alter, variant) in question.rows.items():
         # The same random numbers for each row: what is compared differs in nothing else.
-        seeds = [[seed, zlib.crc32(f"{name} {case.shape}".encode()), case.view] for case, _ in cases]
-        altered = [alter(case, truth, np.random.default_rng(key)) for (case, truth), key in zip(cases, seeds, strict=True)]
+        seeds = [
+            [seed, zlib.crc32(f"{name} {case.shape}".encode()), case.view] for case, _ in cases
+        ]
+        altered = [
+            alter(case, truth, np.random.default_rng(key))
+            for (case, truth), key in zip(cases, seeds, strict=True)
+        ]
         numbers = [number for number, case in enumerate(altered) if case is not None]
         changed = [case for case in altered if case is not None]
         results = refined(changed, variant, "cpu", None) if changed else []
         for number, case, result in zip(numbers, changed, results, strict=True):
-            before, after = (chamfer(points, case.target).chamfer for points in (case.initial, result.points))
+            before, after = (
+                chamfer(points, case.target).chamfer for points in (case.initial, result.points)
+            )
             planes = {PLANES: float(result.symmetry is None)} if question.planes else {}
             records[number]["rows"][label] = rounded({"before": before, "chamfer": after, **planes})
     return records
@@ -136,7 +172,9 @@ def conclude(cases: Cases) -> Record:
         summary[question] = {}
         for kind, of_kind in grouped(asked, "kind").items():
             groups = {**grouped(of_kind, "category"), ALL: of_kind}
-            summary[question][kind] = {category: _means(group) for category, group in groups.items()}
+            summary[question][kind] = {
+                category: _means(group) for category, group in groups.items()
+            }
     return {"summary": summary}
 
 
@@ -146,10 +184,19 @@ def _means(cases: Cases) -> Record:
     for label in dict.fromkeys(label for case in cases for label in case["rows"]):
         rows = [case["rows"][label] for case in cases if label in case["rows"]]
         ratios = np.array([row["chamfer"] / row["before"] for row in rows])
-        columns = {key: [row[key] for row in rows] for key in rows[0] if key not in ("before", "chamfer")}
+        columns = {
+            key: [row[key] for row in rows] for key in rows[0] if key not in ("before", "chamfer")
+        }
         averages = {key: float(np.mean(values)) for key, values in columns.items()}
         counts = {"cases": len(rows), "worse": int((ratios > 1.0).sum())}
-        means[label] = rounded({**counts, "mean_ratio": float(ratios.mean()), "worst_ratio": float(ratios.max()), **averages})
+        means[label] = rounded(
+            {
+                **counts,
+                "mean_ratio": float(ratios.mean()),
+                "worst_ratio": float(ratios.max()),
+                **averages,
+            }
+        )
     return means
 
 
@@ -164,7 +211,16 @@ def tables(record: Record) -> list[Table]:
             for category, of_category in categories.items()
             for label, figures in of_category.items()
         ]
-        header = ["kind", "category", question, "cases", "ratio", "worst", "worse", *columns[len(FIGURES) :]]
+        header = [
+            "kind",
+            "category",
+            question,
+            "cases",
+            "ratio",
+            "worst",
+            "worse",
+            *columns[len(FIGURES) :],
+        ]
         result.append(Table(header, rows, title=QUESTIONS[question].title))
     return result
 
@@ -177,7 +233,11 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
         for kind, of_kind in grouped(cases, "kind").items():
             rows_of = [case["rows"] for case in of_kind]
             ratios = {
-                label: [rows[label]["chamfer"] / rows[label]["before"] for rows in rows_of if label in rows]
+                label: [
+                    rows[label]["chamfer"] / rows[label]["before"]
+                    for rows in rows_of
+                    if label in rows
+                ]
                 for label in record["summary"][question][kind][ALL]
             }
             panels.append(Panel(f"{question}, {kind}", ratios))

@@ -63,7 +63,14 @@ def with_depth(case: Case, truth: Truth, rng: Rng, noise: float = 0.0) -> Case:
     for view in case.views:
         columns, rows = np.arange(view.camera.width), np.arange(view.camera.height)
         depth = truth.scene.cast(view.camera, columns.astype(float), rows.astype(float))["depth"]
-        views.append(replace(view, depth=np.where(np.isfinite(depth), depth + noise * rng.normal(size=depth.shape), 0.0)))
+        views.append(
+            replace(
+                view,
+                depth=np.where(
+                    np.isfinite(depth), depth + noise * rng.normal(size=depth.shape), 0.0
+                ),
+            )
+        )
     return replace(case, views=tuple(views))
 
 
@@ -76,17 +83,26 @@ def without(case: Case, truth: Truth, rng: Rng, part: str) -> Case | None:
     normal = np.abs(find_mirror_plane(case.initial).normal)
     middles = truth.mesh.vertices[truth.mesh.faces].mean(1)
     beyond, height = middles[:, 0 if normal[0] >= normal[2] else 2], middles[:, 1]
-    gone = {"side": beyond > 0.12, "high": (beyond > 0.03) & (height > 0.0), "low": (beyond > 0.03) & (height < -0.1)}[part]
+    gone = {
+        "side": beyond > 0.12,
+        "high": (beyond > 0.03) & (height > 0.0),
+        "low": (beyond > 0.03) & (height < -0.1),
+    }[part]
     faces = truth.mesh.faces[~gone]
     if len(faces) < FEWEST_FACES:
         return None
     mesh = replace(truth.mesh, faces=faces, colours=None)
     scene = RayScene(mesh)
-    views = tuple(replace(view, mask=render_view(scene, view.camera).mask.astype(np.float32) / 255.0) for view in case.views)
+    views = tuple(
+        replace(view, mask=render_view(scene, view.camera).mask.astype(np.float32) / 255.0)
+        for view in case.views
+    )
     if min(int((view.mask > 0.5).sum()) for view in views) < FEWEST_PIXELS:
         return None
     dense = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
-    return replace(case, views=views, dense=dense, target=dense[farthest_point_sample(dense, len(case.target))])
+    return replace(
+        case, views=views, dense=dense, target=dense[farthest_point_sample(dense, len(case.target))]
+    )
 
 
 def painted(case: Case, truth: Truth, rng: Rng, start: str, exposure: float | None) -> Case:
@@ -102,10 +118,16 @@ def painted(case: Case, truth: Truth, rng: Rng, start: str, exposure: float | No
         initial, colours = case.initial, other_paint(case.initial)
     else:
         resampled = case.dense[rng.choice(len(case.dense), len(case.target), replace=False)]
-        initial, colours = _bent(resampled, bend, case.target, 1e-3 * float(start.split()[1])), paint(resampled)
+        initial, colours = (
+            _bent(resampled, bend, case.target, 1e-3 * float(start.split()[1])),
+            paint(resampled),
+        )
     views = case.views
     if exposure is not None:
-        photos = [photo(truth.scene, view, paint, light, exposure) for view, light in zip(views, lights, strict=True)]
+        photos = [
+            photo(truth.scene, view, paint, light, exposure)
+            for view, light in zip(views, lights, strict=True)
+        ]
         views = tuple(replace(view, image=image) for view, image in zip(views, photos, strict=True))
     return replace(case, initial=initial, colours=colours, views=views)
 
@@ -114,22 +136,34 @@ def paint_of(rng: Rng) -> Paint:
     """Colours [..., 3] in [0, 1] of places [..., 3]: two of each channel's tones in patches with clear edges."""
     lengths = np.exp(rng.uniform(np.log(SHORTEST), np.log(LONGEST), (3, WAVES, 1)))
     directions = _directions(rng, (3, WAVES)) * (2.0 * np.pi / lengths)
-    phases, dark, light = rng.uniform(0.0, 2.0 * np.pi, (3, WAVES)), rng.uniform(0.1, 0.45, 3), rng.uniform(0.55, 0.9, 3)
+    phases, dark, light = (
+        rng.uniform(0.0, 2.0 * np.pi, (3, WAVES)),
+        rng.uniform(0.1, 0.45, 3),
+        rng.uniform(0.55, 0.9, 3),
+    )
 
     def paint(places: Array) -> Array:
-        waves = np.cos(np.einsum("...k,cwk->...cw", places, directions) + phases).sum(-1) / np.sqrt(WAVES)
+        waves = np.cos(np.einsum("...k,cwk->...cw", places, directions) + phases).sum(-1) / np.sqrt(
+            WAVES
+        )
         return np.asarray(dark + (light - dark) * (0.5 + 0.5 * np.tanh(SHARPNESS * waves)))
 
     return paint
 
 
-def photo(scene: RayScene, view: View, paint: Paint, light: Array, exposure: float = 1.0) -> NDArray[np.float32]:
+def photo(
+    scene: RayScene, view: View, paint: Paint, light: Array, exposure: float = 1.0
+) -> NDArray[np.float32]:
     """[H, W, 3] in [0, 1]: the painted mesh under one far ``light`` (unit vector, world axes), on white; 25 rays a pixel."""
     camera = view.camera
     offsets = (np.arange(RAYS_ACROSS) + 0.5) / RAYS_ACROSS - 0.5
-    columns, rows = ((np.arange(size)[:, None] + offsets).ravel() for size in (camera.width, camera.height))
+    columns, rows = (
+        (np.arange(size)[:, None] + offsets).ravel() for size in (camera.width, camera.height)
+    )
     hits = scene.cast(camera, columns, rows)
-    x, y = np.meshgrid((columns - camera.K[0, 2]) / camera.K[0, 0], (rows - camera.K[1, 2]) / camera.K[1, 1])
+    x, y = np.meshgrid(
+        (columns - camera.K[0, 2]) / camera.K[0, 0], (rows - camera.K[1, 2]) / camera.K[1, 1]
+    )
     hit = hits["hit"]
     depth = hits["depth"][hit][:, None]
     places = (np.stack([x[hit], y[hit], np.ones(hit.sum())], 1) * depth - camera.t) @ camera.R

@@ -34,15 +34,26 @@ def settings(categories: Sequence[str]) -> list[Setting]:
     Raises InputError if neither is among ``categories``.
     """
     if not {PLANE, CAR} & set(categories):
-        raise InputError(f"the failures are of {PLANE} and {CAR}, found {', '.join(categories)}, expected one of the two")
+        raise InputError(
+            f"the failures are of {PLANE} and {CAR}, found {', '.join(categories)}, expected one of the two"
+        )
     masks = {"supervision": "masks"}
     networks = []
     if PLANE in categories:
         if len(categories) > 1:
-            networks = [Setting(SHARED, ALL, masks), Setting(OWN, ALL, {**masks, "category_sigma_sq": {PLANE: 0.1}})]
-        networks += [Setting(ALONE_WIDE, PLANE, masks), Setting(ALONE, PLANE, {**masks, "sigma_sq": 0.1})]
+            networks = [
+                Setting(SHARED, ALL, masks),
+                Setting(OWN, ALL, {**masks, "category_sigma_sq": {PLANE: 0.1}}),
+            ]
+        networks += [
+            Setting(ALONE_WIDE, PLANE, masks),
+            Setting(ALONE, PLANE, {**masks, "sigma_sq": 0.1}),
+        ]
     if CAR in categories:
-        networks += [Setting(ONE, CAR, {**masks, "views": 1}), Setting(FOUR, CAR, {**masks, "views": 4})]
+        networks += [
+            Setting(ONE, CAR, {**masks, "views": 1}),
+            Setting(FOUR, CAR, {**masks, "views": 4}),
+        ]
     return networks
 
 
@@ -57,7 +68,10 @@ def measure(predicted: list[Predicted], data: TrainingData) -> Record:
                 turn = data.objects[shape.index].views[view].camera.R.T
                 rows[CAR].append(depth_errors(points @ turn, target @ turn))
     return {
-        key: {name: float(average([row[name] for row in rows[category]])) for name in rows[category][0]}
+        key: {
+            name: float(average([row[name] for row in rows[category]]))
+            for name in rows[category][0]
+        }
         for key, category, average in (("aeroplanes", PLANE, np.nanmedian), ("cars", CAR, np.mean))
         if rows[category]
     }
@@ -70,7 +84,9 @@ def aeroplane_sizes(points: Array, target: Array) -> dict[str, float]:
     are from the 5th to the 95th percentile, those of the body 8 to 28 % of the length behind the nose. NaN where fewer than 5
     points show one.
     """
-    across = min((0, 2), key=lambda axis: chamfer(target * (1.0 - 2.0 * np.eye(3)[axis]), target).chamfer)
+    across = min(
+        (0, 2), key=lambda axis: chamfer(target * (1.0 - 2.0 * np.eye(3)[axis]), target).chamfer
+    )
     along = 2 - across
     low, high = target[:, along].min(), target[:, along].max()
     place = (target[:, along] - low) / (high - low)
@@ -95,13 +111,19 @@ def depth_errors(points: Array, target: Array) -> dict[str, float]:
     squares = np.zeros(3)
     for queries, cloud in ((points, target), (target, points)):
         squares += np.square(queries - cloud[cKDTree(cloud).query(queries)[1]]).mean(0)
-    return {"depth": float(squares[2]), "across": float(squares[:2].mean()), "extent": _ratio(points, target, 2)}
+    return {
+        "depth": float(squares[2]),
+        "across": float(squares[:2].mean()),
+        "extent": _ratio(points, target, 2),
+    }
 
 
 def _ratio(points: Array, target: Array, axis: int) -> float:
     if min(len(points), len(target)) < FEWEST:
         return float("nan")
-    size, true = (float(np.diff(np.percentile(cloud[:, axis], (5.0, 95.0)))[0]) for cloud in (points, target))
+    size, true = (
+        float(np.diff(np.percentile(cloud[:, axis], (5.0, 95.0)))[0]) for cloud in (points, target)
+    )
     return size / true if true > 0.0 else float("nan")
 
 
@@ -113,18 +135,27 @@ def conclude(cases: Cases) -> Record:
         category, key = (CAR, "cars") if case["setting"] in (ONE, FOUR) else (PLANE, "aeroplanes")
         summary[case["setting"]] = {**case[key], "chamfer": values[case["setting"]][category]}
     claims = []
-    for wide, narrow, where in ((SHARED, OWN, "trained with other categories"), (ALONE_WIDE, ALONE, "trained alone")):
+    for wide, narrow, where in (
+        (SHARED, OWN, "trained with other categories"),
+        (ALONE_WIDE, ALONE, "trained alone"),
+    ):
         if wide in summary:
             shared, small = summary[wide]["body_width"], summary[narrow]["body_width"]
             widths = f"body width {shared:.2f} of the true one under 0.4, {small:.2f} under 0.1"
             spans = f"wing span {summary[wide]['span']:.2f} and {summary[narrow]['span']:.2f}"
             text, measured = f"aeroplanes {where} have", f"{widths}; {spans}"
-            claims.append(claim(f"{text} too narrow a body under sigma^2 = 0.4", shared < RIGHT, widths))
-            claims.append(claim(f"{text} a wider body under sigma^2 = 0.1", shared < RIGHT * small, measured))
+            claims.append(
+                claim(f"{text} too narrow a body under sigma^2 = 0.4", shared < RIGHT, widths)
+            )
+            claims.append(
+                claim(f"{text} a wider body under sigma^2 = 0.1", shared < RIGHT * small, measured)
+            )
     if ONE in summary:
         depth, across = (summary[ONE][key] / summary[FOUR][key] for key in ("depth", "across"))
         measured = f"squared error in depth {depth:.2f} times that with four masks, across {across:.2f} times; extent in depth "
-        measured += f"{summary[ONE]['extent']:.2f} and {summary[FOUR]['extent']:.2f} of the true one"
+        measured += (
+            f"{summary[ONE]['extent']:.2f} and {summary[FOUR]['extent']:.2f} of the true one"
+        )
         text = "cars trained with one mask are deformed in depth, more than across, and more masks correct it"
         claims.append(claim(text, depth > 1.0 and depth > across, measured))
     return {"summary": summary, "claims": claims}
@@ -138,8 +169,15 @@ def rows(record: Record) -> Rows:
             planes[name] = {key.replace("_", " "): value for key, value in row.items()}
         else:
             depth, across = row["depth"], row["across"]
-            cars[name] = {"depth error x1000": 1e3 * depth, "across": 1e3 * across, "ratio": depth / across}
-            cars[name] |= {"extent in depth, predicted / true": row["extent"], "chamfer": row["chamfer"]}
+            cars[name] = {
+                "depth error x1000": 1e3 * depth,
+                "across": 1e3 * across,
+                "ratio": depth / across,
+            }
+            cars[name] |= {
+                "extent in depth, predicted / true": row["extent"],
+                "chamfer": row["chamfer"],
+            }
     panels = {"aeroplanes, predicted / true": planes, "cars": cars}
     return {title: panel for title, panel in panels.items() if panel}
 

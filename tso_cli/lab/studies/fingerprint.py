@@ -39,9 +39,15 @@ def _judged(label: str, result: RefineResult, points: np.ndarray) -> Numbers:
 
 def _points(preset: str) -> Numbers:
     """The chair with one mask, with four, truncated by the border, and with the depth map of a plane."""
-    scene, truth = load_points_scene(CHAIR / "initial.ply", CHAIR / "mask.png"), read_cloud(CHAIR / "target.ply").points
+    scene, truth = (
+        load_points_scene(CHAIR / "initial.ply", CHAIR / "mask.png"),
+        read_cloud(CHAIR / "target.ply").points,
+    )
     view, camera, numbers = scene.view, scene.view.camera, Numbers()
-    seen = {"one mask": [view], "four masks": views_around(view, truth, np.pi * np.array([0.5, 1.0, 1.5]))}
+    seen = {
+        "one mask": [view],
+        "four masks": views_around(view, truth, np.pi * np.array([0.5, 1.0, 1.5])),
+    }
     seen["truncated"] = [View(view.mask[:, :128], replace(camera, width=128))]
     if preset == "best":
         seen["depth"] = [replace(view, depth=np.full(view.mask.shape, camera.t[2]))]
@@ -53,7 +59,12 @@ def _points(preset: str) -> Numbers:
 
 def _network_modes(preset: str) -> Numbers:
     """The shipped network's prediction of the chair after 12 steps of each mode."""
-    scene, numbers = load_network_scene(CHAIR / "image.png", CHAIR / "mask.png", default_checkpoint(), world=True), Numbers()
+    scene, numbers = (
+        load_network_scene(
+            CHAIR / "image.png", CHAIR / "mask.png", default_checkpoint(), world=True
+        ),
+        Numbers(),
+    )
     for mode in ("encoder", "encoder-decoder", "latent"):
         config = RefineConfig(mode, preset=preset, steps=12)
         result = refine(None, scene.view, config=config, network=scene.network, image=scene.image)
@@ -68,7 +79,10 @@ def _camera_fit() -> Numbers:
     tilt = from_vectors(np.radians(10.0) * np.array([0.6, 0.64, 0.48]))
     turned = View(silhouette_of(points, camera), replace(camera, R=tilt @ camera.R))
     corrected = refine(points, turned, config=RefineConfig(refine_camera=True)).cameras[0]
-    return {"IoU": fit_camera(points, view.mask).iou, "degrees": float(angle_between(corrected.R, camera.R))}
+    return {
+        "IoU": fit_camera(points, view.mask).iou,
+        "degrees": float(angle_between(corrected.R, camera.R)),
+    }
 
 
 def _training() -> Numbers:
@@ -79,14 +93,21 @@ def _training() -> Numbers:
         "printed Eq. 5": replace(masks, affinity="paper"),
         "points": replace(masks, supervision="points"),
     }
-    return {name: float(train(shipped_examples(), config).history[-1][0]) for name, config in configs.items()}
+    return {
+        name: float(train(shipped_examples(), config).history[-1][0])
+        for name, config in configs.items()
+    }
 
 
 def _pictures() -> Numbers:
     """A shipped mesh as the studies render theirs."""
     mesh = CHAIR.parent / "meshes" / "chair" / "q17_Chair.ply"
     shape = see(Shape("chair/q17_Chair", mesh), RenderSettings(views=1), 0)
-    seen = {"mask": shape.views[0].mask, "image": shape.views[0].image, "points": np.abs(shape.target)}
+    seen = {
+        "mask": shape.views[0].mask,
+        "image": shape.views[0].image,
+        "points": np.abs(shape.target),
+    }
     return {key: float(values.mean()) for key, values in seen.items()}
 
 
@@ -111,7 +132,11 @@ def differences(record: dict[str, Any]) -> list[str]:
         numbers = today(part) if part in PARTS else {}
         for key in dict.fromkeys((*numbers, *earlier)):
             then, now = earlier.get(key), numbers.get(key)
-            tolerance = STAGED_TOLERANCES.get(key.split(": ")[-1], TOLERANCE) if part == "points, best" else TOLERANCE
+            tolerance = (
+                STAGED_TOLERANCES.get(key.split(": ")[-1], TOLERANCE)
+                if part == "points, best"
+                else TOLERANCE
+            )
             if then is None or now is None or not abs(then - now) <= tolerance * abs(now):
                 lines.append(f"{part}: {key} {then}, now {now}")
     return lines

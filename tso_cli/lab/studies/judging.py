@@ -71,8 +71,12 @@ class Material:
 
     def counts(self) -> dict[str, dict[str, int]]:
         """{category: {"training", "judged"}}, numbers of shapes."""
-        training, judged = (Counter(shape.category for shape in shapes) for shapes in self._shapes.values())
-        return {name: {"training": training[name], "judged": judged[name]} for name in self.categories}
+        training, judged = (
+            Counter(shape.category for shape in shapes) for shapes in self._shapes.values()
+        )
+        return {
+            name: {"training": training[name], "judged": judged[name]} for name in self.categories
+        }
 
     def names_hash(self) -> str:
         """Changes when the names of the shapes do."""
@@ -86,15 +90,26 @@ class Material:
         if dense:
             shapes = {shape.name: shape for shape in self._shapes[training]}
             objects = [replace(item, target=partial(_dense, shapes[item.name])) for item in objects]
-        return TrainingData(objects, f"{len(objects)} meshes, {'train' if training else self.part}: {category}")
+        return TrainingData(
+            objects, f"{len(objects)} meshes, {'train' if training else self.part}: {category}"
+        )
 
     def _items(self, category: str, training: bool) -> list[ObjectItem]:
         if (category, training) not in self._rendered:
-            settings = RenderSettings(views=TRAINING_VIEWS if training else TEST_VIEWS, size=(SIZE, SIZE))
-            shapes, items = [shape for shape in self._shapes[training] if shape.category == category], []
+            settings = RenderSettings(
+                views=TRAINING_VIEWS if training else TEST_VIEWS, size=(SIZE, SIZE)
+            )
+            shapes, items = (
+                [shape for shape in self._shapes[training] if shape.category == category],
+                [],
+            )
             for done, shape in enumerate(shapes, 1):
                 seen = see(shape, settings, self.seed)
-                items.append(rendered_object(shape.name, category, seen.views, seen.target.astype(np.float32)))
+                items.append(
+                    rendered_object(
+                        shape.name, category, seen.views, seen.target.astype(np.float32)
+                    )
+                )
                 self.report(f"rendering {category}", done, len(shapes))
             self._rendered[category, training] = items
         return self._rendered[category, training]
@@ -102,7 +117,9 @@ class Material:
 
 def _dense(shape: Shape) -> Floats:
     mesh = shape.mesh()
-    return sample_surface(mesh.vertices, mesh.faces, DENSE, np.random.default_rng(0)).astype(np.float32)
+    return sample_surface(mesh.vertices, mesh.faces, DENSE, np.random.default_rng(0)).astype(
+        np.float32
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,11 +141,16 @@ def predict(network: BaseNetwork | None, data: TrainingData) -> list[Predicted]:
     device = next(network.parameters()).device if network else torch.device("cpu")
     predicted = []
     for index, item in enumerate(data.objects):
-        batch = assemble(data, [Draw(index, view) for view in range(min(JUDGED_VIEWS, len(item.views)))], FRAME)
+        batch = assemble(
+            data, [Draw(index, view) for view in range(min(JUDGED_VIEWS, len(item.views)))], FRAME
+        )
         images = torch.as_tensor(batch.images, device=device)
         with torch.no_grad():
             points = network(images) if network else images.new_empty(len(images), 0, 3)
-        clouds, targets = points.cpu().numpy().astype(np.float64), np.stack(batch.targets).astype(np.float64)
+        clouds, targets = (
+            points.cpu().numpy().astype(np.float64),
+            np.stack(batch.targets).astype(np.float64),
+        )
         predicted.append(Predicted(index, item.category, clouds, targets))
     return predicted
 
@@ -137,8 +159,13 @@ def judge(predicted: list[Predicted]) -> dict[str, float]:
     """Chamfer distance by category under the paper's protocol, x1000: means over the views of a shape, then over shapes."""
     means: dict[str, list[float]] = {}
     for shape in predicted:
-        scaled = [[normalise_longest_side(cloud) for cloud in pair] for pair in zip(shape.points, shape.target, strict=True)]
-        means.setdefault(shape.category, []).append(float(np.mean([chamfer(*pair).chamfer for pair in scaled])))
+        scaled = [
+            [normalise_longest_side(cloud) for cloud in pair]
+            for pair in zip(shape.points, shape.target, strict=True)
+        ]
+        means.setdefault(shape.category, []).append(
+            float(np.mean([chamfer(*pair).chamfer for pair in scaled]))
+        )
     return {category: 1e3 * float(np.mean(values)) for category, values in means.items()}
 
 
@@ -147,7 +174,9 @@ def mean_shape(targets: Sequence[Floats], seed: int = 0, steps: int = MEAN_STEPS
     rng = np.random.default_rng([seed, 11])
     stacked = torch.from_numpy(np.stack(targets))
     pool = stacked.reshape(-1, 3)
-    points = pool[torch.from_numpy(rng.permutation(len(pool))[:POINTS])].clone().requires_grad_(True)
+    points = (
+        pool[torch.from_numpy(rng.permutation(len(pool))[:POINTS])].clone().requires_grad_(True)
+    )
     optimiser = torch.optim.Adam([points], lr=MEAN_RATE)
     for step in range(steps):
         optimiser.param_groups[0]["lr"] = MEAN_RATE * (1.0 - step / steps)
@@ -162,4 +191,7 @@ def mean_shape(targets: Sequence[Floats], seed: int = 0, steps: int = MEAN_STEPS
 def constant_answer(training: TrainingData, judged: TrainingData) -> list[Predicted]:
     """The mean training shape as the prediction for every view that is judged."""
     mean = mean_shape([training.target(i) for i in range(len(training.objects))]).astype(np.float64)
-    return [replace(shape, points=np.repeat(mean[None], len(shape.target), axis=0)) for shape in predict(None, judged)]
+    return [
+        replace(shape, points=np.repeat(mean[None], len(shape.target), axis=0))
+        for shape in predict(None, judged)
+    ]

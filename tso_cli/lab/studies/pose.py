@@ -21,7 +21,10 @@ from .summary import grouped, rounded
 
 CATEGORIES = ("chair", "airplane", "car")
 TRUE, WRONG_PRIOR = "true cloud", "true cloud, focal length prior 0.64 times the true one"
-CLOUDS = {"other": "another shape at the paper's error level", "near": "another shape near the truth"}
+CLOUDS = {
+    "other": "another shape at the paper's error level",
+    "near": "another shape near the truth",
+}
 PRIOR = 0.64
 """Of the true focal length: 1.2 times the image's side in place of 1.875."""
 RIGHT = 15.0
@@ -43,7 +46,11 @@ def plan(progress: Progress, *, meshes: Path, split: Path | None, **settings: An
         kinds = kinds_of(shape.category, tuple(CLOUDS))
         return [row for kind in kinds for case in builder.cases(shape, kind) for row in judge(case)]
 
-    return Plan(settings, [({"shape": shape.name}, partial(judge_shape, shape)) for shape in shapes], "fitting")
+    return Plan(
+        settings,
+        [({"shape": shape.name}, partial(judge_shape, shape)) for shape in shapes],
+        "fitting",
+    )
 
 
 def judge(case: Case) -> Cases:
@@ -61,7 +68,13 @@ def judge(case: Case) -> Cases:
         answers = [fitted.camera, *(alternative.camera for alternative in fitted.alternatives)]
         degrees = [float(angle_between(answer.R, view.camera.R)) for answer in answers]
         shortest, longest = (focal / view.camera.K[0, 0] for focal in fitted.focal_range)
-        figures = {"degrees": degrees[0], "answers": min(degrees), "shortest": shortest, "longest": longest, "seconds": seconds}
+        figures = {
+            "degrees": degrees[0],
+            "answers": min(degrees),
+            "shortest": shortest,
+            "longest": longest,
+            "seconds": seconds,
+        }
         names = {"cloud": name, "category": case.category, "shape": case.shape, "view": case.view}
         rows.append({**names, "sure": fitted.sure, **rounded(figures)})
     return rows
@@ -78,7 +91,8 @@ def conclude(cases: Cases) -> Record:
         if rows := by_cloud.get(name):
             sure = [row for row in rows if row["sure"]]
             degrees, shortest, longest, seconds = (
-                float(np.median([row[key] for row in rows])) for key in ("degrees", "shortest", "longest", "seconds")
+                float(np.median([row[key] for row in rows]))
+                for key in ("degrees", "shortest", "longest", "seconds")
             )
             counts = {"right": right(rows, "degrees"), "answers": right(rows, "answers")}
             counts |= {"sure": len(sure), "sure_right": right(sure, "degrees")}
@@ -89,7 +103,15 @@ def conclude(cases: Cases) -> Record:
 
 def tables(record: Record) -> list[Table]:
     """A row for each cloud."""
-    header = ["cloud", "cases", "median degrees", "within 15", "one of the answers", "sure", "of them right"]
+    header = [
+        "cloud",
+        "cases",
+        "median degrees",
+        "within 15",
+        "one of the answers",
+        "sure",
+        "of them right",
+    ]
     rows = [[name, *row.values()] for name, row in record["summary"].items()]
     return [Table([*header, "shortest focal / true", "longest", "s"], rows)]
 
@@ -101,9 +123,18 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
         for cloud, colour in zip(record["summary"], COLOURS, strict=False):
             for key, dashes in (("degrees", "-"), ("answers", "--")):
                 degrees = [case[key] for case in record["cases"] if case["cloud"] == cloud]
-                axis.ecdf(degrees, color=colour, linestyle=dashes, label=cloud if key == "degrees" else None)
+                axis.ecdf(
+                    degrees,
+                    color=colour,
+                    linestyle=dashes,
+                    label=cloud if key == "degrees" else None,
+                )
         axis.axvline(RIGHT, color=INK, linewidth=0.8, zorder=0)
-        axis.set(xlim=(0.0, 180.0), xticks=[0, 15, 30, 60, 90, 120, 150, 180], ylabel="share of the cases")
+        axis.set(
+            xlim=(0.0, 180.0),
+            xticks=[0, 15, 30, 60, 90, 120, 150, 180],
+            ylabel="share of the cases",
+        )
         axis.set_xlabel("degrees from the true rotation (dashed: of the nearest of the answers)")
         axis.legend(frameon=False, fontsize=8, loc="lower right")
 

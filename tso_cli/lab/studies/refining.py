@@ -39,7 +39,10 @@ POINTS = {
 NETWORK_MODES = ("encoder", "encoder-decoder", "latent")
 MODES = tuple(product(NETWORK_MODES, (PAPER, DEFAULT)))
 ALONE = {f"{mode}, {preset}": Variant(RefineConfig(mode, preset=preset)) for mode, preset in MODES}
-COMBINED = {f"{mode}, then points": Variant(RefineConfig(mode), then=RefineConfig()) for mode in ("latent", "encoder-decoder")}
+COMBINED = {
+    f"{mode}, then points": Variant(RefineConfig(mode), then=RefineConfig())
+    for mode in ("latent", "encoder-decoder")
+}
 NETWORK = {**POINTS, **ALONE, **COMBINED}
 # Adam's steps do not shrink with the gradient: at the preset's rate the cloud falls apart.
 ADAM_RATE = 2e-3
@@ -47,20 +50,34 @@ ABLATION = {
     PAPER: POINTS[PAPER],
     DEFAULT: POINTS[DEFAULT],
     "no mirror plane": POINTS[NO_SYMMETRY],
-    "no smoothing": _best_with(stages=tuple(replace(stage, smoothness=0.0, nodes=FIELD_NODES) for stage in BEST.stages)),
+    "no smoothing": _best_with(
+        stages=tuple(replace(stage, smoothness=0.0, nodes=FIELD_NODES) for stage in BEST.stages)
+    ),
     "one stage": _best_with(stages=(Stage(10.0, 3.0, fine_grid=True),)),
-    "stages averaged alike": _best_with(stages=tuple(replace(stage, averaging_weight=1.0) for stage in BEST.stages)),
-    "one learning rate": _best_with(stages=tuple(replace(stage, learning_rate_scale=1.0) for stage in BEST.stages)),
-    "at most 512 nodes": _best_with(stages=tuple(replace(stage, nodes=min(stage.nodes, 512)) for stage in BEST.stages)),
-    "64 cells in the last stage too": _best_with(stages=tuple(replace(stage, fine_grid=False) for stage in BEST.stages)),
+    "stages averaged alike": _best_with(
+        stages=tuple(replace(stage, averaging_weight=1.0) for stage in BEST.stages)
+    ),
+    "one learning rate": _best_with(
+        stages=tuple(replace(stage, learning_rate_scale=1.0) for stage in BEST.stages)
+    ),
+    "at most 512 nodes": _best_with(
+        stages=tuple(replace(stage, nodes=min(stage.nodes, 512)) for stage in BEST.stages)
+    ),
+    "64 cells in the last stage too": _best_with(
+        stages=tuple(replace(stage, fine_grid=False) for stage in BEST.stages)
+    ),
     "prior by the error of the whole cloud alone": _best_with(local_prior=False),
     "no prior": _best_with(prior_weight=0.0, least_prior_weight=0.0),
     "truncated objects: no stronger prior": _best_with(truncated_prior=1.0),
     "prior alike for each start": _best_with(prior_decay=0.0),
     "prior down to 30 where the start is far off": _best_with(least_prior_weight=30.0),
-    "no robust loss": _best_with(stages=tuple(replace(stage, robust_scale=1000.0) for stage in BEST.stages)),
+    "no robust loss": _best_with(
+        stages=tuple(replace(stage, robust_scale=1000.0) for stage in BEST.stages)
+    ),
     "no resolvability": _best_with(use_resolvability=False),
-    "Adam per coordinate": Variant(RefineConfig(learning_rate=ADAM_RATE, coarse_to_fine=replace(BEST, uniform_adam=False))),
+    "Adam per coordinate": Variant(
+        RefineConfig(learning_rate=ADAM_RATE, coarse_to_fine=replace(BEST, uniform_adam=False))
+    ),
     "Chamfer to the start added": Variant(RefineConfig(gamma=1e6)),
 }
 """The default preset with one ingredient changed in each row, between the paper's and itself."""
@@ -73,7 +90,9 @@ def variants_of(kind: str, ablation: bool) -> dict[str, Variant]:
     return NETWORK if kind == "network" else POINTS
 
 
-def refined(cases: list[Case], variant: Variant, device: str, network: BaseNetwork | None) -> list[RefineResult]:
+def refined(
+    cases: list[Case], variant: Variant, device: str, network: BaseNetwork | None
+) -> list[RefineResult]:
     """The result of each case; networks and colours have no batch. Raises TsoError where a case cannot be refined."""
     if variant.config.mode != "points" or any(case.colours is not None for case in cases):
         return [alone(case, variant, device, network) for case in cases]

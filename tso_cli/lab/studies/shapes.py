@@ -16,7 +16,15 @@ from ...geometry.points import Array
 from ...io.checkpoints import load_network
 from ...io.meshes import Mesh, find_meshes, read_mesh
 from ...network.model import BaseNetwork, NetworkConfig
-from ...render import RayScene, RenderedView, RenderSettings, ground_truth, normalise, render_view, sample_cameras
+from ...render import (
+    RayScene,
+    RenderedView,
+    RenderSettings,
+    ground_truth,
+    normalise,
+    render_view,
+    sample_cameras,
+)
 
 SPLIT = Path(__file__).with_name("split.json")
 """Training, validation and test types of the shapes that the shipped network is from."""
@@ -48,7 +56,11 @@ class RenderedShape:
 
 
 def shapes_of_part(
-    folder: Path, split_file: Path | None = None, part: str = "test", categories: Sequence[str] = (), limit: int | None = None
+    folder: Path,
+    split_file: Path | None = None,
+    part: str = "test",
+    categories: Sequence[str] = (),
+    limit: int | None = None,
 ) -> list[Shape]:
     """The shapes of one part of a split, sorted by category, in the order of the split.
 
@@ -64,8 +76,12 @@ def shapes_of_part(
     known = sorted({name.split("/")[0] for name in names})
     for category in categories:
         if category not in known:
-            raise InputError(f"{split_file}: names no {category} for {part}, expected some of {', '.join(known)}")
-    meshes = {path.relative_to(folder).with_suffix("").as_posix(): path for path in find_meshes(folder)}
+            raise InputError(
+                f"{split_file}: names no {category} for {part}, expected some of {', '.join(known)}"
+            )
+    meshes = {
+        path.relative_to(folder).with_suffix("").as_posix(): path for path in find_meshes(folder)
+    }
     chosen = []
     for category in [name for name in known if not categories or name in categories]:
         members = [name for name in names if name.split("/")[0] == category]
@@ -90,7 +106,9 @@ def see(shape: Shape, settings: RenderSettings, seed: int) -> RenderedShape:
     mesh = shape.mesh()
     target = ground_truth(mesh, settings, rng)[1].astype(np.float64)
     scene = RayScene(mesh)
-    views = [render_view(scene, camera, rng) for camera in sample_cameras(settings, mesh.vertices, rng)]
+    views = [
+        render_view(scene, camera, rng) for camera in sample_cameras(settings, mesh.vertices, rng)
+    ]
     return RenderedShape(scene, target, views)
 
 
@@ -98,7 +116,9 @@ def view_aligned_network(checkpoint: Path) -> tuple[BaseNetwork, NetworkConfig]:
     """The network of a checkpoint; InputError if it does not predict in the axes of the view."""
     network, about = load_network(checkpoint)
     if about.frame != "view":
-        raise InputError(f"{checkpoint}: predicts in the {about.frame} frame, expected a view-aligned network")
+        raise InputError(
+            f"{checkpoint}: predicts in the {about.frame} frame, expected a view-aligned network"
+        )
     return network, about
 
 

@@ -15,7 +15,10 @@ RESAMPLED, ENDS = 4000, (2.5, 97.5)
 
 def rounded(values: Record) -> Record:
     """Floats with five digits: the sixth differs between machines."""
-    return {name: float(f"{value:.5g}") if isinstance(value, (float, np.floating)) else value for name, value in values.items()}
+    return {
+        name: float(f"{value:.5g}") if isinstance(value, (float, np.floating)) else value
+        for name, value in values.items()
+    }
 
 
 def mean(values: Iterable[float]) -> float:
@@ -30,7 +33,9 @@ def standard_error(values: Iterable[float]) -> float:
 
 def ratios_of(cases: Cases, variant: str) -> np.ndarray:
     """Chamfer after / before of every case."""
-    return np.array([case["variants"][variant]["chamfer"] / case["before"]["chamfer"] for case in cases])
+    return np.array(
+        [case["variants"][variant]["chamfer"] / case["before"]["chamfer"] for case in cases]
+    )
 
 
 def ratio_figures(ratios: np.ndarray) -> Record:
@@ -43,7 +48,9 @@ def ratio_figures(ratios: np.ndarray) -> Record:
     }
 
 
-def interval(shapes: Sequence[str], values: np.ndarray, weights: np.ndarray | None = None) -> list[float]:
+def interval(
+    shapes: Sequence[str], values: np.ndarray, weights: np.ndarray | None = None
+) -> list[float]:
     """95 % interval of sum(values) / sum(weights) over shapes drawn with replacement: views of one shape are not independent.
 
     ``shapes`` names the shape of each value; without ``weights`` the interval is that of the mean.
@@ -59,7 +66,10 @@ def summarised(cases: Cases, keys: Sequence[str], figures: Callable[[Cases], Any
     """Value of the first key -> value of the second -> ... -> the figures of those cases."""
     if not keys:
         return figures(cases)
-    return {value: summarised(group, keys[1:], figures) for value, group in grouped(cases, keys[0]).items()}
+    return {
+        value: summarised(group, keys[1:], figures)
+        for value, group in grouped(cases, keys[0]).items()
+    }
 
 
 def grouped(cases: Cases, key: str) -> dict[str, Cases]:

@@ -10,7 +10,16 @@ from ..charts import Rows
 from ..study import Cases, Record, claim
 from .discretised import DEPTH, PLAIN
 from .judging import ALL, MEAN_SHAPE
-from .trained import CATEGORIES, NOISE, Comparison, Setting, chamfers, masks, trained_study, with_mean
+from .trained import (
+    CATEGORIES,
+    NOISE,
+    Comparison,
+    Setting,
+    chamfers,
+    masks,
+    trained_study,
+    with_mean,
+)
 
 POINTS, MASKS = "3D points", "masks"
 DISCRETISED, LIN = "masks, discretised", "depth maps, Lin et al."
@@ -43,7 +52,10 @@ def settings(categories: Sequence[str]) -> list[Setting]:
     points = {"supervision": "points"}
     networks = []
     for category in categories:
-        networks += [Setting(MEAN_SHAPE, category, constant=True), Setting(POINTS, category, points)]
+        networks += [
+            Setting(MEAN_SHAPE, category, constant=True),
+            Setting(POINTS, category, points),
+        ]
         for name, projection in ((MASKS, ""), (DISCRETISED, PLAIN), (LIN, DEPTH)):
             networks.append(Setting(name, category, masks(category), projection))
     if len(categories) > 1:
@@ -55,7 +67,9 @@ def conclude(cases: Cases) -> Record:
     """Chamfer of each kind by category beside the paper's, and which of its claims hold in every category."""
     values = chamfers(cases)
 
-    def compared(text: str, name: str, rivals: Sequence[str], factor: float = NOISE, paper: str = "") -> Record:
+    def compared(
+        text: str, name: str, rivals: Sequence[str], factor: float = NOISE, paper: str = ""
+    ) -> Record:
         """Whether ``name`` is at most ``factor`` times each of the ``rivals`` in every category."""
         missed, figures = [], []
         for category, value in values[name].items():
@@ -63,14 +77,23 @@ def conclude(cases: Cases) -> Record:
             missed.append(any(value > factor * rival for rival in others))
             against = " and ".join(f"{rival:.2f}" for rival in others)
             figures.append(f"{category} {value:.2f} against {against}{', not there' * missed[-1]}")
-        return claim(text, not any(missed), "; ".join(figures) + (f"; paper {paper}" if paper else ""))
+        return claim(
+            text, not any(missed), "; ".join(figures) + (f"; paper {paper}" if paper else "")
+        )
 
     margin = f"by {1.0 - NOISE:.0%} or more"
-    claims = [compared(f"{name} teach more than the mean shape, {margin}", name, [MEAN_SHAPE]) for name in (POINTS, MASKS)]
+    claims = [
+        compared(f"{name} teach more than the mean shape, {margin}", name, [MEAN_SHAPE])
+        for name in (POINTS, MASKS)
+    ]
     text = f"masks alone come within {CLOSE:g} times the Chamfer distance of 3D supervision"
     claims.append(compared(text, MASKS, [POINTS], CLOSE, "1.20 times in the mean"))
     text = f"the continuous projection beats the discretised one and Lin et al.'s, {margin}"
-    claims.append(compared(text, MASKS, [DISCRETISED, LIN], paper="2.69 against 3.62 of Lin et al. in the mean"))
+    claims.append(
+        compared(
+            text, MASKS, [DISCRETISED, LIN], paper="2.69 against 3.62 of Lin et al. in the mean"
+        )
+    )
     if MASKS_ALL in values:
         text = f"one network for all categories is comparable with one for each (at most {COMPARABLE:g} times)"
         claims.append(compared(text, MASKS_ALL, [MASKS], COMPARABLE, "1.16 times in the mean"))
@@ -84,7 +107,12 @@ def rows(record: Record) -> Rows:
     paper = {name: with_mean(values) for name, values in record["paper"].items() if name in summary}
     return {
         "supervision": {
-            name: values | {f"paper: {category}": paper[name].get(category) for category in values if name in paper}
+            name: values
+            | {
+                f"paper: {category}": paper[name].get(category)
+                for category in values
+                if name in paper
+            }
             for name, values in summary.items()
         }
     }
@@ -108,7 +136,10 @@ STUDY = trained_study(
 
 def _names(count: str) -> list[str]:
     """The networks for ``count`` masks: three for one and for two, the comparison that the study is about."""
-    return [f"V = {count}" + f", seed + {repeat}" * (repeat > 0) for repeat in range(3 if count in "12" else 1)]
+    return [
+        f"V = {count}" + f", seed + {repeat}" * (repeat > 0)
+        for repeat in range(3 if count in "12" else 1)
+    ]
 
 
 def views_settings(categories: Sequence[str]) -> list[Setting]:
@@ -118,7 +149,10 @@ def views_settings(categories: Sequence[str]) -> list[Setting]:
         networks.append(Setting(MEAN_SHAPE, category, constant=True))
         for count in COUNTS:
             changes = masks(category, views=int(count))
-            networks += [Setting(name, category, changes, repeat=repeat) for repeat, name in enumerate(_names(count))]
+            networks += [
+                Setting(name, category, changes, repeat=repeat)
+                for repeat, name in enumerate(_names(count))
+            ]
     return networks
 
 
@@ -126,8 +160,14 @@ def conclude_views(cases: Cases) -> Record:
     """Chamfer by category and number of masks (the mean over seeds) beside the paper's, and which of its claims hold."""
     values = chamfers(cases)
     constant = values[MEAN_SHAPE]
-    seeds = {category: {count: [values[name][category] for name in _names(count)] for count in COUNTS} for category in constant}
-    summary = {name: {count: float(np.mean(one)) for count, one in by_count.items()} for name, by_count in seeds.items()}
+    seeds = {
+        category: {count: [values[name][category] for name in _names(count)] for count in COUNTS}
+        for category in constant
+    }
+    summary = {
+        name: {count: float(np.mean(one)) for count, one in by_count.items()}
+        for name, by_count in seeds.items()
+    }
     gains, spreads, largest = [], {}, {}
     for category, means in summary.items():
         one, two = ("/".join(f"{value:.2f}" for value in seeds[category][count]) for count in "12")
@@ -145,7 +185,11 @@ def conclude_views(cases: Cases) -> Record:
         for name, value in largest.items()
     )
     claims = [
-        claim("two masks of each object are better than one, whatever the seed", better, ", ".join(gains)),
+        claim(
+            "two masks of each object are better than one, whatever the seed",
+            better,
+            ", ".join(gains),
+        ),
         claim(little, max(spreads.values()) <= CONSTANT, times),
         claim("masks teach more than the mean shape", all_teach, against),
     ]

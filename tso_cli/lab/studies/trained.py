@@ -13,9 +13,32 @@ import numpy as np
 from ...train import TrainConfig, train
 from ...train.data import TrainingData
 from ..charts import Rows, draw_bars
-from ..study import DEVICE, MESHES, SEED, SPLIT, Cases, Option, Plan, Progress, Record, Study, Table, part
+from ..study import (
+    DEVICE,
+    MESHES,
+    SEED,
+    SPLIT,
+    Cases,
+    Option,
+    Plan,
+    Progress,
+    Record,
+    Study,
+    Table,
+    part,
+)
 from .discretised import DEPTH, projected_objective
-from .judging import ALL, CONVENTION, FRAME, JUDGED_VIEWS, Material, Predicted, constant_answer, judge, predict
+from .judging import (
+    ALL,
+    CONVENTION,
+    FRAME,
+    JUDGED_VIEWS,
+    Material,
+    Predicted,
+    constant_answer,
+    judge,
+    predict,
+)
 from .shapes import SPLIT as SHIPPED_SPLIT
 
 CATEGORIES = ("airplane", "car", "chair")
@@ -23,7 +46,13 @@ OPTIONS = (
     MESHES,
     SPLIT,
     part("test"),
-    Option("--category", "May be repeated.  [default: see above]", multiple=True, default=(), name="categories"),
+    Option(
+        "--category",
+        "May be repeated.  [default: see above]",
+        multiple=True,
+        default=(),
+        name="categories",
+    ),
     Option("--steps", "Of every network.  [default: see above]", int, least=1),
     Option("--batch-size", kind=int, default=8, least=1),
     Option("--limit", "Training shapes a category.", int, 32, least=1),
@@ -66,7 +95,16 @@ class Comparison:
     settings: Callable[[Sequence[str]], list[Setting]]
     measure: Callable[[list[Predicted], TrainingData], Record] = lambda predicted, data: {}
 
-    def plan(self, progress: Progress, *, meshes: Path, split: Path | None, part: str, limit: int, **options: Any) -> Plan:
+    def plan(
+        self,
+        progress: Progress,
+        *,
+        meshes: Path,
+        split: Path | None,
+        part: str,
+        limit: int,
+        **options: Any,
+    ) -> Plan:
         """Train and judge the network of each setting; the parameters are `OPTIONS`.
 
         The cases: {"setting", "category", "judged": {category: Chamfer distance x1000}, ...}. Raises InputError if a shape is
@@ -74,8 +112,15 @@ class Comparison:
         """
         categories = options.pop("categories") or self.categories
         networks = self.settings(categories)
-        material = Material(meshes, split, part, categories, limit, options["seed"], progress.report)
-        budget = {**options, "steps": options["steps"] or self.steps, "learning_rate": RATE, "averaging": AVERAGING}
+        material = Material(
+            meshes, split, part, categories, limit, options["seed"], progress.report
+        )
+        budget = {
+            **options,
+            "steps": options["steps"] or self.steps,
+            "learning_rate": RATE,
+            "averaging": AVERAGING,
+        }
         budget["frame"] = FRAME
         about = {"split": (split or SHIPPED_SPLIT).name, "part": part}
         jobs = []
@@ -86,18 +131,26 @@ class Comparison:
         settings = {**budget, **about, "shapes": material.counts(), "names": material.names_hash()}
         return Plan(settings, jobs, "training")
 
-    def _judge(self, material: Material, setting: Setting, budget: Record, progress: Progress, doing: str) -> Cases:
+    def _judge(
+        self, material: Material, setting: Setting, budget: Record, progress: Progress, doing: str
+    ) -> Cases:
         case: Record = {"setting": setting.name, "category": setting.category}
         data = material.data(setting.category, True, dense=setting.projection == DEPTH)
         unseen = material.data(setting.category, False)
         if setting.constant:
             return [{**case, "judged": judge(constant_answer(data, unseen))}]
-        common = {**budget, "seed": budget["seed"] + setting.repeat, "balance": setting.category == ALL}
+        common = {
+            **budget,
+            "seed": budget["seed"] + setting.repeat,
+            "balance": setting.category == ALL,
+        }
         config = TrainConfig(**{**common, **setting.changes})
         result = train(
             data,
             config,
-            objective=projected_objective(config, setting.projection) if setting.projection else None,
+            objective=projected_objective(config, setting.projection)
+            if setting.projection
+            else None,
             progress=lambda done, total, note: progress.report(doing, done, total),
         )
         if result.stop_reason == "interrupted":
@@ -138,7 +191,9 @@ def trained_study(
     """The study that makes a comparison; ``rows`` : record -> title -> row -> column -> value, which tables and bars show."""
 
     def tables(record: Record) -> list[Table]:
-        return [_table(record["settings"], title, of_title) for title, of_title in rows(record).items()]
+        return [
+            _table(record["settings"], title, of_title) for title, of_title in rows(record).items()
+        ]
 
     return Study(
         name=name,
@@ -156,7 +211,10 @@ def trained_study(
 
 def _table(settings: Record, title: str, rows: Mapping[str, Mapping[str, float | None]]) -> Table:
     """A row for each of ``rows``, a column for each of their keys; below it the budget of the networks."""
-    shapes = ", ".join(f"{name} {n['training']} to train and {n['judged']} to judge" for name, n in settings["shapes"].items())
+    shapes = ", ".join(
+        f"{name} {n['training']} to train and {n['judged']} to judge"
+        for name, n in settings["shapes"].items()
+    )
     budget = (
         f"{settings['steps']} steps of {settings['batch_size']} at a rate of {settings['learning_rate']:g}, seed "
         f"{settings['seed']}, {settings['frame']} frame, {settings['device']}; shapes: {shapes} ({settings['part']}), "
@@ -164,5 +222,8 @@ def _table(settings: Record, title: str, rows: Mapping[str, Mapping[str, float |
     )
     columns = list(dict.fromkeys(key for values in rows.values() for key in values))
     return Table(
-        [title, *columns], [[name, *map(values.get, columns)] for name, values in rows.items()], note=budget, decimals=2
+        [title, *columns],
+        [[name, *map(values.get, columns)] for name, values in rows.items()],
+        note=budget,
+        decimals=2,
     )

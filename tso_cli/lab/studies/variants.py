@@ -22,7 +22,21 @@ from ...refinement import RefineConfig, refine
 from ...render import RayScene, RenderSettings
 from ...scene.network import network_scene
 from ..charts import Panel, draw_ratios
-from ..study import CATEGORY, CHECKPOINT, COMMON, DEVICE, Cases, Option, Plan, Progress, Record, Study, Table, claim, part
+from ..study import (
+    CATEGORY,
+    CHECKPOINT,
+    COMMON,
+    DEVICE,
+    Cases,
+    Option,
+    Plan,
+    Progress,
+    Record,
+    Study,
+    Table,
+    claim,
+    part,
+)
 from .refining import uninterrupted
 from .shapes import RenderedShape, Shape, see, shapes_of_part, view_aligned_network, weights_hash
 from .summary import grouped, interval, mean, ratio_figures
@@ -61,35 +75,72 @@ CONVENTION = {
 
 
 def plan(
-    progress: Progress, *, meshes: Path, checkpoint: Path, split: Path | None, categories: tuple[str, ...], **settings: Any
+    progress: Progress,
+    *,
+    meshes: Path,
+    checkpoint: Path,
+    split: Path | None,
+    categories: tuple[str, ...],
+    **settings: Any,
 ) -> Plan:
     """Let the network predict unseen shapes, refine every prediction with each variant and judge it against the truth."""
-    shapes = shapes_of_part(meshes, split, settings["part"], categories or (() if split else CATEGORIES), settings["limit"])
+    shapes = shapes_of_part(
+        meshes,
+        split,
+        settings["part"],
+        categories or (() if split else CATEGORIES),
+        settings["limit"],
+    )
     network, about = view_aligned_network(checkpoint)
-    settings |= {"categories": sorted({shape.category for shape in shapes}), "size": SIZE, "shapes": len(shapes)}
-    settings |= {"points": about.points, "sigma_sq": about.sigma_sq, "network": weights_hash(network)}
+    settings |= {
+        "categories": sorted({shape.category for shape in shapes}),
+        "size": SIZE,
+        "shapes": len(shapes),
+    }
+    settings |= {
+        "points": about.points,
+        "sigma_sq": about.sigma_sq,
+        "network": weights_hash(network),
+    }
     render = RenderSettings(views=settings["views"], size=(SIZE, SIZE))
-    config = RefineConfig(steps=settings["steps"], device=settings["device"], sigma_sq=about.sigma_sq, preset="paper")
+    config = RefineConfig(
+        steps=settings["steps"], device=settings["device"], sigma_sq=about.sigma_sq, preset="paper"
+    )
 
     def judge(shape: Shape) -> Cases:
         seen = see(shape, render, settings["seed"])
-        return [judge_view(shape, seen, number, network, about, config) for number in range(settings["views"])]
+        return [
+            judge_view(shape, seen, number, network, about, config)
+            for number in range(settings["views"])
+        ]
 
     return Plan(settings, [({"shape": shape.name}, partial(judge, shape)) for shape in shapes])
 
 
 def judge_view(
-    shape: Shape, seen: RenderedShape, number: int, network: BaseNetwork, about: NetworkConfig, config: RefineConfig
+    shape: Shape,
+    seen: RenderedShape,
+    number: int,
+    network: BaseNetwork,
+    about: NetworkConfig,
+    config: RefineConfig,
 ) -> Record:
     """Predict from one picture, refine with every variant, and measure all four clouds."""
     picture = seen.views[number]
-    view = View(picture.mask.astype(np.float32) / 255.0, picture.camera, name=f"{shape.name}, view {number}")
+    view = View(
+        picture.mask.astype(np.float32) / 255.0, picture.camera, name=f"{shape.name}, view {number}"
+    )
     scene = network_scene(picture.image, view, network, about, placing="box")
     clouds, ious, seconds = {"before": scene.points}, dict[str, float](), {}
     for variant in VARIANTS:
-        points, settings = scene.points if variant == "points" else None, replace(config, mode=variant)
+        points, settings = (
+            scene.points if variant == "points" else None,
+            replace(config, mode=variant),
+        )
         start = time.perf_counter()
-        result = uninterrupted(refine(points, scene.view, config=settings, network=network, image=scene.image))
+        result = uninterrupted(
+            refine(points, scene.view, config=settings, network=network, image=scene.image)
+        )
         seconds[variant] = time.perf_counter() - start
         clouds[variant] = result.points
         ious = {"before": result.iou_before} | ious | {variant: result.iou_after}
@@ -108,12 +159,15 @@ def visible_points(scene: RayScene, points: Array, camera: Camera) -> NDArray[np
     """
     pixels, depth = camera.project(points)
     first = [
-        scene.cast(camera, *block.T)["depth"].diagonal() for block in np.array_split(pixels, -(-len(pixels) // POINTS_AT_ONCE))
+        scene.cast(camera, *block.T)["depth"].diagonal()
+        for block in np.array_split(pixels, -(-len(pixels) // POINTS_AT_ONCE))
     ]
     return ~(np.concatenate(first) < depth - TOLERANCE)
 
 
-def distances(prediction: Array, target: Array, visible: NDArray[np.bool_]) -> dict[str, float | None]:
+def distances(
+    prediction: Array, target: Array, visible: NDArray[np.bool_]
+) -> dict[str, float | None]:
     """Of the scaled clouds both directions of the Chamfer distance, and the forward one over ``visible`` and other points.
 
     A group without points has None.
@@ -138,7 +192,10 @@ def conclude(cases: Cases) -> Record:
 def _means(cases: Cases) -> Record:
     """Before and each variant: means of the distances; and of each variant what became of them."""
     found = [case["capnet"] for case in cases]
-    chamfers = {name: np.array([row[name]["forward"] + row[name]["backward"] for row in found]) for name in LETTERS}
+    chamfers = {
+        name: np.array([row[name]["forward"] + row[name]["backward"] for row in found])
+        for name in LETTERS
+    }
     capnet: Record = {}
     for name, chamfer in chamfers.items():
         row: Record = {}
@@ -149,20 +206,27 @@ def _means(cases: Cases) -> Record:
         if name != "before":
             before = capnet["before"]
             row["ratio_of_means"] = row["chamfer"] / before["chamfer"]
-            row["interval"] = interval([case["shape"] for case in cases], chamfer, chamfers["before"])
+            row["interval"] = interval(
+                [case["shape"] for case in cases], chamfer, chamfers["before"]
+            )
             for key in ("visible", "occluded"):
                 row[f"{key}_ratio"] = row[key] / before[key] if before[key] else None
             row |= ratio_figures(chamfer / chamfers["before"])
         capnet[name] = row
     ious = {name: mean(case["iou"][name] for case in cases) for name in LETTERS}
-    seconds = {name: float(np.median([case["seconds"][name] for case in cases])) for name in VARIANTS}
+    seconds = {
+        name: float(np.median([case["seconds"][name] for case in cases])) for name in VARIANTS
+    }
     return {"cases": len(cases), "iou": ious, "median_seconds": seconds, "capnet": capnet}
 
 
 def claims(summary: Record) -> list[Record]:
     """What the paper says of its table, whether it holds here over all cases and in every category, and the figures."""
     total, visible, occluded = (
-        ", ".join(f"{LETTERS[name]} {100.0 * (ratio - 1.0):+.1f} %" for name, ratio in _ratios(summary["all"], key).items())
+        ", ".join(
+            f"{LETTERS[name]} {100.0 * (ratio - 1.0):+.1f} %"
+            for name, ratio in _ratios(summary["all"], key).items()
+        )
         for key in RATIOS
     )
     figures = {
@@ -170,27 +234,35 @@ def claims(summary: Record) -> list[Record]:
         ORDER: total,
         KEEPS: f"forward distance of occluded points {occluded}",
         SHOWS: f"forward distance of visible points {visible}",
-        MISSES: f"visible points {visible}; IoU " + ", ".join(f"{summary['all']['iou'][name]:.3f}" for name in VARIANTS),
+        MISSES: f"visible points {visible}; IoU "
+        + ", ".join(f"{summary['all']['iou'][name]:.3f}" for name in VARIANTS),
     }
     holding = {name: _holding(group, name == "all") for name, group in summary.items()}
     answers = []
     for text, numbers in figures.items():
         fails = [name for name, holds in holding.items() if not holds[text]]
-        answers.append(claim(text, not fails, numbers + f"; not on {', '.join(fails)}" * bool(fails)))
+        answers.append(
+            claim(text, not fails, numbers + f"; not on {', '.join(fails)}" * bool(fails))
+        )
     return answers
 
 
 def _holding(group: Record, whole: bool) -> dict[str, bool]:
     """Whether each claim holds of a group of cases; over all cases a gain must show in the whole of its interval."""
     total, visible, occluded = (_ratios(group, key) for key in RATIOS)
-    highest = [group["capnet"][name]["interval"][1] for name in VARIANTS] if whole else total.values()
+    highest = (
+        [group["capnet"][name]["interval"][1] for name in VARIANTS] if whole else total.values()
+    )
     iou = group["iou"]
     return {
         GAINS: max(highest) < 1.0,
         ORDER: total["encoder-decoder"] < total["encoder"] < total["points"],
         KEEPS: max(occluded.values()) <= KEPT,
         SHOWS: max(visible.values()) < 1.0,
-        MISSES: all(visible[name] < visible["encoder"] and iou[name] > iou["encoder"] for name in VARIANTS[1:]),
+        MISSES: all(
+            visible[name] < visible["encoder"] and iou[name] > iou["encoder"]
+            for name in VARIANTS[1:]
+        ),
     }
 
 
@@ -206,7 +278,11 @@ def tables(record: Record) -> list[Table]:
     sides = []
     for name, theirs in paper.items():
         row = summary["all"]["capnet"][name]
-        ratios = (row["ratio_of_means"], theirs[2] / paper["before"][2]) if name != "before" else (None, None)
+        ratios = (
+            (row["ratio_of_means"], theirs[2] / paper["before"][2])
+            if name != "before"
+            else (None, None)
+        )
         changes = [ratio and 100.0 * (ratio - 1.0) for ratio in ratios]
         ours = [1e3 * row[key] for key in ("forward", "backward", "chamfer")]
         sides.append([LETTERS[name], *ours, changes[0], *theirs, changes[1]])
@@ -216,28 +292,74 @@ def tables(record: Record) -> list[Table]:
         for name in VARIANTS:
             row = group["capnet"][name]
             low, high = row["interval"]
-            figures = [row[key] for key in ("median_ratio", "worst_ratio", "worse", "visible_ratio", "occluded_ratio")]
+            figures = [
+                row[key]
+                for key in (
+                    "median_ratio",
+                    "worst_ratio",
+                    "worse",
+                    "visible_ratio",
+                    "occluded_ratio",
+                )
+            ]
             figures += [group["iou"]["before"], group["iou"][name], group["median_seconds"][name]]
-            names = [category, LETTERS[name], group["cases"], 1e3 * before, 1e3 * row["chamfer"], row["ratio_of_means"]]
+            names = [
+                category,
+                LETTERS[name],
+                group["cases"],
+                1e3 * before,
+                1e3 * row["chamfer"],
+                row["ratio_of_means"],
+            ]
             rows.append([*names, f"{low:.3f} to {high:.3f}", *figures])
-    header = ["category", "moves", "cases", "before", "after", "ratio", "95 % interval", "median", "worst", "worse"]
+    header = [
+        "category",
+        "moves",
+        "cases",
+        "before",
+        "after",
+        "ratio",
+        "95 % interval",
+        "median",
+        "worst",
+        "worse",
+    ]
     note = (
         "Chamfer x1000, the paper's protocol; ratio: after/before of the means; median, worst: of the cases' own; worse: cases "
         "over 1; visible, occluded: ratio of the forward distance of target points that the view "
         "sees, and of the others"
     )
     return [
-        Table(["", "forward", "backward", "Chamfer", "%", "paper's forward", "backward", "Chamfer", "%"], sides, decimals=2),
+        Table(
+            [
+                "",
+                "forward",
+                "backward",
+                "Chamfer",
+                "%",
+                "paper's forward",
+                "backward",
+                "Chamfer",
+                "%",
+            ],
+            sides,
+            decimals=2,
+        ),
         Table([*header, "visible", "occluded", "IoU before", "after", "s"], rows, note=note),
     ]
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
     """Chamfer after / before of every view, a panel for each category; dotted: the paper's ratio of the means."""
-    paper = {LETTERS[name]: record["paper"][name][2] / record["paper"]["before"][2] for name in VARIANTS}
+    paper = {
+        LETTERS[name]: record["paper"][name][2] / record["paper"]["before"][2] for name in VARIANTS
+    }
     panels = []
     for category, cases in {**grouped(record["cases"], "category"), "all": record["cases"]}.items():
-        sums = [{name: row["forward"] + row["backward"] for name, row in case["capnet"].items()} for case in cases]
+        sums = [
+            {name: row["forward"] + row["backward"] for name, row in case["capnet"].items()}
+            for case in cases
+        ]
         rows = {LETTERS[name]: [row[name] / row["before"] for row in sums] for name in VARIANTS}
         panels.append(Panel(f"{category}, {len(cases)} views", rows, paper))
     draw_ratios(path, [panels], overwrite)
