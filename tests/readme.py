@@ -371,7 +371,7 @@ def kernels() -> str:
 
 def stages() -> str:
     """The stages of the default preset."""
-    from tso_cli.refinement.presets import STAGES
+    from tso_cli.optimisation.presets import STAGES
 
     columns = {
         "smoothness lambda": "smoothness",

@@ -17,7 +17,7 @@ from tso_cli.evaluation.metrics import chamfer
 from tso_cli.io import shipped as shipped_files
 from tso_cli.io.checkpoints import read_metadata
 from tso_cli.io.clouds import read_cloud, write_cloud
-from tso_cli.refinement.objective import MaskChamferObjective
+from tso_cli.optimisation.objective import MaskChamferObjective
 
 from .conftest import save_untrained
 

@@ -28,7 +28,7 @@ from tso_cli.io.ply_body import BinaryBody
 from tso_cli.io.reading import TextTable
 from tso_cli.io.shipped import examples_folder
 from tso_cli.lab.study import Progress
-from tso_cli.refinement.objective import SilhouetteObjective
+from tso_cli.optimisation.objective import SilhouetteObjective
 
 ROOT = Path(__file__).parents[2]
 NAMES = ("out.ply", "out.png", "out.json")

@@ -12,8 +12,8 @@ from tso_cli.io.shipped import examples_folder
 from tso_cli.lab.studies import accuracy
 from tso_cli.lab.studies.accuracy import conclude
 from tso_cli.lab.studies.refining import ABLATION, NETWORK, POINTS
+from tso_cli.optimisation.presets import BEST
 from tso_cli.refinement import RefineConfig, refine
-from tso_cli.refinement.presets import BEST
 from tso_cli.scene.load import load_points_scene
 
 from ..training import make_known

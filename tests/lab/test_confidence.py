@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from tso_cli.diagnosis.hypotheses import Suspect
 from tso_cli.lab.stability.knees import AXIS
 from tso_cli.lab.studies import confidence
-from tso_cli.refinement.assumptions import Suspect
 
 CASE = SimpleNamespace(category="chair", shape="chair/a", kind="other")
 

@@ -19,8 +19,8 @@ from tso_cli.lab.studies.evidence_alterations import (
 )
 from tso_cli.lab.studies.refining import Variant
 from tso_cli.lab.studies.shapes import shapes_of_part
+from tso_cli.optimisation.symmetry import find_mirror_plane
 from tso_cli.refinement import RefineConfig
-from tso_cli.refinement.symmetry import find_mirror_plane
 
 from .conftest import VALIDATION
 from .studying import MESHES, rng

@@ -13,7 +13,7 @@ from tso_cli.kernels.dispatch import planned
 from tso_cli.lab.commands.records import earlier_record, write_record
 from tso_cli.lab.studies import fingerprint
 from tso_cli.lab.studies.fingerprint import PARTS, differences, today
-from tso_cli.refinement import camera_correction, presets
+from tso_cli.optimisation import camera_correction, presets
 from tso_cli.render import rays
 from tso_cli.silhouette import affinity, bce
 from tso_cli.train import losses

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tso_cli.diagnosis.hypotheses import ASSUMPTIONS, Suspect
 from tso_cli.errors import InputError
 from tso_cli.geometry.rotations import angle_between
 from tso_cli.lab.stability import runs, study
@@ -17,7 +18,6 @@ from tso_cli.lab.stability.peers import PEERS
 from tso_cli.lab.stability.runs import Outcome, judge, outcomes_of, run_of
 from tso_cli.lab.studies.refining import POINTS, Variant
 from tso_cli.refinement import RefineConfig, refine
-from tso_cli.refinement.assumptions import ASSUMPTIONS, Suspect
 
 # Axes that change the true points too: the cloud is in another frame, or the object is another.
 FRAMES = [axis.name for axis in AXES if axis.group == "cloud" and axis.gross]

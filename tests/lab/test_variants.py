@@ -17,8 +17,8 @@ from tso_cli.io.meshes import Mesh
 from tso_cli.lab.studies import variants
 from tso_cli.lab.studies.shapes import Shape, see, view_aligned_network
 from tso_cli.lab.studies.variants import VARIANTS, conclude, distances, judge_view, visible_points
+from tso_cli.optimisation.objective import SilhouetteObjective
 from tso_cli.refinement import RefineConfig
-from tso_cli.refinement.objective import SilhouetteObjective
 from tso_cli.render import RayScene, RenderSettings, look_at
 from tso_cli.scene.network import network_scene
 

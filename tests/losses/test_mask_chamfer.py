@@ -13,7 +13,7 @@ from tests import oracles
 from tests.scenes import block
 from tso_cli.geometry.camera import NEAR
 from tso_cli.losses.mask_chamfer import COVERED_WITHIN, MaskTarget, mask_chamfer, resolvability
-from tso_cli.refinement.objective import MaskChamferObjective, ViewTarget, ViewTargets
+from tso_cli.optimisation.objective import MaskChamferObjective, ViewTarget, ViewTargets
 
 from .common import COMPILED, FORMS, NUMPY, assert_equal, assert_gradient, by_autograd, in_form
 from .scenes import HEIGHT, PLACES, WIDTH, camera_of, points_at, points_of, scattered

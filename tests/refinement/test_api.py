@@ -9,9 +9,10 @@ import torch
 from tests.corruption import assert_refused
 from tests.scenes import block
 from tso_cli import Camera, RefineConfig, TsoError, View, refine
-from tso_cli.refinement import PRESETS, resampled_view
-from tso_cli.refinement.cloud import Cloud
-from tso_cli.refinement.objective import SilhouetteObjective
+from tso_cli.cloud.cloud import Cloud
+from tso_cli.optimisation import resampled_view
+from tso_cli.optimisation.objective import SilhouetteObjective
+from tso_cli.refinement import PRESETS
 
 PAPER = RefineConfig(preset="paper")
 
@@ -92,7 +93,7 @@ def test_a_grid_of_64_cells_loses_nothing_against_one_of_256(chair, monkeypatch)
     def fine(view, sigma_sq, centre, scale, box):
         return resampled_view.resample_view(view, 0.4 * 4**2, centre, scale, box, 256)
 
-    monkeypatch.setattr("tso_cli.refinement.problem.resample_view", fine)
+    monkeypatch.setattr("tso_cli.optimisation.problem.resample_view", fine)
     full = refine(*chair[:3], PAPER)
     assert not np.array_equal(coarse.points, full.points)
     assert chair.error(coarse.points) < 1.01 * chair.error(full.points)

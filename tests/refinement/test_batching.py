@@ -22,8 +22,8 @@ from tso_cli import (
     refine,
     refine_batch,
 )
+from tso_cli.optimisation.objective import SilhouetteObjective
 from tso_cli.refinement import PRESETS
-from tso_cli.refinement.objective import SilhouetteObjective
 
 POINTS = np.random.default_rng(0).uniform(-0.3, 0.3, (40, 3))
 VIEW = View(block(np.s_[21:32, 25:41]), Camera.canonical(64, 64))

@@ -10,7 +10,7 @@ import pytest
 from tests.losses.scenes import points_at
 from tests.scenes import block, seen, turned
 from tso_cli import Camera, InputError, RefineConfig, View, refine
-from tso_cli.refinement.presets import BEST, FULL_STEPS
+from tso_cli.optimisation.presets import BEST, FULL_STEPS
 
 
 def _decided(result) -> dict[str, tuple[str, float]]:
@@ -58,7 +58,7 @@ def test_with_few_seconds_fewer_points_move_but_for_those_asked_for():
 
 def test_a_result_whose_mirror_plane_was_not_checked_is_not_judged(chair, monkeypatch):
     points, mask, camera, _ = chair
-    monkeypatch.setattr("tso_cli.refinement.probe._in_time", lambda probe, end: False)
+    monkeypatch.setattr("tso_cli.optimisation.probe._in_time", lambda probe, end: False)
     result = refine(points, mask, camera, RefineConfig(budget=1e6))
     assert (result.steps, result.symmetry_outcome, result.verdict, result.confidence) == (
         48,
@@ -77,7 +77,7 @@ def test_ctrl_c_while_the_symmetry_check_is_timed_ends_the_refinement(chair, mon
         raise KeyboardInterrupt
 
     points, mask, camera, _ = chair
-    monkeypatch.setattr("tso_cli.refinement.probe._in_time", interrupted)
+    monkeypatch.setattr("tso_cli.optimisation.probe._in_time", interrupted)
     result = refine(points, mask, camera, RefineConfig(budget=1e6))
     assert (result.stop_reason, result.steps) == ("interrupted", 0)
     np.testing.assert_array_equal(result.points, points)

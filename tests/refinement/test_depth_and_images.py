@@ -9,11 +9,11 @@ from tests.corruption import assert_refused
 from tests.painted import CAMERA, MASK, SIZE, photo, sheet
 from tests.scenes import block
 from tso_cli import Camera, RefineConfig, View, refine
+from tso_cli.cloud.cloud import Cloud
 from tso_cli.evaluation.metrics import chamfer
-from tso_cli.refinement.cloud import Cloud
-from tso_cli.refinement.objective import MaskChamferObjective, ViewTargets
-from tso_cli.refinement.problem import Problem
-from tso_cli.refinement.resampled_view import resample_view
+from tso_cli.optimisation.objective import MaskChamferObjective, ViewTargets
+from tso_cli.optimisation.problem import Problem
+from tso_cli.optimisation.resampled_view import resample_view
 from tso_cli.refinement.run import _photos
 
 CONFIG = RefineConfig(steps=45, symmetry="none")

@@ -13,7 +13,7 @@ import click
 
 from ..errors import GateError, InputError
 from ..io.reading import require_memory
-from ..refinement.presets import MODES, PRESETS
+from ..optimisation.presets import MODES, PRESETS
 from . import options
 
 PATH = options.FilePath()
@@ -218,7 +218,7 @@ def command(
         raise InputError("--quiet and --verbose, expected one of the two")
     warned = ctx.with_resource(options.collected_warnings(quiet))
     with options.loading():
-        from ..refinement.assumptions import mirrored
+        from ..diagnosis.hypotheses import mirrored
         from .refine_check import check_scene
         from .refine_files import RefineInputs, RefineOutputs
     inputs = options.pick(RefineInputs, chosen)

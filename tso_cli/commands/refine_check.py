@@ -8,15 +8,11 @@ from typing import Any
 
 import click
 
-from ..geometry.camera import Array, Camera
-from ..geometry.view import View
-from ..kernels import blas
-from ..refinement import RefineConfig
-from ..refinement.agreement import Agreement
-from ..refinement.assumptions import Suspect
-from ..refinement.cloud import Cloud, outlier_warnings
-from ..refinement.mistake_check import checked_hint
-from ..refinement.placement import (
+from ..cloud.cloud import Cloud, outlier_warnings
+from ..diagnosis.agreement import Agreement
+from ..diagnosis.hypotheses import Suspect
+from ..diagnosis.mistake_check import checked_hint
+from ..diagnosis.placement import (
     SMALLEST_BOX_IOU,
     Placement,
     behind_warnings,
@@ -25,7 +21,11 @@ from ..refinement.placement import (
     place,
     require_overlap,
 )
-from ..refinement.problem import Problem
+from ..geometry.camera import Array, Camera
+from ..geometry.view import View
+from ..kernels import blas
+from ..optimisation.problem import Problem
+from ..refinement import RefineConfig
 from ..scene.load import Scene
 from ..version import __version__
 from . import options

@@ -6,13 +6,13 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..diagnosis.hypotheses import assumptions_of
 from ..errors import InputError
 from ..io.cameras import CameraRecord, camera_text, find_camera, named_masks
 from ..io.clouds import write_cloud
 from ..io.output import atomic_output
 from ..io.shipped import DEFAULT, named_checkpoint
 from ..refinement import RefineResult
-from ..refinement.assumptions import assumptions_of
 from ..scene.load import Placing, Scene, ViewFiles, load_points_scene
 from .options import FIT, require_output
 

@@ -9,11 +9,12 @@ from typing import Any
 import click
 import numpy as np
 
+from ..diagnosis.confidence import shown
 from ..evaluation.footprint import IOU_MEANS
 from ..geometry.camera import Camera
 from ..geometry.rotations import angle_between
 from ..geometry.view import View
-from ..refinement.camera_correction import MISFIT_LEFT
+from ..optimisation.camera_correction import MISFIT_LEFT
 from ..refinement.result import (
     DOUBTFUL_INLIER_WEIGHT,
     SMALL_DISPLACEMENT,
@@ -21,7 +22,6 @@ from ..refinement.result import (
     refused,
     why_unmoved,
 )
-from ..refinement.verdict import shown
 from ..scene.load import Scene
 from ..version import __version__
 from .refine_check import camera_document, verdict_document

@@ -6,20 +6,21 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ..optimisation.presets import MODES as MODES
+    from ..optimisation.presets import PRESETS as PRESETS
     from .api import refine as refine
     from .api import refine_batch as refine_batch
     from .config import RefineConfig as RefineConfig
-    from .presets import MODES as MODES
-    from .presets import PRESETS as PRESETS
     from .result import RefineResult as RefineResult
 
 _MODULES = {
-    "refine": "api",
-    "refine_batch": "api",
-    "RefineConfig": "config",
-    "RefineResult": "result",
+    "refine": ".api",
+    "refine_batch": ".api",
+    "RefineConfig": ".config",
+    "RefineResult": ".result",
+    "MODES": "..optimisation.presets",
+    "PRESETS": "..optimisation.presets",
 }
-_MODULES |= {"MODES": "presets", "PRESETS": "presets"}
 __all__ = ["MODES", "PRESETS", "RefineConfig", "RefineResult", "refine", "refine_batch"]
 
 
@@ -27,4 +28,4 @@ def __getattr__(name: str) -> Any:
     """Load public names when first used, so that the settings can be read without torch."""
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f".{_MODULES[name]}", __name__), name)
+    return getattr(import_module(_MODULES[name], __name__), name)

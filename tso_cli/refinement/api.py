@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..cloud.cloud import Cloud, as_numpy
 from ..errors import InputError, TsoError
 from ..geometry.camera import Camera
 from ..geometry.view import View
 from ..kernels import blas
 from ..kernels.dispatch import planned
-from .cloud import Cloud, as_numpy
+from ..optimisation.loop import Progress
+from ..optimisation.presets import PRESETS, SYMMETRY_PROBE_STEPS
+from ..optimisation.problem import Problem
 from .config import RefineConfig, Settings
-from .optimise import Progress
-from .presets import PRESETS, SYMMETRY_PROBE_STEPS
-from .problem import Problem
 from .result import RefineResult
 from .run import Stopwatch, run
 
@@ -75,7 +75,7 @@ def refine(
                 raise InputError("mode points needs points, found none")
             cloud = points if isinstance(points, Cloud) else Cloud(points, "points", colours, faces)
         else:
-            from .network_parameters import NetworkParameters
+            from ..optimisation.network_parameters import NetworkParameters
 
             parameters = NetworkParameters(
                 network, image, settings.mode, settings.device, settings.learning_rate

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from ..optimisation.loop import Descent
+from ..optimisation.presets import FULL_STEPS, SHORT_POINTS, SYMMETRY_PROBE_STEPS
+from ..optimisation.problem import Problem
+from ..optimisation.resampled_view import FINE_GRIDS
 from .config import Settings, staged_steps
-from .optimise import Descent
-from .presets import FULL_STEPS, SHORT_POINTS, SYMMETRY_PROBE_STEPS
-from .problem import Problem
-from .resampled_view import FINE_GRIDS
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..errors import InputError
 from ..geometry.points import CANDIDATES
-from .presets import (
+from ..optimisation.presets import (
     BEST,
     BEST_GAMMA,
     BEST_LEARNING_RATE,

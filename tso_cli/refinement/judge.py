@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..cloud.cloud import Array, MovedCloud
+from ..cloud.smooth_field import SmoothField
+from ..diagnosis.confidence import UNJUDGED, Verdict, signs_of
 from ..evaluation.footprint import common_window, window_iou
 from ..geometry.points import CANDIDATES, scattered
 from ..geometry.view import View
-from .cloud import Array, MovedCloud
+from ..optimisation.loop import Descent
+from ..optimisation.objective import MaskChamferObjective, ViewTargets
+from ..optimisation.presets import BEST_STEPS, FEWEST_POINTS, STAGES
+from ..optimisation.problem import Problem
+from ..optimisation.view_weights import ViewWeights
 from .config import Settings
-from .objective import MaskChamferObjective, ViewTargets
-from .optimise import Descent
-from .presets import BEST_STEPS, FEWEST_POINTS, STAGES
-from .problem import Problem
 from .result import StopReason
-from .smooth_field import SmoothField
-from .verdict import UNJUDGED, Verdict, signs_of
-from .view_weights import ViewWeights
 
 # A start of lower IoU hardly touches its mask, as a pole beside its own: coming nearer need not raise the IoU.
 FEEBLE_IOU = 0.1

@@ -9,15 +9,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..cloud.cloud import outlier_warnings
+from ..diagnosis.confidence import shown
+from ..diagnosis.hypotheses import Suspect
+from ..diagnosis.placement import mask_doubts
 from ..geometry.camera import Camera
 from ..geometry.view import View
 from ..geometry.window import Box
-from .assumptions import Suspect
+from ..optimisation.symmetry import SymmetryOutcome
 from .budget import Decision
-from .cloud import outlier_warnings
-from .placement import mask_doubts
-from .symmetry import SymmetryOutcome
-from .verdict import shown
 
 Array = NDArray[np.float64]
 StopReason = Literal[

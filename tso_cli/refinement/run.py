@@ -9,27 +9,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..cloud.cloud import Array
+from ..cloud.smooth_field import SmoothField
+from ..diagnosis.mistake_check import checked_hint
 from ..errors import TsoError
 from ..losses.chamfer import ChamferToStart
 from ..losses.photometric import Photo, PhotometricTerm
-from .adam import Adam
+from ..optimisation.adam import Adam
+from ..optimisation.camera_correction import corrected_cameras
+from ..optimisation.loop import Descent, Parameters, Progress, Term, descend, sum_of
+from ..optimisation.objective import SilhouetteObjective, ViewTargets
+from ..optimisation.parameters import PointParameters
+from ..optimisation.presets import BAD_START, MORE_STEPS, OPTIMISING, Stage
+from ..optimisation.prior import start_loss
+from ..optimisation.problem import Problem
+from ..optimisation.stages import CoarseToFine, network_objective
+from ..optimisation.symmetry_check import verified_symmetry
+from ..optimisation.view_weights import ViewWeights
 from .budget import decisions
-from .camera_correction import corrected_cameras
-from .cloud import Array
-from .coarse_to_fine import CoarseToFine, network_objective
 from .config import Settings
 from .judge import Outcome, judged
-from .mistake_check import checked_hint
-from .objective import SilhouetteObjective, ViewTargets
-from .optimise import Descent, Parameters, Progress, Term, descend, sum_of
-from .parameters import PointParameters
-from .presets import BAD_START, MORE_STEPS, OPTIMISING, Stage
-from .prior import start_loss
-from .problem import Problem
 from .result import RefineResult, StopReason, result_warnings
-from .smooth_field import SmoothField
-from .symmetry_check import verified_symmetry
-from .view_weights import ViewWeights
 
 
 class Stopwatch:

@@ -11,14 +11,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
-from ..geometry.camera import Array, Camera
-from ..geometry.points import longest_side
-from ..geometry.view import View
-from ..io.cameras import check_size, find_camera, pair_with_masks, read_camera
-from ..io.clouds import PointCloud, read_cloud
-from ..io.images import read_depth, read_image, read_mask
-from ..refinement.assumptions import (
+from ..cloud.cloud import Cloud
+from ..diagnosis.hypotheses import (
     INVERT_MASK,
     AssumedView,
     Assumption,
@@ -27,7 +21,13 @@ from ..refinement.assumptions import (
     in_axes_of_cloud,
     mirrored,
 )
-from ..refinement.cloud import Cloud
+from ..errors import InputError
+from ..geometry.camera import Array, Camera
+from ..geometry.points import longest_side
+from ..geometry.view import View
+from ..io.cameras import check_size, find_camera, pair_with_masks, read_camera
+from ..io.clouds import PointCloud, read_cloud
+from ..io.images import read_depth, read_image, read_mask
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ..diagnosis.placement import mask_doubts
 from ..errors import InputError
 from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_ROTATION, Array, Camera
 from ..geometry.view import View
@@ -18,10 +19,9 @@ from ..io.images import read_image
 from ..losses.projection import project
 from ..losses.silhouette import silhouette_bce
 from ..network.input import network_input
-from ..refinement.adam import Adam
-from ..refinement.optimise import descend
-from ..refinement.parameters import PointParameters
-from ..refinement.placement import mask_doubts
+from ..optimisation.adam import Adam
+from ..optimisation.loop import descend
+from ..optimisation.parameters import PointParameters
 from .load import NO_FILE, Placing, Scene, ViewFiles, camera_source, load_views, require_same_size
 
 if TYPE_CHECKING:

@@ -20,11 +20,11 @@ from ...geometry.view import View
 from ...io.meshes import Mesh, read_mesh
 from ...io.shipped import examples_folder
 from ...kernels.dispatch import planned
+from ...optimisation.presets import BEST
+from ...optimisation.presets import FULL as FINE
 from ...plots.style import COLOURS, INK, page
 from ...refinement import RefineConfig, refine
 from ...refinement.api import compile_loops
-from ...refinement.presets import BEST
-from ...refinement.presets import FULL as FINE
 from ...render import RayScene, RenderSettings, normalise, render_view, sample_cameras
 from ..studies.refining import uninterrupted
 from ..studies.summary import grouped, mean, rounded, standard_error

@@ -17,9 +17,9 @@ from ...kernels.window import window_radius
 from ...losses.chamfer import ChamferToStart
 from ...losses.projection import project
 from ...losses.silhouette import silhouette_bce
+from ...optimisation.loop import Array, Term
+from ...optimisation.presets import PAPER_SIGMA_SQ
 from ...refinement import RefineConfig, refine
-from ...refinement.optimise import Array, Term
-from ...refinement.presets import PAPER_SIGMA_SQ
 from ..study import Cases
 from .refining import chair_views, cloud
 from .timing import FORMS, Contestant, Setting, record, timed

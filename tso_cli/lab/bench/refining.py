@@ -18,14 +18,16 @@ from unittest.mock import patch
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from ...cloud import smooth_field
+from ...diagnosis.agreement import Agreement
 from ...errors import TsoError
 from ...geometry.points import Array, normalise_longest_side, sample_surface, spread_subset
 from ...geometry.view import View
 from ...io.meshes import read_mesh
 from ...io.shipped import examples_folder
-from ...refinement import PRESETS, RefineConfig, refine, refine_batch, smooth_field, symmetry
-from ...refinement.agreement import Agreement
-from ...refinement.objective import MaskChamferObjective
+from ...optimisation import symmetry
+from ...optimisation.objective import MaskChamferObjective
+from ...refinement import PRESETS, RefineConfig, refine, refine_batch
 from ...refinement.run import Stopwatch
 from ...scene.load import load_points_scene
 from ..study import Cases, Record

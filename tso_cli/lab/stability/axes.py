@@ -20,8 +20,8 @@ from ...geometry.points import farthest_point_sample
 from ...geometry.resampling import Box, area_resize
 from ...geometry.rotations import from_vectors
 from ...geometry.view import View, object_box
+from ...optimisation.presets import PAPER_GAMMA, PAPER_SIGMA_SQ
 from ...refinement.config import RefineConfig
-from ...refinement.presets import PAPER_GAMMA, PAPER_SIGMA_SQ
 from ..studies.cases import Case
 
 Rng = np.random.Generator

@@ -13,8 +13,8 @@ from ...geometry.view import View
 from ...geometry.window import window_of
 from ...kernels.dispatch import planned
 from ...losses.chamfer import ChamferToStart
-from ...refinement.presets import PAPER_GAMMA, PAPER_LEARNING_RATE, PAPER_SIGMA_SQ, PAPER_STEPS
-from ...refinement.resampled_view import CELLS, ResampledView, resample_view
+from ...optimisation.presets import PAPER_GAMMA, PAPER_LEARNING_RATE, PAPER_SIGMA_SQ, PAPER_STEPS
+from ...optimisation.resampled_view import CELLS, ResampledView, resample_view
 
 EPSILON = 1e-8
 """In the logarithms of the cross-entropy, as it is usually written."""

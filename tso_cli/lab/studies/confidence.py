@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...diagnosis.agreement import NAMED
+from ...diagnosis.confidence import LEAST_CONFIDENCE, MODEL
 from ...io.output import atomic_output
 from ...kernels.dispatch import planned
 from ...plots.style import COLOURS, INK, page
 from ...refinement import RefineConfig
-from ...refinement.agreement import NAMED
-from ...refinement.verdict import LEAST_CONFIDENCE, MODEL
 from ..stability.axes import AXES, Axis
 from ..stability.runs import Run, outcomes_of
 from ..study import (
@@ -184,7 +184,7 @@ def _rows(job: Callable[[], list[tuple[Record, dict[str, float]]]]) -> list[Reco
 
 
 def fitted(rows: Sequence[tuple[Record, dict[str, float]]], seed: int = 0) -> Record:
-    """The model of `tso_cli.refinement.verdict` from rows and signs: the mean of small networks, by cross-entropy."""
+    """The model of `tso_cli.diagnosis.confidence` from rows and signs: the mean of small networks, by cross-entropy."""
     import torch
 
     chosen = [(row["ratio"] > WORSE, signs) for row, signs in rows if signs and row["moved"]]

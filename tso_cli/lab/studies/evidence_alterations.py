@@ -13,7 +13,7 @@ from ...evaluation.metrics import chamfer
 from ...geometry.points import Array, farthest_point_sample, sample_surface
 from ...geometry.view import View
 from ...io.meshes import Mesh
-from ...refinement.symmetry import find_mirror_plane
+from ...optimisation.symmetry import find_mirror_plane
 from ...render import RayScene, render_view
 from ...render.rays import AMBIENT, RAYS_ACROSS
 from .cases import SAMPLES, Case

@@ -7,8 +7,8 @@ from itertools import product
 
 from ...errors import TsoError
 from ...network.model import BaseNetwork
+from ...optimisation.presets import BEST, FIELD_NODES, Stage
 from ...refinement import RefineConfig, RefineResult, refine, refine_batch
-from ...refinement.presets import BEST, FIELD_NODES, Stage
 from .cases import Case
 
 

@@ -1,0 +1,74 @@
+"""Adam, with one scale for each number and with one for the whole cloud, and torch's without the start-up of torch.optim."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from tso_cli.optimisation.adam import Adam, UniformAdam
+from tso_cli.optimisation.network_parameters import TorchAdam
+
+GRADIENTS = np.random.default_rng(0).normal(size=(30, 7, 3)) * np.geomspace(1e-9, 10.0, 7)[:, None]
+
+
+def test_steps_are_those_of_torchs_adam():
+    leaf = torch.zeros(7, 3, dtype=torch.float64)
+    theirs, mine, values = torch.optim.Adam([leaf], lr=0.03), Adam(0.03), np.zeros((7, 3))
+    for gradient in GRADIENTS:
+        leaf.grad = torch.tensor(gradient)
+        theirs.step()
+        values = values + mine.step(gradient)
+        np.testing.assert_allclose(values, leaf, atol=1e-12)
+
+
+def test_with_one_scale_steps_keep_the_proportions_of_the_mean_gradient():
+    optimiser, mean, square = UniformAdam(0.04), np.zeros((7, 3)), 0.0
+    for number, gradient in enumerate(GRADIENTS, 1):
+        mean = 0.9 * mean + 0.1 * gradient
+        square = 0.999 * square + 0.001 * np.square(gradient).sum(1).max()
+        expected = -0.04 * mean / (1.0 - 0.9**number) / np.sqrt(square / (1.0 - 0.999**number))
+        np.testing.assert_allclose(optimiser.step(gradient), expected, rtol=1e-9)
+    # The first step moves the point of the largest gradient by the learning rate; without a gradient nothing moves.
+    first = np.linalg.norm(UniformAdam(0.04).step(GRADIENTS[0]), axis=1)
+    assert first.max() == pytest.approx(0.04)
+    assert first[0] < 1e-8
+    assert not UniformAdam(0.04).step(np.zeros((7, 3))).any()
+
+
+def _descend(step_of, parameters) -> list[torch.Tensor]:
+    goal = torch.linspace(-1.0, 1.0, 12).view(4, 3)
+    for i in range(20):
+        # sums and transposed matrices: their gradients are laid out unlike the parameters
+        loss = ((parameters[0] - goal) ** 2).sum() * (1 + i) + parameters[1].square().sum()
+        step_of(loss + parameters[2].sum() + (parameters[2].t() ** 2 @ torch.ones(3)).sum())
+    return parameters
+
+
+@pytest.mark.parametrize(("fused", "tolerance"), [(True, 0.0), (False, 1e-6)])
+def test_steps_of_weights_are_those_of_torchs_own_optimiser(fused, tolerance):
+    def fresh():
+        values = torch.ones(4, 3), torch.full((5,), 2.0), torch.linspace(-2.0, 1.0, 12).view(3, 4)
+        return [value.requires_grad_() for value in values]
+
+    mine, theirs = fresh(), fresh()
+    optimiser, reference = TorchAdam(mine, 0.03), torch.optim.Adam(theirs, lr=0.03, fused=fused)
+
+    def step(loss):
+        reference.zero_grad()
+        loss.backward()
+        reference.step()
+
+    _descend(lambda loss: optimiser.apply(torch.autograd.grad(loss, mine)), mine)
+    _descend(step, theirs)
+    for a, b in zip(mine, theirs, strict=True):
+        torch.testing.assert_close(a, b, atol=tolerance, rtol=tolerance)
+
+
+def test_a_step_of_weights_does_not_import_torchs_compiler():
+    code = (
+        "import sys, torch; from tso_cli.optimisation.network_parameters import TorchAdam; p = torch.ones(3)\n"
+        "TorchAdam([p], 0.1).apply([p]); assert 'torch._dynamo' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,173 @@
+"""The preset "best": the mean over its stages, the position prior, and what the views say nothing about."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.losses.common import assert_gradient
+from tests.scenes import block, seen
+from tso_cli import Camera, RefineConfig, View, refine
+from tso_cli.cloud.cloud import Cloud
+from tso_cli.cloud.smooth_field import SmoothField
+from tso_cli.optimisation.objective import MaskChamferObjective, ViewTargets
+from tso_cli.optimisation.presets import BEST
+from tso_cli.optimisation.prior import PositionPrior, position_prior
+from tso_cli.optimisation.problem import Problem
+from tso_cli.render import look_at
+
+
+def test_points_outside_every_image_hardly_move():
+    """A long bar extends beyond the left border of an image in which it lies higher."""
+    axes = np.linspace(-2.0, 0.4, 120), np.linspace(-0.1, 0.1, 5), np.linspace(-0.1, 0.1, 4)
+    bar = np.stack(np.meshgrid(*axes), -1).reshape(-1, 3)
+    camera = look_at(0.0, 0.0, 2.2, (64, 64))
+    observed = camera.project(bar)[0][:, 0] > -0.5
+    assert 0.3 < observed.mean() < 0.7
+    higher = seen(bar + [0.0, 0.06, 0.0], camera)
+    moved = refine(bar, higher, config=RefineConfig(symmetry="none")).points[:, 1] - bar[:, 1]
+    assert moved[observed].mean() > 0.02
+    assert np.abs(moved[~observed]).mean() < 0.15 * moved[observed].mean()
+
+
+def test_the_result_is_the_weighted_mean_of_the_stages_and_more_masks_raise_the_weight_of_the_last(
+    chair,
+):
+    points, views = (
+        chair.points,
+        [chair.view, seen(chair.points * [1.0, 1.1, 1.0], look_at(90.0, 10.0, 2.0, (64, 64)))],
+    )
+
+    def refined(*weights):
+        stages = tuple(
+            replace(stage, averaging_weight=weight)
+            for stage, weight in zip(BEST.stages, weights, strict=True)
+        )
+        config = replace(BEST, stages=stages, least_prior_weight=0.0)
+        return refine(
+            points, views, config=RefineConfig(steps=24, symmetry="none", coarse_to_fine=config)
+        )
+
+    alone = [refined(*np.eye(3)[stage].clip(1e-12)).points for stage in range(3)]
+    result = refined(1.0, 2.0, 3.0)
+    weights = np.array([1.0, 2.0, 3.0 * sum(result.view_weights) ** 2])
+    assert sum(result.view_weights) > 1.9
+    expected = np.einsum("s,snk->nk", weights / weights.sum(), alone)
+    np.testing.assert_allclose(result.points, expected, atol=1e-6)
+    assert np.abs(alone[0] - alone[2]).max() > 1e-3
+
+
+def test_as_evidence_a_flipped_mask_counts_a_quarter_and_a_depth_map_as_a_mask(chair):
+    def evidence(views, symmetry="none", weights=(1.0, 1.0)):
+        problem = Problem.of(
+            Cloud(chair.points, "points"), tuple(views), RefineConfig(symmetry=symmetry).settings()
+        )
+        return problem.evidence(list(weights[: len(views)]))
+
+    plain = View(chair.mask, chair.camera)
+    deep = replace(plain, depth=np.where(chair.mask > 0.5, chair.camera.t[2], 0.0))
+    assert evidence([plain]) == 1.0
+    assert evidence([plain, plain]) == 2.0
+    assert evidence([plain], "x") == 1.25
+    assert evidence([deep]) == 2.0
+    assert evidence([plain, deep], "x") == 3.5
+    assert evidence([plain, deep], "x", (0.5, 0.1)) == pytest.approx(0.5 * 1.25 + 0.1 * 2.25)
+
+
+def _truncated(view: View) -> View:
+    """The view without its upper half: the border truncates the object."""
+    lower = view.mask[view.mask.shape[0] // 2 :]
+    height, width = lower.shape
+    return View(
+        lower,
+        view.camera.cropped((-0.5, height - 0.5, width - 0.5, 2 * height - 0.5), width, height),
+    )
+
+
+@pytest.mark.parametrize(
+    ("truncated", "expected"), [((True, True), 1.0), ((True, False), 2.0), ((False, False), 2.0)]
+)
+def test_views_that_all_truncate_the_object_are_no_more_evidence_than_one(
+    chair, monkeypatch, truncated, expected
+):
+    evidence, views = [], [chair.view, seen(chair.points, look_at(90.0, 10.0, 3.0, (64, 64)))]
+
+    def spied(*arguments):
+        evidence.append(arguments[-1])
+        return position_prior(*arguments)
+
+    monkeypatch.setattr("tso_cli.optimisation.stages.position_prior", spied)
+    views = [_truncated(view) if cut else view for view, cut in zip(views, truncated, strict=True)]
+    refine(chair.points, views, config=RefineConfig(steps=3, symmetry="none"))
+    assert evidence
+    assert evidence == [pytest.approx(expected, rel=0.05)] * len(evidence)
+
+
+def test_an_object_that_every_view_truncates_is_held_three_times_as_much(chair):
+    for view, factor in ((_truncated(chair.view), 3.0), (chair.view, 1.0)):
+        held, loose = (
+            _prior(chair.points, view, truncated_prior=prior)[0].weights for prior in (3.0, 1.0)
+        )
+        np.testing.assert_allclose(held, factor * loose)
+
+
+def _prior(
+    points: np.ndarray, view: View, evidence: float = 1.0, **settings: object
+) -> tuple[PositionPrior, ViewTargets]:
+    problem = Problem.of(Cloud(points, "points"), (view,), RefineConfig(symmetry="none").settings())
+    initial, targets = problem.cloud.normalised(), ViewTargets.of(problem.resampled, [1.0])
+    return position_prior(
+        initial, targets, SmoothField(initial), replace(BEST, **settings), evidence
+    ), targets
+
+
+def test_the_position_prior_is_a_weighted_square_with_its_gradient(chair):
+    prior, _ = _prior(chair.points[::40], chair.view)
+    moved = prior.initial + np.random.default_rng(0).normal(size=prior.initial.shape)
+    assert prior(moved)[0] == pytest.approx(
+        (prior.weights * np.square(moved - prior.initial).sum(1)).sum()
+    )
+    assert_gradient(prior, moved)
+    assert prior(prior.initial)[0] == 0.0
+
+
+def test_a_worse_start_is_held_less_and_more_evidence_lowers_the_least_weight(chair):
+    points = chair.points
+    # As if the cloud had 1,024 points, e being the mean loss per mask pixel at the robust scale 4.
+    prior, targets = _prior(points, chair.view, local_prior=False, least_prior_weight=0.0)
+    e = MaskChamferObjective(targets, 4.0)(prior.initial)[0] / targets.pixels
+    np.testing.assert_allclose(prior.weights, 300.0 / e * 1024.0 / len(points))
+    half = _prior(points, chair.view, local_prior=False, least_prior_weight=0.0, prior_decay=0.5)[0]
+    np.testing.assert_allclose(half.weights, 300.0 / np.sqrt(e) * 1024.0 / len(points))
+    for evidence in (1.0, 2.0):
+        least = _prior(points, chair.view, evidence, local_prior=False, least_prior_weight=1e6)[0]
+        np.testing.assert_allclose(least.weights, 1e6 / evidence**2 * 1024.0 / len(points))
+    # Even a perfect start is held no more than where e = 0.1.
+    square = np.stack(np.meshgrid(np.arange(26, 38, 0.5), np.arange(26, 38, 0.5)), -1).reshape(
+        -1, 2
+    )
+    flat = np.concatenate([(square - 31.5) / 60.0 * [1.0, -1.0], np.zeros((len(square), 1))], 1)
+    exact = _prior(flat, View(block(np.s_[26:38, 26:38]), Camera.canonical(64, 64)))[0]
+    np.testing.assert_allclose(exact.weights, 300.0 / 0.1 * 1024.0 / len(flat))
+
+
+def test_a_part_that_fits_badly_is_held_less_than_the_rest():
+    """A sheet whose right third lies beside the mask."""
+    x, y = np.meshgrid(np.linspace(-0.3, 0.3, 24), np.linspace(-0.2, 0.2, 16))
+    sheet = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
+    view = View(block(np.s_[19:45, 13:38]), Camera.canonical(64, 64))
+    weights = _prior(sheet, view, least_prior_weight=0.0)[0].weights
+    assert weights[sheet[:, 0] > 0.25].max() < 0.5 * weights[sheet[:, 0] < 0.0].min()
+    assert np.ptp(_prior(sheet, view, least_prior_weight=0.0, local_prior=False)[0].weights) == 0.0
+
+
+def test_parts_that_the_pixels_do_not_resolve_have_no_resolvability():
+    """A post of two cells, with an aerial much thinner than one on top."""
+    post = np.random.default_rng(0).uniform([-0.1, -0.3, -0.1], [0.1, 0.1, 0.1], (400, 3))
+    aerial = np.stack([np.zeros(60), np.linspace(0.12, 0.5, 60), np.zeros(60)], 1)
+    points = np.concatenate([post, aerial])
+    _, targets = _prior(points, View(block(np.s_[4:60, 20:44]), Camera.canonical(64, 64)))
+    initial = Cloud(points, "points").normalised()
+    (resolved,) = targets.resolvability(initial, SmoothField(initial))
+    assert resolved[:400].mean() > 0.9
+    assert resolved[-50:].max() < 0.1

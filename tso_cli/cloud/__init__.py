@@ -1,0 +1,1 @@
+"""Clouds and meshes: their control points, outliers, and smooth displacement fields."""

@@ -1,0 +1,212 @@
+"""Smooth displacement fields: the preconditioner of Nicolet et al. 2021, on the neighbour graph of a cloud."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..kernels.dispatch import use_compiled
+from ..losses.nearest import nearest_few, spread_subset
+from ..optimisation.presets import FIELD_NODES
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# Neighbours in the graph; nodes of a patch; nodes that a point is interpolated from.
+NEIGHBOURS = 8
+PATCH = 12
+INTERPOLATED_FROM = 6
+# Nodes of a block of the smoother's matrix, at least.
+BLOCK = 64
+
+
+class SmoothField:
+    """Displacement fields of a cloud as ``(I + lambda L)^-1 u``, L the graph Laplacian of its nodes.
+
+    "Large Steps in Inverse Rendering of Geometry" (Nicolet, Jacobson, Jakob, 2021) descends in u on a mesh: gradient steps
+    then move connected parts together, larger parts for larger lambda. Here the graph joins the 8 nearest neighbours of
+    ``nodes`` points of the cloud, by farthest-point sampling, and its points take the weighted mean of their six nearest
+    nodes, so that the cost of the solve is bounded. Every point of a smaller cloud is a node.
+
+    Attributes
+    ----------
+    nodes : [M] indices of the points that are nodes.
+    patches : [M, 12] the nearest nodes of each node, itself first.
+    """
+
+    def __init__(
+        self, points: Array, nodes: int = FIELD_NODES, finer: SmoothField | None = None
+    ) -> None:
+        self._points = points
+        self._coarser: dict[int, SmoothField] = {}
+        # The first of a spread subset are the smaller one, but where the finer field has every point, in their own order.
+        known = finer is not None and len(finer.nodes) < len(points)
+        self.nodes: Indices = (
+            finer.nodes[:nodes] if finer and known else spread_subset(points, nodes)
+        )
+        positions = points[self.nodes]
+        self.patches = _patches(positions)
+        self._adjacent = _adjacent(self.patches)
+        self._smoothers: dict[float, _Smoother] = {}
+        self._index: Indices = np.arange(len(points))[:, None]
+        self._weight: Array = np.ones((len(points), 1))
+        if len(positions) < len(points):
+            self._index = nearest_few(points, positions, min(INTERPOLATED_FROM, len(positions)))
+            distance = np.sqrt(np.square(points[:, None] - positions[self._index]).sum(2))
+            self._weight = falling_weights(distance)
+
+    def with_nodes(self, nodes: int) -> SmoothField:
+        """The field of the same points with so many nodes, at most as many as of this one."""
+        if nodes >= len(self.nodes):
+            return self
+        if nodes not in self._coarser:
+            self._coarser[nodes] = SmoothField(self._points, nodes, self)
+        return self._coarser[nodes]
+
+    def smoothed(self, values: Array, weight: float) -> Array:
+        """``(I + weight L)^-1 values``, [M, C]; a symmetric matrix, its own transpose."""
+        if weight not in self._smoothers:
+            # Lambda is stated for so many nodes: with fewer the edges are longer.
+            self._smoothers[weight] = _Smoother(
+                self._adjacent, weight * len(self.nodes) / FIELD_NODES
+            )
+        return self._smoothers[weight](values)
+
+    def spread(self, values: Array) -> Array:
+        """[N, C] values of the points, interpolated between those of the nodes [M, C]."""
+        if len(self._index[0]) == 1:
+            return values
+        if use_compiled():
+            from ..kernels import points_numba
+
+            out = np.empty((len(self._index), values.shape[1]))
+            points_numba.spread(self._index, self._weight, values, out)
+            return out
+        spread: Array = np.einsum("nk,nkc->nc", self._weight, values[self._index])
+        return spread
+
+    def gather(self, values: Array) -> Array:
+        """[M, C], the transpose of `spread`: what gradients by the points are by the nodes."""
+        if len(self._index[0]) == 1:
+            return values
+        if use_compiled():
+            from ..kernels import points_numba
+
+            out = np.empty((len(self.nodes), values.shape[1]))
+            points_numba.gather(self._index, self._weight, values, out)
+            return out
+        index, weight = self._index.ravel(), self._weight
+        columns = [
+            np.bincount(index, (weight * column[:, None]).ravel(), len(self.nodes))
+            for column in values.T
+        ]
+        return np.stack(columns, 1)
+
+    def of_nearest_node(self, values: Array) -> Array:
+        """[N]: for each point the value [M] of its nearest node."""
+        return values[self._index[:, 0]]
+
+    def averaged(self, values: Array, weight: float) -> Array:
+        """[N] ``values`` averaged around each point: ``(I + weight L)^-1`` of the nodes' sums over that of their counts."""
+        owner = self._index[:, 0]
+        sums = np.stack(
+            [
+                np.bincount(owner, part, len(self.nodes)).astype(float)
+                for part in (values, np.ones_like(values))
+            ],
+            1,
+        )
+        total, count = self.smoothed(sums, weight).T
+        return self.of_nearest_node(total / np.maximum(count, np.finfo(float).tiny))
+
+
+def _patches(nodes: Array) -> Indices:
+    """[M, 12] indices of the nearest nodes of each, itself first; where there are fewer, itself again."""
+    itself = np.arange(len(nodes))[:, None]
+    near = nearest_few(nodes, nodes, min(PATCH, len(nodes)))
+    # Of coinciding nodes another may come first, or all others.
+    place = np.where((near == itself).any(1), (near == itself).argmax(1), near.shape[1] - 1)[
+        :, None
+    ]
+    np.put_along_axis(near, place, near[:, :1], 1)
+    near[:, :1] = itself
+    return np.concatenate([near, np.repeat(itself, PATCH - near.shape[1], 1)], 1)
+
+
+def _adjacent(patches: Indices) -> NDArray[np.bool_]:
+    """[M, M] whether either of two nodes is among the 8 nearest of the other; each is of itself."""
+    near = np.zeros((len(patches), len(patches)), bool)
+    np.put_along_axis(near, patches[:, : NEIGHBOURS + 1], True, 1)
+    adjacent: NDArray[np.bool_] = near | near.T
+    return adjacent
+
+
+class _Smoother:
+    """``(I + weight L)^-1`` of a graph's Laplacian L.
+
+    Nodes equally many edges away from a first one are adjacent to those one edge nearer or farther alone. In this order the
+    matrix is block tridiagonal, and blocks are eliminated one by one: ten times as fast as the inverse.
+    """
+
+    def __init__(self, adjacent: NDArray[np.bool_], weight: float) -> None:
+        blocks = _layers(adjacent)
+        diagonal = 1.0 + weight * (np.count_nonzero(adjacent, axis=1) - 1)
+        self._order = np.concatenate(blocks)
+        self._inverses: list[Array] = []
+        self._carries: list[Array] = []
+        for number, block in enumerate(blocks):
+            matrix = -weight * adjacent[np.ix_(block, block)]
+            np.fill_diagonal(matrix, diagonal[block])
+            if number:
+                coupling = -weight * adjacent[np.ix_(block, blocks[number - 1])]
+                self._carries.append(coupling @ self._inverses[-1])
+                matrix -= self._carries[-1] @ coupling.T
+            self._inverses.append(np.linalg.inv(matrix))
+        ends = np.cumsum([len(block) for block in blocks]).tolist()
+        self._slices = [slice(first, last) for first, last in zip([0, *ends], ends, strict=False)]
+        self._transposed = [carry.T for carry in self._carries]
+
+    def __call__(self, values: Array) -> Array:
+        """[M, C] smoothed."""
+        ordered = values[self._order]
+        parts = [ordered[slice_] for slice_ in self._slices]
+        before = parts[0]
+        for carry, part in zip(self._carries, parts[1:], strict=True):
+            part -= carry @ before
+            before = part
+        for inverse, part in zip(self._inverses, parts, strict=True):
+            part[:] = inverse @ part
+        after = parts[-1]
+        for carry, part in zip(reversed(self._transposed), reversed(parts[:-1]), strict=True):
+            part -= carry @ after
+            after = part
+        smoothed = np.empty_like(values)
+        smoothed[self._order] = ordered
+        return smoothed
+
+
+def _layers(adjacent: NDArray[np.bool_]) -> list[Indices]:
+    """All nodes in blocks of about `BLOCK`, of which only successive ones are adjacent."""
+    left = np.ones(len(adjacent), bool)
+    blocks: list[Indices] = []
+    block: list[Indices] = []
+    layer = np.empty(0, np.int64)
+    while left.any():
+        if not len(layer):
+            layer = np.flatnonzero(left)[:1]
+        left[layer] = False
+        block.append(layer)
+        if sum(map(len, block)) >= BLOCK:
+            blocks.append(np.concatenate(block))
+            block = []
+        layer = np.flatnonzero(adjacent[layer].any(0) & left)
+    return [*blocks, np.concatenate(block)] if block else blocks
+
+
+def falling_weights(distance: Array) -> Array:
+    """Weights [n, k] of the k nearest nodes by their sorted ``distance`` [n, k]: they sum to 1 and fall to 0 at the last."""
+    furthest = np.maximum(distance[:, -1:], np.finfo(float).tiny)
+    # The constant keeps the sum positive where all are equally far.
+    weight = np.square(1.0 - np.square(distance / furthest)) + 1e-6
+    falling: Array = weight / weight.sum(1, keepdims=True)
+    return falling

@@ -1,0 +1,188 @@
+"""Losses of a cloud by its views: functions of points [N, 3] that return value and gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..cloud.smooth_field import SmoothField
+from ..geometry.camera import NEAR, Camera
+from ..kernels.dispatch import use_compiled
+from ..losses.depth import DepthTarget, depth_loss
+from ..losses.mask_chamfer import (
+    COVERED_WITHIN,
+    REFERENCE_POINTS,
+    MaskTarget,
+    mask_chamfer,
+    resolvability,
+)
+from ..losses.projection import project
+from ..losses.silhouette import silhouette_bce
+from .resampled_view import ResampledView
+
+if TYPE_CHECKING:
+    from ..kernels.mask_chamfer_numba import CompiledView
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SilhouetteObjective:
+    """Weighted sum over views of the silhouette's cross-entropy (Eq. 4); infinite where a view shows no point at all."""
+
+    views: Sequence[ResampledView]
+    weights: Sequence[float]
+
+    def __call__(self, points: Array) -> tuple[float, Array]:
+        total, gradient = 0.0, np.zeros_like(points)
+        for weight, view in zip(self.weights, self.views, strict=True):
+            value, by_points = silhouette_loss(points, view, view.camera)
+            total, gradient = total + weight * value, gradient + weight * by_points
+        return total, gradient
+
+
+def silhouette_loss(points: Array, view: ResampledView, camera: Camera) -> tuple[float, Array]:
+    """The cross-entropy by one view, and its gradient [N, 3]."""
+    projected = project(points, camera)
+    # Without a visible point the loss would have no gradient: a cloud behind the camera would be perfect.
+    if not projected.valid.any():
+        return np.inf, np.zeros_like(points)
+    value, gradient_px = silhouette_bce(
+        projected.points_px, projected.valid, *view.pixel_weights, view.sigma_sq
+    )
+    return value, projected.pull_back(gradient_px)
+
+
+@dataclass(frozen=True, eq=False)
+class ViewTarget:
+    """A view's mask and depth map, prepared for the losses; ``weight`` is that of its loss."""
+
+    camera: Camera
+    mask: MaskTarget
+    depth: DepthTarget | None
+    weight: float
+
+    @classmethod
+    def of(cls, view: ResampledView, weight: float) -> ViewTarget:
+        depth = (
+            None
+            if view.depth is None
+            else DepthTarget.of(view.depth, view.target.inside, view.camera)
+        )
+        return cls(view.camera, view.target, depth, weight)
+
+    @cached_property
+    def compiled(self) -> CompiledView:
+        """The mask and its camera for the compiled loop, contiguous: other arrays would be compiled anew."""
+        from ..kernels.mask_chamfer_numba import CompiledView
+
+        camera, mask = self.camera, self.mask
+        near = -np.inf if camera.model == "orthographic" else NEAR
+        return CompiledView(
+            K=np.ascontiguousarray(camera.K),
+            R=np.ascontiguousarray(camera.R),
+            t=np.ascontiguousarray(camera.t),
+            near=near,
+            inside=np.ascontiguousarray(mask.inside),
+            outside=np.ascontiguousarray(mask.outside),
+            nearest_in_column=np.ascontiguousarray(mask.nearest_in_column),
+            bounds=np.array(mask.bounds),
+            truncated=mask.truncated,
+            within=COVERED_WITHIN * mask.grain,
+            scale=mask.scale,
+            reference_points=REFERENCE_POINTS,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ViewTargets:
+    """The targets of all views of a cloud."""
+
+    views: tuple[ViewTarget, ...]
+
+    @classmethod
+    def of(cls, views: Sequence[ResampledView], weights: Sequence[float]) -> ViewTargets:
+        return cls(
+            tuple(ViewTarget.of(view, weight) for view, weight in zip(views, weights, strict=True))
+        )
+
+    @cached_property
+    def pixels(self) -> float:
+        """Foreground pixels and known depths of all views, of masks of 64, weighted like their losses."""
+        return sum(
+            view.weight * (view.mask.pixels + (view.depth.pixels if view.depth else 0.0))
+            for view in self.views
+        )
+
+    @property
+    def truncated(self) -> bool:
+        """Whether an image border truncates the object in every view."""
+        return all(view.mask.truncated for view in self.views)
+
+    def resolvability(self, points: Array, field: SmoothField) -> list[Array]:
+        """For each view [N] in [0, 1], how well its mask resolves the part around each point: its node's neighbourhood."""
+        nodes = points[field.nodes]
+        return [
+            field.of_nearest_node(
+                resolvability(project(nodes, view.camera).points_px[field.patches], view.mask.grain)
+            )
+            for view in self.views
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class MaskChamferObjective:
+    """Weighted sum over views of `mask_chamfer`, and of `depth_loss` where views have depth maps.
+
+    ``robust_scale`` is in pixels of a mask of 64; without ``resolvability`` all parts count. Infinite where a view of some
+    weight shows no point at all.
+    """
+
+    targets: ViewTargets
+    robust_scale: float
+    resolvability: list[Array] | None = None
+
+    def __call__(self, points: Array) -> tuple[float, Array]:
+        value, gradient, _ = self.in_parts(points)
+        return value, gradient
+
+    def in_parts(self, points: Array) -> tuple[float, Array, Array]:
+        """Value and gradient, and what each point adds to the masks' part of the value [N]."""
+        costs, gradient, observed = self._of_masks(points)
+        total = float(costs.sum()) if observed else np.inf
+        for view in self.targets.views:
+            if view.depth is not None and view.weight > 0.0:
+                value, by_points = depth_loss(
+                    points, project(points, view.camera), view.depth, self.robust_scale
+                )
+                total, gradient = total + view.weight * value, gradient + view.weight * by_points
+        return total, gradient, costs
+
+    def _of_masks(self, points: Array) -> tuple[Array, Array, bool]:
+        """What each point adds, [N], the gradient [N, 3], and whether every view observes points."""
+        costs, gradient, observed = np.zeros(len(points)), np.zeros_like(points), True
+        for number, view in enumerate(self.targets.views):
+            if view.weight == 0.0:
+                continue
+            resolved = self.resolvability[number] if self.resolvability else None
+            if use_compiled():
+                from ..kernels.mask_chamfer_numba import mask_chamfer as compiled
+
+                observed &= compiled(
+                    points, view.compiled, self.robust_scale, resolved, view.weight, costs, gradient
+                )
+            else:
+                projected = project(points, view.camera)
+                pixels, valid = projected.points_px, projected.valid
+                of_points, gradient_px = mask_chamfer(
+                    pixels, valid, view.mask, self.robust_scale, resolved
+                )
+                costs += view.weight * of_points
+                gradient += view.weight * projected.pull_back(gradient_px)
+                observed &= bool(view.mask.observed(pixels, valid).any())
+        return costs, gradient, observed
